@@ -1,0 +1,44 @@
+# Two commands are enough: `make demo` and `make test`. Both create .venv from the hashes in requirements.lock.
+PYTHON ?= python3
+BIN := .venv/bin
+.DEFAULT_GOAL := help
+
+help:  ## what can be made
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
+
+.venv/installed: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "armwright needs Python 3.11 or newer; got $$($(PYTHON) --version). Try: make PYTHON=python3.12 ..."; exit 2; }
+	@$(PYTHON) -m venv .venv || { echo "python3 has no venv module here: apt-get install python3-venv"; exit 2; }
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+install: .venv/installed  ## create .venv and install what is pinned
+
+demo: install  ## the whole job on the mock arm: move, calibrate, verify; writes out/demo/report.html
+	$(BIN)/armwright demo --out out/demo
+
+lint: install  ## ruff, format check, mypy strict, import contracts
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+test: lint  ## everything that must hold, in under five minutes on two cores
+	$(BIN)/pytest -n 2 --dist worksteal
+
+format: install  ## let ruff write the format
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: install  ## the table of measured claims, beside peers in their own environment
+	$(BIN)/python -m benchmarks
+
+lock: install  ## pin again what pyproject.toml names (needs uv)
+	uv pip compile --universal --generate-hashes --no-emit-index-url --no-header --extra dev -o requirements.lock pyproject.toml
+
+clean:  ## remove what make made
+	rm -rf .venv .venv-peers out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+
+.PHONY: help install demo lint test format bench lock clean
