@@ -1,6 +1,7 @@
 """Time as the devices see it: whoever waits, waits through a Clock.
 
-Real time sleeps; the stepped mock lets the simulation run on until the wanted time. Device code is the same on both.
+Real time sleeps; the stepped mock lets the simulation run on until the wanted time.
+Device code is the same on both.
 """
 
 import time
@@ -15,7 +16,10 @@ class Clock(Protocol):
         ...
 
     def wait_until_s(self, t: float) -> None:
-        """Return once `now_s() >= t`, at once if that is so already. `t` is absolute, so that lateness does not add up."""
+        """Return once `now_s() >= t`, at once if that is so already.
+
+        `t` is absolute, so that lateness does not add up.
+        """
         ...
 
 

@@ -1,10 +1,15 @@
 """What can go wrong between the host and a board, and whose fault it is.
 
-The text of each error is the message for the operator: which device, where, what was expected, what came, what to do.
-Noise on a line is no error: it is counted, and becomes one only when an answer or the stream stays away.
+The text of each error is the message for the operator: which device, where, what was expected,
+what came, what to do. Noise on a line is no error: it is counted, and becomes one only when an
+answer or the stream stays away.
 """
+# ruff: noqa: N818 - the names say what happened (h11's style); all but two read worse with Error behind
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 class LinkError(Exception):
@@ -25,6 +30,10 @@ class BoardSilent(LinkError):
 
 class BoardReset(LinkError):
     """A board restarted by itself: its counts and parameters are lost. Raised once for each restart."""
+
+
+class BoardFaulted(LinkError):
+    """A board is in FAULT, and what was asked needs its fault acknowledged first."""
 
 
 class WrongIdentity(LinkError):
@@ -48,9 +57,23 @@ class MisuseError(LinkError):
 
 
 class ConnectionFailed(LinkError):
-    """One error for all devices that failed to connect."""
+    """One error for all devices that failed to connect, each with its own message in `failures`."""
 
     def __init__(self, failures: Sequence[LinkError], attempted: int) -> None:
         self.failures = tuple(failures)
         lines = "".join(f"\n  - {failure}" for failure in self.failures)
         super().__init__(f"{len(self.failures)} of {attempted} devices failed to connect:{lines}")
+
+
+def connect_all(steps: Iterable[Callable[[], T]]) -> list[T]:
+    """The results of all steps. Each is tried; then one ConnectionFailed names all that failed."""
+    results: list[T] = []
+    failures: list[LinkError] = []
+    for step in steps:
+        try:
+            results.append(step())
+        except LinkError as failure:
+            failures.append(failure)
+    if failures:
+        raise ConnectionFailed(failures, attempted=len(results) + len(failures))
+    return results

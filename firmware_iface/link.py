@@ -1,6 +1,7 @@
 """The two kinds of link, and how they are opened. The only file that knows pyserial and python-can.
 
-A link carries bytes (serial) or frames (CAN); what they mean is the boards' affair. Neither kind ever blocks on reading.
+A link carries bytes (serial) or frames (CAN); what they mean is the boards' affair.
+Neither kind ever blocks on reading.
 """
 
 from typing import Protocol

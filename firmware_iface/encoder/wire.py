@@ -1,0 +1,269 @@
+"""The encoder board's frames: bytes to frozen values and back. docs/encoder_board.md is the definition.
+
+Decoded frame, little endian: `type u8 | sequence u8 | body | crc16 u16`, CRC-16/CCITT-FALSE over
+all before it; on the line COBS-coded and ended by 0x00.
+
+    0x01 Poll            -                                        host to board
+    0x02 Stream          period_us u32
+    0x03 SetZero         channel u8, count i32
+    0x04 ArmIndex        channel u8, action u8
+    0x05 Identify        -
+    0x81 Report          board_time_us u32, flags u8 x 3, count i32 x 3    board to host
+    0x82 Identity        protocol u8, request_sequence u8, firmware u16, serial_number u32,
+                         channels u8, counts_per_turn u32 x 3, encoder_bits u8
+    0x83 Ack             request_sequence u8, result u8
+    0x84 IndexLatch      channel u8, board_time_us u32, count i32
+"""
+
+import struct
+from binascii import crc_hqx
+from collections.abc import Callable
+from dataclasses import astuple, dataclass
+from enum import IntEnum, IntFlag
+from struct import Struct
+from typing import NamedTuple
+
+from firmware_iface.encoder import cobs
+from firmware_iface.errors import MisuseError
+
+PROTOCOL_VERSION = 1
+CHANNELS = 3
+REPORT_WIRE_BYTES = 25
+LONGEST_CODED = 66  # what a receiver gathers without a 0x00 before it gives up
+CRC_START = 0xFFFF
+_SMALLEST_DECODED = 4  # type, sequence, CRC
+
+
+class ChannelFlag(IntFlag):
+    """State of a channel in a Report."""
+
+    INDEX_LEVEL = 0x01
+    INDEX_LATCHED = 0x02
+    HOME = 0x04
+    ZERO_SET = 0x08
+    QUADRATURE_ERROR = 0x10
+    SIGNAL_LOST = 0x20
+
+
+class Result(IntEnum):
+    """What an Ack says."""
+
+    DONE = 0
+    UNKNOWN_REQUEST = 1
+    BAD_ARGUMENT = 2
+    NOT_POSSIBLE_NOW = 3
+
+
+class IndexAction(IntEnum):
+    """What ArmIndex asks for."""
+
+    DISARM = 0
+    ARM = 1
+    SEND_AGAIN = 2
+
+
+class Report(NamedTuple):
+    """Counts, flags and time of all channels. A named tuple: it is made every cycle, 0.5 us faster."""
+
+    sequence: int
+    board_time_us: int
+    flags: tuple[int, int, int]
+    counts: tuple[int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who the board is; `request_sequence` 0 says that it has just started."""
+
+    sequence: int
+    protocol: int
+    request_sequence: int
+    firmware: int
+    serial_number: int
+    channels: int
+    counts_per_turn: tuple[int, int, int]
+    encoder_bits: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """The answer to a request that has no other."""
+
+    sequence: int
+    request_sequence: int
+    result: int
+
+
+@dataclass(frozen=True, slots=True)
+class IndexLatch:
+    """The count when the index pulse came."""
+
+    sequence: int
+    channel: int
+    board_time_us: int
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Poll:
+    """Asks for one Report."""
+
+    sequence: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """Asks for a Report every `period_us`; 0 stops."""
+
+    sequence: int
+    period_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class SetZero:
+    """Makes `count` the count at the present position."""
+
+    sequence: int
+    channel: int
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class ArmIndex:
+    """Arms, disarms, or asks for the latched count again."""
+
+    sequence: int
+    channel: int
+    action: int
+
+
+@dataclass(frozen=True, slots=True)
+class Identify:
+    """Asks for Identity."""
+
+    sequence: int
+
+
+@dataclass(frozen=True, slots=True)
+class Foreign:
+    """A frame with a good CRC that this protocol does not know: unknown type or wrong length."""
+
+    raw: bytes
+
+
+Request = Poll | Stream | SetZero | ArmIndex | Identify
+Frame = Report | Identity | Ack | IndexLatch | Request
+AnyFrame = Frame | Foreign
+
+REPORT_TYPE = 0x81
+IDENTITY_TYPE = 0x82
+_REPORT = Struct("<xBI3B3i")
+_CHECKED_REPORT = Struct("<xBI3B3iH")
+_IDENTITY = Struct("<xBBBHIB3IB")
+# type: (frame, layout from the sequence on with the type as a pad byte)
+_SIMPLE: dict[int, tuple[type[Ack | IndexLatch | Request], Struct]] = {
+    0x01: (Poll, Struct("<xB")),
+    0x02: (Stream, Struct("<xBI")),
+    0x03: (SetZero, Struct("<xBBi")),
+    0x04: (ArmIndex, Struct("<xBBB")),
+    0x05: (Identify, Struct("<xB")),
+    0x83: (Ack, Struct("<xBBB")),
+    0x84: (IndexLatch, Struct("<xBBIi")),
+}
+_TYPE_OF = {frame: number for number, (frame, _) in _SIMPLE.items()}
+
+
+def crc16(raw: bytes) -> int:
+    """CRC-16/CCITT-FALSE of `raw`; 0x29B1 for b"123456789"."""
+    return crc_hqx(raw, CRC_START)
+
+
+def encode(frame: Frame) -> bytes:
+    """`frame` as it goes on the line, with its 0x00. Raises MisuseError if a number does not fit."""
+    try:
+        raw = _pack(frame)
+    except struct.error as problem:
+        raise MisuseError(f"encoder frame {frame}: a number does not fit its field ({problem})") from None
+    return cobs.encode(raw + crc16(raw).to_bytes(2, "little")) + cobs.DELIMITER
+
+
+def _pack(frame: Frame) -> bytes:
+    if isinstance(frame, Report):
+        body = _REPORT.pack(frame.sequence, frame.board_time_us, *frame.flags, *frame.counts)
+        return bytes((REPORT_TYPE,)) + body[1:]
+    if isinstance(frame, Identity):
+        *head, counts_per_turn, encoder_bits = astuple(frame)
+        return bytes((IDENTITY_TYPE,)) + _IDENTITY.pack(*head, *counts_per_turn, encoder_bits)[1:]
+    number = _TYPE_OF[type(frame)]
+    return bytes((number,)) + _SIMPLE[number][1].pack(*astuple(frame))[1:]
+
+
+def _parse_identity(raw: bytes) -> Identity:
+    *head, first, second, third, bits = _IDENTITY.unpack(raw)
+    return Identity(*head, (first, second, third), bits)
+
+
+def _parse_simple(raw: bytes) -> AnyFrame:
+    frame, layout = _SIMPLE[raw[0]]
+    return frame(*layout.unpack(raw))
+
+
+_PARSERS: dict[int, tuple[int, Callable[[bytes], AnyFrame]]] = {
+    IDENTITY_TYPE: (_IDENTITY.size, _parse_identity),
+    **{number: (layout.size, _parse_simple) for number, (_, layout) in _SIMPLE.items()},
+}
+_NO_PARSER: tuple[int, Callable[[bytes], AnyFrame]] = (-1, Foreign)
+
+
+def parse(raw: bytes) -> AnyFrame:
+    """The frame in `raw` (decoded, CRC taken off) unless it is a Report. Foreign if none is defined."""
+    size, parser = _PARSERS.get(raw[0], _NO_PARSER)
+    return parser(raw) if len(raw) == size else Foreign(raw)
+
+
+class Decoder:
+    """Takes bytes as they come, gives frames as they are complete. Never raises: what is wrong is counted."""
+
+    def __init__(self) -> None:
+        self.crc_errors = 0
+        self.framing_errors = 0
+        self._rest = b""
+        self._is_skipping = False
+
+    def feed(self, received: bytes) -> list[AnyFrame]:
+        """The frames that `received` completes, oldest first."""
+        blocks = (self._rest + received).split(cobs.DELIMITER)
+        rest = blocks.pop()
+        if self._is_skipping and blocks:
+            self._is_skipping = False
+            blocks[0] = b""
+        if self._is_skipping:
+            rest = b""
+        elif len(rest) > LONGEST_CODED:
+            self.framing_errors += 1
+            self._is_skipping, rest = True, b""
+        self._rest = rest
+        return [frame for block in blocks if block and (frame := self._frame(block)) is not None]
+
+    def _frame(self, block: bytes) -> AnyFrame | None:
+        framed = cobs.decode(block) if len(block) <= LONGEST_CODED else None
+        if framed is None or len(framed) < _SMALLEST_DECODED:
+            self.framing_errors += 1
+            return None
+        if framed[0] == REPORT_TYPE and len(framed) == _CHECKED_REPORT.size:
+            return self._report(framed)
+        raw = bytes(framed[:-2])
+        if crc_hqx(raw, CRC_START) != framed[-2] | framed[-1] << 8:
+            self.crc_errors += 1
+            return None
+        return parse(raw)
+
+    def _report(self, framed: bytearray) -> Report | None:
+        # The frame of every cycle: one unpack for body and CRC.
+        sequence, time_us, flags0, flags1, flags2, count0, count1, count2, crc = _CHECKED_REPORT.unpack(
+            framed
+        )
+        if crc_hqx(framed[:-2], CRC_START) != crc:
+            self.crc_errors += 1
+            return None
+        return Report(sequence, time_us, (flags0, flags1, flags2), (count0, count1, count2))
