@@ -199,8 +199,8 @@ def _pack(frame: Frame) -> bytes:
 
 
 def _parse_identity(raw: bytes) -> Identity:
-    *head, first, second, third, bits = _IDENTITY.unpack(raw)
-    return Identity(*head, (first, second, third), bits)
+    (sequence, protocol, request, firmware, serial, channels, c0, c1, c2, bits) = _IDENTITY.unpack(raw)
+    return Identity(sequence, protocol, request, firmware, serial, channels, (c0, c1, c2), bits)
 
 
 def _parse_simple(raw: bytes) -> AnyFrame:
@@ -232,6 +232,9 @@ class Decoder:
 
     def feed(self, received: bytes) -> list[AnyFrame]:
         """The frames that `received` completes, oldest first."""
+        if received.find(0) == len(received) - 1 and not self._rest and not self._is_skipping:
+            # What comes in most cycles: one whole frame. (-1 = -1 for b"", which holds none.)
+            return [frame] if (frame := self._frame(received[:-1])) is not None else []
         blocks = (self._rest + received).split(cobs.DELIMITER)
         rest = blocks.pop()
         if self._is_skipping and blocks:
@@ -243,9 +246,11 @@ class Decoder:
             self.framing_errors += 1
             self._is_skipping, rest = True, b""
         self._rest = rest
-        return [frame for block in blocks if block and (frame := self._frame(block)) is not None]
+        return [frame for block in blocks if (frame := self._frame(block)) is not None]
 
     def _frame(self, block: bytes) -> AnyFrame | None:
+        if not block:
+            return None
         framed = cobs.decode(block) if len(block) <= LONGEST_CODED else None
         if framed is None or len(framed) < _SMALLEST_DECODED:
             self.framing_errors += 1
@@ -260,10 +265,8 @@ class Decoder:
 
     def _report(self, framed: bytearray) -> Report | None:
         # The frame of every cycle: one unpack for body and CRC.
-        sequence, time_us, flags0, flags1, flags2, count0, count1, count2, crc = _CHECKED_REPORT.unpack(
-            framed
-        )
+        sequence, time_us, f0, f1, f2, count0, count1, count2, crc = _CHECKED_REPORT.unpack(framed)
         if crc_hqx(framed[:-2], CRC_START) != crc:
             self.crc_errors += 1
             return None
-        return Report(sequence, time_us, (flags0, flags1, flags2), (count0, count1, count2))
+        return Report(sequence, time_us, (f0, f1, f2), (count0, count1, count2))

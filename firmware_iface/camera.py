@@ -1,0 +1,107 @@
+"""Camera frames over UDP, one datagram a marker and picture. docs/camera.md is the definition.
+
+offset 0 magic b"AWCM", 4 version u8 = 1, 5 flags u8 (bit 0: visible), 6 source u16,
+8 sequence u32, 12 time_s f64, 20 x_m, 28 y_m, 36 z_m f64; little endian, 44 bytes
+"""
+
+import math
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+from struct import Struct, error
+
+from firmware_iface.errors import LinkLost, MisuseError, PortMissing
+
+DEFAULT_PORT = 47310
+TIP_SOURCE = 0
+_MAGIC = b"AWCM"
+_VERSION = 1
+_LAYOUT = Struct("<4sBBHIdddd")
+_LONGEST_DATAGRAM = 65536
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFrame:
+    """Where a marker was at `time_s` of the camera's own clock; position in the base frame."""
+
+    sequence: int
+    time_s: float
+    position_m: tuple[float, float, float]
+    is_visible: bool = True
+    source: int = TIP_SOURCE
+
+    def pack(self) -> bytes:
+        """The datagram. Raises MisuseError if a number is not finite or does not fit its field."""
+        numbers = (self.time_s, *self.position_m)
+        if not all(map(math.isfinite, numbers)):
+            raise MisuseError(f"camera frame {self.sequence}: all numbers must be finite, got {numbers}")
+        try:
+            return _LAYOUT.pack(_MAGIC, _VERSION, self.is_visible, self.source, self.sequence, *numbers)
+        except error as problem:
+            raise MisuseError(f"camera frame {self}: a number does not fit its field ({problem})") from None
+
+
+def unpack(datagram: bytes) -> CameraFrame | None:
+    """The frame in `datagram`, None if it is none."""
+    if len(datagram) != _LAYOUT.size:
+        return None
+    magic, version, flags, source, sequence, time_s, x_m, y_m, z_m = _LAYOUT.unpack(datagram)
+    if magic != _MAGIC or version != _VERSION or flags > 1:
+        return None
+    if not all(map(math.isfinite, (time_s, x_m, y_m, z_m))):
+        return None
+    return CameraFrame(sequence, time_s, (x_m, y_m, z_m), bool(flags), source)
+
+
+class CameraReceiver:
+    """Listens on a UDP port. Datagrams that are no camera frames are dropped and counted in `rejected`."""
+
+    def __init__(self, port: int = DEFAULT_PORT, host: str = "127.0.0.1") -> None:
+        """Listen on `port` of the interface with address `host`; port 0 takes any free one."""
+        self.rejected = 0
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind((host, port))
+        except (OSError, OverflowError) as problem:
+            self._socket.close()
+            raise PortMissing(
+                f"camera: cannot listen on UDP port {port} of {host}: {problem}; "
+                "is another armwright running? Else choose another port"
+            ) from None
+        self.port: int = self._socket.getsockname()[1]
+        self.name = f"udp://{host}:{self.port}"
+
+    def receive(self) -> list[CameraFrame]:
+        """All frames that are there, in the order of arrival; never blocks. Raises LinkLost."""
+        frames = []
+        while (datagram := self._datagram()) is not None:
+            if (frame := unpack(datagram)) is None:
+                self.rejected += 1
+            else:
+                frames.append(frame)
+        return frames
+
+    def _datagram(self) -> bytes | None:
+        try:
+            return self._socket.recv(_LONGEST_DATAGRAM)
+        except BlockingIOError:
+            return None
+        except OSError as problem:
+            raise LinkLost(f"camera on {self.name}: lost: {problem}") from None
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._socket.close()
+
+
+def frame_sender(
+    port: int = DEFAULT_PORT, host: str = "127.0.0.1"
+) -> tuple[Callable[[CameraFrame], None], Callable[[], None]]:
+    """(send, close) for bridges and mocks: `send(frame)` puts one frame on its way to `host`:`port`."""
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def send(frame: CameraFrame) -> None:
+        sender.sendto(frame.pack(), (host, port))
+
+    return send, sender.close

@@ -1,0 +1,204 @@
+"""The motor board's frames: payloads to values and back. motor_board.dbc is the definition.
+
+Little endian; ids are base + node. The tests hold this file to the DBC.
+
+    EMERGENCY_STOP    0x000       reason u8
+    COMMAND           0x100+node  controlword u8, mode bits 0-2 | sequence bits 3-7, setpoint i32 (mV, mA,
+                                  counts), feedforward i16 (mV)
+    REPLY             0x180+node  statusword u8, mode | echoed sequence, current i16 (mA), supply u16 (mV),
+                                  temperature i8 (degC), faults u8
+    PARAMETER_REQUEST 0x200+node  operation u8, index u8, sequence u8, zero u8, value i32
+    PARAMETER_ANSWER  0x280+node  result u8, index u8, sequence u8, zero u8, value i32
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from struct import Struct
+from typing import NamedTuple, Self
+
+from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, State
+
+PROTOCOL_VERSION = 1
+NODES = range(1, 16)
+EMERGENCY_STOP_ID = 0x000
+COMMAND_ID = 0x100
+REPLY_ID = 0x180
+PARAMETER_REQUEST_ID = 0x200
+PARAMETER_ANSWER_ID = 0x280
+SEQUENCE_MASK = 0x1F
+WARNING_BIT = 0x80
+
+_COMMAND = Struct("<BBih")
+_REPLY = Struct("<BBhHbB")
+_PARAMETER = Struct("<BBBxi")
+
+pack_raw_command = _COMMAND.pack
+"""(controlword, mode | sequence << 3, setpoint_raw, feedforward_mV) to bytes; struct.error if one does not fit."""
+
+
+class Mode(IntEnum):
+    """What the set-point of a COMMAND means."""
+
+    OFF = 0
+    VOLTAGE = 1
+    CURRENT = 2
+    POSITION = 3
+
+
+class Fault(IntFlag):
+    """Why a board is in FAULT."""
+
+    OVER_CURRENT = 0x01
+    OVER_TEMPERATURE = 0x02
+    UNDER_VOLTAGE = 0x04
+    OVER_VOLTAGE = 0x08
+    WATCHDOG = 0x10
+    ENCODER = 0x20
+    BAD_COMMAND = 0x40
+    EMERGENCY_STOP = 0x80
+
+
+class Operation(IntEnum):
+    """What a PARAMETER_REQUEST asks for."""
+
+    READ = 0
+    WRITE = 1
+
+
+class ParameterResult(IntEnum):
+    """What a PARAMETER_ANSWER says."""
+
+    DONE = 0
+    UNKNOWN_INDEX = 1
+    READ_ONLY = 2
+    OUT_OF_RANGE = 3
+    NOT_IN_THIS_STATE = 4
+
+
+class Parameter(IntEnum):
+    """Indices of the parameters; units are those of the raw value."""
+
+    PROTOCOL_VERSION = 0
+    BOARD_SERIAL_NUMBER = 1
+    FIRMWARE_VERSION = 2
+    ENCODER_COUNTS_PER_TURN = 3
+    POSITION_COUNT = 4
+    CONTROL_PERIOD_us = 5
+    KP_uV_count = 16
+    KI_uV_count_s = 17
+    KD_nV_s_count = 18
+    DERIVATIVE_FILTER_us = 19
+    CURRENT_LIMIT_mA = 20
+    VOLTAGE_LIMIT_mV = 21
+    INTEGRAL_LIMIT_mV = 22
+    WATCHDOG_ms = 32
+    WATCHDOG_ACTION = 33
+    DISABLED_OUTPUT = 34
+
+
+class Output(IntEnum):
+    """Values of WATCHDOG_ACTION and (without HOLD) of DISABLED_OUTPUT."""
+
+    OPEN_CIRCUIT = 0
+    BRAKE = 1
+    HOLD = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One COMMAND; the set-point in the unit of the mode [mV], [mA], [count]."""
+
+    controlword: int
+    mode: int
+    sequence: int
+    setpoint_raw: int
+    feedforward_mV: int = 0
+
+    def pack(self) -> bytes:
+        """The payload; struct.error if a number does not fit its field."""
+        return pack_raw_command(
+            self.controlword, self.mode | self.sequence << 3, self.setpoint_raw, self.feedforward_mV
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """From 8 bytes."""
+        controlword, mixed, setpoint_raw, feedforward_mV = _COMMAND.unpack(payload)
+        return cls(controlword, mixed & 7, mixed >> 3, setpoint_raw, feedforward_mV)
+
+
+class Reply(NamedTuple):
+    """One REPLY in SI units. A named tuple: it is made three times a cycle, 0.5 us faster each."""
+
+    statusword: int
+    mode: int
+    sequence: int
+    current_A: float
+    supply_V: float
+    temperature_degC: int
+    faults: int
+
+    @property
+    def state(self) -> State | None:
+        """The drive's state; None if the statusword is none."""
+        return STATE_OF_STATUSWORD[self.statusword]
+
+    @property
+    def fault_flags(self) -> Fault:
+        """The fault bits by name."""
+        return Fault(self.faults)
+
+    @property
+    def is_limited(self) -> bool:
+        """The board cut the output back to a limit (status bit 7)."""
+        return bool(self.statusword & WARNING_BIT)
+
+    def pack(self) -> bytes:
+        """The payload; struct.error if a number does not fit its field."""
+        current_mA, supply_mV = round(self.current_A * 1e3), round(self.supply_V * 1e3)
+        mixed = self.mode | self.sequence << 3
+        return _REPLY.pack(self.statusword, mixed, current_mA, supply_mV, self.temperature_degC, self.faults)
+
+
+def unpack_reply(payload: bytes) -> Reply:
+    """From 8 bytes."""
+    statusword, mixed, current_mA, supply_mV, temperature, faults = _REPLY.unpack(payload)
+    return Reply(statusword, mixed & 7, mixed >> 3, current_mA * 1e-3, supply_mV * 1e-3, temperature, faults)
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRequest:
+    """Read or write one parameter."""
+
+    operation: int
+    index: int
+    sequence: int
+    value: int = 0
+
+    def pack(self) -> bytes:
+        """The payload; struct.error if a number does not fit its field."""
+        return _PARAMETER.pack(self.operation, self.index, self.sequence, self.value)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """From 8 bytes."""
+        return cls(*_PARAMETER.unpack(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterAnswer:
+    """The value as it now is. `sequence` 0: nobody asked, the board has just started."""
+
+    result: int
+    index: int
+    sequence: int
+    value: int
+
+    def pack(self) -> bytes:
+        """The payload; struct.error if a number does not fit its field."""
+        return _PARAMETER.pack(self.result, self.index, self.sequence, self.value)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """From 8 bytes."""
+        return cls(*_PARAMETER.unpack(payload))
