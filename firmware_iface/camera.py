@@ -6,7 +6,6 @@ offset 0 magic b"AWCM", 4 version u8 = 1, 5 flags u8 (bit 0: visible), 6 source 
 
 import math
 import socket
-from collections.abc import Callable
 from dataclasses import dataclass
 from struct import Struct, error
 
@@ -95,13 +94,18 @@ class CameraReceiver:
         self._socket.close()
 
 
-def frame_sender(
-    port: int = DEFAULT_PORT, host: str = "127.0.0.1"
-) -> tuple[Callable[[CameraFrame], None], Callable[[], None]]:
-    """(send, close) for bridges and mocks: `send(frame)` puts one frame on its way to `host`:`port`."""
-    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+class CameraSender:
+    """Sends camera frames: for bridges to real cameras, and for mocks."""
 
-    def send(frame: CameraFrame) -> None:
-        sender.sendto(frame.pack(), (host, port))
+    def __init__(self, port: int = DEFAULT_PORT, host: str = "127.0.0.1") -> None:
+        """Send to UDP `port` of `host`."""
+        self._address = (host, port)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
-    return send, sender.close
+    def send_frame(self, frame: CameraFrame) -> None:
+        """Put one frame on its way. Raises MisuseError for a frame that cannot be written."""
+        self._socket.sendto(frame.pack(), self._address)
+
+    def close(self) -> None:
+        """Stop sending."""
+        self._socket.close()

@@ -4,7 +4,25 @@ A link carries bytes (serial) or frames (CAN); what they mean is the boards' aff
 Neither kind ever blocks on reading.
 """
 
+import contextlib
+import logging
+import os
+import select
+from collections import deque
+from collections.abc import Iterator
 from typing import Protocol
+
+import can
+import serial
+from serial.tools import list_ports
+
+from firmware_iface.errors import LinkLost, MisuseError, PortMissing
+
+_READ_BYTES = 65536  # more than a serial driver buffers: one read empties it
+_WRITE_TIMEOUT_ms = 200  # requests are a dozen bytes: a line that does not take them in this time is dead
+_HANGUP_CHECK_READS = 8  # a port that was unplugged reads as empty: look closer after so many empty reads
+_SOCKETCAN_BUS_OFF = 0x40  # CAN_ERR_BUSOFF of linux/can/error.h, in the id of an error frame
+_ECHO_MEMORY = 64  # frames of ours that may be on their way back at once
 
 
 class ByteLink(Protocol):
@@ -52,3 +70,225 @@ class FrameLink(Protocol):
     def close(self) -> None:
         """Leave the bus; once closed, again does nothing."""
         ...
+
+
+def open_serial(url: str, baud: int) -> ByteLink:
+    """Open a serial port by any URL that pyserial takes: /dev/ttyUSB0, COM3, socket://host:port, loop:// ...
+
+    8N1, exclusive, low-latency mode where there is one. Raises PortMissing, naming the ports that are there.
+    """
+    if baud <= 0:
+        raise MisuseError(f"serial port {url}: baud must be positive, got {baud}")
+    try:
+        port = serial.serial_for_url(
+            url, baudrate=baud, timeout=0, write_timeout=_WRITE_TIMEOUT_ms * 1e-3, exclusive=True
+        )
+    except (serial.SerialException, OSError, ValueError, ImportError) as problem:
+        raise PortMissing(f"serial port {url}: cannot open it: {problem}; {_ports_here()}") from None
+    if type(port) is serial.Serial and os.name == "posix":
+        # Only real UARTs on USB have this mode; a pty answers with an error, and needs none.
+        with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):
+            port.set_low_latency_mode(True)
+        return _PosixByteLink(port, url, baud)
+    return _PyserialByteLink(port, url, 0 if url.startswith("socket:") else baud)
+
+
+def _ports_here() -> str:
+    names = sorted(port.device for port in list_ports.comports())
+    return (
+        f"ports here: {', '.join(names)}" if names else "no serial ports are here: is the board plugged in?"
+    )
+
+
+class _PosixByteLink:
+    """A tty or pty: opened by pyserial, read and written without its layers (some 20 us a read)."""
+
+    def __init__(self, port: serial.Serial, name: str, baud: int) -> None:
+        self.name = name
+        self.baud = baud
+        self._port = port
+        self._fd = port.fileno()
+        os.set_blocking(self._fd, False)
+        self._hangup = select.poll()
+        self._hangup.register(self._fd, 0)
+        self._writable = select.poll()
+        self._writable.register(self._fd, select.POLLOUT)
+        self._empty_reads = 0
+
+    def read(self) -> bytes:
+        try:
+            received = os.read(self._fd, _READ_BYTES)
+        except BlockingIOError:
+            received = b""
+        except OSError as problem:
+            raise self._lost(problem) from None
+        if received:
+            self._empty_reads = 0
+            return received
+        self._empty_reads += 1
+        if self._empty_reads % _HANGUP_CHECK_READS == 0 and self._hangup.poll(0):
+            raise self._lost("it hung up")
+        return b""
+
+    def write(self, data: bytes) -> None:
+        left = data
+        while left:
+            try:
+                left = left[os.write(self._fd, left) :]
+            except BlockingIOError:
+                if not self._writable.poll(_WRITE_TIMEOUT_ms):
+                    raise self._lost(f"it takes no bytes for {_WRITE_TIMEOUT_ms} ms") from None
+            except OSError as problem:
+                raise self._lost(problem) from None
+
+    def _lost(self, problem: object) -> LinkLost:
+        return LinkLost(f"serial port {self.name}: lost: {problem}; was it unplugged?")
+
+    def close(self) -> None:
+        self._fd = -1  # the number may soon be somebody else's
+        self._port.close()
+
+
+class _PyserialByteLink:
+    """Any other port that pyserial has: sockets, loops, RFC 2217, Windows."""
+
+    def __init__(self, port: serial.SerialBase, name: str, baud: int) -> None:
+        self.name = name
+        self.baud = baud
+        self._port = port
+
+    def read(self) -> bytes:
+        try:
+            # With timeout 0, pyserial gives what is there.
+            return bytes(self._port.read(_READ_BYTES))
+        except (OSError, TypeError) as problem:  # TypeError: closed under its hands
+            raise self._lost(problem) from None
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._port.write(data)
+        except (OSError, TypeError) as problem:
+            raise self._lost(problem) from None
+
+    def _lost(self, problem: object) -> LinkLost:
+        return LinkLost(f"serial port {self.name}: lost: {problem}; was it unplugged?")
+
+    def close(self) -> None:
+        self._port.close()
+
+
+def open_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: object) -> FrameLink:
+    """Join a CAN bus by any interface that python-can has: socketcan, slcan, pcan, udp_multicast, virtual ...
+
+    `options` go to python-can as they are. Raises PortMissing with the remedy.
+    """
+    name = f"{interface}:{channel}"
+    arguments: dict[str, object] = {"bitrate": bitrate, "receive_own_messages": False, **options}
+    if interface == "udp_multicast":
+        arguments.setdefault("fd", False)
+    with _heard_from_can() as heard:
+        try:
+            bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **arguments)  # type: ignore[arg-type]
+        except Exception as problem:  # drivers raise what they like: OSError, NameError, their own
+            said = "; ".join(dict.fromkeys([str(problem) or type(problem).__name__, *heard]))
+            remedy = _can_remedy(interface, channel, bitrate)
+            raise PortMissing(f"CAN bus {name}: cannot open it: {said}; {remedy}") from None
+    return _CanFrameLink(bus, name, hears_itself=interface == "udp_multicast")
+
+
+def _can_remedy(interface: str, channel: str, bitrate: int) -> str:
+    match interface:
+        case "socketcan":
+            return f"try: ip link set {channel} up type can bitrate {bitrate} restart-ms 100"
+        case "slcan":
+            return _ports_here()
+        case "udp_multicast":
+            return "the channel is a multicast address such as 239.74.163.2, and msgpack must be installed"
+        case "virtual":
+            return "a virtual bus has any name"
+        case known if known in can.VALID_INTERFACES:
+            return "is the adapter plugged in, and its driver installed?"
+        case _:
+            return f"interfaces: {', '.join(sorted(can.VALID_INTERFACES))}"
+
+
+@contextlib.contextmanager
+def _heard_from_can() -> Iterator[list[str]]:
+    """What python-can logs meanwhile: drivers that are not there say so by logging, not in their errors."""
+    heard: list[str] = []
+    logger = logging.getLogger("can")
+    listener = logging.Handler(logging.WARNING)
+    listener.emit = lambda record: heard.append(record.getMessage())  # type: ignore[method-assign]
+    if not any(isinstance(handler, logging.NullHandler) for handler in logger.handlers):
+        # As a library should do: without it, a bus that failed to open talks past us to stderr.
+        logger.addHandler(logging.NullHandler())
+    logger.addHandler(listener)
+    try:
+        yield heard
+    finally:
+        logger.removeHandler(listener)
+
+
+class _CanFrameLink:
+    """Any python-can bus. What is no classic data frame with an 11-bit id is counted in `rejected`."""
+
+    def __init__(self, bus: can.BusABC, name: str, hears_itself: bool) -> None:
+        self.name = name
+        self.rejected = 0
+        self._bus = bus
+        # Multicast sends our own frames back to us; each is dropped once.
+        self._echoes: deque[tuple[int, bytes]] | None = deque(maxlen=_ECHO_MEMORY) if hears_itself else None
+        self._is_open = True
+
+    def send(self, can_id: int, payload: bytes) -> None:
+        message = can.Message(arbitration_id=can_id, data=payload, is_extended_id=False, check=False)
+        try:
+            self._bus.send(message)
+        except (can.CanError, OSError, ValueError) as problem:
+            raise self._lost(problem) from None
+        if self._echoes is not None:
+            self._echoes.append((can_id, bytes(payload)))
+
+    def receive(self) -> list[tuple[int, bytes]]:
+        frames: list[tuple[int, bytes]] = []
+        while (message := self._next()) is not None:
+            if message.is_error_frame:
+                self._check_bus_off(message)
+                self.rejected += 1
+            elif message.is_extended_id or message.is_remote_frame or message.is_fd:
+                self.rejected += 1
+            else:
+                frames.append((message.arbitration_id, bytes(message.data)))
+        return self._without_echoes(frames) if self._echoes else frames
+
+    def _next(self) -> can.Message | None:
+        while True:
+            try:
+                return self._bus.recv(timeout=0)
+            except can.CanOperationError as problem:
+                if "unpack" not in str(problem):
+                    raise self._lost(problem) from None
+                self.rejected += 1  # a datagram of somebody else's, to our multicast group: noise
+            except (can.CanError, OSError, ValueError) as problem:
+                raise self._lost(problem) from None
+
+    def _check_bus_off(self, message: can.Message) -> None:
+        if message.arbitration_id & _SOCKETCAN_BUS_OFF:
+            raise self._lost("bus off: wiring, termination (120 ohm at both ends) or bit rate is wrong")
+
+    def _without_echoes(self, frames: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+        kept = []
+        for frame in frames:
+            if self._echoes and frame in self._echoes:
+                self._echoes.remove(frame)
+            else:
+                kept.append(frame)
+        return kept
+
+    def _lost(self, problem: object) -> LinkLost:
+        return LinkLost(f"CAN bus {self.name}: lost: {problem}")
+
+    def close(self) -> None:
+        if self._is_open:
+            self._is_open = False
+            self._bus.shutdown()

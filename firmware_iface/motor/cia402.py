@@ -63,7 +63,7 @@ def after(state: State, command: DriveCommand) -> State:
 
 
 def _state_of_statusword(statusword: int) -> State | None:
-    """CiA 402: bits 0-3 and 6 with bit 5 (quick stop) where it matters; None for a pattern that is no state."""
+    """CiA 402: bits 0-3 and 6, with bit 5 (quick stop) where it matters; None if it is no state."""
     match statusword & 0x4F:
         case 0x00:
             return State.NOT_READY_TO_SWITCH_ON

@@ -33,7 +33,7 @@ _REPLY = Struct("<BBhHbB")
 _PARAMETER = Struct("<BBBxi")
 
 pack_raw_command = _COMMAND.pack
-"""(controlword, mode | sequence << 3, setpoint_raw, feedforward_mV) to bytes; struct.error if one does not fit."""
+"""(controlword, mode | sequence << 3, setpoint_raw, feedforward_mV) to bytes; struct.error if it cannot."""
 
 
 class Mode(IntEnum):

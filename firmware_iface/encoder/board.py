@@ -1,0 +1,298 @@
+"""One encoder board on a serial line, as the host sees it. docs/encoder_board.md says what it answers."""
+
+import math
+
+from firmware_iface.clock import Clock
+from firmware_iface.encoder import cobs, wire
+from firmware_iface.encoder.board_time import BoardTime
+from firmware_iface.encoder.wire import ChannelFlag, IndexAction
+from firmware_iface.errors import (
+    BoardReset,
+    BoardSilent,
+    LinkError,
+    MisuseError,
+    ProtocolViolation,
+    RequestRefused,
+    WrongIdentity,
+)
+from firmware_iface.link import ByteLink
+
+ANSWER_TIMEOUT_s = 0.05  # the board answers within 5 ms; hosts are late by tens of milliseconds at times
+ATTEMPTS = 3
+_STEP_s = 0.001
+_REPORT_BITS = wire.REPORT_WIRE_BYTES * 10  # 8N1: 10 bit times a byte
+_STREAM_LOAD = 0.9  # of the line; the rest is for answers and index frames
+_LONGEST_PERIOD_s = 1.0
+_LATCH_REPEAT_s = 0.02  # how long INDEX may trail behind its flag before it is asked for again
+_REQUESTS = (wire.Poll, wire.Stream, wire.SetZero, wire.ArmIndex, wire.Identify)
+
+
+class EncoderBoard:
+    """Drains its link when told to, keeps the latest report, and asks what is to be asked.
+
+    `update()` is all that the cycle calls. The requests wait for their answers through the clock, 1 ms
+    at a time, and say so again twice before they raise BoardSilent: they belong before and after a run.
+    """
+
+    def __init__(self, link: ByteLink, clock: Clock, name: str = "enc0") -> None:
+        self.name = name
+        self.latest: wire.Report | None = None
+        self.latest_at_s = -math.inf
+        self.identity: wire.Identity | None = None
+        self.reports = 0
+        self.lost = 0
+        self.resets = 0
+        self._link = link
+        self._clock = clock
+        self._decoder = wire.Decoder()
+        self._time = BoardTime()
+        self._sequence = 0
+        self._board_sequence: int | None = None
+        self._has_sent = False
+        self._answer: wire.Ack | wire.Identity | None = None
+        self._latches: dict[int, int] = {}
+        self._armed: dict[int, float] = {}  # channel: when its latch was last asked for [s]
+        self._arming: tuple[int, int] | None = None  # (request sequence, channel) of ARM_INDEX under way
+        self._problems: list[LinkError] = []
+
+    @property
+    def where(self) -> str:
+        """What messages call it: `encoder board "enc0" on /dev/ttyUSB0`."""
+        return f'encoder board "{self.name}" on {self._link.name}'
+
+    @property
+    def crc_errors(self) -> int:
+        """Frames dropped for a bad CRC."""
+        return self._decoder.crc_errors
+
+    @property
+    def framing_errors(self) -> int:
+        """Frames dropped for bad stuffing or a wrong length."""
+        return self._decoder.framing_errors
+
+    @property
+    def board_time_s(self) -> float:
+        """When the latest counts were latched, in the board's time without wrap [s]."""
+        return self._time.seconds
+
+    def update(self) -> None:
+        """Take in all that has come. Raises LinkLost, and once each: BoardReset, ProtocolViolation.
+
+        What had come besides has been taken in all the same.
+        """
+        received = self._link.read()
+        if received:
+            now_s = self._clock.now_s()
+            for frame in self._decoder.feed(received):
+                if type(frame) is wire.Report:
+                    self._take_report(frame, now_s)
+                else:
+                    self._take_other(frame)
+            if self._armed:
+                self._ask_for_lost_latches(now_s)
+        if self._problems:
+            raise self._problems.pop(0)
+
+    def require_fresh(self, now_s: float, limit_s: float) -> None:
+        """Raises BoardSilent if the latest report came more than `limit_s` ago."""
+        if now_s - self.latest_at_s > limit_s:
+            age = f"for {now_s - self.latest_at_s:.3f} s" if self.latest else "yet"
+            raise BoardSilent(f"{self.where}: no report {age} (limit {limit_s:.3f} s){self._noise()}")
+
+    def identify(
+        self, timeout_s: float = ANSWER_TIMEOUT_s, serial_number: int | None = None
+    ) -> wire.Identity:
+        """Ask who it is, and check the protocol version and, if given, the serial number. Raises WrongIdentity."""
+        self.identity = None
+        sequence = self._next_sequence()
+        answer = self._ask(wire.Identify(sequence), timeout_s)
+        if not isinstance(answer, wire.Identity):
+            raise ProtocolViolation(f"{self.where}: answered IDENTIFY by {answer}")
+        self._check_protocol(answer.protocol)
+        if serial_number is not None and answer.serial_number != serial_number:
+            raise WrongIdentity(
+                f"{self.where}: expected the board with serial number {serial_number}, "
+                f"found {answer.serial_number}; are two boards swapped?"
+            )
+        self.identity = answer
+        return answer
+
+    def stream(self, period_s: float) -> None:
+        """Have a report sent every `period_s`; 0 stops. Raises MisuseError if the line is too slow for that."""
+        shortest_s = _REPORT_BITS / _STREAM_LOAD / self._link.baud if self._link.baud else 0.0
+        if period_s and not max(shortest_s, 1e-6) <= period_s <= _LONGEST_PERIOD_s:
+            raise MisuseError(
+                f"{self.where}: cannot stream every {period_s * 1e3:g} ms: expected 0 or {shortest_s * 1e3:.3g} ms "
+                f"(25 bytes a report at {self._link.baud} baud) to {_LONGEST_PERIOD_s * 1e3:g} ms; "
+                "take a longer period or a higher baud rate"
+            )
+        self._request(wire.Stream(self._next_sequence(), round(period_s * 1e6)))
+
+    def poll(self) -> None:
+        """Ask for one report and go on; it comes with a later update()."""
+        self._send(wire.Poll(self._next_sequence()))
+
+    def set_zero(self, channel: int, count: int = 0) -> None:
+        """Make `count` the count of `channel` at the present position; the joint should be at rest.
+
+        Returns when the board has done it; the first report behind that has the new count.
+        """
+        self._check_channel(channel)
+        frame = wire.SetZero(self._next_sequence(), channel, count)
+        wire.encode(frame)  # raises MisuseError before anything is forgotten
+        self._forget_index(channel)
+        self._request(frame)
+
+    def arm_index(self, channel: int) -> None:
+        """Have the next index pulse of `channel` latch its count; see `index_latch`."""
+        self._check_channel(channel)
+        self._forget_index(channel)
+        frame = wire.ArmIndex(self._next_sequence(), channel, IndexAction.ARM)
+        # An INDEX of an older arming comes before this ACK and is dropped with it.
+        self._arming = (frame.sequence, channel)
+        self._request(frame)
+
+    def disarm_index(self, channel: int) -> None:
+        """Take `arm_index` back and forget the latch."""
+        self._check_channel(channel)
+        self._request(wire.ArmIndex(self._next_sequence(), channel, IndexAction.DISARM))
+        self._forget_index(channel)
+
+    def index_latch(self, channel: int) -> int | None:
+        """The count latched since `arm_index`, None as long as there is none."""
+        return self._latches.get(channel)
+
+    def _check_channel(self, channel: int) -> None:
+        channels = self.identity.channels if self.identity else wire.CHANNELS
+        if not 0 <= channel < channels:
+            raise MisuseError(f"{self.where}: no channel {channel}: expected 0 to {channels - 1}")
+
+    def _check_protocol(self, protocol: int) -> None:
+        if protocol != wire.PROTOCOL_VERSION:
+            raise WrongIdentity(
+                f"{self.where}: speaks protocol version {protocol}, expected {wire.PROTOCOL_VERSION}; "
+                "update the board's firmware or this program"
+            )
+
+    def _forget_index(self, channel: int) -> None:
+        self._armed.pop(channel, None)
+        self._latches.pop(channel, None)
+
+    def _next_sequence(self) -> int:
+        self._sequence = self._sequence % 255 + 1  # 0 is the board's "nobody asked"
+        return self._sequence
+
+    def _send(self, frame: wire.Request) -> None:
+        coded = wire.encode(frame)
+        if not self._has_sent:
+            coded = cobs.DELIMITER + coded  # ends whatever half frame a host before us has left
+            self._has_sent = True
+        self._link.write(coded)
+
+    def _request(self, frame: wire.Request) -> None:
+        answer = self._ask(frame, ANSWER_TIMEOUT_s)
+        result = answer.result if isinstance(answer, wire.Ack) else -1
+        if result != wire.Result.DONE:
+            reason = wire.Result(result).name if result in set(wire.Result) else f"result {result}"
+            raise RequestRefused(f"{self.where}: refused {frame}: {reason.replace('_', ' ').lower()}")
+
+    def _ask(self, frame: wire.Request, timeout_s: float) -> wire.Ack | wire.Identity:
+        self._answer = None
+        for _ in range(ATTEMPTS):
+            self._send(frame)
+            deadline_s = self._clock.now_s() + timeout_s
+            while (now_s := self._clock.now_s()) < deadline_s:
+                self._clock.wait_until_s(now_s + _STEP_s)
+                self.update()
+                if self._answer is not None and self._answer.request_sequence == frame.sequence:
+                    return self._answer
+        raise BoardSilent(
+            f"{self.where}: no answer to {type(frame).__name__} within {timeout_s:.3f} s, "
+            f"asked {ATTEMPTS} times{self._noise()}"
+        )
+
+    def _noise(self) -> str:
+        bad = self.crc_errors + self.framing_errors
+        return f"; {bad} bad frames came: is the baud rate of {self._link.baud} right?" if bad else ""
+
+    def _take_report(self, report: wire.Report, now_s: float) -> None:
+        self._count_lost(report.sequence)
+        before = self.latest
+        zero_fell = before is not None and any(
+            was & ~now & ChannelFlag.ZERO_SET for was, now in zip(before.flags, report.flags, strict=True)
+        )
+        if not self._time.advance(report.board_time_us, now_s) or zero_fell:
+            self._was_reset()
+        self.latest = report
+        self.latest_at_s = now_s
+        self.reports += 1
+
+    def _take_other(self, frame: wire.AnyFrame) -> None:
+        if isinstance(frame, _REQUESTS):
+            self._violation("hears requests of a host; are TX and RX bridged?", wire.encode(frame))
+        elif isinstance(frame, wire.Foreign):
+            self._take_foreign(frame.raw)
+        else:
+            self._take_answer(frame)
+
+    def _take_foreign(self, raw: bytes) -> None:
+        # The protocol version stands in the same place in all versions of IDENTITY.
+        if raw[0] == wire.IDENTITY_TYPE and len(raw) > 2 and raw[2] != wire.PROTOCOL_VERSION:
+            try:
+                self._check_protocol(raw[2])
+            except WrongIdentity as wrong:
+                self._problems.append(wrong)
+        else:
+            self._violation("sent a frame that protocol version 1 does not have", raw)
+
+    def _take_answer(self, frame: wire.AnyFrame) -> None:
+        if isinstance(frame, wire.Identity) and frame.request_sequence == 0:
+            self._board_sequence = frame.sequence  # the board counts from new: nothing was lost
+            if self.identity is not None or self.latest is not None:
+                self._was_reset()
+        elif isinstance(frame, wire.Identity | wire.Ack):
+            self._count_lost(frame.sequence)
+            self._answer = frame
+            if self._arming is not None and self._arming[0] == frame.request_sequence:
+                self._begin_waiting_for_index(self._arming[1])
+        elif isinstance(frame, wire.IndexLatch):
+            self._count_lost(frame.sequence)
+            if frame.channel >= wire.CHANNELS:
+                self._violation(f"sent an index of channel {frame.channel}", wire.encode(frame))
+            self._latches[frame.channel] = frame.count
+
+    def _begin_waiting_for_index(self, channel: int) -> None:
+        self._arming = None
+        self._latches.pop(channel, None)
+        self._armed[channel] = self._clock.now_s()
+
+    def _ask_for_lost_latches(self, now_s: float) -> None:
+        for channel, asked_s in tuple(self._armed.items()):
+            if channel in self._latches:
+                del self._armed[channel]
+            elif not self.latest or not self.latest.flags[channel] & ChannelFlag.INDEX_LATCHED:
+                self._armed[channel] = now_s
+            elif now_s - asked_s > _LATCH_REPEAT_s:
+                self._armed[channel] = now_s
+                self._send(wire.ArmIndex(self._next_sequence(), channel, IndexAction.SEND_AGAIN))
+
+    def _count_lost(self, sequence: int) -> None:
+        if self._board_sequence is not None:
+            self.lost += (sequence - self._board_sequence - 1) & 0xFF
+        self._board_sequence = sequence
+
+    def _was_reset(self) -> None:
+        self.resets += 1
+        self.latest, self.latest_at_s = None, -math.inf
+        self._time = BoardTime()
+        self._armed.clear()
+        self._latches.clear()
+        self._problems.append(
+            BoardReset(
+                f"{self.where}: restarted by itself; its counts mean no position any more: "
+                "check its supply, then home again"
+            )
+        )
+
+    def _violation(self, what: str, received: bytes) -> None:
+        self._problems.append(ProtocolViolation(f"{self.where}: {what}", received))
