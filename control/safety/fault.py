@@ -1,0 +1,27 @@
+"""Faults of the arm: what happened, where, what to do about it, and how the arm reacts."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class Reaction(IntEnum):
+    """How the arm comes to rest after a fault; the larger number is the more severe and wins."""
+
+    CONTROLLED = 1  # feedback is good: jerk-limited stop, then hold the position
+    BRAKE = 2  # feedback cannot be trusted: 0 V on all joints, the shorted windings brake
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault. `code` is stable for programs (`following_error`), `where` names joint or board for
+    people.
+    """
+
+    code: str
+    where: str
+    message: str
+    remedy: str
+    reaction: Reaction
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.message}; {self.remedy}"

@@ -1,0 +1,250 @@
+"""Limits as pure functions: (wanted, last, measured, limits) -> what is allowed, and why not what was wanted.
+
+Every clip carries its reason. These are the last guard before the boards: plans are checked before they
+start, so a clip here says that something upstream is wrong, and the loop treats it so. A number that is not
+finite is never passed on: it raises `NotFinite`, which the loop turns into a fault.
+
+Each comparison is written so that a bound itself is allowed.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from control.errors import ArmError
+
+# Names of the limits in reasons, for whoever decides what a clip means.
+ACCELERATION, SPEED, RANGE = "acceleration limit [rad/s]", "speed limit [rad/s]", "joint range [rad/s]"
+# A plan that runs along its limit exceeds it by rounding: 1e-9 rad/s is 2e-12 rad in a cycle of 2 ms.
+_ROUNDING_RAD_S = 1e-9
+
+
+class NotFinite(ArmError):
+    """A NaN or an infinite number where a measured or wanted value was expected; str() names it."""
+
+
+class Clip(NamedTuple):
+    """Why a value is not what was wanted: `limit` in words, joint 1-based (0: of no joint), both values."""
+
+    limit: str
+    joint: int
+    wanted: float
+    allowed: float
+
+    def __str__(self) -> str:
+        where = f"joint {self.joint} " if self.joint else ""
+        return f"{where}{self.limit}: wanted {self.wanted:.6g}, allowed {self.allowed:.6g}"
+
+
+class Allowed(NamedTuple):
+    """A value inside its limits, and one `Clip` for each limit that changed it."""
+
+    value: float
+    reasons: tuple[Clip, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SetPointLimits:
+    """Limits of one joint's position set-point; see `limit_set_point`. All but the range positive."""
+
+    lower_rad: float
+    upper_rad: float
+    speed_rad_s: float
+    acceleration_rad_s2: float
+
+    def __post_init__(self) -> None:
+        """Refuse limits that no joint can have: a limit of NaN would let everything pass."""
+        if not -math.inf < self.lower_rad < self.upper_rad < math.inf:
+            raise ArmError(
+                f"joint range: expected lower < upper, got {self.lower_rad} to {self.upper_rad} rad"
+            )
+        for name in ("speed_rad_s", "acceleration_rad_s2"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise ArmError(f"set-point limit {name}: expected a positive finite number, got {value}")
+
+
+class AllowedSetPoint(NamedTuple):
+    """Position and speed set-points of all joints inside their limits, and a `Clip` for each change."""
+
+    q_rad: tuple[float, ...]
+    speed_rad_s: tuple[float, ...]
+    reasons: tuple[Clip, ...]
+
+
+def clamp(wanted: float, lower: float, upper: float, limit: str, joint: int = 0) -> Allowed:
+    """`wanted` inside lower .. upper; the bounds themselves are allowed.
+
+    Raises:
+        NotFinite: `wanted` is NaN or infinite, or the bounds are crossed or NaN.
+    """
+    if not (lower <= upper and wanted - wanted == 0.0):
+        raise NotFinite(
+            f"{limit}: expected a finite value and bounds in order, got {wanted} in {lower} .. {upper}"
+        )
+    if wanted > upper:
+        return Allowed(upper, (Clip(limit, joint, wanted, upper),))
+    if wanted < lower:
+        return Allowed(lower, (Clip(limit, joint, wanted, lower),))
+    return Allowed(wanted, ())
+
+
+def voltage_range(
+    voltage_limit_V: float, current_limit_A: float, resistance_ohm: float, back_emf_V: float
+) -> tuple[float, float]:
+    """Motor voltages (lower, upper) that keep the steady current within its limit and stay within
+    +-voltage_limit.
+
+    i = (u - back_emf) / R, inductance left out: within its time constant the current is below this. Where the
+    motor is driven so fast that no voltage in range keeps the limit, the nearest remains, never a crossed
+    range.
+    """
+    total = voltage_limit_V + current_limit_A + resistance_ohm + back_emf_V
+    if total - total != 0.0:
+        raise NotFinite(
+            f"voltage range: expected finite numbers, got back-EMF {back_emf_V} V, current limit"
+            f" {current_limit_A} A, resistance {resistance_ohm} ohm, voltage limit {voltage_limit_V} V"
+        )
+    swing_V = current_limit_A * resistance_ohm
+    lower = min(max(back_emf_V - swing_V, -voltage_limit_V), voltage_limit_V)
+    upper = max(min(back_emf_V + swing_V, voltage_limit_V), -voltage_limit_V)
+    return lower, upper
+
+
+def limit_set_point(
+    wanted_rad: Sequence[float],
+    last_rad: Sequence[float],
+    last_speed_rad_s: Sequence[float],
+    limits: Sequence[SetPointLimits],
+    period_s: float,
+) -> AllowedSetPoint:
+    """The set-point of this cycle, one period after the last, for n joints (sequences of n).
+
+    Per joint the step is bounded by acceleration, then speed, then by what can still stop at the end of the
+    range, and the position by the range itself, which wins over all others. A joint whose last set-point is
+    outside its range (put there by hand) may stay or come back but goes no further out.
+
+    Raises:
+        NotFinite: any wanted or last value is NaN or infinite.
+    """
+    q_rad: list[float] = []
+    speed_rad_s: list[float] = []
+    reasons: list[Clip] = []
+    joints = zip(wanted_rad, last_rad, last_speed_rad_s, limits, strict=True)
+    for joint, (wanted, last, last_speed, limit) in enumerate(joints, 1):
+        if wanted - wanted != 0.0 or last - last != 0.0 or last_speed - last_speed != 0.0:
+            raise NotFinite(
+                f"joint {joint} set-point: expected finite numbers, got {wanted} rad after {last} rad"
+                f" at {last_speed} rad/s"
+            )
+        speed = (wanted - last) / period_s
+        if not _is_free(wanted, speed, last_speed, limit, period_s):
+            allowed = _limited_speed(speed, last, last_speed, limit, period_s, joint, reasons)
+            moved = wanted if allowed == speed else last + allowed * period_s
+            wanted = _inside(moved, last, limit)
+            speed = (wanted - last) / period_s
+        q_rad.append(wanted)
+        speed_rad_s.append(speed)
+    return AllowedSetPoint(tuple(q_rad), tuple(speed_rad_s), tuple(reasons))
+
+
+def _is_free(wanted: float, speed: float, last_speed: float, limit: SetPointLimits, period_s: float) -> bool:
+    """Whether certainly no limit is touched: a cycle's fast path, a bit stricter than `stopping_speed`."""
+    acceleration = limit.acceleration_rad_s2
+    change = acceleration * period_s
+    room = limit.upper_rad - wanted if speed > 0.0 else wanted - limit.lower_rad
+    return (
+        -change <= speed - last_speed <= change
+        and -limit.speed_rad_s <= speed <= limit.speed_rad_s
+        and limit.lower_rad <= wanted <= limit.upper_rad
+        and speed * speed <= 2.0 * acceleration * room
+    )
+
+
+def _limited_speed(
+    speed: float,
+    last: float,
+    last_speed: float,
+    limit: SetPointLimits,
+    period_s: float,
+    joint: int,
+    reasons: list[Clip],
+) -> float:
+    """Speed of this step after acceleration, speed and range, in this order: the range has the last word."""
+    change = limit.acceleration_rad_s2 * period_s
+    upper = stopping_speed(limit.upper_rad - last, limit.acceleration_rad_s2, period_s)
+    lower = -stopping_speed(last - limit.lower_rad, limit.acceleration_rad_s2, period_s)
+    for name, least, most in (
+        (ACCELERATION, last_speed - change, last_speed + change),
+        (SPEED, -limit.speed_rad_s, limit.speed_rad_s),
+        (RANGE, lower, upper),
+    ):
+        allowed = clamp(speed, least - _ROUNDING_RAD_S, most + _ROUNDING_RAD_S, name, joint)
+        speed = allowed.value
+        reasons.extend(allowed.reasons)
+    return speed
+
+
+def _inside(position: float, last: float, limit: SetPointLimits) -> float:
+    """`position` in the joint's range, which reaches as far out as the last set-point already is."""
+    return min(max(position, min(limit.lower_rad, last)), max(limit.upper_rad, last))
+
+
+def stopping_speed(distance_rad: float, acceleration_rad_s2: float, period_s: float) -> float:
+    """Highest speed of the coming step after which braking at `acceleration`, cycle by cycle, ends in
+    `distance`.
+
+    With c = a T the speed change of a cycle, a step at speed (n + f) c and the n slower ones after it cover
+    a T^2 (n (n + 1) / 2 + f (n + 1)), n whole, 0 <= f < 1; this is its inverse. Zero where no distance is
+    left.
+    """
+    if distance_rad <= 0.0:
+        return 0.0
+    change = acceleration_rad_s2 * period_s
+    cycles = distance_rad / (change * period_s)
+    whole = math.floor((math.sqrt(1.0 + 8.0 * cycles) - 1.0) / 2.0)
+    part = (cycles - whole * (whole + 1) / 2.0) / (whole + 1)
+    return (whole + part) * change
+
+
+def following_error_limit(base_rad: float, per_speed_s: float, speed_rad_s: float) -> float:
+    """Largest |set - measured| in order: base + per_speed * |speed|, a lag of `per_speed` seconds being
+    normal.
+    """
+    return base_rad + per_speed_s * abs(speed_rad_s)
+
+
+def following_error_excess(
+    set_rad: float, measured_rad: float, speed_rad_s: float, base_rad: float, per_speed_s: float
+) -> float:
+    """How far the following error is beyond its limit [rad]; zero or negative: in order.
+
+    Raises:
+        NotFinite: any number is NaN or infinite (a NaN would compare as in order).
+    """
+    excess = abs(set_rad - measured_rad) - following_error_limit(base_rad, per_speed_s, speed_rad_s)
+    if excess - excess != 0.0:
+        raise NotFinite(
+            f"following error: expected finite numbers, got set {set_rad}, measured {measured_rad} rad,"
+            f" speed {speed_rad_s} rad/s"
+        )
+    return excess
+
+
+def overrun(measured: float, limit: float) -> float:
+    """How far |measured| is beyond `limit`, in their unit; zero or negative: in order. For speeds and
+    currents.
+
+    Raises:
+        NotFinite: either is NaN or infinite.
+    """
+    excess = abs(measured) - limit
+    if excess - excess != 0.0:
+        raise NotFinite(f"expected finite numbers, got measured {measured}, limit {limit}")
+    return excess
+
+
+def is_stale(now_s: float, received_at_s: float | None, limit_s: float) -> bool:
+    """Whether the newest value is older than `limit_s`; never received, or not a number, is stale too."""
+    return received_at_s is None or not now_s - received_at_s <= limit_s

@@ -1,0 +1,137 @@
+"""The arm's mode: follows the table of control/safety/table.py, keeps the faults until a hand acknowledges
+them.
+"""
+
+from control.errors import ArmError
+from control.safety.fault import Fault, Reaction
+from control.safety.table import CONTROLLED_MODES, TRANSITIONS, Event, Mode, legal_events, next_towards_off
+
+_FAULT_EVENTS = (Event.FAULT_CONTROLLED, Event.FAULT_BRAKE)
+_ACKNOWLEDGEMENTS = (Event.ACKNOWLEDGE_HELD, Event.ACKNOWLEDGE_BRAKED)
+
+
+class IllegalTransition(ArmError):
+    """An event that the present mode does not take; nothing was changed. Carries mode, event and legal
+    events.
+    """
+
+    def __init__(self, mode: Mode, event: str, legal: tuple[Event, ...], why: str = "") -> None:
+        self.mode = mode
+        self.event = event
+        self.legal = legal
+        names = ", ".join(entry.name for entry in legal if entry not in _FAULT_EVENTS)
+        reason = f": {why}" if why else f"; it takes {names}"
+        super().__init__(f"the arm is in {mode.name} and does not take {event} now{reason}")
+
+
+class Monitor:
+    """Mode, faults and homing of one arm. Knows no time and no hardware: the loop raises events and obeys."""
+
+    __slots__ = ("_faults", "_is_at_rest", "_is_homed", "_mode", "_reaction")
+
+    def __init__(self) -> None:
+        self._mode = Mode.OFF
+        self._faults: tuple[Fault, ...] = ()
+        self._reaction: Reaction | None = None
+        self._is_homed = False
+        self._is_at_rest = True
+
+    @property
+    def mode(self) -> Mode:
+        """The present mode."""
+        return self._mode
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Faults not yet acknowledged, the first one first."""
+        return self._faults
+
+    @property
+    def reaction(self) -> Reaction | None:
+        """How the arm reacts to its faults; None while there are none."""
+        return self._reaction
+
+    @property
+    def is_homed(self) -> bool:
+        """Whether every joint knows its zero."""
+        return self._is_homed
+
+    @property
+    def is_held_fault(self) -> bool:
+        """Whether the arm is in FAULT under position control (stopping or holding), not at 0 V."""
+        return self._mode is Mode.FAULT and self._reaction is Reaction.CONTROLLED
+
+    def on(self, event: Event) -> Mode:
+        """Take `event` and return the new mode.
+
+        Raises:
+            IllegalTransition: no row for it, the arm is not homed, or faults wait; nothing changes.
+        """
+        if event in _FAULT_EVENTS or event in _ACKNOWLEDGEMENTS:
+            raise self._refusal(event.name, "use fault() and acknowledge()")
+        following = TRANSITIONS.get((self._mode, event))
+        if following is None:
+            raise self._refusal(event.name)
+        if event is Event.CONNECT and self._faults:
+            raise self._refusal(event.name, "faults wait to be acknowledged")
+        if event is Event.MOVE and not self._is_homed:
+            raise self._refusal(event.name, "not every joint knows its zero, home it first")
+        self._note(event)
+        self._mode = following
+        return following
+
+    def fault(self, fault: Fault) -> Mode:
+        """Go to FAULT, list `fault` (once per code and place) and take the more severe reaction. Always
+        legal.
+        """
+        can_control = self._mode in CONTROLLED_MODES or self.is_held_fault
+        wanted = fault.reaction if can_control else Reaction.BRAKE
+        if self._mode is not Mode.FAULT:
+            # Where nothing was moving there is still a stop to plan: the loop ends it with STOPPED at once.
+            self._is_at_rest = False
+        if all((known.code, known.where) != (fault.code, fault.where) for known in self._faults):
+            self._faults = (*self._faults, fault)
+        self._reaction = wanted if self._reaction is None else max(self._reaction, wanted)
+        event = Event.FAULT_BRAKE if self._reaction is Reaction.BRAKE else Event.FAULT_CONTROLLED
+        self._mode = TRANSITIONS[(self._mode, event)]
+        return self._mode
+
+    def acknowledge(self) -> tuple[Fault, ...]:
+        """Clear the faults by hand and return them: to HOLDING where the arm was held, else to BRAKED; OFF
+        stays.
+
+        Raises:
+            IllegalTransition: there is no fault, or the controlled stop has not ended; nothing changes.
+        """
+        if not self._faults:
+            raise self._refusal("ACKNOWLEDGE", "there is no fault")
+        if self.is_held_fault and not self._is_at_rest:
+            raise self._refusal(
+                "ACKNOWLEDGE", "the stop has not ended yet, try again when the arm is at rest"
+            )
+        event = Event.ACKNOWLEDGE_HELD if self.is_held_fault else Event.ACKNOWLEDGE_BRAKED
+        self._mode = TRANSITIONS[(self._mode, event)]
+        cleared, self._faults, self._reaction = self._faults, (), None
+        return cleared
+
+    def forget_home(self) -> None:
+        """A board lost its zero (power, broken wire): MOVE is refused until HOMED."""
+        self._is_homed = False
+
+    def next_towards_off(self, is_still: bool) -> Event | None:
+        """The next event of a shutdown, see `control.safety.table.next_towards_off`."""
+        return next_towards_off(self._mode, is_still, self.is_held_fault)
+
+    def _note(self, event: Event) -> None:
+        """What an event means beyond the mode."""
+        if event is Event.HOMED:
+            self._is_homed = True
+        elif event is Event.HOME:
+            self._is_homed = False
+        elif event is Event.STOPPED:
+            self._is_at_rest = True
+        elif event is Event.BRAKE and self._mode is Mode.FAULT:
+            self._reaction = Reaction.BRAKE
+
+    def _refusal(self, event: str, why: str = "") -> IllegalTransition:
+        return IllegalTransition(self._mode, event, legal_events(self._mode), why)

@@ -1,0 +1,163 @@
+"""Modes and events of the arm: one table says what may follow what, and docs/state_machine.md is printed
+from it.
+"""
+
+from enum import Enum
+from typing import Final
+
+
+class Mode(Enum):
+    """What the arm does now; the value is what the drives do in it."""
+
+    OFF = "drives open circuit: the arm must rest on something"
+    BRAKED = "0 V: shorted windings brake, nothing is controlled"
+    HOLDING = "position control at a constant set-point"
+    MOVING = "position control along a checked motion"
+    HOMING = "position control in search of switches and index pulses"
+    GUIDING = "drives open circuit: a hand moves the arm"
+    STOPPING = "position control along a jerk-limited stop"
+    FAULT = "reaction of the fault: stop and hold, or 0 V; waits for acknowledgement"
+
+
+class Event(Enum):
+    """What may happen; the value says when it is raised and by whom."""
+
+    CONNECT = "all boards answered, identities are right, drives are at 0 V"
+    ENABLE = "operator: hold the present position"
+    HOME = "operator: search the reference positions"
+    HOMED = "loop: every joint knows its zero (searched, or kept by the boards)"
+    MOVE = "operator: start a motion that was checked"
+    ARRIVED = "loop: the motion has ended at rest"
+    STOP = "operator, Ctrl-C, lost client: stop now"
+    STOPPED = "loop: the jerk-limited stop has ended at rest"
+    GUIDE = "operator: let a hand move the arm"
+    BRAKE = "operator or shutdown: from position control or hand to 0 V"
+    SWITCH_OFF = "shutdown: the arm is still, so drives may go off"
+    FAULT_CONTROLLED = "a fault while feedback is good"
+    FAULT_BRAKE = "a fault that makes feedback doubtful"
+    ACKNOWLEDGE_HELD = "operator has read the faults; the arm was held"
+    ACKNOWLEDGE_BRAKED = "operator has read the faults; the arm was braked or off"
+
+
+# What is missing here is illegal and changes nothing. Why some rows are as they are:
+# - STOP is legal wherever something could move, so that a stop can never be refused for being late.
+# - Every mode has both fault rows; OFF too: a fault found while connecting must be seen before anything
+# moves. - FAULT takes BRAKE (shutdown from a held fault) and SWITCH_OFF; the faults stay listed until
+# acknowledged.
+TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
+    (Mode.OFF, Event.CONNECT): Mode.BRAKED,
+    (Mode.OFF, Event.SWITCH_OFF): Mode.OFF,
+    (Mode.OFF, Event.STOP): Mode.OFF,
+    (Mode.OFF, Event.FAULT_CONTROLLED): Mode.FAULT,
+    (Mode.OFF, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.OFF, Event.ACKNOWLEDGE_BRAKED): Mode.OFF,
+    (Mode.BRAKED, Event.ENABLE): Mode.HOLDING,
+    (Mode.BRAKED, Event.HOMED): Mode.BRAKED,
+    (Mode.BRAKED, Event.GUIDE): Mode.GUIDING,
+    (Mode.BRAKED, Event.STOP): Mode.BRAKED,
+    (Mode.BRAKED, Event.BRAKE): Mode.BRAKED,
+    (Mode.BRAKED, Event.SWITCH_OFF): Mode.OFF,
+    (Mode.BRAKED, Event.FAULT_CONTROLLED): Mode.FAULT,
+    (Mode.BRAKED, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.HOLDING, Event.HOME): Mode.HOMING,
+    (Mode.HOLDING, Event.HOMED): Mode.HOLDING,
+    (Mode.HOLDING, Event.MOVE): Mode.MOVING,
+    (Mode.HOLDING, Event.STOP): Mode.HOLDING,
+    (Mode.HOLDING, Event.GUIDE): Mode.GUIDING,
+    (Mode.HOLDING, Event.BRAKE): Mode.BRAKED,
+    (Mode.HOLDING, Event.FAULT_CONTROLLED): Mode.FAULT,
+    (Mode.HOLDING, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.MOVING, Event.ARRIVED): Mode.HOLDING,
+    (Mode.MOVING, Event.STOP): Mode.STOPPING,
+    (Mode.MOVING, Event.FAULT_CONTROLLED): Mode.FAULT,
+    (Mode.MOVING, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.HOMING, Event.HOMED): Mode.HOLDING,
+    (Mode.HOMING, Event.STOP): Mode.STOPPING,
+    (Mode.HOMING, Event.FAULT_CONTROLLED): Mode.FAULT,
+    (Mode.HOMING, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.GUIDING, Event.STOP): Mode.BRAKED,
+    (Mode.GUIDING, Event.BRAKE): Mode.BRAKED,
+    (Mode.GUIDING, Event.FAULT_CONTROLLED): Mode.FAULT,
+    (Mode.GUIDING, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.STOPPING, Event.STOPPED): Mode.HOLDING,
+    (Mode.STOPPING, Event.STOP): Mode.STOPPING,
+    (Mode.STOPPING, Event.FAULT_CONTROLLED): Mode.FAULT,
+    (Mode.STOPPING, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.FAULT, Event.STOP): Mode.FAULT,
+    (Mode.FAULT, Event.STOPPED): Mode.FAULT,
+    (Mode.FAULT, Event.BRAKE): Mode.FAULT,
+    (Mode.FAULT, Event.SWITCH_OFF): Mode.OFF,
+    (Mode.FAULT, Event.FAULT_CONTROLLED): Mode.FAULT,
+    (Mode.FAULT, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.FAULT, Event.ACKNOWLEDGE_HELD): Mode.HOLDING,
+    (Mode.FAULT, Event.ACKNOWLEDGE_BRAKED): Mode.BRAKED,
+}
+
+# Modes in which position control runs, so that a controlled stop is possible; elsewhere every fault brakes.
+CONTROLLED_MODES: Final = frozenset({Mode.HOLDING, Mode.MOVING, Mode.HOMING, Mode.STOPPING})
+
+
+def legal_events(mode: Mode) -> tuple[Event, ...]:
+    """Events with a row for `mode`, in the order of `Event`."""
+    return tuple(event for event in Event if (mode, event) in TRANSITIONS)
+
+
+def next_towards_off(mode: Mode, is_still: bool, is_held_fault: bool = False) -> Event | None:
+    """The event by which a shutdown gets one mode closer to OFF, or None: wait (or nothing is left to do).
+
+    Called each cycle from Ctrl-C on, it never drops the arm: stop, hold, 0 V when still, off when still at 0
+    V. `is_still`: the measured speed of every joint is zero for long enough. `is_held_fault`: FAULT,
+    position held.
+    """
+    if mode in (Mode.MOVING, Mode.HOMING):
+        return Event.STOP
+    if mode is Mode.GUIDING:
+        return Event.BRAKE
+    if not is_still or mode in (Mode.OFF, Mode.STOPPING):
+        return None
+    if mode is Mode.HOLDING or is_held_fault:
+        return Event.BRAKE
+    return Event.SWITCH_OFF
+
+
+def as_markdown() -> str:
+    """The table as docs/state_machine.md: modes, events, and a row per event with the next mode per mode."""
+    lines = [
+        "# Modes of the arm",
+        "",
+        "Printed by `control.safety.table.as_markdown()`; a test holds this file to the table in the code.",
+        "An event without an entry for the present mode raises `IllegalTransition` and changes nothing.",
+        "",
+        "| mode | drives |",
+        "| --- | --- |",
+        *(f"| {mode.name} | {mode.value} |" for mode in Mode),
+        "",
+        "| event | raised when |",
+        "| --- | --- |",
+        *(f"| {event.name} | {event.value} |" for event in Event),
+        "",
+        "| event | " + " | ".join(mode.name for mode in Mode) + " |",
+        "| --- |" + " --- |" * len(Mode),
+        *(_markdown_row(event) for event in Event),
+        "",
+        *_NOTES,
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _markdown_row(event: Event) -> str:
+    """One line of the matrix: the next mode for each present mode, empty where illegal."""
+    following = (TRANSITIONS.get((mode, event)) for mode in Mode)
+    return f"| {event.name} | " + " | ".join(mode.name if mode else "" for mode in following) + " |"
+
+
+_NOTES: Final = (
+    "Beyond the table:",
+    "",
+    "- CONNECT is refused while faults are not acknowledged, MOVE while a joint has no zero.",
+    "- A fault in OFF, BRAKED or GUIDING always brakes: nothing is controlled there that could stop.",
+    "- Of two faults the more severe reaction wins, both stay listed; BRAKE never becomes CONTROLLED.",
+    "- A fault is acknowledged by hand, once the controlled stop has ended: to HOLDING if the arm was held,",
+    "  to BRAKED if it was braked; in OFF it only clears the list.",
+    "- Shutdown (Ctrl-C, an exception) goes stop, hold, 0 V when still, off when still at 0 V.",
+)

@@ -1,0 +1,287 @@
+"""The whole table of modes and events, and what the monitor holds beyond it."""
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from control.safety.fault import Fault, Reaction
+from control.safety.monitor import IllegalTransition, Monitor
+from control.safety.table import TRANSITIONS, Event, Mode, as_markdown, legal_events, next_towards_off
+
+CONTROLLED = Fault(
+    "following_error", "joint 2", "0.2 rad behind its set-point", "free the arm", Reaction.CONTROLLED
+)
+BRAKE = Fault("stale_encoder", "board enc0", "no report for 0.05 s", "check its cable", Reaction.BRAKE)
+
+# Written out again on purpose, by mode: a change of the table must be made twice.
+EXPECTED = {
+    Mode.OFF: "CONNECT>BRAKED SWITCH_OFF>OFF STOP>OFF",
+    Mode.BRAKED: "ENABLE>HOLDING HOMED>BRAKED GUIDE>GUIDING STOP>BRAKED BRAKE>BRAKED SWITCH_OFF>OFF",
+    Mode.HOLDING: "HOME>HOMING HOMED>HOLDING MOVE>MOVING STOP>HOLDING GUIDE>GUIDING BRAKE>BRAKED",
+    Mode.MOVING: "ARRIVED>HOLDING STOP>STOPPING",
+    Mode.HOMING: "HOMED>HOLDING STOP>STOPPING",
+    Mode.GUIDING: "STOP>BRAKED BRAKE>BRAKED",
+    Mode.STOPPING: "STOPPED>HOLDING STOP>STOPPING",
+    Mode.FAULT: "STOP>FAULT STOPPED>FAULT BRAKE>FAULT SWITCH_OFF>OFF",
+}
+ROUTES = {
+    Mode.OFF: (),
+    Mode.BRAKED: (Event.CONNECT,),
+    Mode.HOLDING: (Event.CONNECT, Event.HOMED, Event.ENABLE),
+    Mode.MOVING: (Event.CONNECT, Event.HOMED, Event.ENABLE, Event.MOVE),
+    Mode.HOMING: (Event.CONNECT, Event.ENABLE, Event.HOME),
+    Mode.GUIDING: (Event.CONNECT, Event.GUIDE),
+    Mode.STOPPING: (Event.CONNECT, Event.HOMED, Event.ENABLE, Event.MOVE, Event.STOP),
+}
+INTERNAL = {Event.FAULT_CONTROLLED, Event.FAULT_BRAKE, Event.ACKNOWLEDGE_HELD, Event.ACKNOWLEDGE_BRAKED}
+
+
+def _monitor(mode):
+    monitor = Monitor()
+    for event in ROUTES[Mode.HOLDING if mode is Mode.FAULT else mode]:
+        monitor.on(event)
+    if mode is Mode.FAULT:
+        monitor.fault(CONTROLLED)
+    assert monitor.mode is mode
+    return monitor
+
+
+def _state(monitor):
+    return monitor.mode, monitor.faults, monitor.reaction, monitor.is_homed, monitor._is_at_rest
+
+
+@pytest.mark.parametrize(
+    ("mode", "event"), list(itertools.product(Mode, [event for event in Event if event not in INTERNAL]))
+)
+def test_every_event_in_every_mode_does_what_the_table_says_or_is_refused_without_a_trace(mode, event):
+    expected = dict(entry.split(">") for entry in EXPECTED[mode].split())
+    monitor = _monitor(mode)
+    before = _state(monitor)
+    if event.name in expected:
+        assert monitor.on(event) is Mode[expected[event.name]]
+        assert monitor.mode is Mode[expected[event.name]]
+    else:
+        with pytest.raises(IllegalTransition) as caught:
+            monitor.on(event)
+        assert _state(monitor) == before
+        assert caught.value.mode is mode
+        assert caught.value.event == event.name
+        assert caught.value.legal == legal_events(mode)
+        assert all(name in str(caught.value) for name in (mode.name, event.name, *expected))
+        assert "FAULT_" not in str(caught.value)
+
+
+@pytest.mark.parametrize("event", sorted(INTERNAL, key=lambda event: event.name))
+def test_fault_and_acknowledgement_events_go_through_their_own_methods(event):
+    monitor = _monitor(Mode.HOLDING)
+    with pytest.raises(IllegalTransition, match=r"use fault\(\) and acknowledge\(\)"):
+        monitor.on(event)
+    assert monitor.mode is Mode.HOLDING
+
+
+@pytest.mark.parametrize(("mode", "fault"), list(itertools.product(Mode, [CONTROLLED, BRAKE])))
+def test_a_fault_is_taken_in_every_mode_and_brakes_where_nothing_is_controlled(mode, fault):
+    monitor = _monitor(mode)
+    assert monitor.fault(fault) is Mode.FAULT
+    assert monitor.mode is Mode.FAULT
+    assert fault in monitor.faults
+    is_controlled = mode in (Mode.HOLDING, Mode.MOVING, Mode.HOMING, Mode.STOPPING, Mode.FAULT)
+    assert monitor.reaction is (fault.reaction if is_controlled else Reaction.BRAKE)
+    assert monitor.is_held_fault is (is_controlled and fault is CONTROLLED)
+
+
+@pytest.mark.parametrize("order", [(CONTROLLED, BRAKE), (BRAKE, CONTROLLED)])
+def test_of_two_faults_the_more_severe_reaction_wins_and_both_are_kept(order):
+    monitor = _monitor(Mode.MOVING)
+    for fault in order:
+        monitor.fault(fault)
+    assert monitor.reaction is Reaction.BRAKE
+    assert monitor.faults == order
+    assert not monitor.is_held_fault
+
+
+def test_the_same_fault_cycle_after_cycle_is_listed_once_but_another_place_is_another_fault():
+    monitor = _monitor(Mode.MOVING)
+    elsewhere = Fault(CONTROLLED.code, "joint 3", "m", "r", Reaction.CONTROLLED)
+    other_code = Fault("over_speed", CONTROLLED.where, "m", "r", Reaction.CONTROLLED)
+    for fault in (CONTROLLED, CONTROLLED, elsewhere, other_code, CONTROLLED):
+        monitor.fault(fault)
+    assert monitor.faults == (CONTROLLED, elsewhere, other_code)
+
+
+def test_a_fault_while_stopping_ends_in_fault_and_the_stop_still_has_to_end():
+    monitor = _monitor(Mode.STOPPING)
+    monitor.fault(CONTROLLED)
+    with pytest.raises(IllegalTransition, match="stop has not ended"):
+        monitor.acknowledge()
+    assert monitor.on(Event.STOPPED) is Mode.FAULT
+    assert monitor.acknowledge() == (CONTROLLED,)
+    assert monitor.mode is Mode.HOLDING
+
+
+def test_a_second_controlled_fault_at_rest_does_not_ask_for_another_stop():
+    monitor = _monitor(Mode.FAULT)
+    monitor.on(Event.STOPPED)
+    monitor.fault(Fault("x", "joint 1", "m", "r", Reaction.CONTROLLED))
+    monitor.acknowledge()
+    assert monitor.mode is Mode.HOLDING
+
+
+def test_a_held_fault_is_acknowledged_to_holding_only_at_rest():
+    monitor = _monitor(Mode.MOVING)
+    monitor.fault(CONTROLLED)
+    before = _state(monitor)
+    with pytest.raises(IllegalTransition, match="ACKNOWLEDGE"):
+        monitor.acknowledge()
+    assert _state(monitor) == before
+    monitor.on(Event.STOPPED)
+    assert monitor.acknowledge() == (CONTROLLED,)
+    assert (monitor.mode, monitor.faults, monitor.reaction) == (Mode.HOLDING, (), None)
+
+
+def test_a_braked_fault_is_acknowledged_to_braked_at_any_time():
+    monitor = _monitor(Mode.MOVING)
+    monitor.fault(BRAKE)
+    assert monitor.acknowledge() == (BRAKE,)
+    assert (monitor.mode, monitor.faults, monitor.reaction) == (Mode.BRAKED, (), None)
+
+
+@pytest.mark.parametrize("mode", [mode for mode in Mode if mode is not Mode.FAULT])
+def test_without_a_fault_there_is_nothing_to_acknowledge(mode):
+    monitor = _monitor(mode)
+    with pytest.raises(IllegalTransition, match="there is no fault"):
+        monitor.acknowledge()
+    assert monitor.mode is mode
+
+
+def test_switched_off_in_fault_the_faults_stay_and_must_be_acknowledged_before_connecting():
+    monitor = _monitor(Mode.FAULT)
+    monitor.on(Event.BRAKE)
+    assert monitor.reaction is Reaction.BRAKE
+    assert monitor.on(Event.SWITCH_OFF) is Mode.OFF
+    with pytest.raises(IllegalTransition, match="acknowledged"):
+        monitor.on(Event.CONNECT)
+    assert monitor.acknowledge() == (CONTROLLED,)
+    assert monitor.mode is Mode.OFF
+    assert monitor.on(Event.CONNECT) is Mode.BRAKED
+
+
+def test_braking_from_holding_is_no_fault_reaction():
+    monitor = _monitor(Mode.HOLDING)
+    monitor.on(Event.BRAKE)
+    assert monitor.reaction is None
+
+
+def test_an_arm_that_is_not_homed_does_not_move_and_says_so():
+    monitor = _monitor(Mode.HOMING)
+    assert not monitor.is_homed
+    monitor.on(Event.STOP)
+    monitor.on(Event.STOPPED)
+    with pytest.raises(IllegalTransition, match="home it first"):
+        monitor.on(Event.MOVE)
+    assert monitor.mode is Mode.HOLDING
+    monitor.on(Event.HOME)
+    monitor.on(Event.HOMED)
+    assert monitor.is_homed
+    assert monitor.on(Event.MOVE) is Mode.MOVING
+
+
+def test_homing_again_forgets_the_old_zero_until_it_succeeds():
+    monitor = _monitor(Mode.HOLDING)
+    assert monitor.is_homed
+    monitor.on(Event.HOME)
+    assert not monitor.is_homed
+
+
+def test_a_board_that_lost_its_zero_takes_the_right_to_move():
+    monitor = _monitor(Mode.HOLDING)
+    monitor.forget_home()
+    with pytest.raises(IllegalTransition, match="home"):
+        monitor.on(Event.MOVE)
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("fault", [None, CONTROLLED, BRAKE])
+def test_shutdown_reaches_off_from_every_mode_never_off_before_brake_and_brake_only_when_still(mode, fault):
+    monitor = _monitor(mode)
+    if fault is not None:
+        monitor.fault(fault)
+    path = []
+    for cycle in range(20):
+        is_still = cycle % 3 == 2
+        event = monitor.next_towards_off(is_still)
+        if event is None and monitor.mode is Mode.STOPPING:
+            event = Event.STOPPED
+        if event is not None:
+            if event is Event.SWITCH_OFF or (event is Event.BRAKE and monitor.mode is not Mode.GUIDING):
+                assert is_still
+            if event is Event.SWITCH_OFF:
+                assert monitor.mode is Mode.BRAKED or monitor.reaction is Reaction.BRAKE
+            path.append((monitor.mode, event))
+            monitor.on(event)
+    assert monitor.mode is Mode.OFF
+    assert len(path) <= 4
+
+
+@pytest.mark.parametrize(
+    ("mode", "still", "held", "expected"),
+    [
+        (Mode.MOVING, False, False, Event.STOP),
+        (Mode.HOMING, True, False, Event.STOP),
+        (Mode.GUIDING, False, False, Event.BRAKE),
+        (Mode.STOPPING, True, False, None),
+        (Mode.HOLDING, False, False, None),
+        (Mode.HOLDING, True, False, Event.BRAKE),
+        (Mode.BRAKED, False, False, None),
+        (Mode.BRAKED, True, False, Event.SWITCH_OFF),
+        (Mode.FAULT, True, True, Event.BRAKE),
+        (Mode.FAULT, False, True, None),
+        (Mode.FAULT, True, False, Event.SWITCH_OFF),
+        (Mode.OFF, True, False, None),
+    ],
+)
+def test_each_step_of_a_shutdown(mode, still, held, expected):
+    assert next_towards_off(mode, still, held) is expected
+    if held is False:
+        assert next_towards_off(mode, still) is expected
+
+
+def test_every_mode_takes_both_kinds_of_fault_and_stop():
+    assert all(
+        (mode, event) in TRANSITIONS for mode in Mode for event in (Event.FAULT_CONTROLLED, Event.FAULT_BRAKE)
+    )
+    assert all((mode, Event.STOP) in TRANSITIONS for mode in Mode)
+    assert all(
+        TRANSITIONS[(mode, event)] is Mode.FAULT
+        for mode in Mode
+        for event in (Event.FAULT_CONTROLLED, Event.FAULT_BRAKE)
+    )
+
+
+def test_no_mode_but_off_braked_and_fault_can_be_switched_off():
+    assert {mode for mode in Mode if (mode, Event.SWITCH_OFF) in TRANSITIONS} == {
+        Mode.OFF,
+        Mode.BRAKED,
+        Mode.FAULT,
+    }
+
+
+def test_a_fault_reads_as_place_what_happened_and_remedy():
+    assert str(BRAKE) == "board enc0: no report for 0.05 s; check its cable"
+
+
+def test_the_document_is_the_table():
+    document = Path(__file__).parents[3] / "docs" / "state_machine.md"
+    assert document.read_text(encoding="utf-8") == as_markdown()
+
+
+def test_the_document_shows_every_transition_and_leaves_illegal_ones_empty():
+    rows = {
+        line.split(" | ")[0].strip("| "): line for line in as_markdown().splitlines() if line.count("|") == 10
+    }
+    for event in Event:
+        cells = [cell.strip() for cell in rows[event.name].strip("|").split("|")][1:]
+        for mode, cell in zip(Mode, cells, strict=True):
+            following = TRANSITIONS.get((mode, event))
+            assert cell == (following.name if following else "")
