@@ -102,7 +102,7 @@ class EncoderBoard:
     def identify(
         self, timeout_s: float = ANSWER_TIMEOUT_s, serial_number: int | None = None
     ) -> wire.Identity:
-        """Ask who it is, and check the protocol version and, if given, the serial number. Raises WrongIdentity."""
+        """Ask who it is, check protocol version and, if given, serial number. Raises WrongIdentity."""
         self.identity = None
         sequence = self._next_sequence()
         answer = self._ask(wire.Identify(sequence), timeout_s)
@@ -118,13 +118,13 @@ class EncoderBoard:
         return answer
 
     def stream(self, period_s: float) -> None:
-        """Have a report sent every `period_s`; 0 stops. Raises MisuseError if the line is too slow for that."""
+        """Have a report sent every `period_s`; 0 stops. Raises MisuseError if the line is too slow."""
         shortest_s = _REPORT_BITS / _STREAM_LOAD / self._link.baud if self._link.baud else 0.0
         if period_s and not max(shortest_s, 1e-6) <= period_s <= _LONGEST_PERIOD_s:
             raise MisuseError(
-                f"{self.where}: cannot stream every {period_s * 1e3:g} ms: expected 0 or {shortest_s * 1e3:.3g} ms "
-                f"(25 bytes a report at {self._link.baud} baud) to {_LONGEST_PERIOD_s * 1e3:g} ms; "
-                "take a longer period or a higher baud rate"
+                f"{self.where}: cannot stream every {period_s * 1e3:g} ms: expected 0 or "
+                f"{shortest_s * 1e3:.3g} ms (25 bytes a report at {self._link.baud} baud) to "
+                f"{_LONGEST_PERIOD_s * 1e3:g} ms; take a longer period or a higher baud rate"
             )
         self._request(wire.Stream(self._next_sequence(), round(period_s * 1e6)))
 
@@ -204,25 +204,29 @@ class EncoderBoard:
             while (now_s := self._clock.now_s()) < deadline_s:
                 self._clock.wait_until_s(now_s + _STEP_s)
                 self.update()
-                if self._answer is not None and self._answer.request_sequence == frame.sequence:
-                    return self._answer
+                if (answer := self._answer_to(frame.sequence)) is not None:
+                    return answer
         raise BoardSilent(
             f"{self.where}: no answer to {type(frame).__name__} within {timeout_s:.3f} s, "
             f"asked {ATTEMPTS} times{self._noise()}"
         )
+
+    def _answer_to(self, sequence: int) -> wire.Ack | wire.Identity | None:
+        answer = self._answer  # one to an older request has another sequence
+        return answer if answer is not None and answer.request_sequence == sequence else None
 
     def _noise(self) -> str:
         bad = self.crc_errors + self.framing_errors
         return f"; {bad} bad frames came: is the baud rate of {self._link.baud} right?" if bad else ""
 
     def _take_report(self, report: wire.Report, now_s: float) -> None:
-        self._count_lost(report.sequence)
         before = self.latest
-        zero_fell = before is not None and any(
-            was & ~now & ChannelFlag.ZERO_SET for was, now in zip(before.flags, report.flags, strict=True)
-        )
-        if not self._time.advance(report.board_time_us, now_s) or zero_fell:
-            self._was_reset()
+        if self._time.advance(report.board_time_us, now_s) and not _has_lost_zero(before, report):
+            self._count_lost(report.sequence)
+        else:
+            # Its hello was lost with the rest: what is missing is no loss but another run of the board.
+            self._was_reset(report.sequence)
+            self._time.advance(report.board_time_us, now_s)
         self.latest = report
         self.latest_at_s = now_s
         self.reports += 1
@@ -247,9 +251,9 @@ class EncoderBoard:
 
     def _take_answer(self, frame: wire.AnyFrame) -> None:
         if isinstance(frame, wire.Identity) and frame.request_sequence == 0:
-            self._board_sequence = frame.sequence  # the board counts from new: nothing was lost
             if self.identity is not None or self.latest is not None:
-                self._was_reset()
+                self._was_reset(frame.sequence)
+            self._board_sequence = frame.sequence
         elif isinstance(frame, wire.Identity | wire.Ack):
             self._count_lost(frame.sequence)
             self._answer = frame
@@ -259,7 +263,8 @@ class EncoderBoard:
             self._count_lost(frame.sequence)
             if frame.channel >= wire.CHANNELS:
                 self._violation(f"sent an index of channel {frame.channel}", wire.encode(frame))
-            self._latches[frame.channel] = frame.count
+            else:
+                self._latches[frame.channel] = frame.count
 
     def _begin_waiting_for_index(self, channel: int) -> None:
         self._arming = None
@@ -281,8 +286,9 @@ class EncoderBoard:
             self.lost += (sequence - self._board_sequence - 1) & 0xFF
         self._board_sequence = sequence
 
-    def _was_reset(self) -> None:
+    def _was_reset(self, sequence: int) -> None:
         self.resets += 1
+        self._board_sequence = sequence
         self.latest, self.latest_at_s = None, -math.inf
         self._time = BoardTime()
         self._armed.clear()
@@ -296,3 +302,12 @@ class EncoderBoard:
 
     def _violation(self, what: str, received: bytes) -> None:
         self._problems.append(ProtocolViolation(f"{self.where}: {what}", received))
+
+
+def _has_lost_zero(before: wire.Report | None, now: wire.Report) -> bool:
+    """Only a reset clears ZERO_SET."""
+    if before is None or before.flags == now.flags:
+        return False
+    return any(
+        was & ~is_now & ChannelFlag.ZERO_SET for was, is_now in zip(before.flags, now.flags, strict=True)
+    )

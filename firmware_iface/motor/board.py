@@ -1,0 +1,321 @@
+"""One DC-motor board on a CAN bus, as the host sees it. docs/motor_board.md says what it answers."""
+
+import math
+import struct
+from dataclasses import dataclass
+
+from firmware_iface.errors import (
+    BoardFaulted,
+    BoardReset,
+    BoardSilent,
+    MisuseError,
+    ProtocolViolation,
+    WrongIdentity,
+)
+from firmware_iface.motor import wire
+from firmware_iface.motor.bus import MotorBus
+from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, State, next_command
+from firmware_iface.motor.parameters import ANSWER_TIMEOUT_s, ParameterChannel
+from firmware_iface.motor.reply_order import ReplyOrder
+from firmware_iface.motor.wire import Mode, Parameter
+
+__all__ = ["MotorBoard", "MotorBus", "MotorIdentity"]
+
+_STEP_s = 0.001
+_RESEND_s = 0.02  # a COMMAND without REPLY for this long is sent again while walking the states
+_TWIN_REPLIES = 3  # CAN itself doubles a frame now and then, not thrice in a row
+_OFF_STATES = (State.NOT_READY_TO_SWITCH_ON, State.SWITCH_ON_DISABLED)
+_KEEPS_OFF = (DriveCommand.DISABLE_VOLTAGE, DriveCommand.QUICK_STOP, DriveCommand.FAULT_RESET)
+
+
+@dataclass(frozen=True, slots=True)
+class MotorIdentity:
+    """Who a motor board is; `encoder_counts_per_turn` of its motor, after quadrature decoding."""
+
+    protocol: int
+    serial_number: int
+    firmware: int
+    encoder_counts_per_turn: int
+
+
+class MotorBoard:
+    """Sends COMMANDs and keeps the latest REPLY. `MotorBus.update()` must be called for it to hear.
+
+    `command…()` sends one frame and returns; the other requests wait for answers through the clock and
+    belong before and after a run.
+    """
+
+    def __init__(self, bus: MotorBus, node: int, name: str = "") -> None:
+        self.node = node
+        self.name = name or f"motor{node}"
+        self.reply: wire.Reply | None = None
+        self.reply_at_s = -math.inf
+        self.identity: MotorIdentity | None = None
+        self.replies = 0
+        self.resets = 0
+        self._bus = bus
+        self._sequence = 0
+        self._commands_sent = 0
+        self._sent_at_s = -math.inf
+        self._command_id = wire.COMMAND_ID + node
+        self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
+        self._last_state: State | None = None
+        self._order = ReplyOrder()
+        self._parameters = ParameterChannel(bus, node, lambda: self.where)
+        bus.add_node(node, self._take_reply, self._take_answer)
+
+    @property
+    def where(self) -> str:
+        """What messages call it: `motor board "motor1" (node 1) on socketcan:can0`."""
+        return f'motor board "{self.name}" (node {self.node}) on {self._bus.name}'
+
+    @property
+    def state(self) -> State | None:
+        """The state in the latest reply; None before the first, and after a reset."""
+        return self._last_state
+
+    @property
+    def reply_lag(self) -> int:
+        """COMMANDs sent since the one that the latest reply answers: 0 is the newest."""
+        return (
+            (self._sequence - self.reply.sequence) & wire.SEQUENCE_MASK if self.reply else self._commands_sent
+        )
+
+    @property
+    def lost(self) -> int:
+        """COMMANDs whose REPLY never came."""
+        return self._order.lost
+
+    @property
+    def stale(self) -> int:
+        """REPLYs dropped: late, doubled, or to somebody else's COMMAND."""
+        return self._order.stale
+
+    def require_fresh(self, now_s: float, limit_s: float) -> None:
+        """Raises BoardSilent if the latest reply came more than `limit_s` ago."""
+        if now_s - self.reply_at_s > limit_s:
+            age = f"for {now_s - self.reply_at_s:.3f} s" if self.reply else "yet"
+            raise BoardSilent(f"{self.where}: no reply {age} (limit {limit_s:.3f} s)")
+
+    # Set-points: one frame each, for the cycle.
+
+    def command(self, mode: int, setpoint_raw: int = 0, feedforward_mV: int = 0) -> None:
+        """Send one COMMAND with the controlword of the state last gone to. Raises MisuseError, LinkLost."""
+        sequence = (self._sequence + 1) & wire.SEQUENCE_MASK
+        try:
+            payload = wire.pack_raw_command(
+                self._controlword, mode | sequence << 3, setpoint_raw, feedforward_mV
+            )
+        except struct.error as problem:
+            raise MisuseError(
+                f"{self.where}: cannot send mode {mode}, set-point {setpoint_raw}, "
+                f"feed-forward {feedforward_mV} mV: {problem}"
+            ) from None
+        self._bus.link.send(self._command_id, payload)
+        self._sequence = sequence
+        self._commands_sent += 1
+
+    def command_off(self) -> None:
+        """Open circuit: the motor turns freely."""
+        self.command(0)
+
+    def command_voltage(self, voltage_V: float) -> None:
+        """Terminal voltage; 0 shorts the windings and brakes."""
+        self.command(1, self._milli(voltage_V))
+
+    def command_current(self, current_A: float) -> None:
+        """Motor current, held by the board."""
+        self.command(2, self._milli(current_A))
+
+    def command_position(self, count: int, feedforward_V: float = 0.0) -> None:
+        """Position in counts of the board's own encoder, and a voltage added to what its PID says."""
+        self.command(3, count, self._milli(feedforward_V))
+
+    def _milli(self, quantity: float) -> int:
+        try:
+            return round(quantity * 1e3)
+        except (ValueError, OverflowError):
+            raise MisuseError(f"{self.where}: a set-point must be finite, got {quantity}") from None
+
+    # States
+
+    def go_to(self, state: State, timeout_s: float = 0.5) -> None:
+        """Walk to `state`; into OPERATION ENABLED with 0 V, so with the brake on.
+
+        Raises BoardFaulted from FAULT (see acknowledge_fault), BoardSilent, MisuseError if there is no way.
+        """
+        deadline_s = self._bus.clock.now_s() + timeout_s
+        while not self.step_towards(state):
+            self._wait_step(
+                deadline_s, f"does not go to {state.value}, its last state is {self._state_name()}"
+            )
+
+    def step_towards(self, state: State) -> bool:
+        """One step of `go_to` without waiting: sends what is due; True once a reply says that it is there.
+
+        Several boards are walked together by calling this for each, then `MotorBus.update()`.
+        """
+        if state in (State.NOT_READY_TO_SWITCH_ON, State.FAULT, State.FAULT_REACTION_ACTIVE):
+            raise MisuseError(f"{self.where}: no command leads to {state.value}")
+        now = self._last_state
+        if now in (State.FAULT, State.FAULT_REACTION_ACTIVE) and self.reply is not None:
+            raise BoardFaulted(
+                f"{self.where}: in FAULT ({self._fault_names()}): remove the cause, acknowledge the fault, "
+                f"then go to {state.value}"
+            )
+        if now is state and self._is_answered():
+            return True
+        if now is not None and now is not state and now is not State.NOT_READY_TO_SWITCH_ON:
+            self._step_from(now, state)
+        elif self._is_due():
+            self._send_walking(self._controlword)
+        return False
+
+    def _step_from(self, now: State, state: State) -> None:
+        command = next_command(now, state)
+        if command is None:
+            raise MisuseError(f"{self.where}: no way from {now.value} to {state.value}")
+        if self._is_answered() or self._is_due():
+            self._send_walking(command)
+
+    def _send_walking(self, controlword: int) -> None:
+        self._controlword = controlword
+        self._sent_at_s = self._bus.clock.now_s()
+        self.command(Mode.VOLTAGE)
+
+    def _is_answered(self) -> bool:
+        return self.reply is not None and self._commands_sent > 0 and self.reply_lag == 0
+
+    def _is_due(self) -> bool:
+        return self._bus.clock.now_s() - self._sent_at_s >= _RESEND_s
+
+    def acknowledge_fault(self, timeout_s: float = 0.2) -> None:
+        """Reset a fault by an edge of controlword bit 7; ends in SWITCH ON DISABLED and enables nothing.
+
+        To be called because a human said so. Without a fault nothing happens.
+        Raises BoardFaulted if the cause lasts.
+        """
+        deadline_s = self._bus.clock.now_s() + timeout_s
+        while True:
+            # 0 first, so that there is an edge whatever was sent before.
+            self._send_and_wait(DriveCommand.DISABLE_VOLTAGE, deadline_s)
+            if self._last_state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+                return
+            if self._bus.clock.now_s() >= deadline_s:
+                raise BoardFaulted(
+                    f"{self.where}: its fault ({self._fault_names()}) cannot be acknowledged: the cause lasts"
+                )
+            self._send_and_wait(DriveCommand.FAULT_RESET, deadline_s)
+
+    def _send_and_wait(self, controlword: int, deadline_s: float) -> None:
+        self._send_walking(controlword)
+        while True:
+            self._wait_step(deadline_s + ANSWER_TIMEOUT_s, "does not reply to COMMAND")
+            if self._is_answered():
+                return
+            if self._is_due():
+                self._send_walking(controlword)
+
+    def _wait_step(self, deadline_s: float, what: str) -> None:
+        clock = self._bus.clock
+        now_s = clock.now_s()
+        if now_s >= deadline_s:
+            raise BoardSilent(f"{self.where}: {what}; is it powered and wired, and its node id right?")
+        clock.wait_until_s(now_s + _STEP_s)
+        self._bus.update()
+
+    def _state_name(self) -> str:
+        return self._last_state.value if self._last_state else "no state that we know"
+
+    def _fault_names(self) -> str:
+        faults = self.reply.fault_flags if self.reply else wire.Fault(0)
+        return ", ".join(str(fault.name).replace("_", " ").lower() for fault in faults) or "no bit set"
+
+    # Parameters
+
+    def identify(self, serial_number: int | None = None) -> MotorIdentity:
+        """Ask who it is. Raises WrongIdentity for another protocol version or (if given) serial number,
+        ProtocolViolation if two boards answer as this node.
+        """
+        self.identity = None
+        protocol = self.read(Parameter.PROTOCOL_VERSION)
+        if protocol != wire.PROTOCOL_VERSION:
+            raise WrongIdentity(
+                f"{self.where}: speaks protocol version {protocol}, expected {wire.PROTOCOL_VERSION}; "
+                "update the board's firmware or this program"
+            )
+        found = self.read(Parameter.BOARD_SERIAL_NUMBER) & 0xFFFFFFFF
+        self._parameters.look_for_twin(Parameter.BOARD_SERIAL_NUMBER)
+        if serial_number is not None and found != serial_number:
+            raise WrongIdentity(
+                f"{self.where}: expected the board with serial number {serial_number}, found {found}; "
+                "are two boards or node ids swapped?"
+            )
+        firmware = self.read(Parameter.FIRMWARE_VERSION)
+        counts = self.read(Parameter.ENCODER_COUNTS_PER_TURN)
+        self.identity = MotorIdentity(protocol, found, firmware, counts)
+        return self.identity
+
+    def read(self, index: int) -> int:
+        """The raw value of parameter `index`. Raises RequestRefused, BoardSilent."""
+        return self._parameters.read(index)
+
+    def write(self, index: int, value: int) -> None:
+        """Set parameter `index` to the raw `value`, not while enabled. Raises RequestRefused, BoardSilent."""
+        self._parameters.write(index, value)
+
+    # What the bus hands over
+
+    def _take_reply(self, payload: bytes, now_s: float) -> None:
+        if len(payload) != 8:
+            self._violation("sent a REPLY that is not 8 bytes long", payload)
+            return
+        reply = wire.unpack_reply(payload)
+        if not self._order.is_newer(reply.sequence, self._sequence, self._commands_sent):
+            if self._order.doubled == _TWIN_REPLIES:
+                self._violation("answers each COMMAND twice: do two boards have this node id?", payload)
+            return
+        state = STATE_OF_STATUSWORD[reply.statusword]
+        if state is None:
+            self._violation(f"sent a statusword that is no state ({reply.statusword:#04x})", payload)
+            return
+        self.reply = reply
+        self.reply_at_s = now_s
+        self.replies += 1
+        if state is not self._last_state:
+            self._take_state(state)
+
+    def _take_state(self, state: State) -> None:
+        before, self._last_state = self._last_state, state
+        # It goes there by a command only; one that was not given is a restart whose hello was lost.
+        if (
+            state in _OFF_STATES
+            and before not in (None, *_OFF_STATES)
+            and self._controlword not in _KEEPS_OFF
+        ):
+            self._was_reset()
+
+    def _take_answer(self, payload: bytes, now_s: float) -> None:
+        if len(payload) != 8:
+            self._violation("sent a PARAMETER_ANSWER that is not 8 bytes long", payload)
+            return
+        answer = wire.ParameterAnswer.unpack(payload)
+        if answer.sequence != 0:
+            self._parameters.take(answer)
+        elif self.identity is not None or self.reply is not None:
+            self._was_reset()
+
+    def _was_reset(self) -> None:
+        self.resets += 1
+        self.reply, self.reply_at_s, self._last_state = None, -math.inf, None
+        self._order.forget()
+        self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
+        self._bus.problems.append(
+            BoardReset(
+                f"{self.where}: restarted by itself; it is off, and its gains, limits and count are lost: "
+                "check its supply, then connect again"
+            )
+        )
+
+    def _violation(self, what: str, received: bytes) -> None:
+        self._bus.problems.append(ProtocolViolation(f"{self.where}: {what}", received))

@@ -1,0 +1,86 @@
+"""The CAN bus of the motor boards: drained once a cycle, its frames handed to the boards by id."""
+
+from collections.abc import Callable
+
+from firmware_iface.clock import Clock
+from firmware_iface.errors import LinkError, LinkLost, MisuseError, ProtocolViolation
+from firmware_iface.link import FrameLink
+from firmware_iface.motor import wire
+
+FrameHandler = Callable[[bytes, float], None]
+"""Takes a payload and when it was read [s]. Appends to `MotorBus.problems`, never raises."""
+
+_EMERGENCY_REPEATS = 3  # docs/motor_board.md: said three times, so that one lost frame does not matter
+
+
+class MotorBus:
+    """One bus with its boards; make the boards with it."""
+
+    def __init__(self, link: FrameLink, clock: Clock) -> None:
+        self.link = link
+        self.clock = clock
+        self.name = link.name
+        self.nodes: list[int] = []
+        self.strangers = 0
+        """Frames from nodes that nobody here has asked for."""
+        self.foreign_emergency_stops = 0
+        self.problems: list[LinkError] = []
+        self._handlers: dict[int, FrameHandler] = {}
+
+    def add_node(self, node: int, take_reply: FrameHandler, take_answer: FrameHandler) -> None:
+        """Hand the frames of `node` to its board from now on. Raises MisuseError."""
+        if node not in wire.NODES:
+            raise MisuseError(f"CAN bus {self.name}: node ids are 1 to 15, got {node}")
+        if node in self.nodes:
+            raise MisuseError(f"CAN bus {self.name}: node {node} was given to two motor boards")
+        self.nodes.append(node)
+        self._handlers[wire.REPLY_ID + node] = take_reply
+        self._handlers[wire.PARAMETER_ANSWER_ID + node] = take_answer
+
+    def update(self) -> None:
+        """Take in all that has come. Raises LinkLost, and once each: BoardReset, ProtocolViolation.
+
+        What had come besides has been taken in all the same.
+        """
+        frames = self.link.receive()
+        if frames:
+            now_s = self.clock.now_s()
+            for can_id, payload in frames:
+                handler = self._handlers.get(can_id)
+                if handler is not None:
+                    handler(payload, now_s)
+                else:
+                    self._take_other(can_id, payload)
+        if self.problems:
+            raise self.problems.pop(0)
+
+    def emergency_stop(self, reason: int = 0) -> None:
+        """Have every board brake and go to FAULT, at once; again, as often as you like.
+
+        `reason`: 0 operator, 1 fault of the host, 2 fault of another board.
+        Raises LinkLost if it did not get out.
+        """
+        payload = bytes((reason & 0xFF,))
+        failure: LinkLost | None = None
+        for _ in range(_EMERGENCY_REPEATS):
+            try:
+                self.link.send(wire.EMERGENCY_STOP_ID, payload)
+            except LinkLost as lost:
+                failure = lost
+        if failure is not None:
+            raise failure
+
+    def _take_other(self, can_id: int, payload: bytes) -> None:
+        node = can_id & 0x7F
+        if can_id == wire.EMERGENCY_STOP_ID:
+            self.foreign_emergency_stops += 1
+        elif node in self.nodes and can_id - node in (wire.COMMAND_ID, wire.PARAMETER_REQUEST_ID):
+            self.problems.append(
+                ProtocolViolation(
+                    f"CAN bus {self.name}: somebody else commands node {node} (id {can_id:#05x}); "
+                    "stop the other program",
+                    payload,
+                )
+            )
+        else:
+            self.strangers += 1

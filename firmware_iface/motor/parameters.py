@@ -1,0 +1,98 @@
+"""Reading and writing a motor board's parameters: requests that wait for their answers."""
+
+import struct
+from collections.abc import Callable
+
+from firmware_iface.errors import BoardSilent, MisuseError, ProtocolViolation, RequestRefused
+from firmware_iface.motor import wire
+from firmware_iface.motor.bus import MotorBus
+from firmware_iface.motor.wire import Operation, Parameter, ParameterAnswer, ParameterRequest, ParameterResult
+
+ANSWER_TIMEOUT_s = 0.05  # the board answers within 5 ms; hosts are late by tens of milliseconds at times
+ATTEMPTS = 3
+_STEP_s = 0.001
+_TWIN_WAIT_s = 0.003  # how long a second board with the same node id may trail behind the first
+
+
+class ParameterChannel:
+    """The parameters of one node. `where` names the board for messages."""
+
+    def __init__(self, bus: MotorBus, node: int, where: Callable[[], str]) -> None:
+        self._bus = bus
+        self._request_id = wire.PARAMETER_REQUEST_ID + node
+        self._where = where
+        self._sequence = 0
+        self._answer: ParameterAnswer | None = None
+
+    def take(self, answer: ParameterAnswer) -> None:
+        """An answer came."""
+        self._answer = answer
+
+    def read(self, index: int) -> int:
+        """The raw value. Raises RequestRefused, BoardSilent."""
+        return self._ask(Operation.READ, index, 0)
+
+    def write(self, index: int, value: int) -> None:
+        """Set the raw value. Raises RequestRefused, BoardSilent; ProtocolViolation if another value is kept."""
+        kept = self._ask(Operation.WRITE, index, value)
+        if kept != value and index != Parameter.POSITION_COUNT:  # the count is live: it may have moved on
+            raise ProtocolViolation(f"{self._where()}: {_named(index)} is {kept} after {value} was written")
+
+    def look_for_twin(self, index: int) -> None:
+        """Raises ProtocolViolation if the request for `index`, answered just now, is answered again."""
+        self._answer = None
+        self._bus.clock.wait_until_s(self._bus.clock.now_s() + _TWIN_WAIT_s)
+        self._bus.update()
+        if (second := self._answer_of(index)) is not None:
+            raise ProtocolViolation(
+                f"{self._where()}: two boards answer, the second with serial number "
+                f"{second.value & 0xFFFFFFFF}; give each board a node id of its own",
+                second.pack(),
+            )
+
+    def _ask(self, operation: Operation, index: int, value: int) -> int:
+        sequence = self._sequence % 255 + 1  # 0 is the board's "nobody asked"
+        try:
+            payload = ParameterRequest(operation, index, sequence, value).pack()
+        except struct.error as problem:
+            raise MisuseError(f"{self._where()}: cannot ask for {index} := {value}: {problem}") from None
+        self._sequence = sequence
+        answer = self._answer_to(payload, index)
+        if answer.result != ParameterResult.DONE:
+            wanted = f" to {value}" if operation is Operation.WRITE else ""
+            raise RequestRefused(
+                f"{self._where()}: refused to {operation.name.lower()} {_named(index)}{wanted}: "
+                f"{_result_name(answer.result)}"
+            )
+        return answer.value
+
+    def _answer_to(self, payload: bytes, index: int) -> ParameterAnswer:
+        clock = self._bus.clock
+        self._answer = None
+        for _ in range(ATTEMPTS):
+            self._bus.link.send(self._request_id, payload)
+            deadline_s = clock.now_s() + ANSWER_TIMEOUT_s
+            while (now_s := clock.now_s()) < deadline_s:
+                clock.wait_until_s(now_s + _STEP_s)
+                self._bus.update()
+                if (answer := self._answer_of(index)) is not None:
+                    return answer
+        raise BoardSilent(
+            f"{self._where()}: no answer for {_named(index)} within {ANSWER_TIMEOUT_s:.3f} s, "
+            f"asked {ATTEMPTS} times; is it powered and wired, and its node id right?"
+        )
+
+    def _answer_of(self, index: int) -> ParameterAnswer | None:
+        answer = self._answer  # one to an older request has another sequence
+        is_ours = answer is not None and (answer.sequence, answer.index) == (self._sequence, index)
+        return answer if is_ours else None
+
+
+def _named(index: int) -> str:
+    known = index in set(Parameter)
+    return f"parameter {index} ({Parameter(index).name})" if known else f"parameter {index}"
+
+
+def _result_name(result: int) -> str:
+    known = result in set(ParameterResult)
+    return ParameterResult(result).name.replace("_", " ").lower() if known else f"result {result}"
