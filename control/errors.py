@@ -1,0 +1,65 @@
+"""What can be wrong with an arm, its file, or a request to it: an operator can act on every message."""
+
+from pathlib import Path
+
+
+class ArmError(Exception):
+    """Base of everything that the package `control` raises on purpose; `str()` is the message to show."""
+
+
+class ArmFileError(ArmError):
+    """An arm.toml that cannot be taken: names file, line, key, what was expected and what was got."""
+
+    def __init__(
+        self, file: str | Path, line: int | None, key: str, expected: str, got: str, hint: str = ""
+    ) -> None:
+        self.file = str(file)
+        self.line = line
+        self.key = key
+        self.expected = expected
+        self.got = got
+        self.hint = hint
+        where = f"{file}, line {line}" if line else f"{file}"
+        what = f"{key}: " if key else ""
+        remedy = f" ({hint})" if hint else ""
+        super().__init__(f"{where}: {what}expected {expected}, got {got}{remedy}")
+
+
+class MissingModel(ArmError):
+    """The description lacks something that this request needs (masses, a drive, a table, a closed form)."""
+
+
+class BadTarget(ArmError):
+    """A target or joint vector that means nothing: not finite, or of the wrong length."""
+
+
+class OutOfReach(ArmError):
+    """No joint angles bring the tip there; `distance_m` is how far outside of the reachable space it lies."""
+
+    def __init__(self, message: str, distance_m: float) -> None:
+        self.distance_m = distance_m
+        super().__init__(message)
+
+
+class NearSingular(ArmError):
+    """The target is reachable only in, or too near to, a pose where the arm loses a direction of motion.
+
+    `which` is "elbow", "shoulder" or "arm"; `margin` is the distance from the singularity and
+    `limit` the least one allowed, both in `unit`.
+    """
+
+    def __init__(self, message: str, which: str, margin: float, limit: float, unit: str) -> None:
+        self.which = which
+        self.margin = margin
+        self.limit = limit
+        self.unit = unit
+        super().__init__(message)
+
+
+class JointLimitViolated(ArmError):
+    """A joint would have to go `excess_rad` beyond its limit (1-based `joint`)."""
+
+    def __init__(self, message: str, joint: int, excess_rad: float) -> None:
+        self.joint = joint
+        self.excess_rad = excess_rad
+        super().__init__(message)

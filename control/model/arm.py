@@ -1,0 +1,273 @@
+"""The arm as data: what an arm.toml says, one frozen dataclass a table.
+
+`control.model.description` reads and writes it. The field names are the keys of the file; the annotations carry what a value must be (`control.model.rules`).
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from control.errors import ArmError, MissingModel
+from control.model.rules import (
+    ANGLE,
+    DIRECTION,
+    ENCODER_BITS,
+    NODE,
+    NOT_NEGATIVE,
+    ONE_OR_MORE,
+    POSITIVE,
+    TILT,
+    ZERO_OR_MORE,
+    Rule,
+)
+
+Convention = Literal["standard", "modified"]
+Vector3 = tuple[float, float, float]
+Direction = Annotated[int, DIRECTION]
+NonNegative = Annotated[float, NOT_NEGATIVE]
+Positive = Annotated[float, POSITIVE]
+ENCODER_CHANNELS = 3  # an encoder board reads three encoders
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One row of the DH table, and the body that moves with its frame (mass absent: not known)."""
+
+    joint: Literal["revolute", "fixed"]
+    d_m: float
+    theta_rad: Annotated[float, ANGLE]
+    L_m: float
+    alpha_rad: Annotated[float, ANGLE]
+    mass_kg: NonNegative | None = None
+    com_m: Vector3 | None = None
+    inertia_kg_m2: tuple[NonNegative, NonNegative, NonNegative] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DrivePid:
+    """What the file says about a joint's position control; gains that are absent come from the model.
+
+    In voltage and position mode kp is in V/rad, ki in V/(rad s), kd in V s/rad, all at the joint; in current
+    mode the same with amperes.
+    """
+
+    mode: Literal["voltage", "current", "position"] = "voltage"
+    kp: NonNegative | None = None
+    ki: NonNegative | None = None
+    kd: NonNegative | None = None
+    derivative_filter_s: NonNegative | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """How a joint finds its zero: its switch, the index pulse after it, how fast to look."""
+
+    switch_rad: float
+    index_rad: float
+    speed_rad_s: Positive = 0.2
+    backoff_rad: Positive = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A joint's motor, gear and encoder; a limit that the file does not give is infinite."""
+
+    joint: Annotated[int, ONE_OR_MORE]
+    gear_ratio: Positive
+    encoder_counts_per_rev: Annotated[int, ONE_OR_MORE]
+    torque_constant_Nm_A: Positive
+    resistance_ohm: Positive
+    supply_V: Positive
+    encoder_bits: Annotated[int, ENCODER_BITS] = 32
+    inductance_H: NonNegative = 0.0
+    rotor_inertia_kg_m2: NonNegative = 0.0
+    current_limit_A: Positive = math.inf
+    joint_lower_rad: float = -math.inf
+    joint_upper_rad: float = math.inf
+    joint_speed_limit_rad_s: Positive = math.inf
+    joint_acceleration_limit_rad_s2: Positive = math.inf
+    joint_jerk_limit_rad_s3: Positive = math.inf
+    encoder_board: Annotated[int, ZERO_OR_MORE] = -1  # by default the joints fill the boards in order
+    encoder_channel: Annotated[int, ZERO_OR_MORE] = -1
+    encoder_direction: Direction = 1
+    motor_node: Annotated[int, NODE] = -1  # by default the joint's number
+    motor_direction: Direction = 1
+    motor_serial_number: Annotated[int, ZERO_OR_MORE] | None = None
+    zero_count: int = 0
+    pid: DrivePid = DrivePid()
+    home: Home | None = None
+
+    def __post_init__(self) -> None:
+        """Resolve the wiring that follows from the joint's number."""
+        board, channel = divmod(self.joint - 1, ENCODER_CHANNELS)
+        for name, default in (
+            ("encoder_board", board),
+            ("encoder_channel", channel),
+            ("motor_node", self.joint),
+        ):
+            if getattr(self, name) < 0:
+                object.__setattr__(self, name, default)
+
+
+@dataclass(frozen=True, slots=True)
+class Tool:
+    """Where the tip is in the last frame, and whether that is known or to be identified."""
+
+    position_m: Vector3 = (0.0, 0.0, 0.0)
+    known: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """The calibration table; `control.model.table` turns it into points."""
+
+    origin_m: Vector3 | None = None
+    circle_radius_m: Positive | None = None
+    circle_points: Annotated[int, ZERO_OR_MORE] = 0
+    line_points: Annotated[int, ZERO_OR_MORE] = 0
+    line_pitch_m: Positive | None = None
+    roll_tilt_rad: Annotated[float, TILT] = 0.0
+    pitch_tilt_rad: Annotated[float, TILT] = 0.0
+    known_pose: bool = True
+    cavities_m: Mapping[str, Vector3] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """The camera that sees the tip."""
+
+    position_noise_m: NonNegative = 0.0
+    udp_port: Annotated[int, Rule("a UDP port from 1 to 65535", lambda n: 1 <= n <= 65535)] = 47_300
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """An effect that the model has; names and parameters are those of `control.model.effects`."""
+
+    effect: str
+    joint: Annotated[int, ONE_OR_MORE] | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderBoardPort:
+    """Where an encoder board is plugged in; a serial number that is given is checked."""
+
+    name: str
+    port: str
+    baud: Annotated[int, ONE_OR_MORE] = 1_000_000
+    serial_number: Annotated[int, ZERO_OR_MORE] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CanBus:
+    """The bus of the motor boards, in python-can's words; `options` go to the interface as they are."""
+
+    interface: str
+    channel: str
+    bitrate: Annotated[int, ONE_OR_MORE] = 1_000_000
+    options: Mapping[str, str | int | float | bool] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """A pose where the arm can wait: inside its limits, clear of the table, little gravity torque."""
+
+    q_rad: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the loop never lets pass. A joint's following error may be `a + b |speed|`."""
+
+    tip_speed_m_s: Positive = 1.0
+    following_error_rad: Positive = 0.05
+    following_error_per_speed_s: NonNegative = 0.05
+    floor_z_m: float = 0.0  # the tip stays above this height in the base frame
+    floor_clearance_m: NonNegative = 0.0
+    watchdog_s: Positive = 0.2  # a host may pause 40-170 ms, a board watchdog must live with it
+    stale_s: Positive = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Where a calibrated arm comes from; `inputs` maps files to their SHA-256."""
+
+    source: str = field(metadata={"key": "from"})
+    inputs: Mapping[str, str]
+    date: str
+    objective: str
+    program_version: str
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """An arm: geometry, masses, drives, boards and limits, as its file (`path`) says."""
+
+    name: str
+    links: tuple[Link, ...] = field(metadata={"key": "link"})
+    gravity_m_s2: Vector3 = (0.0, 0.0, -9.81)
+    dh_convention: Convention = "standard"
+    drives: tuple[Drive, ...] = field(default=(), metadata={"key": "drive"})
+    tool: Tool = Tool()
+    table: Table | None = None
+    camera: Camera | None = None
+    effects: tuple[Effect, ...] = field(default=(), metadata={"key": "effect"})
+    encoder_boards: tuple[EncoderBoardPort, ...] = field(default=(), metadata={"key": "encoder_board"})
+    can: CanBus | None = None
+    rest: Rest | None = None
+    limits: Limits = Limits()
+    calibration: Calibration | None = None
+    path: Path | None = field(default=None, compare=False, metadata={"key": ""})
+
+    @property
+    def joints(self) -> tuple[bool, ...]:
+        """For every link whether its joint turns (True) or is fixed."""
+        return tuple(link.joint == "revolute" for link in self.links)
+
+    @property
+    def joint_count(self) -> int:
+        """The number of revolute joints, n."""
+        return sum(self.joints)
+
+    @property
+    def dh(self) -> NDArray[np.float64]:
+        """The DH table (links, 4): columns d [m], theta [rad], L [m], alpha [rad]; a read-only copy."""
+        table = np.array([(k.d_m, k.theta_rad, k.L_m, k.alpha_rad) for k in self.links], dtype=np.float64)
+        table.flags.writeable = False
+        return table
+
+    def with_dh(self, dh: ArrayLike) -> "Arm":
+        """Return the same arm with another DH table (links, 4)."""
+        table = np.asarray(dh, dtype=np.float64)
+        if table.shape != (len(self.links), 4) or not np.isfinite(table).all():
+            raise ArmError(
+                f"arm {self.name}: expected a finite DH table ({len(self.links)}, 4), got {table.shape}"
+            )
+        links = tuple(
+            dataclasses.replace(link, d_m=d, theta_rad=theta, L_m=length, alpha_rad=alpha)
+            for link, (d, theta, length, alpha) in zip(self.links, table.tolist(), strict=True)
+        )
+        return dataclasses.replace(self, links=links)
+
+    def drive(self, joint: int) -> Drive:
+        """Return the drive of a joint (1-based); MissingModel where the file has none."""
+        for drive in self.drives:
+            if drive.joint == joint:
+                return drive
+        has = ", ".join(str(drive.joint) for drive in self.drives) or "none"
+        raise MissingModel(
+            f"arm {self.name}: joint {joint} has no [[drive]] (joints with a drive: {has}); add one"
+        )
+
+    @property
+    def limits_rad(self) -> tuple[tuple[float, float], ...]:
+        """Lower and upper limit of every joint [rad], infinite where no drive says otherwise."""
+        ranges = {drive.joint: (drive.joint_lower_rad, drive.joint_upper_rad) for drive in self.drives}
+        return tuple(ranges.get(j, (-math.inf, math.inf)) for j in range(1, self.joint_count + 1))

@@ -1,0 +1,118 @@
+"""What must hold between the values of an arm.toml: each check names the key that breaks it."""
+
+from collections.abc import Hashable, Iterable
+
+from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Table
+from control.model.effects import check_effect
+from control.model.reader import Rejected
+
+Named = tuple[tuple[str | int, ...], Hashable]
+
+
+def check_arm(arm: Arm) -> None:
+    """Raise Rejected for the first contradiction."""
+    if not arm.links:
+        raise Rejected(("link",), "at least one [[link]]", "none")
+    if arm.joint_count == 0:
+        raise Rejected(("link",), 'at least one link with joint = "revolute"', "only fixed ones")
+    _check_masses(arm)
+    for index, drive in enumerate(arm.drives):
+        _check_drive(arm, drive, index)
+    _check_wiring(arm)
+    _check_rest(arm)
+    if arm.table is not None:
+        _check_table(arm.table)
+    _check_effects(arm)
+
+
+def _check_masses(arm: Arm) -> None:
+    for index, link in enumerate(arm.links):
+        moments = link.inertia_kg_m2
+        if moments is not None and 2 * max(moments) > sum(moments) * (1 + 1e-9):
+            raise Rejected(
+                ("link", index, "inertia_kg_m2"),
+                "principal moments of which none exceeds the sum of the others",
+                str(list(moments)),
+                "no body has these",
+            )
+
+
+def _check_drive(arm: Arm, drive: Drive, index: int) -> None:
+    path = ("drive", index)
+    if drive.joint > arm.joint_count:
+        raise Rejected((*path, "joint"), f"a revolute joint from 1 to {arm.joint_count}", str(drive.joint))
+    if not drive.joint_lower_rad < drive.joint_upper_rad:
+        got = f"{drive.joint_upper_rad} (joint_lower_rad is {drive.joint_lower_rad})"
+        raise Rejected((*path, "joint_upper_rad"), "more than joint_lower_rad", got)
+    if drive.encoder_channel >= ENCODER_CHANNELS:
+        raise Rejected((*path, "encoder_channel"), "0, 1 or 2", str(drive.encoder_channel))
+
+
+def _check_wiring(arm: Arm) -> None:
+    drives = list(enumerate(arm.drives))
+    _check_unique(((("drive", i, "joint"), drive.joint) for i, drive in drives), "one [[drive]] a joint")
+    _check_unique(
+        ((("drive", i, "motor_node"), drive.motor_node) for i, drive in drives), "one joint a motor node"
+    )
+    _check_unique(
+        (
+            (("drive", i, "encoder_channel"), (drive.encoder_board, drive.encoder_channel))
+            for i, drive in drives
+        ),
+        "one joint an encoder channel (board, channel)",
+    )
+    boards = len(arm.encoder_boards)
+    _check_unique(
+        ((("encoder_board", i, "name"), board.name) for i, board in enumerate(arm.encoder_boards)),
+        "a name of its own for every encoder board",
+    )
+    for i, drive in drives:
+        if boards and drive.encoder_board >= boards:
+            expected = f"an encoder board below {boards}, the number of [[encoder_board]] here"
+            raise Rejected(("drive", i, "encoder_board"), expected, str(drive.encoder_board))
+
+
+def _check_unique(items: Iterable[Named], expected: str) -> None:
+    seen: set[Hashable] = set()
+    for path, value in items:
+        if value in seen:
+            raise Rejected(path, expected, f"{value} a second time")
+        seen.add(value)
+
+
+def _check_rest(arm: Arm) -> None:
+    if arm.rest is None:
+        return
+    path = ("rest", "q_rad")
+    if len(arm.rest.q_rad) != arm.joint_count:
+        raise Rejected(path, f"{arm.joint_count} joint angles", f"{len(arm.rest.q_rad)} of them")
+    for joint, (angle, (lower, upper)) in enumerate(
+        zip(arm.rest.q_rad, arm.limits_rad, strict=True), start=1
+    ):
+        if not lower <= angle <= upper:
+            expected = f"joint {joint} within its limits, {lower} to {upper} rad"
+            raise Rejected(path, expected, str(angle))
+
+
+def _check_table(table: Table) -> None:
+    if table.known_pose and table.origin_m is None:
+        raise Rejected(
+            ("table", "origin_m"), "where the board stands", "nothing", "or say known_pose = false"
+        )
+    if table.circle_points and table.circle_radius_m is None:
+        raise Rejected(("table", "circle_radius_m"), "the circle's radius", "nothing")
+    if table.line_points > 1 and table.line_pitch_m is None:
+        raise Rejected(("table", "line_pitch_m"), "the line's pitch", "nothing")
+
+
+def _check_effects(arm: Arm) -> None:
+    for index, effect in enumerate(arm.effects):
+
+        def fault(path: tuple[str, ...], expected: str, got: str, index: int = index) -> Rejected:
+            return Rejected(("effect", index, *path), expected, got)
+
+        check_effect(effect.effect, effect.joint, effect.parameters, arm.joint_count, len(arm.links), fault)
+    _check_unique(
+        ((("effect", i, "effect"), (effect.effect, effect.joint)) for i, effect in enumerate(arm.effects)),
+        "each effect once a joint",
+    )

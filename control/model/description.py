@@ -1,0 +1,182 @@
+"""arm.toml: read strictly, written exactly. The dataclasses themselves stand in `control.model.arm`.
+
+An error names file, line, key, what was expected and what was found. The arms that ship are found by name.
+"""
+
+import dataclasses
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from control.errors import ArmError, ArmFileError
+from control.model.arm import (
+    Arm,
+    Calibration,
+    Camera,
+    CanBus,
+    Convention,
+    Drive,
+    DrivePid,
+    Effect,
+    EncoderBoardPort,
+    Home,
+    Limits,
+    Link,
+    Rest,
+    Table,
+    Tool,
+    Vector3,
+)
+from control.model.arm_checks import check_arm
+from control.model.reader import Rejected, keys_of, read_table, show
+from control.model.toml_lines import Path as KeyPath
+from control.model.toml_lines import key_lines, nearest_line
+
+__all__ = [
+    "Arm",
+    "Calibration",
+    "Camera",
+    "CanBus",
+    "Convention",
+    "Drive",
+    "DrivePid",
+    "Effect",
+    "EncoderBoardPort",
+    "Home",
+    "Limits",
+    "Link",
+    "Rest",
+    "Table",
+    "Tool",
+    "Vector3",
+    "arm_names",
+    "load_arm",
+    "parse_arm",
+    "save_arm",
+]
+
+_POSITION_IN_MESSAGE = re.compile(r" ?\(at (?:line (\d+), column \d+|end of document)\)$")
+
+
+def load_arm(path_or_name: str | Path) -> Arm:
+    """Return the arm of a file, or of a name that ships ("right", "left"); else ArmFileError."""
+    path = Path(path_or_name)
+    if path.suffix == ".toml" or path.exists():
+        return parse_arm(_text_of(path), path)
+    shipped = resources.files("control.arms").joinpath(f"{path_or_name}.toml")
+    if str(path_or_name) not in arm_names():
+        names = " or ".join(f'"{name}"' for name in arm_names())
+        expected = f"a path to an arm.toml, or {names}"
+        raise ArmFileError(str(path_or_name), None, "", expected, "a name that no shipped arm has")
+    with resources.as_file(shipped) as file:
+        return parse_arm(shipped.read_text(encoding="utf-8"), file)
+
+
+def arm_names() -> tuple[str, ...]:
+    """Return the names of the arms that ship."""
+    files = resources.files("control.arms").iterdir()
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+def parse_arm(text: str, path: Path) -> Arm:
+    """Return the arm that a TOML text describes; `path` is where it came from."""
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise _syntax_error(error, text, path) from None
+    try:
+        arm = read_table(Arm, document)
+        check_arm(arm)
+    except Rejected as error:
+        line = nearest_line(key_lines(text), error.path)
+        raise ArmFileError(path, line, _spelled(error.path), error.expected, error.got, error.hint) from None
+    drives = tuple(sorted(arm.drives, key=lambda drive: drive.joint))
+    return dataclasses.replace(arm, drives=drives, path=path)
+
+
+def save_arm(arm: Arm, path: str | Path) -> None:
+    """Write the arm as a new file; a file that is there is never overwritten. Every number is kept exactly.
+
+    Keys that have their default value are left out.
+    """
+    text = tomli_w.dumps(_table_of(arm))
+    if arm.calibration is not None:
+        text = f"# A calibrated arm, from {_one_line(arm.calibration.source)}; see [calibration].\n{text}"
+    try:
+        with Path(path).open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise ArmFileError(
+            path, None, "", "a new file", "one that is there already", "arms are never overwritten"
+        ) from None
+    except OSError as error:
+        raise ArmFileError(path, None, "", "a place to write to", error.strerror or str(error)) from None
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ArmFileError(path, None, "", "UTF-8 text", f"a byte that is none at {error.start}") from None
+    except OSError as error:
+        got = error.strerror or type(error).__name__
+        raise ArmFileError(path, None, "", "a file that can be read", got) from None
+
+
+def _syntax_error(error: tomllib.TOMLDecodeError, text: str, path: Path) -> ArmFileError:
+    message = str(error)
+    position = _POSITION_IN_MESSAGE.search(message)
+    line = int(position[1]) if position and position[1] else text.count("\n") + 1
+    return ArmFileError(path, line, "", "valid TOML", _POSITION_IN_MESSAGE.sub("", message))
+
+
+def _spelled(path: KeyPath) -> str:
+    """`("link", 2, "d_m")` -> `d_m of [[link]] 3`: tables are counted from 1, as joints are."""
+    if len(path) > 2 and isinstance(path[0], str) and isinstance(path[1], int) and isinstance(path[2], str):
+        return f"{_dotted(path[2:])} of [[{path[0]}]] {path[1] + 1}"
+    if len(path) == 2 and isinstance(path[1], int):
+        return f"{path[0]} {path[1] + 1}"
+    return _dotted(path)
+
+
+def _dotted(path: KeyPath) -> str:
+    text = ""
+    for part in path:
+        text += f"[{part + 1}]" if isinstance(part, int) else f".{part}"
+    return text.removeprefix(".")
+
+
+def _one_line(text: str) -> str:
+    return re.sub(r"[\x00-\x1f\x7f]", " ", text)
+
+
+def _table_of(thing: object) -> dict[str, Any]:
+    """Return a dataclass as a TOML table, without what has its default value."""
+    table: dict[str, Any] = {}
+    for key, field in keys_of(type(thing)).items():
+        value = getattr(thing, field.name)
+        default = field.default
+        if field.default_factory is not dataclasses.MISSING:
+            default = field.default_factory()
+        if value is None or value == default:
+            continue
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ArmError(f"arm cannot be saved: {key}: expected a finite number, got {show(value)}")
+        table[key] = _plain(value)
+    return table
+
+
+def _plain(value: object) -> Any:
+    if dataclasses.is_dataclass(value):
+        return _table_of(value)
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return value

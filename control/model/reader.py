@@ -1,0 +1,168 @@
+"""Strict reading of a parsed TOML document into dataclasses: keys are known, values are what they must be.
+
+The dataclass is the schema: its annotations give types (`Annotated` adds a `Rule`), `metadata={"key": ...}`
+another name in the file. The first thing that is wrong raises `Rejected` with the path to it.
+"""
+
+import dataclasses
+import math
+import types
+from collections.abc import Mapping
+from difflib import get_close_matches
+from functools import cache
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from control.model.rules import Rule
+from control.model.toml_lines import Path
+
+T = TypeVar("T")
+_SCALARS = {str: "text", bool: "true or false", int: "a whole number", float: "a finite number"}
+
+
+class Rejected(Exception):
+    """Something in the document is not as it must be; the caller knows the file and the lines."""
+
+    def __init__(self, path: Path, expected: str, got: str, hint: str = "") -> None:
+        self.path = path
+        self.expected = expected
+        self.got = got
+        self.hint = hint
+        super().__init__(f"{path}: expected {expected}, got {got}")
+
+
+def read_table(kind: type[T], table: object, path: Path = ()) -> T:
+    """Return the dataclass `kind` from a TOML table."""
+    if not isinstance(table, dict):
+        raise Rejected(path, "a table", show(table))
+    fields = keys_of(kind)
+    for key in table:
+        if key not in fields:
+            raise _unknown(key, tuple(fields), path)
+    hints = _hints(kind)
+    values = {
+        field.name: _value(hints[field.name], table[key], (*path, key))
+        for key, field in fields.items()
+        if key in table
+    }
+    for key, field in fields.items():
+        if key not in table and _is_required(field):
+            raise Rejected((*path, key), _words(hints[field.name]), "nothing", "the key is missing")
+    return kind(**values)
+
+
+def keys_of(kind: type[Any]) -> dict[str, "dataclasses.Field[Any]"]:
+    """Return the keys that a table of this kind may have; a field with an empty key is not in the file."""
+    fields = {field.metadata.get("key", field.name): field for field in dataclasses.fields(kind)}
+    fields.pop("", None)
+    return fields
+
+
+def show(value: object) -> str:
+    """Return a value as an error message shows it."""
+    if isinstance(value, dict):
+        return "a table"
+    text = repr(value) if not isinstance(value, bool) else str(value).lower()
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    return get_type_hints(kind, include_extras=True)
+
+
+def _is_required(field: "dataclasses.Field[Any]") -> bool:
+    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+
+
+def _unknown(key: str, known: tuple[str, ...], path: Path) -> Rejected:
+    close = get_close_matches(key, known, n=1)
+    hint = f"did you mean {close[0]}?" if close else ""
+    return Rejected((*path, key), "one of the keys " + ", ".join(known), "an unknown key", hint)
+
+
+def _value(hint: Any, value: object, path: Path) -> Any:
+    """Return the value as the annotation wants it."""
+    origin = get_origin(hint)
+    if origin is Annotated:
+        return _ruled(hint, value, path)
+    if origin in (Union, types.UnionType):
+        return _union(hint, value, path)
+    if origin is Literal:
+        return _literal(hint, value, path)
+    if origin is tuple:
+        return _tuple(hint, value, path)
+    if origin is Mapping:
+        return _mapping(get_args(hint)[1], value, path)
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        return read_table(hint, value, path)
+    return _scalar(hint, value, path)
+
+
+def _ruled(hint: Any, value: object, path: Path) -> Any:
+    kind, *rules = get_args(hint)
+    result = _value(kind, value, path)
+    for rule in rules:
+        if isinstance(rule, Rule) and not rule.holds(result):
+            raise Rejected(path, rule.expected, show(value), rule.hint)
+    return result
+
+
+def _union(hint: Any, value: object, path: Path) -> Any:
+    kinds = [kind for kind in get_args(hint) if kind is not type(None)]
+    if len(kinds) == 1:
+        return _value(kinds[0], value, path)
+    if type(value) in kinds:
+        return _value(type(value), value, path)
+    raise Rejected(path, _words(hint), show(value))
+
+
+def _literal(hint: Any, value: object, path: Path) -> Any:
+    if isinstance(value, str) and value in get_args(hint):
+        return value
+    raise Rejected(path, " or ".join(f'"{choice}"' for choice in get_args(hint)), show(value))
+
+
+def _tuple(hint: Any, value: object, path: Path) -> Any:
+    kinds = get_args(hint)
+    if not isinstance(value, list):
+        raise Rejected(
+            path, _words(hint), show(value), "write [[...]] for a list of tables" * _of_tables(hint)
+        )
+    if kinds[-1] is Ellipsis:
+        kinds = (kinds[0],) * len(value)
+    if len(value) != len(kinds):
+        raise Rejected(path, _words(hint), f"{len(value)} of them")
+    return tuple(
+        _value(kind, item, (*path, index))
+        for index, (kind, item) in enumerate(zip(kinds, value, strict=True))
+    )
+
+
+def _mapping(kind: Any, value: object, path: Path) -> Any:
+    if not isinstance(value, dict):
+        raise Rejected(path, "a table", show(value))
+    return {key: _value(kind, item, (*path, key)) for key, item in value.items()}
+
+
+def _scalar(kind: Any, value: object, path: Path) -> Any:
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind or (kind is float and not math.isfinite(value)):  # type: ignore[arg-type]
+        raise Rejected(path, _SCALARS[kind], show(value))
+    return value
+
+
+def _words(hint: Any) -> str:
+    """Return what an annotation expects, in words."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        rules = [rule.expected for rule in inner[1:] if isinstance(rule, Rule)]
+        return rules[0] if rules else _words(inner[0])
+    if origin in (Union, types.UnionType):
+        return " or ".join(_words(kind) for kind in inner if kind is not type(None))
+    if origin is Literal:
+        return " or ".join(f'"{choice}"' for choice in inner)
+    if origin is tuple:
+        count = "a list" if inner[-1] is Ellipsis else f"a list of {len(inner)}"
+        return f"{count}: {_words(inner[0])} each"
+    return _SCALARS.get(hint, "a table")

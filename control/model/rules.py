@@ -1,0 +1,28 @@
+"""What a value of an arm.toml must be beyond its type: a rule says it in words, and tests it."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """A condition on one value, in the words of an error message, with a remedy where that is not obvious."""
+
+    expected: str
+    holds: Callable[[Any], bool]
+    hint: str = ""
+
+
+_RADIANS: Final = "angles are in radians: this looks like degrees"
+
+POSITIVE: Final = Rule("a positive number", lambda x: x > 0)
+NOT_NEGATIVE: Final = Rule("a number not below 0", lambda x: x >= 0)
+ZERO_OR_MORE: Final = Rule("a whole number not below 0", lambda n: n >= 0)
+ONE_OR_MORE: Final = Rule("a whole number from 1 on", lambda n: n >= 1)
+DIRECTION: Final = Rule("1 or -1", lambda n: n in (1, -1))
+NODE: Final = Rule("a motor node from 1 to 15", lambda n: 1 <= n <= 15)
+ENCODER_BITS: Final = Rule("a counter width from 8 to 32 bits (a report has 32)", lambda n: 8 <= n <= 32)
+ANGLE: Final = Rule("an angle within +-2 pi rad", lambda x: abs(x) <= 2 * math.pi, _RADIANS)
+TILT: Final = Rule("a tilt within +-pi/2 rad", lambda x: abs(x) <= math.pi / 2, _RADIANS)
