@@ -1,6 +1,7 @@
 """The arm as data: what an arm.toml says, one frozen dataclass a table.
 
-`control.model.description` reads and writes it. The field names are the keys of the file; the annotations carry what a value must be (`control.model.rules`).
+`control.model.description` reads and writes it. The field names are the keys of the file; the annotations carry
+what a value must be (`control.model.rules`).
 """
 
 import dataclasses

@@ -1,13 +1,13 @@
 """The DH chain: the one textbook function from joint angles to the tip, and its batch form with derivatives.
 
 A link frame follows Tz(d) Rz(theta) Tx(L) Rx(alpha) ("standard"; SpringerPlus 5:1771, appendix) or
-Rx(alpha) Tx(L) Rz(theta) Tz(d) ("modified", Craig). Either is a sequence of moves along and turns about the x and z
-of the moving frame, and that sequence is all that the functions here look at.
+Rx(alpha) Tx(L) Rz(theta) Tz(d) ("modified", Craig). Either is a sequence of moves along and turns about the x
+and z of the moving frame, and that sequence is all that the functions here look at.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,6 @@ from control.model.tracing import Scalar, Symbol, cos, sin
 
 Array = NDArray[np.float64]
 Row = Sequence[Scalar]  # d, theta, L, alpha of one link
-_ORDERS: Final = {"standard": "z x", "modified": "x z"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +46,7 @@ def steps(dh: Sequence[Row], joints: Sequence[bool], convention: Convention) -> 
     return result
 
 
-def tip(
-    chain: Sequence[Step], q: Sequence[Scalar], tool_m: Sequence[Scalar]
-) -> tuple[Scalar, Scalar, Scalar]:
+def tip(chain: Sequence[Step], q: Sequence[Scalar], tool_m: Sequence[Scalar]) -> tuple[Scalar, ...]:
     """Return the tip in the base frame, from the last frame inwards.
 
     Turns about parallel axes (every step between them an x-step without a turn) are summed before any sine is
@@ -129,9 +126,8 @@ def link_transforms(dh: Array, q: Array, joints: Sequence[bool], convention: Con
     frames[:, 0] = np.eye(4)
     for step in steps(dh.tolist(), joints, convention):
         turn = np.full(len(q), step.turn) if step.joint is None else q[:, step.joint] + step.turn
-        before = (
-            frames[:, step.link] if not frames[:, step.link + 1, 3, 3].any() else frames[:, step.link + 1]
-        )
+        is_second = bool(len(q)) and frames[0, step.link + 1, 3, 3] == 1.0
+        before = frames[:, step.link + is_second]
         frames[:, step.link + 1] = before @ _step_matrices(step, turn)
     return frames
 

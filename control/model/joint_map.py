@@ -1,4 +1,4 @@
-"""Between the counts of a motor's encoder and the radians of its joint, and across the wrap of the counter."""
+"""Between the counts of a motor's encoder and the radians of its joint, across the wrap of the counter."""
 
 import math
 
@@ -7,7 +7,7 @@ from control.model.arm import Drive
 
 
 class JointMap:
-    """Counts to joint angle and back: gear ratio, counts per motor turn, direction, and the count at zero.
+    """Counts to joint angle and back: ratio, counts per turn, direction, and the count at zero.
 
     `angle = direction (count - zero_count) 2 pi / (counts_per_rev gear_ratio)`; counts are unwrapped ones.
     """

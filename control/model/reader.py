@@ -9,7 +9,6 @@ import math
 import types
 from collections.abc import Mapping
 from difflib import get_close_matches
-from functools import cache
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from control.model.rules import Rule
@@ -38,7 +37,7 @@ def read_table(kind: type[T], table: object, path: Path = ()) -> T:
     for key in table:
         if key not in fields:
             raise _unknown(key, tuple(fields), path)
-    hints = _hints(kind)
+    hints = get_type_hints(kind, include_extras=True)
     values = {
         field.name: _value(hints[field.name], table[key], (*path, key))
         for key, field in fields.items()
@@ -63,11 +62,6 @@ def show(value: object) -> str:
         return "a table"
     text = repr(value) if not isinstance(value, bool) else str(value).lower()
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-@cache
-def _hints(kind: Any) -> dict[str, Any]:
-    return get_type_hints(kind, include_extras=True)
 
 
 def _is_required(field: "dataclasses.Field[Any]") -> bool:
@@ -125,9 +119,8 @@ def _literal(hint: Any, value: object, path: Path) -> Any:
 def _tuple(hint: Any, value: object, path: Path) -> Any:
     kinds = get_args(hint)
     if not isinstance(value, list):
-        raise Rejected(
-            path, _words(hint), show(value), "write [[...]] for a list of tables" * _of_tables(hint)
-        )
+        remedy = "write [[...]] for a list of tables" if dataclasses.is_dataclass(kinds[0]) else ""
+        raise Rejected(path, _words(hint), show(value), remedy)
     if kinds[-1] is Ellipsis:
         kinds = (kinds[0],) * len(value)
     if len(value) != len(kinds):

@@ -1,9 +1,10 @@
-"""Textbook functions made fast: run once on symbols, they become straight-line Python without dead arithmetic.
+"""Textbook functions made fast: run once on symbols, they become straight-line Python, no dead arithmetic.
 
-A generic function uses `+ - * /` and the `sin`, `cos` of this module; it runs on floats, on numpy arrays, and on
-symbols. On symbols, what is constant is computed now (0, 1, -1 and multiples of pi/2 leave no operation behind),
-equal sub-expressions become one (hash-consing), and `compile_function` writes out the rest. Constants are never
-rounded: only a multiple of pi/2 to the last bit of a double counts as one, so calibrated values stay as they are.
+A generic function uses `+ - * /` and the `sin`, `cos` of this module; it runs on floats, on numpy arrays, and
+on symbols. On symbols, what is constant is computed now (0, 1, -1 and multiples of pi/2 leave no operation
+behind), equal sub-expressions become one (hash-consing), and `compile_function` writes out the rest. Constants
+are never rounded: only a multiple of pi/2 to the last bit of a double counts as one, so calibrated values stay
+as they are.
 """
 
 import math
