@@ -4,7 +4,6 @@ The text of each error is the message for the operator: which device, where, wha
 what came, what to do. Noise on a line is no error: it is counted, and becomes one only when an
 answer or the stream stays away.
 """
-# ruff: noqa: N818 - the names say what happened (h11's style); all but two read worse with Error behind
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar

@@ -146,9 +146,7 @@ class MotorBoard:
         """
         deadline_s = self._bus.clock.now_s() + timeout_s
         while not self.step_towards(state):
-            self._wait_step(
-                deadline_s, f"does not go to {state.value}, its last state is {self._state_name()}"
-            )
+            self._wait_step(deadline_s, f"does not go to {state.value}, stays {self._state_name()}")
 
     def step_towards(self, state: State) -> bool:
         """One step of `go_to` without waiting: sends what is due; True once a reply says that it is there.

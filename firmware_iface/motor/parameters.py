@@ -33,7 +33,7 @@ class ParameterChannel:
         return self._ask(Operation.READ, index, 0)
 
     def write(self, index: int, value: int) -> None:
-        """Set the raw value. Raises RequestRefused, BoardSilent; ProtocolViolation if another value is kept."""
+        """Set the raw value. Raises RequestRefused, BoardSilent, ProtocolViolation if another is kept."""
         kept = self._ask(Operation.WRITE, index, value)
         if kept != value and index != Parameter.POSITION_COUNT:  # the count is live: it may have moved on
             raise ProtocolViolation(f"{self._where()}: {_named(index)} is {kept} after {value} was written")
