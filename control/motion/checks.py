@@ -1,0 +1,175 @@
+"""What is checked of a path before anything moves: existence, joint range, singularity, clearance, and
+demands on time.
+
+Everything here works on samples of the whole path; the first violation found is raised as a PathError that
+names the way-point and says by how much.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from control.model import table as tables
+from control.model.arm import Arm
+from control.model.kinematics import Kinematics
+from control.motion.errors import PathError
+from control.motion.joint_limits import JointLimits
+from control.motion.samples import Array, JointSamples, TipSamples
+from control.motion.waypoints import Waypoints
+
+# Smallest singular value of J [m/rad] that a path may come to: with less, a tip speed of 0.02 m/s asks for 1
+# rad/s.
+LEAST_SINGULAR_M_RAD = 0.02
+# How far the tip may go below the board it touches: the cavities' own depth and a calibrated arm's error.
+TOUCH_TOLERANCE_M = 0.0005
+# The board reaches this far beyond its outermost cavity.
+_BOARD_MARGIN_M = 0.03
+_ROUNDING_RAD = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """A limit and how many times slower the path would have to be for it at each sample: `factors` (m,)."""
+
+    limit: str
+    factors: Array
+
+
+def place(waypoints: Waypoints, times_s: Sequence[float], time_s: float) -> tuple[str, int]:
+    """Where on the path a time is, in words, and the way-point (1-based) nearest in time."""
+    nearest = int(np.abs(np.asarray(times_s) - time_s).argmin())
+    name = waypoints.name(nearest + 1)
+    if abs(times_s[nearest] - time_s) < 1e-9:
+        return name, nearest + 1
+    return f"{'before' if time_s < times_s[nearest] else 'after'} {name}", nearest + 1
+
+
+def check_poses(
+    waypoints: Waypoints, times_s: Sequence[float], tip: TipSamples, joints: JointSamples, limits: JointLimits
+) -> None:
+    """Raise PathError unless every pose exists, is within the joints' range and far enough from singular."""
+    _require(
+        joints.is_solved,
+        waypoints,
+        times_s,
+        tip,
+        lambda i: "the arm cannot follow the path there on this branch",
+    )
+    for joint in range(joints.q_rad.shape[1]):
+        q = joints.q_rad[:, joint]
+        low, high = limits.lower_rad[joint], limits.upper_rad[joint]
+        beyond = np.maximum(q - high, low - q)
+
+        def say(
+            i: int, joint: int = joint, low: float = low, high: float = high, beyond: Array = beyond
+        ) -> str:
+            return f"joint {joint + 1} would be {beyond[i]:.4f} rad outside of its range {low:.4f} .. {high:.4f} rad"
+
+        _require(beyond <= _ROUNDING_RAD, waypoints, times_s, tip, say, -beyond)
+    margin = joints.smallest_singular_m
+    _require(
+        margin >= LEAST_SINGULAR_M_RAD,
+        waypoints,
+        times_s,
+        tip,
+        lambda i: (
+            f"the arm is near-singular: it moves its tip {margin[i]:.4f} m per rad in its worst direction, least"
+            f" allowed {LEAST_SINGULAR_M_RAD} m"
+        ),
+        margin,
+    )
+
+
+def check_clearance(
+    arm: Arm,
+    kinematics: Kinematics,
+    setup: str,
+    waypoints: Waypoints,
+    times_s: Sequence[float],
+    tip: TipSamples,
+    q_rad: Array,
+) -> None:
+    """Raise PathError where tip, forearm or elbow would go below the board (over it) or the floor
+    (elsewhere).
+
+    The tip may touch: TOUCH_TOLERANCE_M below is in order. Over the board the board's plane counts, not the
+    floor.
+    """
+    floor = arm.limits.floor_z_m + arm.limits.floor_clearance_m
+    transforms = kinematics.link_transforms(q_rad)
+    elbow = transforms[:, -3, :3, 3] if transforms.shape[1] > 3 else tip.position_m
+    for what, share in (("tip", 1.0), ("forearm", 0.75), ("forearm", 0.5), ("forearm", 0.25), ("elbow", 0.0)):
+        points = elbow + share * (tip.position_m - elbow)
+        heights, is_over = _height_over_board(arm, setup, points)
+        height = np.where(is_over, heights, points[:, 2] - floor)
+
+        def say(
+            i: int, what: str = what, height: Array = height, is_over: NDArray[np.bool_] = is_over
+        ) -> str:
+            return f"the {what} would go {-height[i]:.4f} m below the {'table' if is_over[i] else 'floor'}"
+
+        _require(height >= -TOUCH_TOLERANCE_M, waypoints, times_s, tip, say, height)
+
+
+def demands(tip: TipSamples, joints: JointSamples, limits: JointLimits, tip_speed_m_s: float) -> list[Demand]:
+    """How much slower each limit wants the path: speed goes with 1/k, acceleration 1/k^2, jerk 1/k^3.
+
+    Jerk is that within a section; the steps of acceleration at way-points are bounded by the acceleration
+    limit.
+    """
+    found = [Demand("tip speed", np.linalg.norm(tip.velocity_m_s, axis=1) / tip_speed_m_s)]
+    jerk = _jerk(tip, joints.acceleration_rad_s2)
+    for j in range(joints.q_rad.shape[1]):
+        name = f"joint {j + 1}"
+        found += [
+            Demand(f"{name} speed", np.abs(joints.speed_rad_s[:, j]) / limits.speed_rad_s[j]),
+            Demand(
+                f"{name} acceleration",
+                np.sqrt(np.abs(joints.acceleration_rad_s2[:, j]) / limits.acceleration_rad_s2[j]),
+            ),
+            Demand(f"{name} jerk", np.cbrt(np.abs(jerk[:, j]) / limits.jerk_rad_s3[j])),
+        ]
+    return found
+
+
+def _jerk(tip: TipSamples, acceleration: Array) -> Array:
+    """Difference of the acceleration to the next sample of the same section (m, n); zero at each section's
+    end.
+    """
+    jerk = np.zeros_like(acceleration)
+    same = tip.section[1:] == tip.section[:-1]
+    step = np.where(same, np.diff(tip.times_s), 1.0)[:, None]
+    jerk[:-1] = np.where(same[:, None], np.diff(acceleration, axis=0) / step, 0.0)
+    return jerk
+
+
+def _height_over_board(arm: Arm, setup: str, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Height above the board's plane (m,) and whether a point is over the board (m,); without a board:
+    nowhere.
+    """
+    table = arm.table
+    if table is None or not table.known_pose or table.origin_m is None:
+        return np.zeros(len(points)), np.zeros(len(points), dtype=np.bool_)
+    rotation = np.array(tables.board_rotation(table, setup))
+    local = (points - np.array(table.origin_m)) @ rotation
+    cavities = np.array(list(tables.board_cavities(table).values()) or [(0.0, 0.0, 0.0)])
+    radius = np.hypot(cavities[:, 0], cavities[:, 1]).max() + _BOARD_MARGIN_M
+    return local[:, 2], np.hypot(local[:, 0], local[:, 1]) <= radius
+
+
+def _require(
+    is_good: NDArray[np.bool_],
+    waypoints: Waypoints,
+    times_s: Sequence[float],
+    tip: TipSamples,
+    say: Callable[[int], str],
+    margin: Array | None = None,
+) -> None:
+    """Raise PathError for the worst (least margin) or first sample that is not good."""
+    if is_good.all():
+        return
+    worst = int(margin.argmin()) if margin is not None else int((~is_good).argmax())
+    where, number = place(waypoints, times_s, float(tip.times_s[worst]))
+    raise PathError(f"{where}: {say(worst)}; nothing was moved", number)

@@ -1,0 +1,19 @@
+"""What can be wrong with a motion that is asked for; nothing has moved when one of these is raised."""
+
+from control.errors import ArmError
+
+
+class MotionError(ArmError):
+    """A motion that cannot be planned: not finite, out of limits, impossible numbers."""
+
+
+class PathError(MotionError):
+    """A Cartesian path that cannot be run; `waypoint` is 1-based, None where no single one is to blame."""
+
+    def __init__(self, message: str, waypoint: int | None = None) -> None:
+        self.waypoint = waypoint
+        super().__init__(message)
+
+
+class WaypointFileError(PathError):
+    """A way-point file that cannot be read: the message names file, line and column."""

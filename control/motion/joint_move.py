@@ -1,0 +1,186 @@
+"""Joint moves and stops: jerk-limited and time-optimal, by ruckig, calculated once and evaluated every cycle.
+
+ruckig's `intermediate_positions` is never set: the community version sends them to a remote service.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from control.motion.errors import MotionError
+from control.motion.joint_limits import JointLimits
+from control.motion.setpoint import SetPoint, at_rest
+
+if TYPE_CHECKING:
+    import ruckig
+
+# A joint may end a motion beyond its range by rounding only.
+_ROUNDING_RAD = 1e-9
+# Steps of harder braking (acceleration, jerk) where the normal stop would leave a joint's range. The jerk
+# limit spares the gears, so it goes first; three times the acceleration is well inside the reference arm's
+# means (24 Nm at the current limit on about 0.5 kg m^2).
+_HARDER = ((1.0, 1.0), (1.0, 4.0), (1.0, 25.0), (1.5, 100.0), (2.0, 100.0), (3.0, 100.0))
+
+
+class JointMove:
+    """Synchronised move of all joints from a state, at rest or moving, to rest at `q_to_rad`.
+
+    From rest, `speed_fraction` makes the same motion in 1/fraction of the time. From a moving state it
+    lowers the speed limit alone, so that the arm can still brake. A move to where the arm already rests has
+    duration 0.
+
+    Raises:
+        MotionError: not finite, wrong count, a target or the way to it out of the joint limits.
+    """
+
+    __slots__ = ("_end", "_trajectory", "duration_s")
+
+    def __init__(
+        self,
+        start: SetPoint | Sequence[float],
+        q_to_rad: Sequence[float],
+        limits: JointLimits,
+        speed_fraction: float = 1.0,
+    ) -> None:
+        state = start if isinstance(start, SetPoint) else at_rest(tuple(start))
+        target = tuple(float(q) for q in q_to_rad)
+        _require_sane("joint move", state, target, limits)
+        _require_inside(target, limits)
+        is_moving = any(state.speed_rad_s) or any(state.acceleration_rad_s2)
+        means = limits.slower(speed_fraction) if is_moving else limits.scaled(speed_fraction)
+        self._trajectory = _calculate(state, target, means)
+        self._end = at_rest(target)
+        self.duration_s: float = self._trajectory.duration
+        _require_way_inside(_extrema(self._trajectory), state, limits)
+
+    def at(self, time_s: float) -> SetPoint:
+        """Set-point `time_s` after the start, clamped to the motion's time."""
+        if time_s >= self.duration_s:
+            return self._end
+        return _sample(self._trajectory, time_s)
+
+
+class Stop:
+    """Jerk-limited stop of each joint from `state`, each as soon as its limits allow.
+
+    Where the normal stop would leave a joint's range, that joint brakes harder, by the steps of `_HARDER`;
+    where none of them suffices, the hardest remains and `overshoot_rad` (per joint) says what is physically
+    left over.
+    """
+
+    __slots__ = ("_end", "_trajectories", "duration_s", "overshoot_rad")
+
+    def __init__(self, state: SetPoint, limits: JointLimits) -> None:
+        _require_sane("stop", state, state.q_rad, limits)
+        joints = [_stop_one(_one(state, j), _one_limit(limits, j)) for j in range(len(state.q_rad))]
+        self._trajectories = tuple(trajectory for trajectory, _ in joints)
+        self.overshoot_rad = tuple(overshoot for _, overshoot in joints)
+        self.duration_s: float = max(trajectory.duration for trajectory in self._trajectories)
+        ends = (_sample(trajectory, trajectory.duration).q_rad[0] for trajectory in self._trajectories)
+        self._end = at_rest(tuple(ends))
+
+    def at(self, time_s: float) -> SetPoint:
+        """Set-point `time_s` after the start of the stop, clamped to its time."""
+        if time_s >= self.duration_s:
+            return self._end
+        each = [_sample(trajectory, min(time_s, trajectory.duration)) for trajectory in self._trajectories]
+        q, speed, acceleration = (
+            tuple(column[0] for column in columns) for columns in zip(*each, strict=True)
+        )
+        return SetPoint(q, speed, acceleration)
+
+
+def _stop_one(state: SetPoint, limits: JointLimits) -> "tuple[ruckig.Trajectory, float]":
+    """The gentlest stop of one joint that stays in its range, or the hardest one, and its overshoot [rad]."""
+    for acceleration, jerk in _HARDER:
+        trajectory = _calculate(state, None, limits.braking(acceleration, jerk))
+        ((low, high),) = _extrema(trajectory)
+        lower, upper = _range(limits, state, 0)
+        overshoot = max(high - upper, lower - low, 0.0)
+        if overshoot <= _ROUNDING_RAD:
+            return trajectory, 0.0
+    return trajectory, overshoot
+
+
+def _calculate(state: SetPoint, target: tuple[float, ...] | None, limits: JointLimits) -> "ruckig.Trajectory":
+    """Trajectory to rest at `target`, all joints in step; or to rest anywhere where `target` is None."""
+    import ruckig
+
+    count = len(state.q_rad)
+    asked: Any = ruckig.InputParameter(count)
+    asked.current_position, asked.current_velocity = list(state.q_rad), list(state.speed_rad_s)
+    asked.current_acceleration = list(state.acceleration_rad_s2)
+    asked.max_velocity, asked.max_acceleration = list(limits.speed_rad_s), list(limits.acceleration_rad_s2)
+    asked.max_jerk = list(limits.jerk_rad_s3)
+    if target is None:
+        asked.control_interface = ruckig.ControlInterface.Velocity
+        asked.synchronization = ruckig.Synchronization.No
+    else:
+        asked.target_position = list(target)
+        asked.synchronization = ruckig.Synchronization.Phase  # a straight line in joint space where possible
+    trajectory = ruckig.Trajectory(count)
+    result = ruckig.Ruckig(count).calculate(asked, trajectory)
+    if result not in (ruckig.Result.Working, ruckig.Result.Finished):
+        raise MotionError(f"no motion from {state} to {target}: ruckig says {result}")
+    return trajectory
+
+
+def _sample(trajectory: "ruckig.Trajectory", time_s: float) -> SetPoint:
+    q, speed, acceleration = trajectory.at_time(max(time_s, 0.0))
+    return SetPoint(tuple(q), tuple(speed), tuple(acceleration))
+
+
+def _extrema(trajectory: "ruckig.Trajectory") -> list[tuple[float, float]]:
+    """Least and greatest position of each joint on the way [rad]."""
+    return [(bound.min, bound.max) for bound in trajectory.position_extrema]
+
+
+def _range(limits: JointLimits, state: SetPoint, joint: int) -> tuple[float, float]:
+    """A joint's range, reaching as far out as the joint already is (it may always come back)."""
+    here = state.q_rad[joint]
+    return min(limits.lower_rad[joint], here), max(limits.upper_rad[joint], here)
+
+
+def _one(state: SetPoint, joint: int) -> SetPoint:
+    return SetPoint(*((values[joint],) for values in state))
+
+
+def _one_limit(limits: JointLimits, joint: int) -> JointLimits:
+    return JointLimits(
+        (limits.lower_rad[joint],),
+        (limits.upper_rad[joint],),
+        (limits.speed_rad_s[joint],),
+        (limits.acceleration_rad_s2[joint],),
+        (limits.jerk_rad_s3[joint],),
+    )
+
+
+def _require_sane(what: str, state: SetPoint, target: tuple[float, ...], limits: JointLimits) -> None:
+    """Raise MotionError unless all have the limits' number of joints and are finite."""
+    count = len(limits.speed_rad_s)
+    for values in (*state, target):
+        if len(values) != count or not all(map(math.isfinite, values)):
+            raise MotionError(f"{what}: expected {count} finite numbers for angles, speeds ..., got {values}")
+
+
+def _require_inside(target: tuple[float, ...], limits: JointLimits) -> None:
+    """Raise MotionError naming the first joint whose target is out of its range, and by how much."""
+    for joint, (q, low, high) in enumerate(zip(target, limits.lower_rad, limits.upper_rad, strict=True), 1):
+        beyond = max(q - high, low - q)
+        if beyond > _ROUNDING_RAD:
+            raise MotionError(
+                f"joint move: joint {joint} cannot go to {q:.4f} rad, {beyond:.4f} rad outside of its range"
+                f" {low:.4f} .. {high:.4f} rad"
+            )
+
+
+def _require_way_inside(extrema: list[tuple[float, float]], state: SetPoint, limits: JointLimits) -> None:
+    """Raise MotionError where a moving start carries a joint out of its range on the way."""
+    for joint, (low, high) in enumerate(extrema):
+        lower, upper = _range(limits, state, joint)
+        beyond = max(high - upper, lower - low)
+        if beyond > _ROUNDING_RAD:
+            raise MotionError(
+                f"joint move: joint {joint + 1} is so fast that it would leave its range by {beyond:.4f} rad:"
+                " stop first"
+            )

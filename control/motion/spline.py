@@ -1,0 +1,253 @@
+"""Cartesian path of cubic sections: s(t) = a0 + a1 t + a2 t^2 + a3 t^3 (SpringerPlus 5:1771, eq. (3)).
+
+Each section's four coefficients per axis follow from position and velocity at both of its ends. Velocities
+come from speeds along the tangent (speed and direction continuous, acceleration steps at way-points) or are
+chosen so that the acceleration is continuous too; timing.py says how. Evaluation is plain floats: it runs
+every cycle.
+"""
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, pairwise
+from typing import Any
+
+from control.motion import timing
+from control.motion.errors import PathError
+from control.motion.setpoint import Vector
+
+# Where the user gives no speed: slow enough to watch, as fast as the demo's friction is usually identified.
+DEFAULT_PACE_M_S = 0.1
+_REST: Vector = (0.0, 0.0, 0.0)
+_COINCIDENT_M = 1e-6  # closer way-points are one point typed twice; the encoders do not resolve more
+
+
+class CartesianSpline:
+    """Sections of cubics over time; immutable.
+
+    Args:
+        times_s: start of each section and the end of the last, increasing from 0; n + 1 floats.
+        coefficients: per section a0 .. a3 of x, then of y and z [m], [m/s], ...; n tuples of 12 floats.
+    """
+
+    __slots__ = ("_sections", "_starts", "coefficients", "duration_s", "times_s")
+
+    def __init__(self, times_s: Iterable[float], coefficients: Iterable[Iterable[float]]) -> None:
+        self.times_s = tuple(times_s)
+        self.coefficients = tuple(tuple(section) for section in coefficients)
+        self.duration_s = self.times_s[-1]
+        self._starts = self.times_s[:-1]
+        self._sections = tuple(
+            (start, *section) for start, section in zip(self._starts, self.coefficients, strict=True)
+        )
+
+    def at(self, time_s: float) -> tuple[Vector, Vector, Vector]:
+        """Position [m], velocity [m/s] and acceleration [m/s^2] at `time_s`, clamped to the path's time."""
+        if time_s < 0.0:
+            time_s = 0.0
+        elif time_s > self.duration_s:
+            time_s = self.duration_s
+        section = self._sections[bisect_right(self._starts, time_s) - 1]
+        start, x0, x1, x2, x3, y0, y1, y2, y3, z0, z1, z2, z3 = section
+        t = time_s - start
+        x3t, y3t, z3t = 3.0 * x3 * t, 3.0 * y3 * t, 3.0 * z3 * t
+        return (
+            (
+                x0 + t * (x1 + t * (x2 + t * x3)),
+                y0 + t * (y1 + t * (y2 + t * y3)),
+                z0 + t * (z1 + t * (z2 + t * z3)),
+            ),
+            (x1 + t * (2.0 * x2 + x3t), y1 + t * (2.0 * y2 + y3t), z1 + t * (2.0 * z2 + z3t)),
+            (2.0 * (x2 + x3t), 2.0 * (y2 + y3t), 2.0 * (z2 + z3t)),
+        )
+
+    def stretched(self, factor: float) -> "CartesianSpline":
+        """The same path in `factor` times the time: speed / factor, acceleration / factor^2."""
+        powers = (1.0, factor, factor**2, factor**3) * 3
+        scaled = [[a / p for a, p in zip(section, powers, strict=True)] for section in self.coefficients]
+        return CartesianSpline((t * factor for t in self.times_s), scaled)
+
+    def to_message(self) -> dict[str, Any]:
+        """Plain lists, for JSON."""
+        return {
+            "times_s": list(self.times_s),
+            "coefficients": [list(section) for section in self.coefficients],
+        }
+
+    @staticmethod
+    def from_message(message: Mapping[str, Any]) -> "CartesianSpline":
+        """Inverse of `to_message`.
+
+        Raises:
+            PathError: the message is not one, or holds numbers that are no path.
+        """
+        try:
+            times = [float(t) for t in message["times_s"]]
+            coefficients = [[float(a) for a in section] for section in message["coefficients"]]
+        except (KeyError, TypeError, ValueError) as error:
+            raise PathError(
+                f"path message: expected times_s and coefficients as lists of numbers ({error!r})"
+            ) from None
+        is_sound = len(times) == len(coefficients) + 1 > 1 and all(
+            len(section) == 12 for section in coefficients
+        )
+        is_increasing = times[:1] == [0.0] and all(a < b for a, b in pairwise(times))
+        if not (is_sound and is_increasing and all(map(math.isfinite, (times[-1], *chain(*coefficients))))):
+            raise PathError(
+                "path message: expected n + 1 increasing times from 0 and n sections of 12 finite numbers"
+            )
+        return CartesianSpline(times, coefficients)
+
+
+def hermite(
+    points: Sequence[Vector], velocities: Sequence[Vector], times: Sequence[float]
+) -> CartesianSpline:
+    """Sections from positions [m] and velocities [m/s] at their ends (n + 1) and their durations [s] (n)."""
+    starts, coefficients = [0.0], []
+    for i, duration in enumerate(times):
+        section: list[float] = []
+        for p0, p1, v0, v1 in zip(points[i], points[i + 1], velocities[i], velocities[i + 1], strict=True):
+            slope = (p1 - p0) / duration
+            section += (
+                p0,
+                v0,
+                (3.0 * slope - 2.0 * v0 - v1) / duration,
+                (v0 + v1 - 2.0 * slope) / duration**2,
+            )
+        coefficients.append(section)
+        starts.append(starts[-1] + duration)
+    return CartesianSpline(starts, coefficients)
+
+
+@dataclass(frozen=True, slots=True)
+class TimedWaypoints:
+    """Way-points with the speed of the path at each: what a spline is made from, and made slower from.
+
+    `speeds_m_s` at the n + 1 points, after corners and rest; `paces_m_s` of the n sections, see
+    `section_times`. `slowed_corners`: 1-based way-points whose corner does not allow the speed asked for,
+    with the share allowed.
+    """
+
+    points: tuple[Vector, ...]
+    tangents: tuple[Vector, ...]
+    lengths_m: tuple[float, ...]
+    speeds_m_s: tuple[float, ...]
+    paces_m_s: tuple[float, ...]
+    is_acceleration_continuous: bool
+    slowed_corners: tuple[tuple[int, float], ...] = ()
+
+    def spline(self) -> CartesianSpline:
+        """The cubics through the points at these speeds."""
+        times = timing.section_times(self.lengths_m, self.speeds_m_s, self.paces_m_s)
+        velocities: list[Vector] = [
+            (speed * t[0], speed * t[1], speed * t[2])
+            for speed, t in zip(self.speeds_m_s, self.tangents, strict=True)
+        ]
+        if self.is_acceleration_continuous:
+            velocities = timing.continuous_velocities(self.points, times, velocities[0], velocities[-1])
+        return hermite(self.points, velocities, times)
+
+    def slowed(self, factors: Sequence[float]) -> "TimedWaypoints":
+        """Each section takes at least `factors[i]` (>= 1) times as long: the speeds at both of its ends
+        fall.
+        """
+        at_points = [max(pair) for pair in zip((1.0, *factors), (*factors, 1.0), strict=True)]
+        return replace(
+            self,
+            speeds_m_s=tuple(v / k for v, k in zip(self.speeds_m_s, at_points, strict=True)),
+            paces_m_s=tuple(v / k for v, k in zip(self.paces_m_s, factors, strict=True)),
+        )
+
+
+def timed(
+    waypoints: Iterable[Iterable[float]],
+    speeds: float | Sequence[float] | None = None,
+    *,
+    pace_m_s: float = DEFAULT_PACE_M_S,
+    ends_at_rest: bool = True,
+) -> TimedWaypoints:
+    """Way-points (n + 1 of x, y, z [m]) with speeds [m/s]: one for all, one each, or None.
+
+    With None the sections take the time of `pace_m_s`, and the velocities make the acceleration continuous.
+    With `ends_at_rest` the path starts and ends at rest whatever `speeds` says there. Corners lower a speed
+    that would make loops, see timing.py.
+
+    Raises:
+        PathError: fewer than two points, coincident neighbours, not finite, impossible speeds; names the
+        way-point.
+    """
+    points = _checked_points(waypoints)
+    asked = _checked_speeds(len(points), pace_m_s if speeds is None else speeds)
+    # On an acceleration-continuous path the tridiagonal system shapes the corners; the factors only set its
+    # times.
+    factors = timing.corner_factors(points)
+    actual = [speed * factor for speed, factor in zip(asked, factors, strict=True)]
+    if ends_at_rest:
+        actual[0] = actual[-1] = 0.0
+    paces = [max(pair) for pair in pairwise(asked)]
+    for i, pace in enumerate(paces):
+        if pace <= 0.0:
+            raise PathError(
+                f"way-points {i + 1} and {i + 2} both ask for 0 m/s, with no speed for the way between:"
+                " give one of them a speed",
+                i + 1,
+            )
+    tangents = timing.tangents(points)
+    corners = [
+        (i + 1, factors[i]) for i in range(1, len(points) - 1) if factors[i] < 1.0 - 1e-9 and asked[i] > 0.0
+    ]
+    return TimedWaypoints(
+        points=tuple(points),
+        tangents=tuple(tangents),
+        lengths_m=tuple(timing.arc_lengths(points, tangents)),
+        speeds_m_s=tuple(actual),
+        paces_m_s=tuple(paces),
+        is_acceleration_continuous=speeds is None,
+        slowed_corners=() if speeds is None else tuple(corners),
+    )
+
+
+def through(
+    waypoints: Iterable[Iterable[float]],
+    speeds: float | Sequence[float] | None = None,
+    *,
+    pace_m_s: float = DEFAULT_PACE_M_S,
+    ends_at_rest: bool = True,
+) -> CartesianSpline:
+    """The spline through `waypoints`; arguments and errors as `timed`."""
+    return timed(waypoints, speeds, pace_m_s=pace_m_s, ends_at_rest=ends_at_rest).spline()
+
+
+def _checked_points(waypoints: Iterable[Iterable[float]]) -> list[Vector]:
+    """Two or more finite points, no neighbours the same."""
+    points: list[Vector] = []
+    for number, waypoint in enumerate(waypoints, 1):
+        point = tuple(float(value) for value in waypoint)
+        if len(point) != 3 or not all(map(math.isfinite, point)):
+            raise PathError(
+                f"way-point {number}: expected three finite numbers x, y, z in m, got {point}", number
+            )
+        if points and timing.chord(points[-1], (point[0], point[1], point[2]))[1] < _COINCIDENT_M:
+            raise PathError(
+                f"way-points {number - 1} and {number} are the same point {point}: remove one", number
+            )
+        points.append((point[0], point[1], point[2]))
+    if len(points) < 2:
+        raise PathError(f"a path needs at least two way-points, got {len(points)}")
+    return points
+
+
+def _checked_speeds(count: int, speeds: float | Sequence[float]) -> list[float]:
+    """One finite speed per point, none negative."""
+    listed = (
+        [float(speeds)] * count if isinstance(speeds, int | float) else [float(speed) for speed in speeds]
+    )
+    if len(listed) != count:
+        raise PathError(
+            f"expected one speed for all or one for each of the {count} way-points, got {len(listed)}"
+        )
+    for number, speed in enumerate(listed, 1):
+        if not 0.0 <= speed < math.inf:
+            raise PathError(f"way-point {number}: expected a speed of 0 m/s or more, got {speed}", number)
+    return listed

@@ -1,0 +1,137 @@
+"""Way-points from a file, and the ready-made circle and line of the calibration table."""
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from control.errors import MissingModel
+from control.model import table as tables
+from control.model.arm import Table
+from control.motion.errors import WaypointFileError
+from control.motion.setpoint import Vector
+
+POSITION_COLUMNS = ("x_m", "y_m", "z_m")
+SPEED_COLUMN = "speed_m_s"
+# No arm on a table reaches this far; a greater number was meant in millimetres.
+_FARTHEST_M = 10.0
+_FASTEST_M_S = 10.0
+_FOREIGN_UNITS = {"_mm": "metres (column names end in _m)", "_cm": "metres (column names end in _m)"}
+
+
+@dataclass(frozen=True, slots=True)
+class Waypoints:
+    """Points [m] in the base frame, a speed [m/s] each or None, and where each was written (for messages)."""
+
+    points: tuple[Vector, ...]
+    speeds_m_s: tuple[float, ...] | None
+    places: tuple[str, ...] = ()
+
+    def name(self, number: int) -> str:
+        """What errors call way-point `number` (1-based): its number, and file and line where it has one."""
+        place = f" ({self.places[number - 1]})" if self.places else ""
+        return f"way-point {number}{place}"
+
+
+def read_waypoints(path: str | Path) -> Waypoints:
+    """Way-points of a CSV file with columns x_m, y_m, z_m and, optionally, speed_m_s; one path point a line.
+
+    Raises:
+        WaypointFileError: names file, line and column; nothing is read by half.
+    """
+    file = Path(path)
+    try:
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise WaypointFileError(f"{file}: cannot read way-points: {reason}") from None
+    rows = [
+        (number, row) for number, row in enumerate(csv.reader(lines), 1) if any(cell.strip() for cell in row)
+    ]
+    if not rows:
+        raise WaypointFileError(
+            f"{file}: expected a header line {','.join(POSITION_COLUMNS)}, got an empty file"
+        )
+    columns = _checked_header(file, rows[0][0], [cell.strip() for cell in rows[0][1]])
+    values = [_numbers(f"{file}:{number}", columns, row) for number, row in rows[1:]]
+    if len(values) < 2:
+        raise WaypointFileError(f"{file}: a path needs at least two way-points, got {len(values)}")
+    return Waypoints(
+        points=tuple((row["x_m"], row["y_m"], row["z_m"]) for row in values),
+        speeds_m_s=tuple(row[SPEED_COLUMN] for row in values) if SPEED_COLUMN in columns else None,
+        places=tuple(f"{file}:{number}" for number, _ in rows[1:]),
+    )
+
+
+def circle(table: Table, setup: str = "normal", height_m: float = 0.0) -> Waypoints:
+    """Once around the table's circle, from cavity 1 back to it, `height_m` above the board along its
+    normal.
+    """
+    names = tables.circle_names(table)
+    return _above_board(table, setup, [*names, *names[:1]], height_m, "circle")
+
+
+def line(table: Table, setup: str = "normal", height_m: float = 0.0) -> Waypoints:
+    """Along the table's line from its first cavity to its last, `height_m` above the board along its
+    normal.
+    """
+    return _above_board(table, setup, tables.line_names(table), height_m, "line")
+
+
+def _above_board(table: Table, setup: str, names: Sequence[str], height_m: float, what: str) -> Waypoints:
+    """Points above the named cavities."""
+    if not names:
+        raise MissingModel(f"the arm's [table] has no {what}: give its number of points and its size")
+    cavities = tables.board_cavities(table)
+    raised = [(cavities[name][0], cavities[name][1], cavities[name][2] + height_m) for name in names]
+    points = tuple(tables.to_base(table, setup, point) for point in raised)
+    return Waypoints(points, None, tuple(f"cavity {name}" for name in names))
+
+
+def _checked_header(file: Path, number: int, columns: list[str]) -> list[str]:
+    """The columns, or an error about the first that is missing, foreign or doubled."""
+    allowed = (*POSITION_COLUMNS, SPEED_COLUMN)
+    for column in columns:
+        hint = next(
+            (f": write {unit}" for ending, unit in _FOREIGN_UNITS.items() if column.endswith(ending)), ""
+        )
+        if column not in allowed:
+            raise WaypointFileError(
+                f"{file}:{number}: expected columns {', '.join(POSITION_COLUMNS)} and optionally {SPEED_COLUMN},"
+                f' got "{column}"{hint}'
+            )
+        if columns.count(column) > 1:
+            raise WaypointFileError(f"{file}:{number}: column {column} stands there twice")
+    for column in POSITION_COLUMNS:
+        if column not in columns:
+            raise WaypointFileError(f"{file}:{number}: column {column} is missing, got {', '.join(columns)}")
+    return columns
+
+
+def _numbers(place: str, columns: list[str], row: list[str]) -> dict[str, float]:
+    """One line's numbers by column."""
+    if len(row) != len(columns):
+        raise WaypointFileError(f"{place}: expected {len(columns)} values, got {len(row)}")
+    return {column: _number(place, column, text) for column, text in zip(columns, row, strict=True)}
+
+
+def _number(place: str, column: str, text: str) -> float:
+    """A finite number of plausible size."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise WaypointFileError(f'{place}: {column}: expected a finite number, got "{text.strip()}"')
+    if column == SPEED_COLUMN:
+        if not 0.0 <= value <= _FASTEST_M_S:
+            hint = f" (mm/s? then write {value / 1000.0:g})" if value > 0.0 else ""
+            raise WaypointFileError(
+                f"{place}: {column}: expected 0 to {_FASTEST_M_S:g} m/s, got {value:g}{hint}"
+            )
+    elif abs(value) > _FARTHEST_M:
+        raise WaypointFileError(
+            f"{place}: {column}: {value:g} m is out of any arm's reach (millimetres? then write {value / 1000.0:g})"
+        )
+    return value
