@@ -190,7 +190,7 @@ def test_stale_data_are_named_with_their_age_and_limit() -> None:
         board.require_fresh(clock.now_s(), 0.02)
     link.push(send(report(0)))
     board.update()
-    board.require_fresh(clock.now_s() + 0.02, 0.02)
+    board.require_fresh(clock.now_s() + 0.019, 0.02)
     with pytest.raises(BoardSilent, match=r"no report for 0.050 s \(limit 0.020 s\)"):
         board.require_fresh(clock.now_s() + 0.05, 0.02)
 

@@ -1,0 +1,82 @@
+"""Camera frames: golden bytes, what is dropped, and the receiver on a real port."""
+
+from pathlib import Path
+
+import pytest
+
+from firmware_iface.camera import CameraFrame, CameraReceiver, CameraSender, unpack
+from firmware_iface.errors import LinkLost, MisuseError, PortMissing
+
+ROOT = Path(__file__).parents[2]
+FRAME = CameraFrame(7, 12.5, (0.5, -0.25, 0.125))
+
+
+def golden() -> bytes:
+    line = (ROOT / "tests/golden/camera.txt").read_text().splitlines()[-1]
+    return bytes.fromhex(line.split("|")[1])
+
+
+def test_the_golden_frame_packs_and_unpacks_and_is_quoted() -> None:
+    assert FRAME.pack() == golden()
+    assert unpack(golden()) == FRAME
+    assert f"`{golden().hex(' ')}`" in (ROOT / "docs/camera.md").read_text()
+
+
+@pytest.mark.parametrize("is_visible", [True, False])
+@pytest.mark.parametrize(("source", "sequence"), [(0, 0), (65535, 2**32 - 1)])
+def test_frames_survive(is_visible: bool, source: int, sequence: int) -> None:
+    frame = CameraFrame(sequence, 1e9, (1.0, 2.0, 3.0), is_visible, source)
+    assert unpack(frame.pack()) == frame
+
+
+@pytest.mark.parametrize(
+    "datagram",
+    [
+        b"",
+        golden()[:-1],
+        golden() + b"\x00",
+        b"AWCN" + golden()[4:],
+        golden()[:4] + b"\x02" + golden()[5:],
+        golden()[:5] + b"\x03" + golden()[6:],
+        golden()[:20] + b"\x00\x00\x00\x00\x00\x00\xf8\x7f" + golden()[28:],
+    ],
+)
+def test_what_is_no_frame_is_dropped(datagram: bytes) -> None:
+    assert unpack(datagram) is None
+
+
+@pytest.mark.parametrize(
+    "frame", [CameraFrame(0, float("nan"), (0.0, 0.0, 0.0)), CameraFrame(-1, 0.0, (0.0, 0.0, 0.0))]
+)
+def test_a_frame_that_cannot_be_written_is_our_misuse(frame: CameraFrame) -> None:
+    with pytest.raises(MisuseError):
+        frame.pack()
+
+
+def test_the_receiver_gives_all_frames_and_counts_noise() -> None:
+    receiver = CameraReceiver(port=0)
+    sender = CameraSender(receiver.port)
+    assert receiver.receive() == []
+    sender.send_frame(FRAME)
+    sender._socket.sendto(b"noise", ("127.0.0.1", receiver.port))
+    sender.send_frame(FRAME)
+    frames: list[CameraFrame] = []
+    for _ in range(100_000):
+        frames += receiver.receive()
+        if len(frames) == 2:
+            break
+    assert frames == [FRAME, FRAME]
+    assert receiver.rejected == 1
+    sender.close()
+    receiver.close()
+    with pytest.raises(LinkLost):
+        receiver.receive()
+
+
+def test_a_port_that_is_taken_is_one_message() -> None:
+    receiver = CameraReceiver(port=0)
+    with pytest.raises(PortMissing, match=f"UDP port {receiver.port} .*choose another port"):
+        CameraReceiver(port=receiver.port)
+    receiver.close()
+    with pytest.raises(PortMissing):
+        CameraReceiver(port=70_000)
