@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 Scalar = Any  # float, numpy array or Symbol: what a generic function computes with
+_FUNCTIONS: Final = frozenset({"sin", "cos", "sqrt", "acos", "atan2"})
 _EXACT_ANGLE: Final = 1e-15  # rad; the double nearest to pi/2 is 6e-17 off, the one nearest to 2 pi 2.5e-16
 
 
@@ -33,6 +34,29 @@ def cos(x: Scalar) -> Scalar:
     if isinstance(x, float | int):
         return _exact_sin(x, 1)
     return np.cos(x)
+
+
+def sqrt(x: Scalar) -> Scalar:
+    """Square root of a float, an array or a symbol."""
+    return _called("sqrt", x)
+
+
+def acos(x: Scalar) -> Scalar:
+    """Arc cosine of a float, an array or a symbol."""
+    return _called("acos", x)
+
+
+def atan2(y: Scalar, x: Scalar) -> Scalar:
+    """Angle of (x, y), of floats, arrays or symbols."""
+    return _called("atan2", y, x)
+
+
+def _called(function: str, *arguments: Scalar) -> Scalar:
+    for argument in arguments:
+        if isinstance(argument, Symbol):
+            return argument.graph.call(function, arguments)
+    is_batch = any(isinstance(argument, np.ndarray) for argument in arguments)
+    return getattr(np if is_batch else math, function)(*arguments)
 
 
 def quarter_turns(angle_rad: float) -> int | None:
@@ -179,6 +203,10 @@ class Graph:
         value = self.trigonometric(function, rest)
         return -value if turned % 4 == 2 else value
 
+    def call(self, function: str, arguments: tuple[Scalar, ...]) -> Symbol:
+        """Return the value of a function of the library; it has no derivative here."""
+        return self._node(function, arguments)
+
     def _node(self, operation: str, arguments: tuple[Any, ...], name: str = "") -> Symbol:
         key = (operation, *map(_key, arguments), name)
         node = self._nodes.get(key)
@@ -241,7 +269,11 @@ def _rule(node: Symbol, d: list[Scalar]) -> Scalar:
         return d[0] * a[1] + a[0] * d[1]
     if node.operation == "/":
         return (d[0] - node * d[1]) / a[1]
-    return cos(a[0]) * d[0] if node.operation == "sin" else -sin(a[0]) * d[0]
+    if node.operation == "sin":
+        return cos(a[0]) * d[0]
+    if node.operation == "cos":
+        return -sin(a[0]) * d[0]
+    raise NotImplementedError(f"no derivative of {node.operation}")
 
 
 def _in_order(outputs: Sequence[Scalar]) -> Iterator[Symbol]:
@@ -268,7 +300,7 @@ def compile_function(
     scalars, numpy for arrays.
     """
     source = function_source(name, inputs, outputs)
-    scope: dict[str, Any] = {"_sin": library.sin, "_cos": library.cos}
+    scope: dict[str, Any] = {f"_{function}": getattr(library, function) for function in _FUNCTIONS}
     exec(compile(source, f"<traced {name}>", "exec"), scope)  # the source is our own, from numbers and names
     function: Callable[..., Any] = scope[name]
     return function
@@ -279,7 +311,9 @@ def function_source(name: str, inputs: Sequence[Symbol | Sequence[Symbol]], outp
     flat = list(_flat(outputs))
     uses = _uses(flat)
     text: dict[int, str] = {}
-    lines = [f"def {name}({', '.join([*_parameters(inputs), 'sin=_sin', 'cos=_cos'])}):"]
+    used = sorted({node.operation for node in _in_order(flat)} & _FUNCTIONS)
+    bound = [f"{function}=_{function}" for function in used]  # a local is found faster than a global
+    lines = [f"def {name}({', '.join([*_parameters(inputs), *bound])}):"]
     lines += [
         f"    {', '.join(s.name for s in group)}, = a{i}"
         for i, group in enumerate(inputs)
@@ -323,8 +357,8 @@ def _expression(node: Symbol, text: dict[int, str]) -> str:
     operands = [text[a.number] if isinstance(a, Symbol) else repr(float(a)) for a in node.arguments]
     if node.operation == "variable":
         return node.name
-    if node.operation in ("sin", "cos"):
-        return f"{node.operation}({operands[0]})"
+    if node.operation in _FUNCTIONS:
+        return f"{node.operation}({', '.join(operands)})"
     if node.operation == "negate":
         return f"(-{operands[0]})"
     return f"({operands[0]} {node.operation} {operands[1]})"

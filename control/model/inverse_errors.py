@@ -1,0 +1,46 @@
+"""The words for a target that an arm cannot take."""
+
+import math
+from collections.abc import Sequence
+
+from control.errors import BadTarget, NearSingular, OutOfReach
+from control.model.arm import Vector3
+
+
+def checked_point(point: Sequence[float]) -> Vector3:
+    """Return a point as three finite floats, or raise BadTarget."""
+    if len(point) != 3 or not all(map(math.isfinite, point)):
+        raise BadTarget(f"target: expected three finite coordinates in m, got {list(point)}")
+    x, y, z = map(float, point)
+    return x, y, z
+
+
+def spelled(point: Sequence[float]) -> str:
+    """Return a point as a message shows it."""
+    return f"({', '.join(f'{coordinate:.4f}' for coordinate in point)}) m"
+
+
+def out_of_reach(name: str, point: Sequence[float], distance_m: float) -> OutOfReach:
+    """Return the error for a point that lies `distance_m` outside."""
+    message = f"arm {name}: {spelled(point)} is out of reach by {distance_m:.4f} m; choose a point nearer to the arm"
+    return OutOfReach(message, distance_m)
+
+
+def near_singular(
+    name: str, point: Sequence[float], which: str, margin: float, limit: float, unit: str, pose: str
+) -> NearSingular:
+    """Return the error for a point that needs a pose `margin` from singular."""
+    message = (
+        f"arm {name}: {spelled(point)} is near-singular: the {which} would be {margin:.4f} {unit} from {pose} "
+        f"(at least {limit} {unit} are needed); choose a point further from there"
+    )
+    return NearSingular(message, which, margin, limit, unit)
+
+
+def jump(name: str, point: Sequence[float], travel_rad: float, limit_rad: float) -> NearSingular:
+    """Return the error for a step of a path that no small motion of the joints follows."""
+    message = (
+        f"arm {name}: to follow the path to {spelled(point)} a joint would jump by {travel_rad:.2f} rad (limit "
+        f"{limit_rad} rad): the path passes a singular pose, or its points are too far apart"
+    )
+    return NearSingular(message, "arm", travel_rad, limit_rad, "rad")

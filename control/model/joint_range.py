@@ -1,0 +1,86 @@
+"""Joint limits: which whole turns bring an angle inside, and by how much a pose is outside."""
+
+import math
+from collections.abc import Sequence
+from math import pi
+from operator import le
+
+from control.errors import BadTarget, JointLimitViolated
+from control.model.arm import Arm
+
+_SLACK_RAD = 1e-9  # rounding of a pose that lies on its limit is no violation
+_TURN = 2.0 * pi
+
+
+class JointRange:
+    """The ranges of an arm's joints; infinite where its file gives none."""
+
+    __slots__ = ("_lower", "_name", "_upper", "limits")
+
+    def __init__(self, arm: Arm) -> None:
+        self._name = arm.name
+        self.limits = arm.limits_rad
+        self._lower = tuple(lower - _SLACK_RAD for lower, _ in self.limits)
+        self._upper = tuple(upper + _SLACK_RAD for _, upper in self.limits)
+
+    def excess_rad(self, q: Sequence[float]) -> float:
+        """Return how far the worst joint is beyond its limit, negative inside."""
+        return max(max(lower - a, a - upper) for a, (lower, upper) in zip(q, self.limits, strict=True))
+
+    def is_inside(self, q: Sequence[float]) -> bool:
+        """Whether every joint is within its limits."""
+        return all(map(le, self._lower, q)) and all(map(le, q, self._upper))
+
+    def check(self, q: Sequence[float], purpose: str) -> None:
+        """Raise JointLimitViolated for the first joint outside; `purpose` says what it would be there for."""
+        if self.is_inside(q):
+            return
+        for joint, (angle, (lower, upper)) in enumerate(zip(q, self.limits, strict=True), start=1):
+            excess_rad = max(lower - angle, angle - upper)
+            if excess_rad > _SLACK_RAD:
+                message = (
+                    f"arm {self._name}: joint {joint} would have to be at {angle:.4f} rad {purpose}: "
+                    f"{excess_rad:.4f} rad beyond its limits, {lower} to {upper} rad"
+                )
+                raise JointLimitViolated(message, joint, excess_rad)
+
+    def check_pose(self, q: Sequence[float]) -> None:
+        """Raise BadTarget unless q is a finite angle for every joint."""
+        if len(q) != len(self.limits) or not all(map(math.isfinite, q)):
+            expected = f"expected {len(self.limits)} finite joint angles"
+            raise BadTarget(f"arm {self._name}: {expected}, got {list(q)}")
+
+    def inside_by_turns(self, q: Sequence[float]) -> tuple[float, ...]:
+        """Return q with the whole turns that bring each angle nearest to the middle of its range."""
+        return tuple(_centred(a, *limits) for a, limits in zip(q, self.limits, strict=True))
+
+    def toward(self, q: Sequence[float], q_near: Sequence[float]) -> tuple[float, ...]:
+        """Return q with the whole turns that bring it nearest to `q_near` where that is within the limits."""
+        turned = turned_toward(q, q_near)
+        return tuple(
+            near if lower <= near <= upper else given
+            for near, given, lower, upper in zip(turned, q, self._lower, self._upper, strict=True)
+        )
+
+
+def turned_toward(q: Sequence[float], q_near: Sequence[float]) -> tuple[float, ...]:
+    """Return q with the whole turns that bring each angle nearest to that of `q_near`."""
+    return tuple(
+        [
+            a if -pi < a - b <= pi or a != a else a - _TURN * round((a - b) / _TURN)
+            for a, b in zip(q, q_near, strict=True)
+        ]
+    )
+
+
+def travel_rad(q: Sequence[float], q_from: Sequence[float]) -> float:
+    """Return the largest joint travel between two poses."""
+    return max([abs(a - b) for a, b in zip(q, q_from, strict=True)])
+
+
+def _centred(angle: float, lower: float, upper: float) -> float:
+    if lower <= angle <= upper and upper - lower < _TURN:
+        return angle
+    is_bounded = math.isfinite(lower) and math.isfinite(upper)
+    middle = 0.5 * (lower + upper) if is_bounded else min(max(0.0, lower), upper)
+    return angle - _TURN * round((angle - middle) / _TURN)
