@@ -1,0 +1,109 @@
+"""Plant, boards and camera of a mock arm, built from arm.toml and a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from control.model.description import Arm
+from hil_mocks.devices.camera import CameraMock, CameraSetup
+from hil_mocks.devices.encoder_board import EncoderBoardMock, EncoderBoardSetup
+from hil_mocks.devices.motor_board import MotorBoardMock, MotorBoardSetup
+from hil_mocks.plant.effects import EffectEntry, PlantEffects, deviations, gather
+from hil_mocks.plant.parts import parts_of
+from hil_mocks.plant.plant import Plant, PlantOptions
+from hil_mocks.scenario import Scenario
+from hil_mocks.wiring import ENCODER_BOARD_SERIAL, JointWiring
+
+_MOTOR_BOARD_RATING_mA = 20_000
+_CAMERA_NOISE_M = 0.00014  # where neither scenario nor arm.toml says: 0.28 mm at 95 %
+
+
+def effects_of(arm: Arm, scenario: Scenario) -> PlantEffects:
+    """Effects of the real arm: those of arm.toml, then the scenario's in their place, then its hidden DH deviations."""
+    where = f"scenario {scenario.path or scenario.name}"
+    known = (
+        [EffectEntry(e.effect, e.joint or 0, e.parameters) for e in arm.effects]
+        if scenario.plant.arm_effects
+        else []
+    )
+    hidden = [EffectEntry(e.effect, e.joint, e.parameters) for e in scenario.effect]
+    drawn = scenario.drawn_deviations(len(arm.links))
+    deviations(drawn, len(arm.links), f"{where}: [true_dh.deviations]")
+    if drawn:
+        hidden.append(EffectEntry("link_geometry", 0, drawn))
+    return gather([*known, *hidden], len(arm.drives), len(arm.links), where)
+
+
+def start_pose(arm: Arm, scenario: Scenario) -> tuple[float, ...]:
+    """The scenario's pose at power-up, else the rest pose of arm.toml, else all zero."""
+    if scenario.start.q_rad is not None:
+        return scenario.start.q_rad
+    return tuple(arm.rest.q_rad) if arm.rest is not None else (0.0,) * len(arm.drives)
+
+
+def build_plant(arm: Arm, scenario: Scenario) -> Plant:
+    """The physics."""
+    options = PlantOptions(
+        timestep_s=scenario.plant.timestep_s,
+        link_share=scenario.plant.link_share,
+        end_stop_margin_rad=scenario.plant.end_stop_margin_rad,
+        hand_speed_m_s=scenario.hand.speed_m_s,
+        seating_noise_m=scenario.hand.seating_noise_m,
+        seed=scenario.seed,
+    )
+    return Plant(parts_of(arm), effects_of(arm, scenario), start_pose(arm, scenario), options)
+
+
+def build_encoder_boards(
+    arm: Arm, scenario: Scenario, wiring: Sequence[JointWiring]
+) -> list[EncoderBoardMock]:
+    """One board for each that a drive names, in order."""
+    boards = []
+    for i in range(1 + max(w.encoder_board for w in wiring)):
+        on_it = {w.encoder_channel: w for w in wiring if w.encoder_board == i}
+        channels = [on_it.get(at) for at in range(1 + max(on_it, default=0))]
+        port = arm.encoder_boards[i] if i < len(arm.encoder_boards) else None
+        setup = EncoderBoardSetup(
+            serial_number=(port.serial_number if port else None) or ENCODER_BOARD_SERIAL + i,
+            counts_per_turn=tuple(w.counts_per_turn if w else 4096 for w in channels),
+            encoder_bits=arm.drives[0].encoder_bits,
+            baud=port.baud if port else 1_000_000,
+            clock_ppm=scenario.encoder_board.clock_ppm,
+        )
+        boards.append(EncoderBoardMock(setup, [w.index_count() if w else 0 for w in channels]))
+    return boards
+
+
+def build_motor_board(
+    wiring: JointWiring, scenario: Scenario, read_shaft: Callable[[], int]
+) -> MotorBoardMock:
+    """The board of one joint; `read_shaft` is its encoder input."""
+    table = scenario.motor_board
+    setup = MotorBoardSetup(
+        node=wiring.motor_node,
+        serial_number=wiring.motor_serial_number,
+        counts_per_turn=wiring.counts_per_turn,
+        rating_mA=_MOTOR_BOARD_RATING_mA,
+        current_noise_A=table.current_noise_A,
+        current_step_A=table.current_step_A,
+        supply_noise_V=table.supply_noise_V,
+        ambient_degC=table.ambient_degC,
+        thermal_K_W=table.thermal_K_W,
+        thermal_time_s=table.thermal_time_s,
+        bridge_ohm=table.bridge_ohm,
+        rated_degC=table.rated_degC,
+        period_us=min(1000, round(scenario.tick_s * 1e6)),
+        seed=scenario.seed,
+    )
+    return MotorBoardMock(setup, read_shaft)
+
+
+def build_camera(arm: Arm, scenario: Scenario) -> CameraMock:
+    """The camera; its noise is the scenario's, else that of arm.toml."""
+    table = scenario.camera
+    noise_m = table.noise_m
+    if noise_m is None:
+        noise_m = arm.camera.position_noise_m if arm.camera is not None else _CAMERA_NOISE_M
+    return CameraMock(
+        CameraSetup(table.rate_Hz, noise_m, table.latency_s, table.dropout, table.clock_ppm, scenario.seed)
+    )

@@ -1,0 +1,358 @@
+"""The DC-motor board: states, modes, position PID, watchdog, faults; written from docs/motor_board.md.
+
+A state machine without I/O: `receive` frames, `tick` once a control period with what the board measures, and read `output`.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from hil_mocks.devices import motor_parameters as parameter
+from hil_mocks.devices.motor_states import NEXT, State, Word, word_of
+
+COMMAND, REPLY, REQUEST, ANSWER = 0x100, 0x180, 0x200, 0x280
+OVER_CURRENT, OVER_TEMPERATURE, UNDER_VOLTAGE, OVER_VOLTAGE = 1, 2, 4, 8
+WATCHDOG, ENCODER, BAD_COMMAND, EMERGENCY_STOP = 16, 32, 64, 128
+
+_COMMAND = struct.Struct("<BBih")
+_REPLY = struct.Struct("<BBhHbB")
+_REQUEST = struct.Struct("<BBBBi")
+_LOWEST_SUPPLY_V, _HIGHEST_SUPPLY_V = 9.0, 50.0
+_OVER_CURRENT_RATIO = 1.5
+_NOISE_VALUES = 4096  # drawn once: one draw a reply would cost as much as the rest of it
+_WARM_UP_EVERY_S = 0.05
+_VOLTAGE_ENABLED, _WARNING = 0x10, 0x80
+
+Frame = tuple[int, bytes]
+
+
+class Output(NamedTuple):
+    """What the bridge does: `kind` is open, voltage (V; 0 brakes) or current (A)."""
+
+    kind: str
+    value: float
+
+
+OPEN, BRAKE = Output("open", 0.0), Output("voltage", 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class MotorBoardSetup:
+    """What the board is: identity, ratings, noise of its measurements, thermal path of its power stage."""
+
+    node: int
+    serial_number: int
+    counts_per_turn: int
+    rating_mA: int = 8000
+    firmware: int = 0x0100
+    protocol: int = 1
+    current_noise_A: float = 0.0
+    current_step_A: float = 0.001
+    supply_noise_V: float = 0.0
+    ambient_degC: float = 25.0
+    thermal_K_W: float = 2.0
+    thermal_time_s: float = 60.0
+    bridge_ohm: float = 0.02
+    rated_degC: float = 90.0
+    period_us: int = 1000
+    seed: int = 0
+
+
+class MotorBoardMock:
+    """One board of a joint. `read_shaft` gives the edges that its encoder input has seen, without wrap."""
+
+    def __init__(self, setup: MotorBoardSetup, read_shaft: Callable[[], int]) -> None:
+        self.setup = setup
+        self._read_shaft = read_shaft
+        self._rows = parameter.writable(setup.rating_mA)
+        source = random.Random(f"motor board {setup.node} {setup.seed}")
+        self._noise = [source.gauss(0.0, 1.0) for _ in range(_NOISE_VALUES)]
+        self._replies = 0
+        self.forced_faults = 0  # causes that last, set by a fault of the scenario
+        self.power_up()
+
+    def power_up(self) -> None:
+        """As after power-up or reset: outputs open, parameters at their defaults, count 0."""
+        self.state = State.NOT_READY
+        self.output = OPEN
+        self.faults = 0
+        self.values = {index: row.at_power_up for index, row in self._rows.items()}
+        self._take_values()
+        self._current_A = self._mean_A = 0.0
+        self._supply_V = 24.0
+        self._is_limited = False  # the bridge was at a limit
+        self._count_offset = self._count_before = self._read_shaft()
+        self._before = 0x80
+        self._mode = self._setpoint = self._feedforward_mV = 0
+        self._integral_mV = self._speed = 0.0
+        self._holds = False  # the position, since the watchdog expired
+        self._last_command_s = 0.0
+        self._over_current_ticks = 0
+        self._above_ambient_K = self._heat_A2s = self._heated_s = 0.0
+        self._temperature_degC = round(self.setup.ambient_degC)
+        self._is_cut = False  # the set-point was beyond a limit
+        self._last_tick_s: float | None = None
+
+    @property
+    def position_count(self) -> int:
+        """The board's own count of the motor's encoder, 32 bits, wrapping."""
+        return _wrapped(self._read_shaft() - self._count_offset)
+
+    def receive(self, can_id: int, payload: bytes, now_s: float) -> list[Frame]:
+        """A frame from the bus and what the board sends at once."""
+        if can_id == 0:
+            self._fault(EMERGENCY_STOP)
+            return []
+        if len(payload) != 8:
+            return []
+        if can_id == COMMAND + self.setup.node:
+            return [(REPLY + self.setup.node, self._command(payload, now_s))]
+        if can_id == REQUEST + self.setup.node:
+            return [(ANSWER + self.setup.node, self._parameter(payload))]
+        return []
+
+    def tick(self, now_s: float, current_A: float, supply_V: float, is_limited: bool) -> list[Frame]:
+        """One control period: measure, watch, control. Returns what the board sends unasked."""
+        self._mean_A = 0.5 * (self._current_A + current_A)
+        self._current_A, self._supply_V, self._is_limited = current_A, supply_V, is_limited
+        step_s = self.setup.period_us * 1e-6 if self._last_tick_s is None else now_s - self._last_tick_s
+        self._last_tick_s = now_s
+        self._heat_A2s += current_A * current_A * step_s
+        self._heated_s += step_s
+        if self._heated_s > _WARM_UP_EVERY_S:
+            self._warm_up()
+        state = self.state
+        if state is State.NOT_READY:
+            self.state = State.SWITCH_ON_DISABLED
+            self._apply()
+            return [(ANSWER + self.setup.node, _REQUEST.pack(0, 0, 0, 0, self.setup.protocol))]
+        if state is State.FAULT_REACTION:
+            self.state = State.FAULT
+        elif state is State.ENABLED and now_s - self._last_command_s > self._watchdog_s:
+            self._expire()
+        if (
+            self.forced_faults
+            or not -self._trip_A <= current_A <= self._trip_A
+            or not _LOWEST_SUPPLY_V <= supply_V <= _HIGHEST_SUPPLY_V
+            or self._above_ambient_K > self.setup.rated_degC - self.setup.ambient_degC
+        ):
+            causes = self._causes()
+            if causes & ~self.faults:
+                self._fault(causes)
+        else:
+            self._over_current_ticks = 0
+        if (self._mode == 3 and self.state is State.ENABLED) or self._holds:
+            self._control(step_s)
+        return []
+
+    def _causes(self) -> int:
+        """Faults whose cause is there now; an over-current needs a period to count."""
+        causes = self.forced_faults
+        if abs(self._current_A) > self._trip_A:
+            self._over_current_ticks += 1
+            if self._over_current_ticks > 1:
+                causes |= OVER_CURRENT
+        if self._above_ambient_K > self.setup.rated_degC - self.setup.ambient_degC:
+            causes |= OVER_TEMPERATURE
+        if self._supply_V < _LOWEST_SUPPLY_V and self.state is State.ENABLED:
+            causes |= UNDER_VOLTAGE
+        if self._supply_V > _HIGHEST_SUPPLY_V:
+            causes |= OVER_VOLTAGE
+        return causes
+
+    def _take_values(self) -> None:
+        """What each period needs of the parameters."""
+        values = self.values
+        self.current_limit_A = values[parameter.CURRENT_LIMIT_MA] * 1e-3  # kept by the bridge in every mode
+        self._trip_A = _OVER_CURRENT_RATIO * self.current_limit_A
+        self._voltage_limit_mV = float(values[parameter.VOLTAGE_LIMIT_MV])
+        watchdog_ms = values[parameter.WATCHDOG_MS]
+        self._watchdog_s = watchdog_ms * 1e-3 - 1e-9 if watchdog_ms else math.inf
+
+    def _fault(self, bits: int) -> None:
+        first = self.state not in (State.FAULT, State.FAULT_REACTION)
+        self.faults |= bits
+        if first or bits & EMERGENCY_STOP:
+            self.state = State.FAULT_REACTION
+        if bits & OVER_CURRENT:
+            self._holds, self.output = False, OPEN
+        elif (bits & EMERGENCY_STOP and not self.faults & OVER_CURRENT) or first:
+            self._holds, self.output = False, BRAKE
+
+    def _expire(self) -> None:
+        """The watchdog: its action, then FAULT that keeps it."""
+        action = self.values[parameter.WATCHDOG_ACTION]
+        self._fault(WATCHDOG)
+        if action == 0:
+            self.output = OPEN
+        elif action == 2 and self.values[parameter.KP] > 0:
+            self._holds = True
+            self._setpoint, self._feedforward_mV, self._integral_mV = self.position_count, 0, 0.0
+            self._count_before, self._speed = self._read_shaft(), 0.0
+        # else: brake, which every fault begins with
+
+    def _command(self, payload: bytes, now_s: float) -> bytes:
+        controlword, mode_and_sequence, setpoint, feedforward_mV = _COMMAND.unpack(payload)
+        self._last_command_s = now_s
+        mode = mode_and_sequence & 7
+        if mode > 3:
+            self._before = controlword
+            if self.state is not State.NOT_READY:
+                self._fault(BAD_COMMAND)
+            return self._reply(mode_and_sequence)
+        if controlword != 0x0F or self.state is not State.ENABLED or self._before != 0x0F:
+            self._transition(controlword)
+        if self.state is State.ENABLED:
+            if mode != self._mode:
+                self._integral_mV = self._speed = 0.0
+                self._count_before = self._read_shaft()
+            self._mode, self._setpoint, self._feedforward_mV = mode, setpoint, feedforward_mV
+            self._apply()
+        return self._reply(mode_and_sequence)
+
+    def _transition(self, controlword: int) -> None:
+        word = word_of(controlword, self._before)
+        self._before = controlword
+        new = NEXT.get((self.state, word))
+        if new is None:
+            return
+        if word is Word.FAULT_RESET:
+            lasting = self._causes()
+            self.faults = lasting
+            if lasting:
+                return
+            self._holds = False
+        if new is State.ENABLED:
+            self._integral_mV, self._speed = 0.0, 0.0
+            self._count_before = self._read_shaft()
+        self.state = new
+        self._mode = 0
+        self._apply()
+
+    def _apply(self) -> None:
+        """The output of the state and mode; position mode gets its own at the next tick, so it computes one now."""
+        self._is_cut = False
+        if self.state is State.ENABLED:
+            if self._mode == 0:
+                self.output = OPEN
+            elif self._mode == 1:
+                self.output = Output("voltage", self._clamped_mV(self._setpoint) * 1e-3)
+            elif self._mode == 2:
+                limit_A, wanted_A = self.current_limit_A, self._setpoint * 1e-3
+                self._is_cut = abs(wanted_A) > limit_A
+                self.output = Output("current", min(max(wanted_A, -limit_A), limit_A))
+            else:
+                self._control(0.0)
+        elif self.state is State.QUICK_STOP:
+            self.output = BRAKE
+        elif self.state not in (State.FAULT, State.FAULT_REACTION):
+            self.output = BRAKE if self.values[parameter.DISABLED_OUTPUT] else OPEN
+
+    def _control(self, step_s: float) -> None:
+        """Position PID on the board's own count; derivative on the measurement, integral clamped (conditional)."""
+        values = self.values
+        shaft_count = self._read_shaft()
+        error = _wrapped(self._setpoint - shaft_count + self._count_offset)
+        if step_s > 0.0:
+            rate = (shaft_count - self._count_before) / step_s
+            self._count_before = shaft_count
+            filter_s = values[parameter.DERIVATIVE_FILTER_US] * 1e-6
+            self._speed += (rate - self._speed) * step_s / (step_s + filter_s)
+        wanted_mV = (
+            values[parameter.KP] * 1e-3 * error
+            + self._integral_mV
+            - values[parameter.KD] * 1e-6 * self._speed
+            + self._feedforward_mV
+        )
+        output_mV = self._clamped_mV(wanted_mV)
+        change_mV = values[parameter.KI] * 1e-3 * error * step_s
+        if (wanted_mV - output_mV) * change_mV <= 0.0:
+            limit_mV = float(values[parameter.INTEGRAL_LIMIT_MV])
+            self._integral_mV = min(max(self._integral_mV + change_mV, -limit_mV), limit_mV)
+        self.output = Output("voltage", output_mV * 1e-3)
+
+    def _clamped_mV(self, wanted_mV: float) -> float:
+        limit_mV = self._voltage_limit_mV
+        if limit_mV > self._supply_V * 1e3:
+            limit_mV = self._supply_V * 1e3
+        self._is_cut = not -limit_mV <= wanted_mV <= limit_mV
+        if self._is_cut:
+            return limit_mV if wanted_mV > 0.0 else -limit_mV
+        return wanted_mV
+
+    def _warm_up(self) -> None:
+        """First-order power stage: R_th (R_bridge mean(i^2)) is where its temperature goes."""
+        setup = self.setup
+        final_K = setup.thermal_K_W * setup.bridge_ohm * self._heat_A2s / self._heated_s
+        self._above_ambient_K += (final_K - self._above_ambient_K) * min(
+            1.0, self._heated_s / setup.thermal_time_s
+        )
+        self._heat_A2s = self._heated_s = 0.0
+        self._temperature_degC = min(round(setup.ambient_degC + self._above_ambient_K), 127)
+
+    def _reply(self, mode_and_sequence: int) -> bytes:
+        setup, noise, at = self.setup, self._noise, self._replies
+        self._replies = (at + 2) % _NOISE_VALUES
+        status, supply_V = self.state.value, self._supply_V
+        if _LOWEST_SUPPLY_V <= supply_V <= _HIGHEST_SUPPLY_V:
+            status |= _VOLTAGE_ENABLED
+        if self._is_limited or self._is_cut:
+            status |= _WARNING
+        steps = round((self._mean_A + setup.current_noise_A * noise[at]) / setup.current_step_A)
+        current_mA = round(steps * setup.current_step_A * 1e3)
+        supply_mV = round((supply_V + setup.supply_noise_V * noise[at + 1]) * 1e3)
+        if not -32767 <= current_mA <= 32767:
+            current_mA = 32767 if current_mA > 0 else -32767
+        return _REPLY.pack(
+            status, mode_and_sequence, current_mA, max(supply_mV, 0), self._temperature_degC, self.faults
+        )
+
+    def _parameter(self, payload: bytes) -> bytes:
+        operation, index, sequence, _, value = _REQUEST.unpack(payload)
+        result = parameter.DONE
+        if operation == 1:
+            result = self._write(index, value)
+        elif operation != 0:
+            result = parameter.OUT_OF_RANGE
+        known = self._read(index)
+        if known is None:
+            result = parameter.UNKNOWN_INDEX
+        return _REQUEST.pack(result, index, sequence, 0, _wrapped(known or 0))
+
+    def _read(self, index: int) -> int | None:
+        setup = self.setup
+        fixed = {
+            0: setup.protocol,
+            1: setup.serial_number,
+            2: setup.firmware,
+            3: setup.counts_per_turn,
+            5: setup.period_us,
+        }
+        if index == parameter.POSITION_COUNT:
+            return self.position_count
+        return fixed.get(index, self.values.get(index))
+
+    def _write(self, index: int, value: int) -> int:
+        result = parameter.refusal(self._rows, index, value)
+        if result != parameter.DONE:
+            return result
+        if self.state not in (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON):
+            return parameter.NOT_IN_THIS_STATE
+        if index == parameter.WATCHDOG_MS and value == 0 and self.state is not State.SWITCH_ON_DISABLED:
+            return parameter.NOT_IN_THIS_STATE
+        if index == parameter.POSITION_COUNT:
+            self._count_offset = self._read_shaft() - value
+        else:
+            self.values[index] = value
+            self._take_values()
+        self._apply()
+        return parameter.DONE
+
+
+def _wrapped(value: int) -> int:
+    return (value + 0x80000000 & 0xFFFFFFFF) - 0x80000000

@@ -1,0 +1,48 @@
+"""The parameters of the motor board by index: name, range, access, value at power-up (docs/motor_board.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+_I32 = (-(1 << 31), (1 << 31) - 1)
+DONE, UNKNOWN_INDEX, READ_ONLY, OUT_OF_RANGE, NOT_IN_THIS_STATE = 0, 1, 2, 3, 4
+
+POSITION_COUNT, KP, KI, KD, DERIVATIVE_FILTER_US = 4, 16, 17, 18, 19
+CURRENT_LIMIT_MA, VOLTAGE_LIMIT_MV, INTEGRAL_LIMIT_MV = 20, 21, 22
+WATCHDOG_MS, WATCHDOG_ACTION, DISABLED_OUTPUT = 32, 33, 34
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One writable parameter."""
+
+    lowest: int
+    highest: int
+    at_power_up: int
+
+
+def writable(rating_mA: int) -> dict[int, Row]:
+    """All that can be written; `rating_mA` is the board's."""
+    return {
+        POSITION_COUNT: Row(*_I32, 0),
+        KP: Row(0, _I32[1], 0),
+        KI: Row(0, _I32[1], 0),
+        KD: Row(0, _I32[1], 0),
+        DERIVATIVE_FILTER_US: Row(0, 1_000_000, 1000),
+        CURRENT_LIMIT_MA: Row(1, min(rating_mA, 21_000), rating_mA),
+        VOLTAGE_LIMIT_MV: Row(0, 60_000, 24_000),
+        INTEGRAL_LIMIT_MV: Row(0, 60_000, 0),
+        WATCHDOG_MS: Row(0, 10_000, 200),
+        WATCHDOG_ACTION: Row(0, 2, 1),
+        DISABLED_OUTPUT: Row(0, 1, 1),
+    }
+
+
+def refusal(rows: dict[int, Row], index: int, value: int) -> int:
+    """DONE if the value is allowed at the index, else UNKNOWN_INDEX, READ_ONLY or OUT_OF_RANGE."""
+    if index not in rows:
+        return READ_ONLY if index <= 5 else UNKNOWN_INDEX
+    row = rows[index]
+    if not row.lowest <= value <= row.highest or (index == WATCHDOG_MS and 0 < value < 5):
+        return OUT_OF_RANGE
+    return DONE

@@ -1,0 +1,23 @@
+"""What can go wrong with a mock robot; every message is one sentence that can be shown to an operator."""
+
+from __future__ import annotations
+
+
+class MockError(Exception):
+    """Base of all errors of hil_mocks."""
+
+
+class ScenarioError(MockError):
+    """A scenario file says something that the mock does not understand; names file and key."""
+
+
+class NotInPlantError(MockError):
+    """An effect has a name in the list of effects, but the plant has no physics for it yet."""
+
+
+class UnreachableError(MockError):
+    """The hand was asked to seat the tip where the arm cannot be."""
+
+
+class RigError(MockError):
+    """The mock robot did not start, or its process is gone."""

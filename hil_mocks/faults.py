@@ -1,0 +1,124 @@
+"""Faults that a scenario or an operator switches on: on the lines, in the boards, in the wiring. Seeded; several at once.
+
+Kinds and their `value` are listed in docs/mock_robot.md. Every fault has a time at which it begins and may have one at which
+it ends; what acts on frames acts on each with its probability.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+
+from hil_mocks.errors import ScenarioError
+from hil_mocks.scenario import FaultTable
+
+ON_FRAMES = {"drop_frames", "corrupt_frames", "duplicate_frames", "delay_frames", "silent"}
+_IDENTITY = {"wrong_identity", "wrong_protocol", "wrong_counts", "board_reset"}
+OF_ENCODER = ON_FRAMES | _IDENTITY | {"stuck_encoder", "lost_wire", "quadrature_error", "swapped_channels"}
+OF_MOTOR = (
+    ON_FRAMES
+    | _IDENTITY
+    | {"over_current", "over_temperature", "supply", "encoder_fault", "swapped_polarity"}
+)
+OF_CAMERA = ON_FRAMES
+_WIRING = {"wrong_counts", "swapped_channels"}  # built in before power-up
+_NEED_VALUE = {
+    "delay_frames",
+    "wrong_identity",
+    "wrong_protocol",
+    "wrong_counts",
+    "swapped_channels",
+    "supply",
+}
+Frames = list[tuple[float, bytes]]  # (when it is there for the host, frame)
+
+
+def check_fault(fault: FaultTable, boards: Sequence[str], where: str) -> None:
+    """Raise ScenarioError unless the board exists and can have the fault."""
+    known = {"e": OF_ENCODER, "m": OF_MOTOR, "c": OF_CAMERA}
+    place = f'{where}: fault "{fault.kind}"'
+    if fault.board not in boards:
+        raise ScenarioError(f'{place}: no board "{fault.board}"; there are {", ".join(boards)}.')
+    kinds = known[fault.board[0]]
+    if fault.kind not in kinds:
+        raise ScenarioError(f'{place}: board "{fault.board}" knows {", ".join(sorted(kinds))}.')
+    if fault.kind in _WIRING and fault.at_s > 0.0:
+        raise ScenarioError(f"{place}: is wired in before power-up; at_s must be 0, got {fault.at_s:g}.")
+    if fault.kind in _NEED_VALUE and fault.value is None:
+        raise ScenarioError(f'{place}: needs "value".')
+    if fault.until_s is not None and fault.until_s <= fault.at_s:
+        raise ScenarioError(f"{place}: until_s = {fault.until_s:g} is not after at_s = {fault.at_s:g}.")
+
+
+class FaultPlan:
+    """All faults by time. `next_change_s` is when `update` has something to do."""
+
+    def __init__(self, faults: Sequence[FaultTable]) -> None:
+        self._faults = list(faults)
+        self.active: tuple[FaultTable, ...] = ()
+        self.next_change_s = 0.0 if faults else float("inf")
+
+    def add(self, fault: FaultTable) -> None:
+        """One more from now on; its times count as any other's."""
+        self._faults.append(fault)
+        self.next_change_s = 0.0
+
+    def clear(self) -> None:
+        """No more faults."""
+        self._faults.clear()
+        self.next_change_s = 0.0
+
+    def update(self, now_s: float) -> tuple[list[FaultTable], list[FaultTable]]:
+        """Faults that have begun and that have ended since the last call."""
+        moment_s = now_s + 1e-9
+        active = tuple(
+            f for f in self._faults if f.at_s <= moment_s and (f.until_s is None or moment_s < f.until_s)
+        )
+        begun = [f for f in active if not any(f is g for g in self.active)]
+        ended = [f for f in self.active if not any(f is g for g in active)]
+        self.active = active
+        edges = [t for f in self._faults for t in (f.at_s, f.until_s) if t is not None and t > moment_s]
+        self.next_change_s = min(edges, default=float("inf"))
+        return begun, ended
+
+    def on_frames(self, board: str) -> tuple[FaultTable, ...]:
+        """The active faults of a board that act on its frames."""
+        return tuple(f for f in self.active if f.board == board and f.kind in ON_FRAMES)
+
+
+class Line:
+    """What happens to the frames of one board on their way to the host."""
+
+    def __init__(self, board: str, seed: int) -> None:
+        self._random = random.Random(f"line {board} {seed}")
+        self.faults: tuple[FaultTable, ...] = ()
+
+    @property
+    def is_silent(self) -> bool:
+        """Nothing comes through in either direction."""
+        return any(fault.kind == "silent" for fault in self.faults)
+
+    def passed(self, frames: Frames) -> Frames:
+        """The frames as they arrive, in the order in which they were sent."""
+        for fault in self.faults:
+            frames = [arrived for sent in frames for arrived in self._through(fault, *sent)]
+        return frames
+
+    def _through(self, fault: FaultTable, when_s: float, frame: bytes) -> Frames:
+        if self._random.random() >= fault.probability:
+            return [(when_s, frame)]
+        match fault.kind:
+            case "duplicate_frames":
+                return [(when_s, frame), (when_s, frame)]
+            case "delay_frames":
+                return [(when_s + (fault.value or 0.0), frame)]
+            case "corrupt_frames":
+                return [(when_s, self._flipped(frame))]
+        return []
+
+    def _flipped(self, frame: bytes) -> bytes:
+        """One bit changed."""
+        at = self._random.randrange(8 * len(frame))
+        changed = bytearray(frame)
+        changed[at // 8] ^= 1 << at % 8
+        return bytes(changed)

@@ -1,0 +1,272 @@
+"""The MuJoCo model of an arm: links at their true DH frames, motors behind gears, friction, play, a hand and a payload.
+
+Per joint a link-side hinge and, where something stands between motor and joint (backlash, compliance, a coupled belt), a
+motor-side hinge of inertia N^2 Jr, both in joint angles, held together by a fixed tendon of motor - link + ratio * q2. Where
+nothing stands between them the rotor is the armature of the link's hinge: exactly rigid, and cheaper.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from hil_mocks.errors import MockError
+from hil_mocks.plant.effects import JointEffects, PlantEffects
+from hil_mocks.plant.geometry import Frame, Matrix, true_frame
+from hil_mocks.plant.parts import ArmParts, DriveParts
+
+# Hard rows: 0.9999 is MuJoCo's largest impedance; under 10 Nm such a row gives by some 1e-8 rad.
+_HARD = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+_BRISTLE_RAD = 2e-5  # presliding deflection of a LuGre bristle at breakaway; below any encoder's resolution
+_BRISTLE_DAMPING_RATIO = 0.5
+_LIGHT_LINK = 0.1  # a link without its rotor is taken to be no lighter than this part of the reflected rotor
+_ROTOR_BODY_KG = 1e-9  # MuJoCo wants a mass; the inertia that counts is the hinge's armature
+
+
+@dataclass(frozen=True, slots=True)
+class PlantModel:
+    """The compiled model and where things are in it. Per joint: index of the motor's and the link's hinge, its bridge."""
+
+    model: Any
+    motor_hinge: tuple[int, ...]
+    link_hinge: tuple[int, ...]
+    bridge: tuple[int, ...]  # actuator, control and current of a joint all have this index
+    friction_dofs: tuple[
+        tuple[tuple[int, float], ...], ...
+    ]  # per joint (dof, share) whose friction load may raise
+    bristles: tuple[tuple[tuple[int, float], ...], ...]  # per joint (actuator, share) of its LuGre elements
+    tip_site: int
+    payload_body: int
+
+
+def build(
+    arm: ArmParts, effects: PlantEffects, timestep_s: float, link_share: float, end_stop_margin_rad: float
+) -> PlantModel:
+    """Compile the arm. Raises MockError if it has fewer than one drive for each joint that moves."""
+    return _Builder(arm, effects, timestep_s, link_share, end_stop_margin_rad).run()
+
+
+class _Builder:
+    """One use: gathers the elements of a specification and where they will be."""
+
+    def __init__(
+        self,
+        arm: ArmParts,
+        effects: PlantEffects,
+        timestep_s: float,
+        link_share: float,
+        end_stop_margin_rad: float,
+    ) -> None:
+        self._arm, self._effects = arm, effects
+        self._step_s, self._link_share, self._margin_rad = timestep_s, link_share, end_stop_margin_rad
+        self._spec = mujoco.MjSpec()
+        self._bristles: list[list[tuple[str, float]]] = [[] for _ in arm.drives]
+
+    def run(self) -> PlantModel:
+        self._options()
+        self._links()
+        for j, drive in enumerate(self._arm.drives):
+            self._transmission(j, drive, self._effects.joints[j])
+        for j, drive in enumerate(self._arm.drives):
+            self._bridge(j, drive, self._effects.joints[j])
+        for j in range(len(self._arm.drives)):
+            self._friction(j, self._effects.joints[j])
+        self._hand()
+        try:
+            model = self._spec.compile()
+        except ValueError as error:
+            raise MockError(f'arm "{self._arm.name}": MuJoCo cannot build it: {error}') from error
+        return self._located(model)
+
+    def _options(self) -> None:
+        self._spec.compiler.degree = False
+        option = self._spec.option
+        option.timestep = self._step_s
+        option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        option.gravity = self._arm.gravity_m_s2
+        option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+        off = mujoco.mjtDisableBit
+        option.disableflags = int(
+            off.mjDSBL_CONTACT | off.mjDSBL_AUTORESET | off.mjDSBL_SENSOR | off.mjDSBL_ISLAND
+        )
+
+    def _links(self) -> None:
+        parent, joint = self._spec.worldbody, 0
+        for i, link in enumerate(self._arm.links):
+            deviation = {key: value for (at, key), value in self._effects.dh_deviation.items() if at == i}
+            frame = true_frame(link, deviation, self._arm.convention)
+            body = parent.add_body(
+                name=f"link{i + 1}", pos=frame.position_m, quat=_quaternion(frame.rotation)
+            )
+            self._mass(body, i)
+            if link.is_revolute:
+                self._hinge(body, frame, joint)
+                joint += 1
+            parent = body
+        if joint != len(self._arm.drives):
+            raise MockError(
+                f'arm "{self._arm.name}": {joint} revolute links but {len(self._arm.drives)} [[drive]] sections; '
+                "the plant needs one drive for each joint."
+            )
+        parent.add_site(name="tip", pos=self._arm.tool_m)
+        load = parent.add_body(name="payload", pos=self._arm.tool_m, explicitinertial=True)
+        load.mass, load.inertia = self._effects.payload_kg, [0.0, 0.0, 0.0]
+
+    def _mass(self, body: Any, i: int) -> None:
+        link = self._arm.links[i]
+        mass = link.mass_kg + self._effects.link_mass_kg.get(i, 0.0)
+        more = self._effects.link_inertia_kg_m2.get(i, 0.0)
+        body.explicitinertial = True
+        body.mass, body.ipos = mass, link.com_m
+        body.inertia = [value + more for value in link.inertia_kg_m2]
+
+    def _hinge(self, body: Any, frame: Frame, j: int) -> None:
+        drive = self._arm.drives[j]
+        hinge = body.add_joint(
+            name=f"q{j + 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=frame.axis, pos=frame.anchor_m
+        )
+        hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        hinge.range = [drive.joint_lower_rad - self._margin_rad, drive.joint_upper_rad + self._margin_rad]
+        hinge.solref_limit, hinge.solimp_limit = [4.0 * self._step_s, 1.0], _HARD
+
+    def _is_rigid(self, j: int, effect: JointEffects) -> bool:
+        coupled = j == 2 and self._effects.belt_ratio != 0.0
+        return effect.backlash_rad == 0.0 and math.isinf(effect.stiffness_Nm_rad) and not coupled
+
+    def _transmission(self, j: int, drive: DriveParts, effect: JointEffects) -> None:
+        inertia = drive.gear_ratio**2 * drive.rotor_inertia_kg_m2
+        if self._is_rigid(j, effect):
+            self._spec.joint(f"q{j + 1}").armature = inertia
+            return
+        body = self._spec.worldbody.add_body(
+            name=f"motor{j + 1}", mass=_ROTOR_BODY_KG, inertia=[_ROTOR_BODY_KG] * 3, explicitinertial=True
+        )
+        body.add_joint(
+            name=f"m{j + 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0], armature=inertia
+        )
+        tendon = self._spec.add_tendon(name=f"gear{j + 1}")
+        tendon.wrap_joint(f"m{j + 1}", 1.0)
+        tendon.wrap_joint(f"q{j + 1}", -1.0)
+        if j == 2 and self._effects.belt_ratio != 0.0:
+            tendon.wrap_joint("q2", self._effects.belt_ratio)
+        self._gear(tendon, effect)
+
+    def _gear(self, tendon: Any, effect: JointEffects) -> None:
+        """Spring, with play as its dead band; play with hard flanks; or a hard coupling."""
+        half = 0.5 * effect.backlash_rad
+        if math.isfinite(effect.stiffness_Nm_rad):
+            tendon.stiffness = [effect.stiffness_Nm_rad, 0.0, 0.0]
+            tendon.damping = [effect.damping_Nm_s_rad, 0.0, 0.0]
+            tendon.springlength = [-half, half]
+        elif half > 0.0:
+            tendon.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            tendon.range = [-half, half]
+            tendon.solref_limit, tendon.solimp_limit = [2.0 * self._step_s, 1.0], _HARD
+        else:
+            row = self._spec.add_equality(
+                type=mujoco.mjtEq.mjEQ_TENDON, objtype=mujoco.mjtObj.mjOBJ_TENDON, name1=tendon.name
+            )
+            row.solref, row.solimp = [2.0 * self._step_s, 1.0], _HARD
+
+    def _motor_hinge(self, j: int) -> str:
+        return f"q{j + 1}" if self._is_rigid(j, self._effects.joints[j]) else f"m{j + 1}"
+
+    def _bridge(self, j: int, drive: DriveParts, effect: JointEffects) -> None:
+        """The motor, seen at the joint: K = N kt in Nm/A and V s/rad; one state, the current."""
+        K = drive.gear_ratio * drive.torque_constant_Nm_A * effect.torque_constant_scale
+        actuator = self._add_actuator(f"bridge{j + 1}", self._motor_hinge(j))
+        actuator.set_to_dcmotor(
+            [K, K],
+            drive.resistance_ohm,
+            inductance=[drive.inductance_H, 0.0],
+            cogging=[effect.cogging_Nm, effect.cogging_order * drive.gear_ratio, effect.cogging_phase_rad],
+        )
+        actuator.actearly = True  # torque of the current at the step's end: second order instead of first
+
+    def _add_actuator(self, name: str, hinge: str) -> Any:
+        return self._spec.add_actuator(name=name, target=hinge, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+
+    def _friction(self, j: int, effect: JointEffects) -> None:
+        """Coulomb friction as a hard row, viscous as damping; a falling (Stribeck) law as a native LuGre bristle."""
+        for hinge, share in self._friction_shares(j):
+            joint = self._spec.joint(hinge)
+            joint.damping = [effect.viscous_Nm_s_rad * share, 0.0, 0.0]
+            if effect.stribeck_Nm > 0.0:
+                self._bristle(j, hinge, share, effect)
+            else:
+                joint.frictionloss = effect.coulomb_Nm * share
+                # The row must exist to be raised later by load.
+                if effect.load_fraction > 0.0 and effect.coulomb_Nm == 0.0:
+                    joint.frictionloss = 1e-6
+                joint.solref_friction, joint.solimp_friction = [2.0 * self._step_s, 1.0], _HARD
+
+    def _friction_shares(self, j: int) -> tuple[tuple[str, float], ...]:
+        motor, link = self._motor_hinge(j), f"q{j + 1}"
+        if motor == link:
+            return ((link, 1.0),)
+        return ((motor, 1.0 - self._link_share), (link, self._link_share))
+
+    def _bristle(self, j: int, hinge: str, share: float, effect: JointEffects) -> None:
+        if share <= 0.0:
+            return
+        static_Nm = (effect.coulomb_Nm + effect.stribeck_Nm) * share
+        drive = self._arm.drives[j]
+        inertia = drive.gear_ratio**2 * drive.rotor_inertia_kg_m2
+        if hinge.startswith("q") and hinge != self._motor_hinge(j):
+            inertia *= _LIGHT_LINK
+        # An explicit bristle is stable while omega h stays below about 1; half of that keeps its response clean.
+        stiffness = min(static_Nm / _BRISTLE_RAD, inertia * (0.5 / self._step_s) ** 2)
+        damping = 2.0 * _BRISTLE_DAMPING_RATIO * math.sqrt(stiffness * inertia)
+        name = f"bristle_{hinge}"
+        actuator = self._add_actuator(name, hinge)
+        actuator.set_to_dcmotor(
+            [1e-12, 1e-12],
+            1e12,  # a motor that carries no current: only its friction is wanted
+            lugre=[stiffness, damping, effect.coulomb_Nm * share, static_Nm, effect.stribeck_speed_rad_s],
+        )
+        actuator.actearly = True
+        self._bristles[j].append((name, share))
+
+    def _hand(self) -> None:
+        hand = self._spec.worldbody.add_body(name="hand", mocap=True)
+        hand.add_site(name="hand")
+        grip = self._spec.add_equality(
+            name="grip",
+            type=mujoco.mjtEq.mjEQ_CONNECT,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            name1="tip",
+            name2="hand",
+            active=False,
+        )
+        grip.solref, grip.solimp = [2e-3, 1.0], _HARD
+
+    def _located(self, model: Any) -> PlantModel:
+        joints = range(len(self._arm.drives))
+        motor = tuple(int(model.joint(self._motor_hinge(j)).qposadr[0]) for j in joints)
+        rows = tuple(
+            tuple((int(model.joint(name).dofadr[0]), share) for name, share in self._friction_shares(j))
+            for j in joints
+        )
+        bristles = tuple(
+            tuple((int(model.actuator(name).id), share) for name, share in self._bristles[j]) for j in joints
+        )
+        return PlantModel(
+            model=model,
+            motor_hinge=motor,
+            link_hinge=tuple(int(model.joint(f"q{j + 1}").qposadr[0]) for j in joints),
+            bridge=tuple(int(model.actuator(f"bridge{j + 1}").id) for j in joints),
+            friction_dofs=rows,
+            bristles=bristles,
+            tip_site=int(model.site("tip").id),
+            payload_body=int(model.body("payload").id),
+        )
+
+
+def _quaternion(rotation: Matrix) -> Matrix:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
+    return quaternion

@@ -1,0 +1,91 @@
+"""The mock hand: takes the tip where it is, drags it to a point with limited speed, holds it there, lets go."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import mujoco
+
+from hil_mocks.errors import UnreachableError
+
+Point = tuple[float, float, float]
+HandState = Literal["away", "dragging", "holding", "cannot reach"]
+_SETTLE_S = 0.25  # after which a tip that is still off cannot get there
+_CANNOT_M = 1e-3
+
+
+class Hand:
+    """A mocap body that a connect constraint ties to the tip. Moves once a tick, never faster than `speed_m_s`."""
+
+    def __init__(
+        self, model: Any, state: Any, tip_site: int, speed_m_s: float, noise_m: float, seed: int
+    ) -> None:
+        self._model, self._data, self._tip_site = model, state, tip_site
+        self._speed_m_s, self._noise_m = speed_m_s, noise_m
+        self._random = random.Random(f"hand {seed}")
+        self._start: Point = (0.0, 0.0, 0.0)
+        self._target: Point = (0.0, 0.0, 0.0)
+        self._begun_s = self._duration_s = 0.0
+        self.state: HandState = "away"
+        self.problem = ""
+
+    def seat(self, point_m: Sequence[float]) -> float:
+        """Drag the tip to a point (base frame) with the seating's repeatability; returns how long it takes, in s."""
+        x, y, z = (float(value) + self._noise() for value in point_m)
+        if not all(map(math.isfinite, (x, y, z))):
+            raise UnreachableError(f"hand: cannot seat the tip at {tuple(point_m)}: not a point.")
+        mujoco.mj_kinematics(self._model, self._data)
+        here = self._data.site_xpos[self._tip_site]
+        self._start, self._target = (float(here[0]), float(here[1]), float(here[2])), (x, y, z)
+        # The smooth profile below peaks at 1.875 times its mean speed.
+        self._duration_s = max(0.1, 1.875 * math.dist(self._start, self._target) / self._speed_m_s)
+        self._begun_s = float(self._data.time)
+        self._data.mocap_pos[0] = here
+        self._data.eq_active[self._grip()] = 1
+        self.state, self.problem = "dragging", ""
+        return self._duration_s
+
+    def let_go(self) -> None:
+        """Leave the tip to the arm."""
+        self._data.eq_active[self._grip()] = 0
+        self.state = "away"
+
+    def residual_m(self) -> float:
+        """Distance of the tip from where the hand holds it."""
+        mujoco.mj_kinematics(self._model, self._data)
+        return math.dist(self._data.site_xpos[self._tip_site], self._data.mocap_pos[0])
+
+    def move(self) -> None:
+        """One tick: nothing while away or holding. Lets go and says why in `problem` if the arm does not get there."""
+        if self.state != "dragging":
+            return
+        s = (float(self._data.time) - self._begun_s) / self._duration_s
+        if s >= 1.0:
+            self._data.mocap_pos[0] = self._target
+            self._arrive()
+            return
+        blend = s * s * s * (10.0 + s * (6.0 * s - 15.0))
+        self._data.mocap_pos[0] = [
+            a + (b - a) * blend for a, b in zip(self._start, self._target, strict=True)
+        ]
+
+    def _arrive(self) -> None:
+        if self.residual_m() < _CANNOT_M:
+            self.state = "holding"
+        elif float(self._data.time) > self._begun_s + self._duration_s + _SETTLE_S:
+            off_mm = self.residual_m() * 1e3
+            self.let_go()
+            place = ", ".join(f"{value:.3f}" for value in self._target)
+            self.state = "cannot reach"
+            self.problem = (
+                f"hand: the arm cannot reach ({place}) m: {off_mm:.1f} mm short; the tip was let go."
+            )
+
+    def _noise(self) -> float:
+        return self._random.gauss(0.0, self._noise_m) if self._noise_m > 0.0 else 0.0
+
+    def _grip(self) -> int:
+        return int(self._model.equality("grip").id)

@@ -1,0 +1,245 @@
+"""The physics of a mock arm: motors, gears, links, friction and a hand, advanced in fixed small steps."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+
+from hil_mocks.errors import MockError
+from hil_mocks.plant.bridge import CURRENT, OPEN, VOLTAGE, Bridges, Winding
+from hil_mocks.plant.build import PlantModel, build
+from hil_mocks.plant.effects import PlantEffects
+from hil_mocks.plant.hand import Hand, Point
+from hil_mocks.plant.parts import ArmParts
+from hil_mocks.plant.shaft import Shaft
+
+
+@dataclass(frozen=True, slots=True)
+class PlantOptions:
+    """How the plant is simulated and what stands around it; not what the arm is."""
+
+    timestep_s: float = (
+        5e-4  # a tenth of the motors' mechanical time constant; 0.25 ms moves a path by 3e-6 rad
+    )
+    link_share: float = 0.5  # of a joint's friction that acts on the link side of the gear
+    end_stop_margin_rad: float = 0.05  # from a joint limit to the hard stop behind it
+    hand_speed_m_s: float = 0.3
+    seating_noise_m: float = 0.0
+    seed: int = 0
+
+
+class Plant:
+    """An arm with its motors. Joints are 0-based; angles are joint angles; the tip is in the base frame."""
+
+    def __init__(
+        self,
+        arm: ArmParts,
+        effects: PlantEffects,
+        start_rad: Sequence[float],
+        options: PlantOptions | None = None,
+    ) -> None:
+        options = options or PlantOptions()
+        self.joints = len(arm.drives)
+        self.timestep_s = options.timestep_s
+        self.effects = effects
+        self._at: PlantModel = build(
+            arm, effects, options.timestep_s, options.link_share, options.end_stop_margin_rad
+        )
+        self._model: Any = self._at.model
+        self._data: Any = mujoco.MjData(self._model)
+        self._shafts = tuple(Shaft(effect) for effect in effects.joints)
+        self._shafts_are_true = all(shaft.is_true for shaft in self._shafts)
+        self._pose(arm, start_rad)
+        self.bridges = Bridges(
+            self._model, self._data, _windings(arm, effects), self._at.bridge, effects.supply_resistance_ohm
+        )
+        self.hand = Hand(
+            self._model,
+            self._data,
+            self._at.tip_site,
+            options.hand_speed_m_s,
+            options.seating_noise_m,
+            options.seed,
+        )
+        self._steps = 0
+        self._delay_steps = round(effects.command_delay_s / options.timestep_s)
+        self._pending: deque[tuple[int, int, int, float]] = deque()
+        self._load_friction = tuple(
+            j for j, effect in enumerate(effects.joints) if effect.load_fraction > 0.0
+        )
+        self._apply_asymmetry()
+        self._read()
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since the start."""
+        return self._steps * self.timestep_s
+
+    def step(self, steps: int) -> None:
+        """Advance by a number of time steps: one call of MuJoCo, more only where a delayed command falls due."""
+        self.hand.move()
+        end = self._steps + steps
+        while self._pending and self._pending[0][0] < end:
+            due, j, mode, value = self._pending.popleft()
+            if due > self._steps:
+                self._run(due - self._steps)
+            self.bridges.command(j, mode, value)
+        self._run(end - self._steps)
+
+    def drive_voltage(self, j: int, voltage_V: float) -> None:
+        """Mean terminal voltage of motor j; 0 shorts its windings."""
+        self._post(j, VOLTAGE, voltage_V)
+
+    def drive_current(self, j: int, current_A: float) -> None:
+        """Current source for motor j, as far as the supply and its limit allow."""
+        self._post(j, CURRENT, current_A)
+
+    def drive_open(self, j: int) -> None:
+        """Open circuit: no current, the motor turns freely."""
+        self._post(j, OPEN, 0.0)
+
+    def motor_rad(self, j: int) -> float:
+        """Angle of motor j in joint angles."""
+        return self._q[self._at.motor_hinge[j]]
+
+    def motor_speed_rad_s(self, j: int) -> float:
+        """Speed of motor j in joint angles."""
+        return self._v[self._at.motor_hinge[j]]
+
+    def encoder_rad(self, j: int) -> float:
+        """What the encoder of motor j says, in joint angles, before it is counted."""
+        shaft = self._shafts[j]
+        return self.motor_rad(j) if shaft.is_true else shaft.reading_rad(self.motor_rad(j), self.time_s)
+
+    def encoder_angles_rad(self) -> list[float]:
+        """What all encoders say, in joint angles."""
+        q = self._q
+        if self._shafts_are_true:
+            return [q[k] for k in self._at.motor_hinge]
+        return [self.encoder_rad(j) for j in range(self.joints)]
+
+    def joint_rad(self) -> tuple[float, ...]:
+        """True joint angles."""
+        return tuple(self._q[k] for k in self._at.link_hinge)
+
+    def joint_speed_rad_s(self) -> tuple[float, ...]:
+        """True joint speeds."""
+        return tuple(self._v[k] for k in self._at.link_hinge)
+
+    def current_A(self, j: int) -> float:
+        """Current of motor j now."""
+        return self.bridges.current_A(j)
+
+    def tip_m(self) -> Point:
+        """True tip in the base frame."""
+        mujoco.mj_kinematics(self._model, self._data)
+        x, y, z = self._data.site_xpos[self._at.tip_site].tolist()
+        return x, y, z
+
+    def set_payload(self, mass_kg: float) -> None:
+        """Hang a point mass at the tip, in place of the one there."""
+        if not mass_kg >= 0.0:
+            raise MockError(f"payload: the mass must not be negative, got {mass_kg} kg.")
+        self._model.body_mass[self._at.payload_body] = mass_kg
+        # Derived constants go through a scratch state: mj_setConst leaves it at the reference pose.
+        mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
+
+    def energy_J(self) -> tuple[float, float]:
+        """Potential and kinetic energy, rotors included."""
+        mujoco.mj_forward(self._model, self._data)
+        mujoco.mj_energyPos(self._model, self._data)
+        mujoco.mj_energyVel(self._model, self._data)
+        return float(self._data.energy[0]), float(self._data.energy[1])
+
+    def push(self, j: int, torque_Nm: float) -> None:
+        """An outside torque on the link side of joint j, until it is changed."""
+        self._data.qfrc_applied[self._at.link_hinge[j]] = torque_Nm - self._offset_Nm(self._at.link_hinge[j])
+
+    def _post(self, j: int, mode: int, value: float) -> None:
+        if self._delay_steps == 0:
+            self.bridges.command(j, mode, value)
+        else:
+            self._pending.append((self._steps + self._delay_steps, j, mode, value))
+
+    def _run(self, steps: int) -> None:
+        self.bridges.settle([self._v[k] for k in self._at.motor_hinge])
+        for j in self._load_friction:
+            self._raise_friction(j)
+        mujoco.mj_step(self._model, self._data, steps)
+        self._steps += steps
+        self._read()
+
+    def _read(self) -> None:
+        self._q: list[float] = self._data.qpos.tolist()
+        self._v: list[float] = self._data.qvel.tolist()
+        if not math.isfinite(sum(self._v)):
+            raise MockError(
+                f"plant: the physics became unstable at {self.time_s:.4f} s; take a smaller timestep_s."
+            )
+
+    def _pose(self, arm: ArmParts, start_rad: Sequence[float]) -> None:
+        if len(start_rad) != self.joints:
+            raise MockError(f"start pose: expected {self.joints} joint angles, got {len(start_rad)}.")
+        for j, (drive, angle) in enumerate(zip(arm.drives, start_rad, strict=True)):
+            if not drive.joint_lower_rad <= angle <= drive.joint_upper_rad:
+                raise MockError(
+                    f"start pose: joint {j + 1} at {angle:g} rad is outside its limits "
+                    f"{drive.joint_lower_rad:g} to {drive.joint_upper_rad:g}."
+                )
+            self._data.qpos[self._at.motor_hinge[j]] = angle
+            self._data.qpos[self._at.link_hinge[j]] = angle
+        if self.joints >= 3:
+            motor = self._at.motor_hinge[2]
+            if motor != self._at.link_hinge[2]:
+                self._data.qpos[motor] = start_rad[2] - self.effects.belt_ratio * start_rad[1]
+
+    def _offset_Nm(self, dof: int) -> float:
+        """Asymmetric friction is Coulomb friction plus a constant torque against the positive direction."""
+        return sum(
+            effect.asymmetry_Nm * share
+            for effect, rows in zip(self.effects.joints, self._at.friction_dofs, strict=True)
+            for row, share in rows
+            if row == dof
+        )
+
+    def _apply_asymmetry(self) -> None:
+        for dof in range(self._model.nv):
+            self._data.qfrc_applied[dof] = -self._offset_Nm(dof)
+
+    def _raise_friction(self, j: int) -> None:
+        """Friction with load: Coulomb level plus a fraction of the torque that the gear passes to the link."""
+        effect, data = self.effects.joints[j], self._data
+        link, motor = self._at.link_hinge[j], self._at.motor_hinge[j]
+        passed = float(
+            data.qfrc_passive[link]
+            + data.qfrc_actuator[link]
+            + data.qfrc_applied[link]
+            + data.qfrc_constraint[link]
+        )
+        if link == motor:
+            passed -= float(self._model.dof_armature[link] * data.qacc[link])
+        level = effect.coulomb_Nm + effect.load_fraction * abs(passed)
+        if self._at.bristles[j]:
+            for actuator, share in self._at.bristles[j]:
+                self._model.actuator_biasprm[actuator, 3] = level * share
+                self._model.actuator_biasprm[actuator, 4] = (level + effect.stribeck_Nm) * share
+            return
+        for dof, share in self._at.friction_dofs[j]:
+            self._model.dof_frictionloss[dof] = level * share
+
+
+def _windings(arm: ArmParts, effects: PlantEffects) -> list[Winding]:
+    return [
+        Winding(
+            K_V_s_rad=drive.gear_ratio * drive.torque_constant_Nm_A * effect.torque_constant_scale,
+            resistance_ohm=drive.resistance_ohm,
+            inductance_H=drive.inductance_H,
+            supply_V=drive.supply_V,
+        )
+        for drive, effect in zip(arm.drives, effects.joints, strict=True)
+    ]

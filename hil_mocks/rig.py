@@ -1,0 +1,152 @@
+"""A mock arm to plug into: the Protocol that both rigs meet, and the stepped one, all in one process.
+
+The stepped rig's clock is the simulation's: whoever waits on it lets plant, boards and camera run on, in ticks, to the wanted
+time. Bytes really go through a pty and frames through a CAN bus of python-can, so the host's drivers are the real ones.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from control.model.description import Arm, load_arm
+from firmware_iface.clock import Clock
+from hil_mocks.plant.hand import Point
+from hil_mocks.robot import MockRobot
+from hil_mocks.scenario import FaultTable, Scenario, load_scenario
+from hil_mocks.wires import Wires
+
+_channels = itertools.count(1)  # a virtual bus is shared by all in the process who say the same channel
+_SLACK_S = 1e-9  # of sums of ticks
+
+
+class MockHand(Protocol):
+    """The human at the arm."""
+
+    def seat(self, point_m: Sequence[float]) -> float:
+        """Take the tip, drag it to a point in the base frame and hold it there; returns how long that takes, in s."""
+        ...
+
+    def let_go(self) -> None:
+        """Leave the tip to the arm."""
+        ...
+
+    def residual_m(self) -> float:
+        """Distance of the tip from where the hand is."""
+        ...
+
+    @property
+    def state(self) -> str:
+        """away, dragging, holding or cannot reach."""
+        ...
+
+
+class MockArm(Protocol):
+    """A mock arm as the host and the human see it. Times in s, lengths in m, angles in rad, base frame."""
+
+    @property
+    def clock(self) -> Clock: ...
+    @property
+    def encoder_urls(self) -> list[str]: ...
+    @property
+    def encoder_url(self) -> str: ...
+    @property
+    def can_interface(self) -> str: ...
+    @property
+    def can_channel(self) -> str: ...
+    @property
+    def can_options(self) -> dict[str, int]: ...
+    @property
+    def camera_port(self) -> int: ...
+    @property
+    def hand(self) -> MockHand: ...
+    def tip_m(self) -> Point: ...
+    def joint_rad(self) -> tuple[float, ...]: ...
+    def set_payload(self, mass_kg: float) -> None: ...
+    def inject(self, fault: FaultTable) -> None: ...
+    def clear_faults(self) -> None: ...
+    def close(self) -> None: ...
+
+
+class SteppedClock:
+    """The simulation's time; waiting is what makes it pass. Exact in ticks: a wait ends at the first tick at or after."""
+
+    def __init__(self, robot: MockRobot, wires: Wires) -> None:
+        self._robot, self._wires = robot, wires
+
+    def now_s(self) -> float:
+        """Simulated time since power-up."""
+        return self._robot.now_s
+
+    def wait_until_s(self, t: float) -> None:
+        """Let the host's bytes take effect, then advance everything to `t`."""
+        robot, wires = self._robot, self._wires
+        end_s = t - _SLACK_S
+        if robot.now_s >= end_s:
+            return
+        wires.from_host(robot)
+        while robot.now_s < end_s:
+            robot.tick()
+        wires.to_host(robot, is_stepped=True)
+
+
+class SteppedRig:
+    """A mock arm in this process, deterministic: the same arm, scenario and host give the same bytes."""
+
+    def __init__(self, arm: Arm | str | Path, scenario: Scenario | str | Path = "ideal") -> None:
+        as_built = arm if isinstance(arm, Arm) else load_arm(arm)
+        self.scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+        self.robot = MockRobot(as_built, self.scenario)
+        self.can_interface = "virtual"
+        self.can_channel = f"armwright-{os.getpid()}-{next(_channels)}"
+        self._wires = Wires(len(self.robot.encoder_boards), self.can_interface, self.can_channel)
+        self.can_options = self._wires.can_options
+        self.camera_port = self._wires.camera_port
+        self.encoder_urls = [pty.path for pty in self._wires.ptys]
+        self.clock: Clock = SteppedClock(self.robot, self._wires)
+
+    @property
+    def encoder_url(self) -> str:
+        """Path of the (first) encoder board's port."""
+        return self.encoder_urls[0]
+
+    @property
+    def hand(self) -> MockHand:
+        """The human at the arm."""
+        return self.robot.hand
+
+    def tip_m(self) -> Point:
+        """True tip."""
+        return self.robot.tip_m()
+
+    def joint_rad(self) -> tuple[float, ...]:
+        """True joint angles."""
+        return self.robot.joint_rad()
+
+    def set_payload(self, mass_kg: float) -> None:
+        """Hang a point mass at the tip."""
+        self.robot.plant.set_payload(mass_kg)
+
+    def inject(self, fault: FaultTable) -> None:
+        """A fault from now on."""
+        self.robot.inject(fault)
+
+    def clear_faults(self) -> None:
+        """End all faults that can end."""
+        self.robot.clear_faults()
+
+    def close(self) -> None:
+        """Pull all plugs."""
+        self._wires.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,282 @@
+"""A whole fake arm without its wires: plant, boards, camera and faults, advanced together in ticks.
+
+At time t the host's bytes take effect; a tick then runs the plant to t + tick with the outputs of t, lets every
+board measure and control there, and gathers what the boards send. Nothing here knows a clock of the machine or a
+file descriptor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+from control.model.description import Arm
+from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
+from hil_mocks.devices.motor_board import OPEN, Frame, Output
+from hil_mocks.errors import ScenarioError
+from hil_mocks.faults import FaultPlan, Frames, Line, check_fault
+from hil_mocks.plant.hand import Hand, Point
+from hil_mocks.scenario import FaultTable, Scenario
+from hil_mocks.wiring import Channels, wiring_of
+
+_FORCED = {"over_current": 1, "over_temperature": 2, "encoder_fault": 32}
+_SLACK_S = 1e-9  # of sums of ticks
+
+
+class MockRobot:
+    """An arm as built (`arm` and what the scenario hides) with its boards. Joints 0-based; time from power-up."""
+
+    def __init__(self, arm: Arm, scenario: Scenario) -> None:
+        self.scenario, self.tick_s = scenario, scenario.tick_s
+        self._ticks, self._steps = 0, _steps_per_tick(scenario)
+        where = f"scenario {scenario.path or scenario.name}"
+        self.plant = build_plant(arm, scenario)
+        self._wiring = wiring_of(arm, scenario)
+        self.encoder_boards = build_encoder_boards(arm, scenario, self._wiring)
+        self.motor_boards = [
+            build_motor_board(w, scenario, partial(self._motor_count, j)) for j, w in enumerate(self._wiring)
+        ]
+        self._channels = [
+            Channels(i, self._wiring, len(board.setup.counts_per_turn))
+            for i, board in enumerate(self.encoder_boards)
+        ]
+        self.camera = build_camera(arm, scenario)
+        joints = range(self.plant.joints)
+        self._joint_of_node = {self._wiring[j].motor_node: j for j in joints}
+        self._encoder_names = ["encoder" + (str(i + 1) if i else "") for i in range(len(self.encoder_boards))]
+        self._motor_names = [f"motor{w.motor_node}" for w in self._wiring]
+        self.board_names = [*self._encoder_names, *self._motor_names, "camera"]
+        for fault in scenario.fault:
+            check_fault(fault, self.board_names, where)
+        self._lines = {name: Line(name, scenario.seed) for name in self.board_names}
+        self._plan = FaultPlan(scenario.fault)
+        self._polarity = [w.motor_direction for w in self._wiring]
+        self._applied: list[Output] = [OPEN for _ in joints]
+        self._limits_A = [math.inf for _ in joints]
+        self._serial: list[Frames] = [[] for _ in self.encoder_boards]
+        self._can_on_its_way: list[tuple[float, Frame]] = []
+        self.can_outgoing: list[Frame] = []
+        self.camera_outgoing: list[bytes] = []
+        self._power_up()
+
+    @property
+    def now_s(self) -> float:
+        """Time since power-up."""
+        return self._ticks * self.tick_s
+
+    @property
+    def hand(self) -> Hand:
+        """The hand that seats the tip."""
+        return self.plant.hand
+
+    def tip_m(self) -> Point:
+        """True tip in the base frame."""
+        return self.plant.tip_m()
+
+    def joint_rad(self) -> tuple[float, ...]:
+        """True joint angles."""
+        return self.plant.joint_rad()
+
+    def from_host_serial(self, board: int, received: bytes) -> None:
+        """Bytes from the host to an encoder board, which take effect now."""
+        if not self._lines[self._encoder_names[board]].is_silent:
+            self.encoder_boards[board].receive(received, self.now_s)
+            self._gather_serial(board)
+
+    def from_host_can(self, can_id: int, payload: bytes) -> None:
+        """A frame from the host; replies go to `can_outgoing`, outputs take effect now."""
+        if can_id == 0:
+            for j in range(self.plant.joints):
+                self._to_motor_board(j, can_id, payload)
+            return
+        at = self._joint_of_node.get(can_id & 0xF)
+        if at is not None:
+            self._to_motor_board(at, can_id, payload)
+
+    def tick(self) -> None:
+        """Advance everything by one tick."""
+        self.plant.step(self._steps)
+        self._ticks += 1
+        now_s = self._ticks * self.tick_s
+        if now_s >= self._plan.next_change_s:
+            self._change_faults(now_s)
+        bridges, polarity = self.plant.bridges, self._polarity
+        for j, board in enumerate(self.motor_boards):
+            current_A = polarity[j] * bridges.current_A(j)
+            frames = board.tick(now_s, current_A, bridges.supply_V[j], bridges.is_clamped[j])
+            if frames:
+                self._send_can(j, frames)
+            if board.output is not self._applied[j]:
+                self._drive(j)
+        if self._can_on_its_way:
+            self._release_can(now_s)
+        encoder_rad, joint_rad = self.plant.encoder_angles_rad(), self.plant.joint_rad()
+        for i, encoder in enumerate(self.encoder_boards):
+            encoder.tick(now_s, *self._channels[i].seen(encoder_rad, joint_rad))
+            if encoder.outgoing:
+                self._gather_serial(i)
+        if now_s >= self.camera.next_s:
+            self._look(now_s)
+
+    def serial_outgoing(self, board: int) -> bytes:
+        """Bytes of an encoder board that have arrived at the host by now."""
+        queue = self._serial[board]
+        if not queue:
+            return b""
+        moment_s = self.now_s + _SLACK_S
+        there = [frame for when_s, frame in queue if when_s <= moment_s]
+        if there:
+            self._serial[board] = [sent for sent in queue if sent[0] > moment_s]
+        return b"".join(there)
+
+    def inject(self, fault: FaultTable) -> None:
+        """A fault from now on; its times are those of the simulation. Raises ScenarioError."""
+        check_fault(fault, self.board_names, "inject")
+        self._plan.add(fault)
+        self._change_faults(self.now_s)
+
+    def clear_faults(self) -> None:
+        """End all faults that can end."""
+        self._plan.clear()
+        self._change_faults(self.now_s)
+
+    def _power_up(self) -> None:
+        """Boards come up where the arm stands; the encoder board perhaps had its power before."""
+        start = self.scenario.start
+        self._change_faults(0.0)
+        for i, encoder in enumerate(self.encoder_boards):
+            raw, is_home = self._shafts(i)
+            encoder.power_up(0.0, raw)
+            encoder.tick(0.0, raw, is_home)
+            on_it = sorted((w.encoder_channel, j) for j, w in enumerate(self._wiring) if w.encoder_board == i)
+            if start.homed:
+                counts = [0] * len(raw)
+                for channel, j in on_it:
+                    counts[channel] = self._wiring[j].zero_count + raw[channel]
+                encoder.preset(counts, True)
+            elif start.raw_counts is not None:
+                encoder.preset([start.raw_counts[j] for _, j in on_it], False)
+            self._gather_serial(i)
+        for j, board in enumerate(self.motor_boards):
+            self._send_can(j, board.tick(0.0, 0.0, self.plant.bridges.supply_V[j], False))
+            self._drive(j)
+
+    def _motor_count(self, j: int) -> int:
+        return self._wiring[j].motor_count(self.plant.encoder_rad(j))
+
+    def _shafts(self, board: int) -> tuple[list[int], list[bool]]:
+        """Raw counts and home switches by channel of an encoder board."""
+        return self._channels[board].seen(self.plant.encoder_angles_rad(), self.plant.joint_rad())
+
+    def _to_motor_board(self, j: int, can_id: int, payload: bytes) -> None:
+        if self._lines[self._motor_names[j]].is_silent:
+            return
+        board = self.motor_boards[j]
+        frames = board.receive(can_id, payload, self.now_s)
+        if frames:
+            self._send_can(j, frames)
+        if board.output is not self._applied[j] or board.current_limit_A != self._limits_A[j]:
+            self._drive(j)
+
+    def _drive(self, j: int) -> None:
+        """The board's output onto the motor."""
+        board, plant = self.motor_boards[j], self.plant
+        self._limits_A[j] = board.current_limit_A
+        plant.bridges.limit_current(j, self._limits_A[j])
+        kind, value = self._applied[j] = board.output
+        if kind == "voltage":
+            plant.drive_voltage(j, self._polarity[j] * value)
+        elif kind == "current":
+            plant.drive_current(j, self._polarity[j] * value)
+        else:
+            plant.drive_open(j)
+
+    def _send_can(self, j: int, frames: list[Frame]) -> None:
+        line = self._lines[self._motor_names[j]]
+        if not line.faults:
+            self.can_outgoing += frames
+            return
+        for can_id, payload in frames:
+            for when_s, arrived in line.passed([(self.now_s, payload)]):
+                self._can_on_its_way.append((when_s, (can_id, arrived)))
+        self._release_can(self.now_s)
+
+    def _release_can(self, now_s: float) -> None:
+        moment_s = now_s + _SLACK_S
+        self.can_outgoing += [frame for when_s, frame in self._can_on_its_way if when_s <= moment_s]
+        self._can_on_its_way = [sent for sent in self._can_on_its_way if sent[0] > moment_s]
+
+    def _gather_serial(self, board: int) -> None:
+        outgoing = self.encoder_boards[board].outgoing
+        if outgoing:
+            line = self._lines[self._encoder_names[board]]
+            self._serial[board] += line.passed(outgoing) if line.faults else outgoing
+            outgoing.clear()
+
+    def _look(self, now_s: float) -> None:
+        datagrams = self.camera.tick(now_s, self.plant.tip_m)
+        line = self._lines["camera"]
+        if line.faults:
+            datagrams = [arrived for _, arrived in line.passed([(now_s, datagram) for datagram in datagrams])]
+        self.camera_outgoing += datagrams
+
+    def _change_faults(self, now_s: float) -> None:
+        begun, ended = self._plan.update(now_s)
+        for name, line in self._lines.items():
+            line.faults = self._plan.on_frames(name)
+        for fault in ended:
+            self._switch(fault, False)
+        for fault in begun:
+            self._switch(fault, True)
+
+    def _switch(self, fault: FaultTable, is_on: bool) -> None:
+        if fault.board in self._motor_names:
+            self._switch_motor(fault, self._motor_names.index(fault.board), is_on)
+        elif fault.board in self._encoder_names:
+            self._switch_encoder(fault, self._encoder_names.index(fault.board), is_on)
+
+    def _switch_motor(self, fault: FaultTable, j: int, is_on: bool) -> None:
+        board = self.motor_boards[j]
+        if fault.kind in _FORCED:
+            bit = _FORCED[fault.kind]
+            board.forced_faults = board.forced_faults | bit if is_on else board.forced_faults & ~bit
+        elif fault.kind == "swapped_polarity":
+            self._polarity[j] = self._wiring[j].motor_direction * (-1 if is_on else 1)
+            self._drive(j)
+        elif fault.kind == "supply":
+            self.plant.bridges.set_supply(j, fault.value if is_on else None)
+        elif fault.kind == "board_reset" and is_on:
+            board.power_up()
+        elif fault.kind == "wrong_identity" and is_on:
+            board.setup = replace(board.setup, serial_number=int(fault.value or 0))
+        elif fault.kind == "wrong_protocol" and is_on:
+            board.setup = replace(board.setup, protocol=int(fault.value or 0))
+        elif fault.kind == "wrong_counts" and is_on:
+            board.setup = replace(board.setup, counts_per_turn=int(fault.value or 0))
+
+    def _switch_encoder(self, fault: FaultTable, i: int, is_on: bool) -> None:
+        board = self.encoder_boards[i]
+        sets = {"stuck_encoder": board.stuck, "lost_wire": board.lost}
+        if fault.kind in sets:
+            change: Callable[[int], None] = sets[fault.kind].add if is_on else sets[fault.kind].discard
+            change(fault.channel)
+        elif fault.kind == "quadrature_error" and is_on:
+            board.quadrature_error(fault.channel, round(fault.value or 1))
+        elif fault.kind == "board_reset" and is_on:
+            board.power_up(self.now_s, self._shafts(i)[0])
+        elif fault.kind == "wrong_identity" and is_on:
+            board.setup = replace(board.setup, serial_number=int(fault.value or 0))
+        elif fault.kind == "wrong_protocol" and is_on:
+            board.setup = replace(board.setup, protocol=int(fault.value or 0))
+
+
+def _steps_per_tick(scenario: Scenario) -> int:
+    steps = round(scenario.tick_s / scenario.plant.timestep_s)
+    if steps < 1 or not math.isclose(steps * scenario.plant.timestep_s, scenario.tick_s, rel_tol=1e-9):
+        raise ScenarioError(
+            f"scenario {scenario.path or scenario.name}: tick_s = {scenario.tick_s:g} must be a multiple of "
+            f"plant.timestep_s = {scenario.plant.timestep_s:g}."
+        )
+    return steps

@@ -1,0 +1,197 @@
+"""Scenario files: what the mock robot hides and how its surroundings behave. Reference: docs/mock_robot.md.
+
+Strict: an unknown key, a wrong type or a number that is not finite is one clear error that names file and key.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+
+from hil_mocks.errors import ScenarioError
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Count = Annotated[int, msgspec.Meta(ge=0)]
+
+
+class TrueDh(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How far the real arm is off its nominal DH parameters: drawn from a seed within +- sizes, or given."""
+
+    seed: int | None = None  # absent: the scenario's
+    d_m: NotNegative = 0.0
+    theta_rad: NotNegative = 0.0
+    L_m: NotNegative = 0.0
+    alpha_rad: NotNegative = 0.0
+    deviations: dict[str, float] = {}  # link{i}_d_m ...; replaces what was drawn
+
+
+class EffectTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One `[[effect]]`; `joint` carries the link's number where the effect is at a link."""
+
+    effect: str
+    joint: int = 0
+    parameters: dict[str, float] = {}
+
+
+class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The arm at power-up."""
+
+    q_rad: tuple[float, ...] | None = None  # absent: the rest pose of arm.toml, else all zero
+    raw_counts: tuple[int, ...] | None = None  # what the encoder board's counters say; absent: 0
+    homed: bool = False  # the encoder board was zeroed earlier and kept its power
+
+
+class PlantTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How the physics is simulated."""
+
+    timestep_s: Positive = 5e-4
+    link_share: Share = 0.5
+    end_stop_margin_rad: Positive = 0.05
+    arm_effects: bool = True  # the [[effect]] tables of arm.toml are real
+
+
+class HandTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The hand that seats the tip in a cavity."""
+
+    speed_m_s: Positive = 0.3
+    seating_noise_m: NotNegative = 0.0  # standard deviation per axis
+
+
+class EncoderBoardTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The encoder board's own imperfections."""
+
+    clock_ppm: float = 20.0  # its clock is fast by this
+    index_error_rad: NotNegative = 0.0  # joint angle; the true index is off nominal by up to this, seeded
+
+
+class MotorBoardTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The motor boards' own imperfections."""
+
+    current_noise_A: NotNegative = 0.005
+    current_step_A: Positive = 0.001  # of the analogue-to-digital converter
+    supply_noise_V: NotNegative = 0.01
+    ambient_degC: float = 25.0
+    thermal_K_W: NotNegative = 2.0  # power stage to ambient
+    thermal_time_s: Positive = 60.0
+    bridge_ohm: NotNegative = 0.02  # what heats the power stage
+    rated_degC: float = 90.0
+
+
+class CameraTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The camera that sees the tip."""
+
+    rate_Hz: Positive = 100.0
+    noise_m: NotNegative | None = None  # absent: that of arm.toml, else 0.14 mm
+    latency_s: NotNegative = 0.008
+    dropout: Share = 0.0  # part of the frames in which the tip is not visible
+    clock_ppm: float = 0.0
+
+
+class FaultTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One `[[fault]]`: `board` is encoder, motor1 ... or camera; `until_s` absent: to the end."""
+
+    kind: str
+    board: str
+    channel: int = 0  # of the encoder board, 0-based
+    at_s: NotNegative = 0.0
+    until_s: float | None = None
+    probability: Share = 1.0  # of frames, where the kind acts on frames
+    value: float | None = None  # by kind
+
+
+class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Everything that is not in arm.toml: hidden deviations, effects, noise, faults. The defaults are an ideal robot."""
+
+    name: str = "ideal"
+    seed: int = 0
+    tick_s: Positive = 1e-3  # of the boards
+    true_dh: TrueDh = TrueDh()
+    effect: tuple[EffectTable, ...] = ()
+    start: Start = Start()
+    plant: PlantTable = PlantTable()
+    hand: HandTable = HandTable()
+    encoder_board: EncoderBoardTable = EncoderBoardTable()
+    motor_board: MotorBoardTable = MotorBoardTable()
+    camera: CameraTable = CameraTable()
+    fault: tuple[FaultTable, ...] = ()
+    path: str = ""  # set by the reader
+
+    def drawn_deviations(self, links: int) -> dict[str, float]:
+        """The true DH deviations by name, `link1_d_m` ...; drawn ones first, given ones in their place."""
+        table = self.true_dh
+        source = random.Random(f"dh {self.seed if table.seed is None else table.seed}")
+        sizes = {
+            "d_m": table.d_m,
+            "theta_rad": table.theta_rad,
+            "L_m": table.L_m,
+            "alpha_rad": table.alpha_rad,
+        }
+        drawn = {
+            f"link{i + 1}_{key}": source.uniform(-s, s) for i in range(links) for key, s in sizes.items()
+        }
+        return {**{name: value for name, value in drawn.items() if value != 0.0}, **table.deviations}
+
+
+def shipped_scenarios() -> list[str]:
+    """Names of the scenarios that come with the program."""
+    return sorted(
+        entry.name[:-5] for entry in files("hil_mocks.scenarios").iterdir() if entry.name.endswith(".toml")
+    )
+
+
+def load_scenario(path_or_name: str | Path) -> Scenario:
+    """Read a scenario file, or a shipped one by name. Raises ScenarioError."""
+    where = str(path_or_name)
+    if where in shipped_scenarios():
+        return parse_scenario(
+            (files("hil_mocks.scenarios") / f"{where}.toml").read_text("utf-8"), f"{where}.toml"
+        )
+    path = Path(path_or_name)
+    if not path.is_file():
+        known = ", ".join(shipped_scenarios())
+        raise ScenarioError(f"scenario {where}: there is no such file, nor is it one of {known}.")
+    return parse_scenario(path.read_text("utf-8"), where)
+
+
+def parse_scenario(text: str, where: str) -> Scenario:
+    """Scenario from TOML text; `where` names it in errors."""
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"scenario {where}: not valid TOML: {error}.") from error
+    _check_finite(document, where, "")
+    if "path" in document:
+        raise ScenarioError(f'scenario {where}: unknown key "path".')
+    try:
+        return msgspec.convert({**document, "path": where}, Scenario)
+    except msgspec.ValidationError as error:
+        raise ScenarioError(f"scenario {where}: {_readable(str(error))}.") from error
+
+
+def _check_finite(value: object, where: str, key: str) -> None:
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ScenarioError(f"scenario {where}: {key.lstrip('.')} must be finite, got {value}.")
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            _check_finite(inner, where, f"{key}.{name}")
+    if isinstance(value, list):
+        for i, inner in enumerate(value):
+            _check_finite(inner, where, f"{key}[{i}]")
+
+
+def _readable(message: str) -> str:
+    """Msgspec's `Object contains unknown field `x` - at `$.camera`` in the words of a TOML file."""
+    what, _, at = message.partition(" - at ")
+    what = what.replace("Object contains unknown field", "unknown key").replace(
+        "Object missing required field", "missing key"
+    )
+    place = at.strip("`").removeprefix("$").lstrip(".")
+    return f"[{place}] {what}" if place else what

@@ -1,0 +1,220 @@
+"""`python -m hil_mocks.serve`: a mock arm in real time, in a process of its own.
+
+Announces its ports as one JSON line on stdout; obeys JSON lines on a Unix socket (docs/mock_robot.md); ends on SIGTERM,
+SIGINT, `{"do": "quit"}` and when its standard input is closed, which happens when its parent dies.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import selectors
+import signal
+import socket
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from control.errors import ArmError
+from control.model.description import Arm, load_arm
+from hil_mocks.errors import MockError, RigError
+from hil_mocks.robot import MockRobot
+from hil_mocks.scenario import FaultTable, load_scenario
+from hil_mocks.wires import Wires
+
+_MOST_CATCH_UP_TICKS = 50  # later than this, the simulation lets the time go that it has lost
+_LOOKS_PER_TICK = 2  # so that a board answers a COMMAND within half a millisecond
+
+
+class Pacer:
+    """How many ticks are due: simulated time follows a clock, but never runs to catch up more than a bounded lateness."""
+
+    def __init__(self, tick_s: float, now_s: float) -> None:
+        self._tick_s, self._zero_s, self._done = tick_s, now_s, 0
+        self.overruns = 0
+        self.lost_s = 0.0
+        self.worst_late_s = 0.0
+
+    def due(self, now_s: float) -> int:
+        """Ticks to run now; those beyond the bound are dropped and counted as one overrun."""
+        behind = int((now_s - self._zero_s) / self._tick_s) - self._done
+        self.worst_late_s = max(self.worst_late_s, (behind - 1) * self._tick_s)
+        if behind > _MOST_CATCH_UP_TICKS:
+            dropped_s = (behind - _MOST_CATCH_UP_TICKS) * self._tick_s
+            self._zero_s += dropped_s
+            self.lost_s += dropped_s
+            self.overruns += 1
+            behind = _MOST_CATCH_UP_TICKS
+        self._done += behind
+        return behind
+
+
+class Server:
+    """One mock arm, its wires and its socket."""
+
+    def __init__(self, arm: Arm, scenario: str, can_channel: str, socket_path: Path) -> None:
+        self._arm = arm
+        self._robot = MockRobot(arm, load_scenario(scenario))
+        self._wires = Wires(len(self._robot.encoder_boards), "udp_multicast", can_channel)
+        self._channel, self._path = can_channel, socket_path
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._listener.bind(str(socket_path))
+        self._listener.listen()
+        self._listener.setblocking(False)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ, None)
+        self._selector.register(sys.stdin, selectors.EVENT_READ, "parent")
+        self._unfinished: dict[socket.socket, bytes] = {}
+        self._pacer = Pacer(self._robot.tick_s, time.monotonic())
+        self._is_ending = False
+
+    def announcement(self) -> dict[str, Any]:
+        """Where everything is."""
+        return {
+            "encoder_urls": [pty.path for pty in self._wires.ptys],
+            "can_interface": "udp_multicast",
+            "can_channel": self._channel,
+            "can_options": self._wires.can_options,
+            "camera_port": self._wires.camera_port,
+            "socket": str(self._path),
+            "pid": os.getpid(),
+        }
+
+    def end(self) -> None:
+        """Leave the loop at the next look."""
+        self._is_ending = True
+
+    def run(self) -> None:
+        """Follow the clock until told to end."""
+        look_s = self._robot.tick_s / _LOOKS_PER_TICK
+        self._pacer = Pacer(self._robot.tick_s, time.monotonic())
+        next_s = time.monotonic()
+        while not self._is_ending:
+            self._wires.from_host(self._robot)
+            self._wires.to_host(self._robot)
+            for _ in range(self._pacer.due(time.monotonic())):
+                self._robot.tick()
+                self._wires.to_host(self._robot)
+            self._look_at_sockets()
+            next_s = max(next_s + look_s, time.monotonic())
+            time.sleep(max(0.0, next_s - time.monotonic()))
+
+    def close(self) -> None:
+        """Take everything away that was made."""
+        for connection in self._unfinished:
+            connection.close()
+        self._selector.close()
+        self._listener.close()
+        self._path.unlink(missing_ok=True)
+        self._wires.close()
+
+    def _look_at_sockets(self) -> None:
+        for key, _ in self._selector.select(0.0):
+            if key.data == "parent":
+                if not os.read(sys.stdin.fileno(), 4096):
+                    self.end()
+            elif isinstance(key.fileobj, socket.socket):
+                self._listen(key.fileobj)
+
+    def _listen(self, source: socket.socket) -> None:
+        if source is self._listener:
+            connection, _ = source.accept()
+            connection.setblocking(False)
+            self._unfinished[connection] = b""
+            self._selector.register(connection, selectors.EVENT_READ, "client")
+            return
+        try:
+            received = source.recv(65536)
+        except OSError:
+            received = b""
+        if not received:
+            self._selector.unregister(source)
+            del self._unfinished[source]
+            source.close()
+            return
+        *lines, self._unfinished[source] = (self._unfinished[source] + received).split(b"\n")
+        for line in lines:
+            source.sendall(json.dumps(self._answered(line)).encode() + b"\n")
+
+    def _answered(self, line: bytes) -> dict[str, Any]:
+        try:
+            request = json.loads(line)
+            return {"ok": True, **self._done(request)}
+        except (MockError, ValueError, KeyError, TypeError, msgspec.ValidationError) as error:
+            return {"ok": False, "error": str(error) or type(error).__name__}
+
+    def _done(self, request: dict[str, Any]) -> dict[str, Any]:
+        robot, hand = self._robot, self._robot.hand
+        match request["do"]:
+            case "truth":
+                return {"time_s": robot.now_s, "tip_m": robot.tip_m(), "joint_rad": robot.joint_rad()}
+            case "seat":
+                return {"duration_s": hand.seat(request["point_m"])}
+            case "let_go":
+                hand.let_go()
+            case "hand":
+                return {"state": hand.state, "residual_m": hand.residual_m(), "problem": hand.problem}
+            case "payload":
+                robot.plant.set_payload(float(request["mass_kg"]))
+            case "inject":
+                robot.inject(msgspec.convert(request["fault"], FaultTable))
+            case "clear_faults":
+                robot.clear_faults()
+            case "scenario":
+                self._robot = MockRobot(self._arm, load_scenario(request["name"]))
+            case "status":
+                pacer = self._pacer
+                return {
+                    "time_s": robot.now_s,
+                    "overruns": pacer.overruns,
+                    "lost_s": pacer.lost_s,
+                    "worst_late_s": pacer.worst_late_s,
+                }
+            case "quit":
+                self.end()
+            case unknown:
+                raise RigError(f'mock arm: unknown request "{unknown}"; see docs/mock_robot.md.')
+        return {}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Serve until told to end; exit status 2 with one line on stderr if it cannot start."""
+    parser = argparse.ArgumentParser(prog="python -m hil_mocks.serve", description=__doc__)
+    parser.add_argument("--arm", default="right", help="arm.toml or the name of an arm that ships")
+    parser.add_argument("--scenario", default="ideal", help="scenario file or the name of one that ships")
+    parser.add_argument(
+        "--can-channel", default="", help="multicast group of the CAN bus; default: one of its own"
+    )
+    chosen = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory(prefix="armwright-mock-") as folder:
+        try:
+            arm = load_arm(chosen.arm)
+            server = Server(
+                arm, chosen.scenario, chosen.can_channel or own_group(), Path(folder) / "mock.sock"
+            )
+        except (ArmError, MockError) as error:
+            print(error, file=sys.stderr)
+            return 2
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: server.end())
+        print(json.dumps(server.announcement()), flush=True)
+        try:
+            server.run()
+        finally:
+            server.close()
+    return 0
+
+
+def own_group() -> str:
+    """A multicast group of the site-local block (RFC 2365) that follows from the process's number."""
+    number = os.getpid() & 0xFFFF
+    return f"239.255.{number >> 8}.{number & 0xFF}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

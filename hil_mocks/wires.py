@@ -1,0 +1,138 @@
+"""The wires of a mock arm: ptys for the serial boards, a CAN bus of python-can, datagrams of the camera.
+
+The host opens the other ends with its ordinary drivers: a pty's path, an interface and a channel, a UDP port.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import socket
+import sys
+import termios
+import tty
+from typing import Protocol
+
+from firmware_iface.link import open_can
+from hil_mocks.devices.motor_board import Frame
+
+_ROOM_BYTES = 3500  # of the 4095 that a tty holds for a host that does not read
+_MOST_LOOKS = 20_000  # some 10 ms
+
+
+class OnWires(Protocol):
+    """What the wires need of a robot."""
+
+    can_outgoing: list[Frame]
+    camera_outgoing: list[bytes]
+
+    def from_host_serial(self, board: int, received: bytes) -> None: ...
+    def from_host_can(self, can_id: int, payload: bytes) -> None: ...
+    def serial_outgoing(self, board: int) -> bytes: ...
+
+
+class Pty:
+    """A pseudo terminal in raw mode; its other end stays open here, so that hosts may come and go."""
+
+    def __init__(self) -> None:
+        self._ours, self._theirs = os.openpty()
+        tty.setraw(self._theirs)
+        os.set_blocking(self._ours, False)
+        self.path = os.ttyname(self._theirs)
+
+    def read(self) -> bytes:
+        """All that the host has written."""
+        received = b""
+        try:
+            # The kernel carries bytes through a pty in its own time; only an empty read has waited for all of them.
+            while part := os.read(self._ours, 65536):
+                received += part
+        except BlockingIOError:
+            return received
+        return received
+
+    def write(self, sent: bytes) -> None:
+        """Send; of what a host that does not read has no room for, the oldest frames are lost."""
+        if len(sent) > _ROOM_BYTES:
+            sent = sent[-_ROOM_BYTES:]
+            sent = sent[sent.index(0) + 1 :]
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._ours, sent)
+
+    def write_through(self, sent: bytes) -> None:
+        """Send, and return when the host can read it: what it reads next does not hang on the kernel's mood."""
+        waiting = self._unread()
+        self.write(sent)
+        wanted = min(waiting + len(sent), _ROOM_BYTES)
+        for _ in range(_MOST_LOOKS):
+            if self._unread() >= wanted:
+                return
+
+    def _unread(self) -> int:
+        return int.from_bytes(fcntl.ioctl(self._theirs, termios.FIONREAD, b"\0\0\0\0"), sys.byteorder)
+
+    def close(self) -> None:
+        """Hang up."""
+        os.close(self._ours)
+        os.close(self._theirs)
+
+
+class Wires:
+    """All wires of one robot. Nothing blocks."""
+
+    def __init__(
+        self, encoder_boards: int, can_interface: str, can_channel: str, camera_port: int = 0
+    ) -> None:
+        self.ptys = [Pty() for _ in range(encoder_boards)]
+        self.can_options: dict[str, int] = {"hop_limit": 0} if can_interface == "udp_multicast" else {}
+        self._can = open_can(can_interface, can_channel, **self.can_options)
+        self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._camera.setblocking(False)
+        self.camera_port = camera_port or free_udp_port()
+
+    def from_host(self, robot: OnWires) -> None:
+        """Give the robot what the host has sent."""
+        for i, pty in enumerate(self.ptys):
+            received = pty.read()
+            if received:
+                robot.from_host_serial(i, received)
+        for can_id, payload in self._can.receive():
+            robot.from_host_can(can_id, payload)
+
+    def to_host(self, robot: OnWires, is_stepped: bool = False) -> None:
+        """Give the host what the robot has sent by now; a stepped host finds all of it when this returns."""
+        for i, pty in enumerate(self.ptys):
+            sent = robot.serial_outgoing(i)
+            if sent and is_stepped:
+                pty.write_through(sent)
+            elif sent:
+                pty.write(sent)
+        if robot.can_outgoing:
+            for can_id, payload in robot.can_outgoing:
+                self._can.send(can_id, payload)
+            robot.can_outgoing.clear()
+        if robot.camera_outgoing:
+            for datagram in robot.camera_outgoing:
+                self._send_picture(datagram)
+            robot.camera_outgoing.clear()
+
+    def _send_picture(self, datagram: bytes) -> None:
+        try:
+            self._camera.sendto(datagram, ("127.0.0.1", self.camera_port))
+        except OSError:
+            return  # a full buffer loses a datagram, as a network does
+
+    def close(self) -> None:
+        """Take all wires away."""
+        for pty in self.ptys:
+            pty.close()
+        self._can.close()
+        self._camera.close()
+
+
+def free_udp_port() -> int:
+    """A UDP port on loopback that nobody has at the moment."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
