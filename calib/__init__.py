@@ -1,0 +1,1 @@
+"""Measured against modelled: table sessions, identification of DH deviations, verification, report."""

@@ -1,0 +1,295 @@
+"""points.csv: static poses, read and written as the interchange format says.
+
+Required columns: setup, point, repeat, q1_rad ... qn_rad. Optional: t_s, payload_kg, dir1 ..., i1_A ..., and
+x_m, y_m, z_m (empty where nothing was measured). Other columns are kept as text and warned about.
+Comma-separated, .csv or .csv.gz.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import math
+import re
+import zlib
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import TextIO
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import Array, frozen
+from calib.errors import PointsFileError
+
+REQUIRED = ("setup", "point", "repeat")
+TIP = ("x_m", "y_m", "z_m")
+SCALARS = ("t_s", "payload_kg")
+OWN_EXTRAS = re.compile(
+    r"q\d+_sd_rad"
+)  # what our own sessions add; kept like any other column, but no surprise
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """m static poses of an arm with n joints; arrays are read-only.
+
+    q_rad (m, n) from the encoders; tip_m (m, 3) in the base frame, NaN where not measured; direction (m, n)
+    sign of each joint's last motion, 0 unknown; current_A (m, n), t_s (m,), payload_kg (m,): NaN where
+    unknown. `extra` holds columns that the format does not know, as text.
+    """
+
+    setup: tuple[str, ...]
+    point: tuple[str, ...]
+    repeat: tuple[int, ...]
+    q_rad: Array
+    tip_m: Array
+    direction: Array
+    current_A: Array
+    t_s: Array
+    payload_kg: Array
+    extra: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __len__(self) -> int:
+        """How many poses."""
+        return len(self.setup)
+
+    @property
+    def joint_count(self) -> int:
+        """N."""
+        return int(self.q_rad.shape[1])
+
+    def chosen(self, rows: Sequence[int] | npt.NDArray[np.intp]) -> Points:
+        """The poses of these rows, in this order."""
+        k = [int(row) for row in rows]
+        return make_points(
+            [self.setup[i] for i in k],
+            [self.point[i] for i in k],
+            [self.repeat[i] for i in k],
+            self.q_rad[k],
+            self.tip_m[k],
+            self.direction[k],
+            self.current_A[k],
+            self.t_s[k],
+            self.payload_kg[k],
+            {name: tuple(column[i] for i in k) for name, column in self.extra.items()},
+        )
+
+
+def make_points(
+    setup: Sequence[str],
+    point: Sequence[str],
+    repeat: Sequence[int],
+    q_rad: Array,
+    tip_m: Array,
+    direction: Array | None = None,
+    current_A: Array | None = None,
+    t_s: Array | None = None,
+    payload_kg: Array | None = None,
+    extra: Mapping[str, tuple[str, ...]] | None = None,
+) -> Points:
+    """Points from arrays; what is absent is filled with NaN, directions with 0."""
+    m, n = np.shape(q_rad)
+    return Points(
+        tuple(setup),
+        tuple(point),
+        tuple(int(r) for r in repeat),
+        frozen(q_rad),
+        frozen(tip_m),
+        frozen(np.zeros((m, n)) if direction is None else direction),
+        frozen(np.full((m, n), np.nan) if current_A is None else current_A),
+        frozen(np.full(m, np.nan) if t_s is None else t_s),
+        frozen(np.full(m, np.nan) if payload_kg is None else payload_kg),
+        MappingProxyType(dict(extra or {})),
+    )
+
+
+def read_points(path: Path, joint_count: int | None = None) -> tuple[Points, tuple[str, ...]]:
+    """The points of a file and warnings about it. PointsFileError names file, line and column."""
+    with _opened(path) as file:
+        reader = csv.reader(file)
+        columns = _Columns.of(path, next(reader, []), joint_count)
+        table = _Table(path, columns)
+        for row in reader:
+            if row:
+                table.add(row, reader.line_num)
+    if not table.repeat:
+        raise PointsFileError(f"{path}: a header and no points: expected one line per point")
+    return table.points(), columns.warnings(path)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[TextIO]:
+    """Text of a .csv or .csv.gz; what the system or the file's form refuses becomes one sentence."""
+    try:
+        if path.name.endswith(".gz"):
+            with gzip.open(path, "rt", encoding="utf-8-sig", newline="") as packed:
+                yield packed
+        else:
+            with path.open(encoding="utf-8-sig", newline="") as plain:
+                yield plain
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise PointsFileError(f"{path}: not a whole gzip file ({error})") from error
+    except OSError as error:
+        raise PointsFileError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise PointsFileError(
+            f"{path}: byte {error.start} is not UTF-8 text: expected a .csv or .csv.gz"
+        ) from error
+    except csv.Error as error:
+        raise PointsFileError(f"{path}: not comma-separated text ({error})") from error
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Where each column stands in a row."""
+
+    names: tuple[str, ...]
+    joint_count: int
+
+    @classmethod
+    def of(cls, path: Path, header: list[str], joint_count: int | None) -> _Columns:
+        """From the header line; PointsFileError if it lacks or repeats something."""
+        names = tuple(name.strip() for name in header)
+        _require_unique(path, names)
+        n = sum(re.fullmatch(r"q\d+_rad", name) is not None for name in names)
+        wanted = joint_count or n
+        missing = [name for name in (*REQUIRED, *_each(wanted or 1, "q{}_rad")) if name not in names]
+        if missing:
+            raise PointsFileError(f"{path}, line 1: required column {missing[0]} is missing")
+        if n != wanted:
+            raise PointsFileError(
+                f"{path}, line 1: joint angles of {n} joints, expected {wanted} (q1_rad to q{wanted}_rad)"
+            )
+        _require_whole_groups(path, names, n)
+        return cls(names, n)
+
+    def warnings(self, path: Path) -> tuple[str, ...]:
+        """One sentence about columns that the format does not know, if there are any."""
+        strange = [name for name in self.extra if not OWN_EXTRAS.fullmatch(name)]
+        return (f"{path}: unknown columns kept and not used: {', '.join(strange)}",) if strange else ()
+
+    @property
+    def extra(self) -> tuple[str, ...]:
+        """Columns that the format does not know."""
+        known = {*REQUIRED, *SCALARS, *TIP}
+        known.update(*(_each(self.joint_count, form) for form in ("q{}_rad", "dir{}", "i{}_A")))
+        return tuple(name for name in self.names if name not in known)
+
+
+def _each(n: int, form: str) -> tuple[str, ...]:
+    """Column names of joints 1 .. n."""
+    return tuple(form.format(joint) for joint in range(1, n + 1))
+
+
+def _require_unique(path: Path, names: tuple[str, ...]) -> None:
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise PointsFileError(f"{path}, line 1: column {name} appears twice")
+
+
+def _require_whole_groups(path: Path, names: tuple[str, ...], n: int) -> None:
+    """x, y, z together; directions and currents of every joint or of none, and only of those."""
+    for group in (TIP, _each(n, "dir{}"), _each(n, "i{}_A")):
+        present = [name for name in group if name in names]
+        if present and len(present) < len(group):
+            absent = next(name for name in group if name not in present)
+            raise PointsFileError(f"{path}, line 1: column {absent} is missing beside {present[0]}")
+    for name in names:
+        match = re.fullmatch(r"dir(\d+)|i(\d+)_A", name)
+        if match and int(match[1] or match[2]) not in range(1, n + 1):
+            raise PointsFileError(
+                f"{path}, line 1: column {name} belongs to no joint: there are {n} (q1_rad to q{n}_rad)"
+            )
+
+
+class _Table:
+    """Rows as they are read: numbers in compact arrays, so that 100,000 points stay small."""
+
+    def __init__(self, path: Path, columns: _Columns) -> None:
+        self._path, self._columns = path, columns
+        n = columns.joint_count
+        self._numeric = {
+            name: (place, array("d"), name in _each(n, "q{}_rad"))
+            for place, name in enumerate(columns.names)
+            if name in (*SCALARS, *TIP, *_each(n, "q{}_rad"), *_each(n, "dir{}"), *_each(n, "i{}_A"))
+        }
+        self._text: dict[str, list[str]] = {name: [] for name in ("setup", "point", *columns.extra)}
+        self.repeat: list[int] = []
+        self._place = {name: place for place, name in enumerate(columns.names)}
+
+    def add(self, row: list[str], line: int) -> None:
+        """One line of the file."""
+        if len(row) != len(self._columns.names):
+            raise PointsFileError(
+                f"{self._path}, line {line}: {len(row)} values, line 1 names {len(self._columns.names)}"
+            )
+        for name, texts in self._text.items():
+            texts.append(row[self._place[name]].strip())
+        for name in ("setup", "point"):
+            if not self._text[name][-1]:
+                raise self._bad(line, name, "", "a name")
+        self.repeat.append(self._integer(row[self._place["repeat"]], line))
+        for name, (place, column, is_required) in self._numeric.items():
+            column.append(self._number(row[place], line, name, is_required))
+        self._require_sound(line)
+
+    def _integer(self, text: str, line: int) -> int:
+        try:
+            return int(text)
+        except ValueError:
+            raise self._bad(line, "repeat", text, "a whole number") from None
+
+    def _number(self, text: str, line: int, name: str, is_required: bool) -> float:
+        """A finite number; NaN for an empty cell or `nan` where the column is optional."""
+        try:
+            value = float(text) if text.strip() else math.nan
+        except ValueError:
+            raise self._bad(line, name, text, "a number") from None
+        if math.isinf(value) or (is_required and math.isnan(value)):
+            raise self._bad(line, name, text, "a finite number")
+        return value
+
+    def _require_sound(self, line: int) -> None:
+        """A tip has three coordinates or none; a direction is a sign."""
+        if "x_m" in self._numeric:
+            unknown = [name for name in TIP if math.isnan(self._numeric[name][1][-1])]
+            if 0 < len(unknown) < 3:
+                raise self._bad(line, unknown[0], "", "a number, as the other coordinates have one")
+        for name in _each(self._columns.joint_count, "dir{}"):
+            if name in self._numeric and self._numeric[name][1][-1] not in (-1.0, 0.0, 1.0):
+                value = self._numeric[name][1]
+                if not math.isnan(value[-1]):
+                    raise self._bad(line, name, f"{value[-1]:g}", "-1, 0 or 1")
+                value[-1] = 0.0
+
+    def _bad(self, line: int, name: str, text: str, expected: str) -> PointsFileError:
+        got = f'"{text.strip()}"' if text.strip() else "an empty cell"
+        return PointsFileError(f"{self._path}, line {line}, column {name}: got {got}, expected {expected}")
+
+    def points(self) -> Points:
+        """What was read."""
+        n = self._columns.joint_count
+        return make_points(
+            self._text["setup"],
+            self._text["point"],
+            self.repeat,
+            self._stacked(_each(n, "q{}_rad")),
+            self._stacked(TIP),
+            self._stacked(_each(n, "dir{}")) if "dir1" in self._numeric else None,
+            self._stacked(_each(n, "i{}_A")),
+            self._stacked(("t_s",))[:, 0],
+            self._stacked(("payload_kg",))[:, 0],
+            {name: tuple(self._text[name]) for name in self._columns.extra},
+        )
+
+    def _stacked(self, names: Sequence[str]) -> Array:
+        """Columns side by side, (m, columns); NaN where the file has none."""
+        absent = array("d", [math.nan]) * len(self.repeat)
+        return np.column_stack(
+            [np.array(self._numeric[n][1] if n in self._numeric else absent) for n in names]
+        )
