@@ -1,0 +1,103 @@
+"""What a calibration leaves behind besides the report: a calibrated arm.toml and calibration.json."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from calib.identify.identification import Estimate, Identification
+from calib.verify import Comparison, ErrorSummary
+from control.model.arm import Arm, Calibration
+from control.model.description import save_arm
+
+
+def write_calibrated_arm(
+    path: Path,
+    nominal: Arm,
+    found: Identification,
+    inputs: Mapping[str, str],
+    date: str,
+    program_version: str,
+) -> Arm:
+    """Save the arm with the identified DH parameters as a new file, and return it.
+
+    `inputs` maps files to their SHA-256. The file that the nominal arm came from stays as it is; an existing file at
+    `path` is refused (ArmFileError).
+    """
+    source = str(nominal.path.name) if nominal.path is not None else nominal.name
+    provenance = Calibration(source, dict(inputs), date, found.objective, program_version)
+    calibrated = dataclasses.replace(nominal.with_dh(found.dh), calibration=provenance)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_arm(calibrated, path)
+    return calibrated
+
+
+def write_calibration_json(
+    path: Path,
+    arm: str,
+    found: Identification,
+    inputs: Mapping[str, str],
+    date: str,
+    program_version: str,
+    verification: Comparison | None = None,
+) -> None:
+    """The result for other programs. SI units; a number that there is not is null."""
+    content = {
+        "format": "calibration/1",
+        "arm": arm,
+        "date": date,
+        "program_version": program_version,
+        "inputs": dict(inputs),
+        "objective": {
+            "name": found.objective,
+            "before": found.objective_before,
+            "after": found.objective_after,
+        },
+        "points": len(found.error_after_m),
+        "mean_error_m": {"before": found.mean_before_m, "after": found.mean_after_m},
+        "noise_m": _number(found.noise_m),
+        "rank": found.rank,
+        "condition_number": _number(found.condition_number),
+        "parameters": {estimate.parameter.name: _parameter(estimate) for estimate in found.estimates},
+        "undetermined": [{"names": list(g.names), "freedoms": g.freedoms_count} for g in found.undetermined],
+        "at_bound": list(found.binding),
+        "in_words": list(found.in_words()),
+        "verification": None if verification is None else _verification(verification),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _parameter(estimate: Estimate) -> dict[str, object]:
+    return {
+        "unit": estimate.parameter.unit,
+        "nominal": estimate.parameter.nominal,
+        "value": estimate.value,
+        "deviation": estimate.deviation,
+        "sd": _number(estimate.sd),
+        "bound": estimate.parameter.bound,
+        "is_determined": estimate.is_determined,
+        "is_at_bound": estimate.is_at_bound,
+    }
+
+
+def _verification(comparison: Comparison) -> dict[str, object]:
+    return {
+        entry.setup: {
+            "before": _summary(entry.before),
+            "after": _summary(entry.after),
+            "improvement_percent": entry.improvement_percent,
+        }
+        for entry in comparison.by_setup()
+    }
+
+
+def _summary(summary: ErrorSummary) -> dict[str, float | None]:
+    return {key: _number(value) for key, value in dataclasses.asdict(summary).items()}

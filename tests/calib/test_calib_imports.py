@@ -1,0 +1,13 @@
+"""Importing calib costs neither scipy nor matplotlib: each takes about a second."""
+
+import subprocess
+import sys
+
+
+def test_calib_is_imported_without_scipy_and_matplotlib() -> None:
+    code = (
+        "import sys, calib.identify, calib.points_writer, calib.report, calib.outcome, calib.session, calib.verify\n"
+        "print([name for name in ('scipy', 'matplotlib', 'mujoco', 'serial', 'can') if name in sys.modules])"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.strip() == "[]"
