@@ -1,7 +1,6 @@
 """The encoder board's driver in scripted dialogues: every answer, and every way of getting none."""
 
 import pytest
-from scripted import RX, TX, FakeClock, Script, ScriptedBytes
 
 from firmware_iface.encoder import wire
 from firmware_iface.encoder.board import EncoderBoard
@@ -15,6 +14,7 @@ from firmware_iface.errors import (
     RequestRefused,
     WrongIdentity,
 )
+from tests.firmware_iface.scripted import RX, TX, FakeClock, Script, ScriptedBytes
 
 Flags = tuple[int, int, int]
 ZERO_SET = int(ChannelFlag.ZERO_SET)

@@ -1,7 +1,6 @@
 """The motor board's driver in scripted dialogues: commands, states, parameters, and boards that misbehave."""
 
 import pytest
-from scripted import RX, TX, FakeClock, FrameScript, ScriptedFrames
 
 from firmware_iface.errors import (
     BoardFaulted,
@@ -25,6 +24,7 @@ from firmware_iface.motor.wire import (
     ParameterResult,
     Reply,
 )
+from tests.firmware_iface.scripted import RX, TX, FakeClock, FrameScript, ScriptedFrames
 
 STATUSWORD = {
     State.NOT_READY_TO_SWITCH_ON: 0x00,
@@ -286,6 +286,17 @@ class TestReplies:
         assert board.reply is None
         assert board.stale == 2
 
+    def test_a_reply_too_late_to_be_placed_is_dropped(self) -> None:
+        board, bus, link, _ = make([sent(0, number) for number in range(1, 26)])
+        for _ in range(25):
+            board.command_voltage(0.0)
+        link.push(0x181, reply(DISABLED, 25 - 16))
+        bus.update()
+        assert (board.reply, board.stale) == (None, 1)
+        link.push(0x181, reply(DISABLED, 25 - 15))
+        bus.update()
+        assert board.reply_lag == 15
+
     def test_an_older_reply_never_replaces_a_newer_one(self) -> None:
         board, bus, link, _ = enabled()
         board.command_voltage(0.0)
@@ -394,6 +405,17 @@ class TestReset:
         link.script = [sent(DriveCommand.DISABLE_VOLTAGE, 5, Mode.VOLTAGE, 3000)]
         board.command_voltage(3.0)
 
+    def test_commands_that_it_slept_through_are_no_lost_replies(self) -> None:
+        board, bus, link, _ = enabled()
+        link.push(0x281, bytes.fromhex("00 00 00 00 01 00 00 00"))
+        self.expect_reset(board, bus)
+        link.script = [sent(0, number) for number in range(5, 12)]
+        for _ in range(5, 12):
+            board.command_voltage(0.0)
+        link.push(0x181, reply(DISABLED, 11))
+        bus.update()
+        assert (board.state, board.lost) == (DISABLED, 0)
+
     def test_a_hello_before_the_first_contact_is_none(self) -> None:
         board, bus, link, _ = make()
         link.push(0x281, bytes.fromhex("00 00 00 00 01 00 00 00"))
@@ -443,6 +465,14 @@ class TestParameters:
         board, _, link, _ = make([asked(1, kp, 1, 6135), asked(1, kp, 1, 6135), answered(kp, 1, 6135)])
         board.write(kp, 6135)
         assert link.script == []
+
+    def test_request_sequences_run_from_1_to_255_and_leave_out_0(self) -> None:
+        script: FrameScript = []
+        for number in range(300):
+            sequence = number % 255 + 1
+            script += [asked(0, 4, sequence), answered(4, sequence, number)]
+        board, _, _, _ = make(script)
+        assert [board.read(4) for _ in range(300)] == list(range(300))
 
     def test_silence_is_said_after_three_times(self) -> None:
         board, _, _, _ = make([asked(0, 4, 1)] * 3)

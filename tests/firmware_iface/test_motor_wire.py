@@ -187,6 +187,13 @@ def test_choices_of_the_dbc_are_the_enums(dbc: Any) -> None:
         assert choices == {member.value: member.name for member in enum}
 
 
+def test_the_parameters_are_all_that_the_dbc_has(dbc: Any) -> None:
+    signals = dbc.get_message_by_name("PARAMETER_ANSWER_1").signals
+    found = {number: signal.name for signal in signals for number in signal.multiplexer_ids or []}
+    assert found == PARAMETER_SIGNALS
+    assert [parameter.value for parameter in wire.Parameter.__members__.values()] == sorted(found)
+
+
 def test_the_document_lists_every_parameter() -> None:
     document = (ROOT / "docs/motor_board.md").read_text().split("## Parameters")[1]
     for index in wire.Parameter:
