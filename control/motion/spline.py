@@ -177,7 +177,7 @@ def timed(
         PathError: fewer than two points, coincident neighbours, not finite, impossible speeds; names the
         way-point.
     """
-    points = _checked_points(waypoints)
+    points = checked_points(waypoints)
     asked = _checked_speeds(len(points), pace_m_s if speeds is None else speeds)
     # On an acceleration-continuous path the tridiagonal system shapes the corners; the factors only set its
     # times.
@@ -219,7 +219,7 @@ def through(
     return timed(waypoints, speeds, pace_m_s=pace_m_s, ends_at_rest=ends_at_rest).spline()
 
 
-def _checked_points(waypoints: Iterable[Iterable[float]]) -> list[Vector]:
+def checked_points(waypoints: Iterable[Iterable[float]]) -> list[Vector]:
     """Two or more finite points, no neighbours the same."""
     points: list[Vector] = []
     for number, waypoint in enumerate(waypoints, 1):

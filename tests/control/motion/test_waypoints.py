@@ -1,0 +1,90 @@
+"""Way-point files: strict, with hints for the usual mistakes, and every error names file and line."""
+
+import math
+
+import pytest
+
+from control.errors import MissingModel
+from control.model.arm import Table
+from control.model.description import load_arm
+from control.motion.errors import WaypointFileError
+from control.motion.waypoints import circle, line, read_waypoints
+
+
+def _file(tmp_path, text):
+    path = tmp_path / "path.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_points_speeds_and_lines_are_read(tmp_path):
+    path = _file(tmp_path, "x_m,y_m,z_m,speed_m_s\n0.5,0,0.1,0.2\n\n0.6, 0.1 ,1e-1,0\n")
+    waypoints = read_waypoints(path)
+    assert waypoints.points == ((0.5, 0.0, 0.1), (0.6, 0.1, 0.1))
+    assert waypoints.speeds_m_s == (0.2, 0.0)
+    assert waypoints.places == (f"{path}:2", f"{path}:4")
+    assert waypoints.name(2) == f"way-point 2 ({path}:4)"
+
+
+def test_columns_may_come_in_any_order_and_without_speeds(tmp_path):
+    waypoints = read_waypoints(_file(tmp_path, "z_m,x_m,y_m\n3,1,2\n6,4,5\n"))
+    assert waypoints.points == ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+    assert waypoints.speeds_m_s is None
+
+
+@pytest.mark.parametrize(
+    ("text", "pattern"),
+    [
+        ("", "empty file"),
+        ("x_m,y_m,z_m\n", "at least two way-points, got 0"),
+        ("x_m,y_m,z_m\n1,2,3\n", "at least two way-points, got 1"),
+        ("x_m,y_m\n1,2\n1,2\n", "csv:1: column z_m is missing"),
+        ("x_m,y_m,z_m,color\n", 'csv:1: expected columns .* got "color"'),
+        ("x_mm,y_mm,z_mm\n", 'got "x_mm": write metres'),
+        ("x_m,y_m,z_m,x_m\n", "column x_m stands there twice"),
+        ("0.5,0.1,0.2\n0.5,0.1,0.2\n", 'expected columns .* got "0.5"'),
+        ("x_m,y_m,z_m\n1,2\n1,2,3\n", "csv:2: expected 3 values, got 2"),
+        ("x_m,y_m,z_m\n1,2,3\n1,2,three\n", 'csv:3: z_m: expected a finite number, got "three"'),
+        ("x_m,y_m,z_m\n1,2,3\n1,2,\n", 'csv:3: z_m: expected a finite number, got ""'),
+        ("x_m,y_m,z_m\n1,2,3\n1,2,nan\n", "csv:3: z_m: expected a finite number"),
+        ("x_m,y_m,z_m\n500,2,3\n1,2,3\n", r"csv:2: x_m: 500 m .*millimetres\? then write 0.5"),
+        ("x_m,y_m,z_m\n1,2,3\n1,-90,3\n", r"csv:3: y_m: -90 m .*millimetres\? then write -0.09"),
+        (
+            "x_m,y_m,z_m,speed_m_s\n1,2,3,150\n1,2,4,1\n",
+            r"csv:2: speed_m_s: .* got 150 \(mm/s\? then write 0.15",
+        ),
+        ("x_m,y_m,z_m,speed_m_s\n1,2,3,-1\n1,2,4,1\n", "csv:2: speed_m_s: expected 0 to 10 m/s, got -1$"),
+    ],
+)
+def test_every_mistake_is_one_error_with_file_line_and_remedy(tmp_path, text, pattern):
+    with pytest.raises(WaypointFileError, match=pattern) as caught:
+        read_waypoints(_file(tmp_path, text))
+    assert "path.csv" in str(caught.value)
+
+
+def test_a_file_that_is_not_there_or_no_text_is_refused(tmp_path):
+    with pytest.raises(WaypointFileError, match="No such file"):
+        read_waypoints(tmp_path / "none.csv")
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(WaypointFileError, match="not UTF-8"):
+        read_waypoints(tmp_path / "binary.csv")
+
+
+def test_numbers_at_the_bounds_of_what_is_plausible_pass(tmp_path):
+    waypoints = read_waypoints(_file(tmp_path, "x_m,y_m,z_m,speed_m_s\n10,-10,0,10\n0,0,0,0\n"))
+    assert waypoints.points[0] == (10.0, -10.0, 0.0)
+
+
+def test_the_circle_closes_and_the_line_does_not():
+    table = load_arm("right").table
+    assert len(circle(table).points) == 25
+    assert circle(table).points[0] == circle(table).points[-1]
+    assert len(line(table).points) == 9
+    assert circle(table).name(1) == "way-point 1 (cavity 1)"
+    assert math.dist(line(table).points[0], line(table).points[-1]) == pytest.approx(0.16)
+
+
+@pytest.mark.parametrize("shape", [circle, line])
+def test_a_table_without_the_pattern_says_what_is_missing(shape):
+    with pytest.raises(MissingModel, match=shape.__name__):
+        shape(Table(origin_m=(0.5, 0.0, 0.0)))
