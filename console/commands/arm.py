@@ -1,0 +1,50 @@
+"""`armwright arm`: reads an arm.toml, so that what is wrong with it is seen before it is used."""
+
+import argparse
+import json
+import sys
+from typing import Any
+
+from control.model.arm import Arm
+from control.model.description import load_arm
+
+
+def run(given: argparse.Namespace) -> int:
+    """Print what the file holds."""
+    arm = load_arm(given.arm)
+    text = json.dumps(summary(arm), indent=2) if given.json else described(arm)
+    sys.stdout.write(f"{text}\n")
+    return 0
+
+
+def summary(arm: Arm) -> dict[str, Any]:
+    """The arm in brief, for programs."""
+    return {
+        "name": arm.name,
+        "path": str(arm.path),
+        "joints": arm.joint_count,
+        "dh_convention": arm.dh_convention,
+        "dh": arm.dh.tolist(),
+        "drives": len(arm.drives),
+        "table": arm.table is not None,
+        "effects": [[effect.effect, effect.joint, dict(effect.parameters)] for effect in arm.effects],
+        "calibrated_from": arm.calibration.source if arm.calibration else None,
+    }
+
+
+def described(arm: Arm) -> str:
+    """The arm in brief, for people."""
+    lines = [
+        f"arm {arm.name} ({arm.path}): {arm.joint_count} joints, {len(arm.drives)} drives, {arm.dh_convention} DH",
+        f"{'link':<6}{'joint':<10}{'d [m]':>12}{'theta [rad]':>14}{'L [m]':>12}{'alpha [rad]':>14}",
+    ]
+    for number, link in enumerate(arm.links, start=1):
+        lines.append(
+            f"{number:<6}{link.joint:<10}{link.d_m:>12.6f}{link.theta_rad:>14.6f}{link.L_m:>12.6f}{link.alpha_rad:>14.6f}"
+        )
+    lines += [f"effect {e.effect}, joint {e.joint}: {dict(e.parameters)}" for e in arm.effects]
+    if arm.calibration:
+        lines.append(
+            f"calibrated from {arm.calibration.source} on {arm.calibration.date} ({arm.calibration.objective})"
+        )
+    return "\n".join(lines)

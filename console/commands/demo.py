@@ -1,0 +1,74 @@
+"""`armwright demo`: the whole job on a mock arm."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from console.commands.progress import Bar
+from console.demo import job
+from console.demo.bench import Bench, RealTimeBench, SteppedBench
+from control.model.description import load_arm
+
+
+def run(given: argparse.Namespace) -> int:
+    """Run the demo and print what it found."""
+    from calib.verify import comparison_text
+
+    arm = load_arm(given.arm)
+    out = free_folder(Path(given.out))
+    out.mkdir(parents=True)
+    scenario = seeded_scenario(given.scenario, given.seed, out)
+    log = out / "log"
+    bench: Bench = (
+        RealTimeBench(given.arm, scenario, log) if given.realtime else SteppedBench(arm, scenario, log)
+    )
+    try:
+        with Bar("demo") as bar:
+            outcome = job.run(arm, bench, out, bar.advance)
+    finally:
+        bench.close()
+    sys.stdout.write(
+        f"\nTip error at {len(outcome.verification.point)} verification points that the calibration did not use:\n\n"
+        f"{comparison_text(outcome.verification)}\n\n"
+        f"  report          {outcome.report}\n"
+        f"  calibrated arm  {outcome.calibrated_arm}\n"
+        f"  points          {out / 'points.csv'}\n"
+        f"  recordings      {out / 'log'}\n"
+    )
+    (out / "verification.txt").write_text(comparison_text(outcome.verification) + "\n", encoding="utf-8")
+    return 0
+
+
+def free_folder(wanted: Path) -> Path:
+    """`wanted`, or the first of `wanted-2`, `wanted-3`, ... that is not there: results are never overwritten."""
+    folder, number = wanted, 1
+    while folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        number += 1
+        folder = wanted.with_name(f"{wanted.name}-{number}")
+    if folder.exists():
+        folder.rmdir()
+    return folder
+
+
+def seeded_scenario(name: str, seed: int | None, out: Path) -> Path:
+    """The scenario with its seed as a file beside the results, so that the run can be repeated."""
+    import msgspec
+
+    from hil_mocks.scenario import load_scenario
+
+    scenario = load_scenario(name)
+    if seed is not None:
+        scenario = msgspec.structs.replace(scenario, seed=seed)
+    document = msgspec.to_builtins(scenario)
+    del document["path"]
+    path = out / "scenario.toml"
+    path.write_bytes(msgspec.toml.encode(_without_none(document)))
+    return path
+
+
+def _without_none(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    if isinstance(value, list | tuple):
+        return [_without_none(item) for item in value]
+    return value

@@ -1,0 +1,54 @@
+"""A progress bar with the time left on a terminal; a line now and then where output goes to a file."""
+
+import sys
+import time
+from types import TracebackType
+from typing import Self
+
+LINES = 10  # of a whole job, where there is no terminal
+
+
+class Bar:
+    """Shows how much of a job is done; a context manager."""
+
+    def __init__(self, title: str) -> None:
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+        self._is_terminal = sys.stderr.isatty()
+        self._title = title
+        self._said = -1
+        self._began_s = time.monotonic()
+        from rich.console import Console
+
+        self._progress = Progress(
+            TextColumn("{task.description:<32}"),
+            BarColumn(),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+        )
+        self._task = self._progress.add_task(title, total=1.0)
+
+    def __enter__(self) -> Self:
+        if self._is_terminal:
+            self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def advance(self, what: str, done: float) -> None:
+        """`done` of the whole, 0 to 1, and what is being done now."""
+        if self._is_terminal:
+            self._progress.update(self._task, completed=done, description=what)
+            return
+        step = int(done * LINES)
+        if step != self._said:
+            self._said = step
+            sys.stderr.write(
+                f"{self._title}: {done:4.0%} after {time.monotonic() - self._began_s:.0f} s: {what}\n"
+            )
+            sys.stderr.flush()

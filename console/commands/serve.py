@@ -1,0 +1,42 @@
+"""`armwright serve`: the loop, in this process, until it is told to end."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from console.commands.connection import socket_path
+from control.errors import ArmError
+from control.loop.connect import LinkOptions, with_links
+from control.loop.process import ServeOptions, serve
+from control.model.description import load_arm
+
+LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 50.0, 1200.0  # three boards at 1 Mbit/s end at 1234 Hz
+
+
+def run(given: argparse.Namespace) -> int:
+    """Connect and serve."""
+    if not LOWEST_RATE_Hz <= given.rate <= HIGHEST_RATE_Hz:
+        raise ArmError(f"--rate: expected {LOWEST_RATE_Hz:g} to {HIGHEST_RATE_Hz:g} Hz, got {given.rate:g}")
+    arm = with_links(load_arm(given.arm), link_options(given))
+    options = ServeOptions(socket_path(given, arm), Path(given.log), 1.0 / given.rate, given.camera_port)
+    serve(arm, options, announce)
+    return 0
+
+
+def link_options(given: argparse.Namespace) -> LinkOptions:
+    """The links of the command line."""
+    options = dict(_option(text) for text in given.can_option or ())
+    return LinkOptions(tuple(given.encoder or ()), given.can_interface, given.can_channel, options)
+
+
+def _option(text: str) -> tuple[str, int | str]:
+    key, equals, value = text.partition("=")
+    if not (key and equals and value):
+        raise ArmError(f"--can-option: expected KEY=VALUE, got {text!r}")
+    return key, int(value) if value.lstrip("-").isdigit() else value
+
+
+def announce(text: str) -> None:
+    """Say it at once."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()

@@ -1,0 +1,73 @@
+"""`armwright`: parses the command line and hands over to one module per subcommand.
+
+Only argparse is imported before a subcommand is known, so that `--help` answers at once; a command's own module is imported
+when it runs. Exit status: 0 done, 1 the arm or a check failed, 2 wrong input and nothing moved, 130 interrupted.
+"""
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+from console import options
+from console.commands.table import COMMANDS
+
+
+def parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    top = argparse.ArgumentParser(
+        prog="armwright",
+        description="Control runtime, mock robot and calibration for a self-built robot arm.",
+        epilog="`armwright demo` shows the whole job on a mock arm. Every command has its own --help.",
+    )
+    top.add_argument("--version", action="store_true", help="print the version and end")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+    for command in COMMANDS:
+        sub = commands.add_parser(command.name, help=command.summary, description=command.description)
+        options.add(sub, command.options)
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status."""
+    top = parser()
+    given = top.parse_args(arguments)
+    if given.version:
+        from importlib.metadata import version
+
+        sys.stdout.write(f"armwright {version('armwright')}\n")
+        return 0
+    if given.command is None:
+        top.print_help()
+        return 2
+    module = importlib.import_module(f"console.commands.{given.command.replace('-', '_')}")
+    return run(module.run, given)
+
+
+def run(command: "options.Command", given: argparse.Namespace) -> int:
+    """Run a command and turn what the packages raise into one message and an exit status."""
+    from control.errors import ArmError
+    from control.loop.client import ArmFaulted
+    from firmware_iface.errors import LinkError
+
+    try:
+        return command(given)
+    except ArmFaulted as fault:
+        return fail(str(fault), 1)
+    except (ArmError, LinkError) as error:
+        return fail(str(error), 2)
+    except KeyboardInterrupt:
+        return fail("interrupted", 130)
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 1
+
+
+def fail(message: str, status: int) -> int:
+    """Say what is wrong on standard error; returns `status`."""
+    sys.stderr.write(f"armwright: {message}\n")
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

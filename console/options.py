@@ -1,0 +1,76 @@
+"""Options of the command line as data, so that the whole `--help` needs nothing but argparse."""
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+Command = Callable[[argparse.Namespace], int]
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """One argument: its flags (or its bare name) and what argparse wants to know of it."""
+
+    flags: tuple[str, ...]
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class CommandSpec:
+    """One subcommand: its module in console.commands has the same name and a `run(given) -> int`."""
+
+    name: str
+    summary: str
+    options: tuple[Option, ...] = ()
+    more: str = ""
+
+    @property
+    def description(self) -> str:
+        """What `armwright NAME --help` says first."""
+        return f"{self.summary[0].upper()}{self.summary[1:]}. {self.more}".strip()
+
+
+def option(*flags: str, **details: Any) -> Option:
+    """An option or positional argument in argparse's words."""
+    return Option(flags, details)
+
+
+def add(parser: argparse.ArgumentParser, options: Sequence[Option]) -> None:
+    """Add the options to an argparse parser."""
+    for one in options:
+        parser.add_argument(*one.flags, **one.details)
+
+
+ARM = option(
+    "--arm",
+    default="right",
+    metavar="A",
+    help="an arm.toml, or the name of an arm that ships (default: right)",
+)
+SOCKET = option(
+    "--socket", metavar="PATH", help="the runtime's socket (default: the place of the arm's name)"
+)
+OUT = option("--out", metavar="DIR", required=True, help="a folder for the results; made if it is not there")
+JSON = option("--json", action="store_true", help="print JSON for another program")
+RATE = option("--rate", type=float, default=500.0, metavar="HZ", help="cycles per second (default: 500)")
+LINKS = (
+    option(
+        "--encoder",
+        metavar="URL",
+        action="append",
+        help="serial port of an encoder board, any URL of pyserial's",
+    ),
+    option(
+        "--can-interface", metavar="NAME", help="python-can's interface: socketcan, slcan, udp_multicast, ..."
+    ),
+    option(
+        "--can-channel", metavar="CHANNEL", help="python-can's channel: can0, /dev/ttyACM1, 239.74.163.2, ..."
+    ),
+    option(
+        "--camera-port",
+        type=int,
+        metavar="PORT",
+        help="UDP port on which camera frames arrive (docs/camera.md)",
+    ),
+)

@@ -1,0 +1,75 @@
+"""The runtime, the mock hand and the camera, as a calibration session wants them (calib.session.ports)."""
+
+from collections.abc import Callable, Sequence
+
+from calib.session.ports import Sample, Vector
+from control.errors import ArmError
+from control.loop.client import ArmClient
+from hil_mocks.rig import MockHand
+
+SEATED_m = 2e-4  # a tip that is this near the hand sits in its cavity
+SEAT_PATIENCE = 3.0  # times what the hand said that it takes
+
+
+class RuntimePort:
+    """`ArmPort` and `Camera` over the runtime's client."""
+
+    def __init__(self, client: ArmClient, speed: float = 1.0) -> None:
+        self._client = client
+        self._speed = speed
+
+    def now_s(self) -> float:
+        """The runtime's time."""
+        return float(self._client.status()["t_s"])
+
+    def move_to_q(self, q_rad: Sequence[float]) -> None:
+        """Joint move, done when the arm holds there."""
+        self._client.move_joints(q_rad, self._speed)
+
+    def release(self) -> None:
+        """Open the circuits for a hand that has the arm."""
+        self._client.guide()
+
+    def hold(self) -> None:
+        """Hold where the arm stands."""
+        if self._client.status()["mode"] != "HOLDING":
+            self._client.hold()
+
+    def average(self, duration_s: float) -> Sample:
+        """Mean of encoders and currents."""
+        mean = self._client.average(duration_s)
+        return Sample(mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction)
+
+    def measure(self, duration_s: float) -> tuple[Vector, Vector]:
+        """Mean of the camera's tip positions and their standard deviation. ArmError when none came."""
+        mean = self._client.average(duration_s)
+        if mean.tip_m is None or mean.tip_std_m is None:
+            raise ArmError(
+                f"no camera frame came within {duration_s:g} s: is the camera on, and does it see the tip?"
+            )
+        return mean.tip_m, mean.tip_std_m
+
+
+class HandPort:
+    """`TipSeat` by the mock arm's hand."""
+
+    def __init__(self, hand: MockHand, wait: Callable[[float], None]) -> None:
+        self._hand = hand
+        self._wait = wait
+
+    def seat(self, point_m: Vector) -> None:
+        """Drag the tip to the cavity; returns when it sits. ArmError when it cannot be brought there."""
+        duration_s = self._hand.seat(point_m)
+        self._wait(duration_s)
+        for _ in range(int(SEAT_PATIENCE / 0.1)):
+            if self._hand.state == "holding" and self._hand.residual_m() < SEATED_m:
+                return
+            self._wait(0.1)
+        raise ArmError(
+            f"the mock hand did not seat the tip at {point_m}: {self._hand.state},"
+            f" {1e3 * self._hand.residual_m():.2f} mm away"
+        )
+
+    def let_go(self) -> None:
+        """Leave the tip to the arm."""
+        self._hand.let_go()

@@ -1,0 +1,155 @@
+"""Puts a runtime together from an arm, its hardware and a recorder. The only place that knows all of the loop's parts."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+from control.errors import MissingModel
+from control.loop.hardware import Hardware, OutputMode
+from control.loop.homing import HomingSequence, JointHome
+from control.loop.measure import Measurement
+from control.loop.pid import Pid
+from control.loop.record import Layout, NoSink, Recorder, RowSink
+from control.loop.requests import Requests
+from control.loop.runtime import Camera, Parts, Runtime
+from control.loop.servo import Motor, Servo
+from control.loop.watch import JointLimits as MeasuredLimits
+from control.loop.watch import Watch, WatchLimits
+from control.model.arm import Arm, Drive
+from control.model.dynamics import Dynamics
+from control.model.gains import gains_of
+from control.model.inverse import InverseKinematics
+from control.model.joint_map import JointMap
+from control.model.kinematics import Kinematics
+from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import Stop
+from control.safety.limits import SetPointLimits
+
+MISSED_IN_ROW = 50  # cycles: 0.1 s at 500 Hz; the boards' watchdogs act at twice that
+OVERSPEED = 1.5  # of the speed limit: more than any controlled motion overshoots
+RANGE_MARGIN_rad = 0.05
+SET_POINT_MARGIN = 1.05  # of speed and acceleration: a plan is checked at samples, the guard at every cycle
+HOMING_TRAVEL = 1.1  # of the joint's range
+HOMING_ACCELERATION = 0.2  # of the joint's limit
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Assembly:
+    """A runtime and who serves its requests."""
+
+    runtime: Runtime
+    requests: Requests
+
+
+def assemble(
+    arm: Arm,
+    hardware: Hardware,
+    period_s: float,
+    camera: Camera | None = None,
+    sink: RowSink | None = None,
+    stopwatch_s: Callable[[], float] = time.perf_counter,
+    about: Mapping[str, object] | None = None,
+) -> Assembly:
+    """A runtime that is ready for its first cycle. MissingModel when arm.toml lacks what control needs."""
+    limits = JointLimits.of(arm)
+    kinematics = Kinematics(arm)
+    names = tuple(f"joint {drive.joint}" for drive in arm.drives)
+    parts = Parts(
+        hardware=hardware,
+        recorder=Recorder(Layout.of(arm.joint_count), sink or NoSink()),
+        measurement=Measurement(
+            [JointMap(drive) for drive in arm.drives], [d.encoder_bits for d in arm.drives]
+        ),
+        servo=_servo(arm, period_s),
+        watch=Watch(_watch_limits(arm), names),
+        set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
+        homing=lambda: HomingSequence(_homes(arm), hardware),
+        stop_from=lambda state: Stop(state, limits),
+        inverse=InverseKinematics(arm),
+        camera=camera,
+        joint_names=names,
+        period_s=period_s,
+        stopwatch_s=stopwatch_s,
+    )
+    runtime = Runtime(parts)
+    return Assembly(runtime, Requests(runtime, limits, kinematics, {"arm": arm.name, **(about or {})}))
+
+
+def _servo(arm: Arm, period_s: float) -> Servo:
+    modes = {drive.pid.mode for drive in arm.drives}
+    if len(modes) != 1:
+        raise MissingModel(
+            f"arm {arm.name}: all drives must have the same [drive.pid] mode, got {', '.join(sorted(modes))}"
+        )
+    mode = OutputMode[modes.pop().upper()]
+    pids = []
+    for drive in arm.drives:
+        gains = gains_of(arm, drive.joint)
+        limit = drive.current_limit_A if mode is OutputMode.CURRENT else drive.supply_V
+        pids.append(Pid(gains.kp, gains.ki, gains.kd, gains.derivative_filter_s, limit, period_s))
+    return Servo(mode, [_motor(drive) for drive in arm.drives], pids, torque_model(arm))
+
+
+def _motor(drive: Drive) -> Motor:
+    joint_constant = drive.torque_constant_Nm_A * drive.gear_ratio
+    return Motor(
+        1.0 / joint_constant, drive.resistance_ohm, joint_constant, drive.supply_V, drive.current_limit_A
+    )
+
+
+def torque_model(arm: Arm) -> Callable[[Sequence[float], Sequence[float], Sequence[float]], Sequence[float]]:
+    """Joint torques that the model expects for angles, speeds and accelerations: rigid body, rotors, known friction."""
+    return Dynamics(arm).inverse
+
+
+def _watch_limits(arm: Arm) -> WatchLimits:
+    joints = tuple(
+        MeasuredLimits(
+            lower_rad=drive.joint_lower_rad,
+            upper_rad=drive.joint_upper_rad,
+            range_margin_rad=RANGE_MARGIN_rad,
+            speed_rad_s=OVERSPEED * drive.joint_speed_limit_rad_s,
+            following_error_rad=arm.limits.following_error_rad,
+            following_error_per_speed_s=arm.limits.following_error_per_speed_s,
+        )
+        for drive in arm.drives
+    )
+    return WatchLimits(joints, arm.limits.stale_s, MISSED_IN_ROW)
+
+
+def _set_point_limits(drive: Drive) -> SetPointLimits:
+    return SetPointLimits(
+        drive.joint_lower_rad,
+        drive.joint_upper_rad,
+        SET_POINT_MARGIN * drive.joint_speed_limit_rad_s,
+        SET_POINT_MARGIN * drive.joint_acceleration_limit_rad_s2,
+    )
+
+
+def _homes(arm: Arm) -> list[tuple[int, JointHome]]:
+    """How the joints home, in the order of the drives. MissingModel names a drive without [drive.home]."""
+    homes = []
+    for joint, drive in enumerate(arm.drives):
+        if drive.home is None:
+            raise MissingModel(
+                f"arm {arm.name}: joint {drive.joint} cannot be homed: add [drive.home] with switch_rad and index_rad"
+                " to its drive, or set its zero on the encoder board"
+            )
+        range_rad = drive.joint_upper_rad - drive.joint_lower_rad
+        homes.append(
+            (
+                joint,
+                JointHome(
+                    name=f"joint {drive.joint}",
+                    speed_rad_s=drive.home.speed_rad_s,
+                    acceleration_rad_s2=HOMING_ACCELERATION * drive.joint_acceleration_limit_rad_s2,
+                    backoff_rad=drive.home.backoff_rad,
+                    travel_rad=HOMING_TRAVEL * range_rad,
+                    switch_rad=drive.home.switch_rad,
+                    index_rad=drive.home.index_rad,
+                    turn_rad=2.0 * 3.141592653589793 / drive.gear_ratio,
+                    index_count=JointMap(drive).count(drive.home.index_rad),
+                ),
+            )
+        )
+    return homes

@@ -1,0 +1,209 @@
+"""How everything outside the loop talks to it: one request at a time, answered at once; waiting is looking again.
+
+A request is a JSON object with the key `do`; the answer is a JSON object with `ok`. The same client runs over the runtime's
+socket (a process of its own) and over a runtime in the same process on a stepped clock: the channel is all that differs.
+docs/socket.md lists every request.
+"""
+
+import socket
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+
+from control.errors import ArmError
+
+Message = dict[str, Any]
+POLL_S = 0.02  # how often a waiting client looks; an operator sees no difference, the loop hardly notices
+
+
+class RequestRefused(ArmError):
+    """The runtime did not take a request; nothing was changed by it."""
+
+
+class ArmFaulted(ArmError):
+    """The arm is in FAULT: it was stopped, and what it says must be acknowledged by hand."""
+
+
+class RuntimeGone(ArmError):
+    """No runtime answers on the socket."""
+
+
+class Channel(Protocol):
+    """Carries a request to the runtime and its answer back."""
+
+    def request(self, message: Message) -> Message: ...
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass on the runtime's clock."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class SocketChannel:
+    """A channel over the runtime's local socket: one JSON object a line, both ways."""
+
+    def __init__(self, path: Path, timeout_s: float = 2.0) -> None:
+        self._path = path
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(timeout_s)
+        try:
+            self._socket.connect(str(path))
+        except OSError as error:
+            raise RuntimeGone(
+                f"no runtime answers at {path} ({error.strerror}): start one with `armwright serve`"
+            ) from error
+        self._lines = self._socket.makefile("rb")
+
+    def request(self, message: Message) -> Message:
+        """Send and wait for the answer. RuntimeGone when the runtime went away or does not answer in time."""
+        try:
+            self._socket.sendall(msgspec.json.encode(message) + b"\n")
+            line = self._lines.readline()
+        except OSError as error:
+            raise RuntimeGone(f"the runtime at {self._path} does not answer ({error})") from error
+        if not line:
+            raise RuntimeGone(f"the runtime at {self._path} closed the connection")
+        answer: Message = msgspec.json.decode(line)
+        return answer
+
+    def wait(self, duration_s: float) -> None:
+        """Wait on the host's clock."""
+        import time
+
+        time.sleep(duration_s)
+
+    def close(self) -> None:
+        """Hang up. A motion that this connection started is stopped by the runtime."""
+        self._lines.close()
+        self._socket.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Average:
+    """A measurement at rest: means over `duration_s`; angles in rad through the joint map, tip in the base frame in m."""
+
+    duration_s: float
+    samples: int
+    q_rad: tuple[float, ...]
+    q_std_rad: tuple[float, ...]
+    current_A: tuple[float, ...]
+    direction: tuple[int, ...]
+    camera_frames: int
+    tip_m: tuple[float, float, float] | None
+    tip_std_m: tuple[float, float, float] | None
+    moved_rad: float
+    t_s: float
+
+
+class ArmClient:
+    """The arm, from outside the loop. Methods that move return when the arm has done it or raise what stopped it."""
+
+    def __init__(self, channel: Channel, on_wait: Callable[[Message], None] | None = None) -> None:
+        self._channel = channel
+        self._on_wait = on_wait
+
+    def ask(self, do: str, **arguments: Any) -> Message:
+        """One request. RequestRefused with the runtime's own words when it says no."""
+        answer = self._channel.request({"do": do, **arguments})
+        if not answer.get("ok"):
+            raise RequestRefused(str(answer.get("error", "the runtime refused without a reason")))
+        return answer
+
+    def status(self) -> Message:
+        """State of the arm: mode, angles, set-points, currents, faults, cycle statistics (docs/socket.md)."""
+        return self.ask("status")
+
+    def until(self, modes: Sequence[str], timeout_s: float) -> Message:
+        """Wait until the arm is in one of `modes`; returns the status then.
+
+        ArmFaulted when it goes to FAULT instead, ArmError on time-out.
+        """
+        waited_s = 0.0
+        while True:
+            status = self.status()
+            if self._on_wait:
+                self._on_wait(status)
+            if status["mode"] in modes:
+                return status
+            if status["mode"] == "FAULT":
+                raise ArmFaulted(fault_text(status))
+            if waited_s > timeout_s:
+                raise ArmError(
+                    f"the arm is still {status['mode']} after {waited_s:.1f} s; expected {' or '.join(modes)}"
+                )
+            self._channel.wait(POLL_S)
+            waited_s += POLL_S
+
+    def enable(self) -> None:
+        """Drives on, holding where the arm stands."""
+        self.ask("enable")
+        self.until(["HOLDING"], 3.0)
+
+    def home(self, timeout_s: float = 120.0) -> None:
+        """Find every joint's zero; nothing to do for joints whose board still knows it."""
+        if self.ask("home")["homing"]:
+            self.until(["HOLDING"], timeout_s)
+
+    def move_joints(self, q_rad: Sequence[float], speed: float = 1.0) -> None:
+        """Joint move to `q_rad` at a fraction of the joints' limits; returns at rest."""
+        answer = self.ask("move_joints", q_rad=list(q_rad), speed=speed)
+        self.until(["HOLDING"], answer["duration_s"] + 5.0)
+
+    def run_path(self, path: Message) -> None:
+        """Run a planned path (PlannedPath.to_message()); the arm must stand at its first point."""
+        answer = self.ask("run_path", path=path)
+        self.until(["HOLDING"], answer["duration_s"] + 5.0)
+
+    def stop(self) -> None:
+        """Controlled stop; returns when the arm holds."""
+        self.ask("stop")
+        self.until(["HOLDING", "BRAKED", "OFF", "GUIDING"], 5.0)
+
+    def guide(self) -> None:
+        """Open the motor circuits so that a hand can guide the arm. Somebody must hold it."""
+        self.ask("guide")
+
+    def hold(self) -> None:
+        """End hand-guiding: hold where the arm stands."""
+        self.ask("hold")
+        self.until(["HOLDING"], 3.0)
+
+    def average(self, duration_s: float) -> Average:
+        """Average encoders, currents and camera frames over `duration_s`, starting now."""
+        self.ask("average", duration_s=duration_s)
+        while True:
+            self._channel.wait(min(duration_s, POLL_S))
+            result = self.ask("average_result")["average"]
+            if result is not None:
+                return msgspec.convert(result, Average)
+
+    def acknowledge(self) -> None:
+        """A human has seen the fault; the arm may be enabled again."""
+        self.ask("acknowledge")
+
+    def off(self, quit_runtime: bool = False, timeout_s: float = 60.0) -> None:
+        """Stop, hold, brake until the arm has sunk to rest, drives off; then the runtime ends if it shall."""
+        self.ask("off", quit=quit_runtime)
+        try:
+            self.until(["OFF"], timeout_s)
+        except RuntimeGone:
+            if not quit_runtime:
+                raise
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass on the runtime's clock."""
+        self._channel.wait(duration_s)
+
+    def close(self) -> None:
+        """Hang up."""
+        self._channel.close()
+
+
+def fault_text(status: Message) -> str:
+    """The faults of a status as an operator should read them."""
+    lines = [f"{fault['where']}: {fault['message']}. {fault['remedy']}" for fault in status["faults"]]
+    return "; ".join(lines) or "the arm is in FAULT without a stated reason"

@@ -1,0 +1,136 @@
+"""From counts to angles, speeds and the direction of the last motion; and averages at rest.
+
+Plain floats: this runs every cycle.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from control.model.joint_map import Unwrapper
+
+SPEED_FILTER_S = (
+    0.004  # one count in one 2 ms cycle is 0.015 rad/s on the reference arm: two cycles of smoothing
+)
+DIRECTION_STEP_rad = 2e-4  # a motion smaller than this is dither at a set-point, not an approach
+
+
+class CountMap(Protocol):
+    """Maps unwrapped counts of one joint to radians."""
+
+    def radians(self, count: int) -> float: ...
+
+
+class Measurement:
+    """Joint angles in rad, speeds in rad/s and the sign of the last motion, joint by joint.
+
+    `shifted_rad` is by how much the last update moved the angles because a counter was shifted, not because anything turned.
+    """
+
+    def __init__(self, maps: Sequence[CountMap], counter_bits: Sequence[int]) -> None:
+        n = len(maps)
+        self.q_rad = [0.0] * n
+        self.speed_rad_s = [0.0] * n
+        self.direction = [0] * n
+        self.shifted_rad = [0.0] * n
+        self._maps = maps
+        self._counter_bits = tuple(counter_bits)
+        self._unwrappers: list[Unwrapper] = []
+        self._shifts = [0] * n
+        self._turning_point_rad = [0.0] * n
+        self._last_s = -math.inf
+
+    def update(self, counts: Sequence[int], shifts: Sequence[int], measured_at_s: float) -> bool:
+        """Take the counts of a report that came at `measured_at_s`; one seen before changes nothing.
+
+        `shifts` are the counts that have been added to each counter by request, as far as this report includes them.
+        Returns whether one of them is new.
+        """
+        elapsed_s = measured_at_s - self._last_s
+        if not elapsed_s > 0.0:
+            return False
+        is_first = not self._unwrappers
+        if is_first:
+            self._unwrappers = [
+                Unwrapper(b, count) for b, count in zip(self._counter_bits, counts, strict=True)
+            ]
+        is_shifted = self._follow_shifts(shifts)
+        gain = elapsed_s / (elapsed_s + SPEED_FILTER_S)
+        for joint, count in enumerate(counts):
+            shift = self._shifts[joint]
+            q = self._maps[joint].radians(self._unwrappers[joint].update(count - shift) + shift)
+            if is_first:
+                self._turning_point_rad[joint] = q
+            else:
+                speed = (q - self.q_rad[joint]) / elapsed_s
+                self.speed_rad_s[joint] += gain * (speed - self.speed_rad_s[joint])
+                self._follow_direction(joint, q)
+            self.q_rad[joint] = q
+        self._last_s = measured_at_s
+        return is_shifted
+
+    def _follow_shifts(self, shifts: Sequence[int]) -> bool:
+        if self._shifts == shifts:
+            return False
+        for joint, shift in enumerate(shifts):
+            mapped = self._maps[joint]
+            moved_rad = mapped.radians(shift) - mapped.radians(self._shifts[joint])
+            self.shifted_rad[joint] = moved_rad
+            self.q_rad[joint] += moved_rad
+            self._turning_point_rad[joint] += moved_rad
+            self._shifts[joint] = shift
+        return True
+
+    def _follow_direction(self, joint: int, q: float) -> None:
+        turning_point = self._turning_point_rad[joint]
+        direction = self.direction[joint]
+        if (q - turning_point) * direction > 0.0:
+            self._turning_point_rad[joint] = q
+        elif abs(q - turning_point) > DIRECTION_STEP_rad:
+            self.direction[joint] = 1 if q > turning_point else -1
+            self._turning_point_rad[joint] = q
+
+
+@dataclass(slots=True)
+class RunningMean:
+    """Mean, spread and range of a stream of vectors, relative to the first for the sake of rounding."""
+
+    count: int = 0
+    first: tuple[float, ...] = ()
+    total: list[float] = field(default_factory=list)
+    squares: list[float] = field(default_factory=list)
+    lower: list[float] = field(default_factory=list)
+    upper: list[float] = field(default_factory=list)
+
+    def add(self, values: Sequence[float]) -> None:
+        """Take one more vector."""
+        if not self.count:
+            self.first = tuple(values)
+            zeros = [0.0] * len(values)
+            self.total, self.squares, self.lower, self.upper = (zeros[:], zeros[:], zeros[:], zeros[:])
+        self.count += 1
+        for i, value in enumerate(values):
+            offset = value - self.first[i]
+            self.total[i] += offset
+            self.squares[i] += offset * offset
+            self.lower[i] = min(self.lower[i], offset)
+            self.upper[i] = max(self.upper[i], offset)
+
+    def mean(self) -> tuple[float, ...]:
+        """Mean of the vectors so far."""
+        return tuple(f + t / self.count for f, t in zip(self.first, self.total, strict=True))
+
+    def std(self) -> tuple[float, ...]:
+        """Sample standard deviation; zero for a single vector."""
+        n = self.count
+        if n < 2:
+            return tuple(0.0 for _ in self.first)
+        return tuple(
+            math.sqrt(max(0.0, s - t * t / n) / (n - 1))
+            for s, t in zip(self.squares, self.total, strict=True)
+        )
+
+    def spread(self) -> float:
+        """Largest range (maximum minus minimum) over the components."""
+        return max((u - w for u, w in zip(self.upper, self.lower, strict=True)), default=0.0)

@@ -1,0 +1,180 @@
+"""Requests to the runtime: a JSON object in, a JSON object out, answered at once. docs/socket.md is their list.
+
+What is wrong with a request is said before anything is changed. Planning has been done by the client; here a motion is only
+rebuilt and checked against where the arm stands.
+"""
+
+import base64
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from control.errors import ArmError
+from control.loop.averaging import Averaging
+from control.loop.runtime import Runtime
+from control.loop.status import status_of
+from control.model.kinematics import Kinematics
+from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import JointMove
+from control.motion.plan import PlannedPath
+from control.motion.setpoint import Motion
+from control.safety.table import Mode
+from firmware_iface.errors import LinkError
+
+Message = dict[str, Any]
+START_TOLERANCE_rad = 5e-3  # of a path's first point: a joint move ends within a few counts of it
+LONGEST_AVERAGE_S = 60.0
+
+
+class Requests:
+    """Serves the requests of all clients on one runtime, and knows whose motion runs."""
+
+    def __init__(self, runtime: Runtime, limits: JointLimits, kinematics: Kinematics, about: Message) -> None:
+        self._runtime = runtime
+        self._limits = limits
+        self._kinematics = kinematics
+        self._about = about
+        self._owner: int | None = None
+        self._serve: Mapping[str, Callable[[Message, int], Message]] = {
+            "status": self._status,
+            "enable": self._enable,
+            "home": self._home,
+            "move_joints": self._move_joints,
+            "run_path": self._run_path,
+            "stop": self._stop,
+            "brake": self._brake,
+            "guide": self._guide,
+            "hold": self._hold,
+            "average": self._average,
+            "average_result": self._average_result,
+            "payload": self._payload,
+            "acknowledge": self._acknowledge,
+            "fault_cycles": self._fault_cycles,
+            "off": self._off,
+        }
+
+    def handle(self, request: Message, client: int) -> Message:
+        """Serve one request of a client; never raises for what a client sent."""
+        serve = self._serve.get(str(request.get("do")))
+        if serve is None:
+            known = ", ".join(self._serve)
+            return {
+                "ok": False,
+                "error": f"unknown request {request.get('do')!r}: expected `do` to be one of {known}",
+            }
+        try:
+            return {"ok": True, **serve(request, client)}
+        except (ArmError, LinkError) as error:
+            return {"ok": False, "error": str(error)}
+        except (TypeError, ValueError, KeyError, OverflowError) as error:
+            return {"ok": False, "error": f"request {request.get('do')!r}: {type(error).__name__}: {error}"}
+
+    def on_gone(self, client: int) -> None:
+        """A client hung up: stop the motion that it started."""
+        if client == self._owner and self._runtime.monitor.mode in (Mode.MOVING, Mode.HOMING):
+            self._runtime.stop()
+
+    def _own(self, request: Message, client: int) -> None:
+        self._owner = None if request.get("detached") else client
+
+    def _status(self, request: Message, client: int) -> Message:
+        return {**self._about, **status_of(self._runtime, self._kinematics)}
+
+    def _enable(self, request: Message, client: int) -> Message:
+        self._runtime.want_hold()
+        return {}
+
+    def _home(self, request: Message, client: int) -> Message:
+        runtime = self._runtime
+        if not request.get("again") and runtime.take_known_zeros():
+            return {"homing": False}
+        runtime.start_homing()
+        self._own(request, client)
+        return {"homing": True}
+
+    def _move_joints(self, request: Message, client: int) -> Message:
+        target = _numbers(request, "q_rad", len(self._runtime.parts.joint_names))
+        speed = _number(request, "speed", 1e-3, 1.0, default=1.0)
+        move = JointMove(self._runtime.set_point, target, self._limits.scaled(speed))
+        return self._start(move, request, client)
+
+    def _run_path(self, request: Message, client: int) -> Message:
+        path = PlannedPath.from_message(request["path"])
+        first = path.q_start_rad
+        off_rad = max(abs(a - b) for a, b in zip(first, self._runtime.set_point.q_rad, strict=True))
+        if off_rad > START_TOLERANCE_rad:
+            raise ArmError(
+                f"the arm stands {off_rad:.4f} rad away from the path's first point (tolerance {START_TOLERANCE_rad} rad):"
+                f" move there first, to {', '.join(f'{q:.4f}' for q in first)} rad"
+            )
+        return self._start(path.motion(self._runtime.parts.inverse, self._kinematics), request, client)
+
+    def _start(self, motion: Motion, request: Message, client: int) -> Message:
+        self._runtime.start(motion)
+        self._own(request, client)
+        return {"duration_s": motion.duration_s, "run": self._runtime.run_number}
+
+    def _stop(self, request: Message, client: int) -> Message:
+        self._runtime.stop()
+        return {}
+
+    def _brake(self, request: Message, client: int) -> Message:
+        self._runtime.brake()
+        return {}
+
+    def _guide(self, request: Message, client: int) -> Message:
+        self._runtime.guide()
+        return {}
+
+    def _hold(self, request: Message, client: int) -> Message:
+        self._runtime.want_hold()
+        return {}
+
+    def _average(self, request: Message, client: int) -> Message:
+        duration_s = _number(request, "duration_s", 0.01, LONGEST_AVERAGE_S)
+        self._runtime.averaging = Averaging(self._runtime.now_s, duration_s)
+        return {}
+
+    def _average_result(self, request: Message, client: int) -> Message:
+        averaging = self._runtime.averaging
+        if averaging is None:
+            raise ArmError("no average was asked for: send `average` first")
+        return {"average": averaging.result}
+
+    def _payload(self, request: Message, client: int) -> Message:
+        self._runtime.payload_kg = _number(request, "mass_kg", 0.0, 100.0)
+        return {}
+
+    def _acknowledge(self, request: Message, client: int) -> Message:
+        return {"acknowledged": [fault.message for fault in self._runtime.acknowledge()]}
+
+    def _fault_cycles(self, request: Message, client: int) -> Message:
+        layout = self._runtime.parts.recorder.layout
+        rows = base64.b64encode(b"".join(self._runtime.fault_rows)).decode()
+        return {"rows": rows, "names": layout.names, "packing": layout.packing.format}
+
+    def _off(self, request: Message, client: int) -> Message:
+        self._runtime.go_off(bool(request.get("quit")))
+        return {}
+
+
+def _number(request: Message, key: str, lower: float, upper: float, default: float | None = None) -> float:
+    value = request.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not lower <= value <= upper:
+        raise ArmError(
+            f"request {request['do']!r}: expected {key} to be a number from {lower:g} to {upper:g}, got {value!r}"
+        )
+    return float(value)
+
+
+def _numbers(request: Message, key: str, count: int) -> tuple[float, ...]:
+    values = request.get(key)
+    if (
+        not isinstance(values, list)
+        or len(values) != count
+        or not all(isinstance(v, int | float) and math.isfinite(v) for v in values)
+    ):
+        raise ArmError(
+            f"request {request['do']!r}: expected {key} to be {count} finite numbers, got {values!r}"
+        )
+    return tuple(float(value) for value in values)

@@ -1,0 +1,445 @@
+"""One control cycle, call by call: read, measure, watch, plan, servo, write, record.
+
+    cycle(now_s, late_s, missed, missed_in_row)
+      _read            hardware.read(), then angles and speeds from counts, camera, averages
+      _watch           limits, stale data, board faults -> faults -> the state machine
+      _advance         what the present mode does to the set-point (hold, motion, homing, stop, nothing)
+      _drive           set-point -> feed-forward + PID -> hardware.write()
+      _record          one row
+
+The runtime never waits and opens nothing: a hardware, a recorder and the rest are handed to it (control.loop.assemble). The
+same object runs in a process of its own in real time and inside a test on a stepped clock.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from control.errors import ArmError
+from control.loop.averaging import Averaging
+from control.loop.hardware import Feedback, Hardware, OutputMode
+from control.loop.homing import HomingFailed, HomingSequence
+from control.loop.measure import Measurement
+from control.loop.punctuality import Punctuality
+from control.loop.record import Recorder
+from control.loop.servo import Servo
+from control.loop.watch import OPERATION_ENABLED, STATE_MASK, ZERO_SET, Expectation, Watch
+from control.model.inverse import InverseKinematics
+from control.motion.setpoint import Motion, SetPoint, at_rest
+from control.safety.fault import Fault, Reaction
+from control.safety.limits import SetPointLimits, limit_set_point
+from control.safety.monitor import Monitor
+from control.safety.table import CONTROLLED_MODES, Event, Mode
+from firmware_iface.errors import LinkError
+
+Vector = tuple[float, float, float]
+NOWHERE: Vector = (math.nan, math.nan, math.nan)
+MODE_NUMBER = {mode: number for number, mode in enumerate(Mode)}  # as recorded
+ENABLE_LIMIT_S = 1.0  # a drive takes three cycles; a second is somebody's emergency stop
+HOMING_CURRENT_FRACTION = 0.5
+STILL_S = 0.5
+STILL_rad_s = 0.01
+
+
+class Camera(Protocol):
+    """Whatever sees the tip."""
+
+    def newest_tip_m(self) -> Vector | None:
+        """Tip in the base frame of the newest frame that came since the last call, or None."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What a runtime is made of; see control.loop.assemble."""
+
+    hardware: Hardware
+    recorder: Recorder
+    measurement: Measurement
+    servo: Servo
+    watch: Watch
+    set_point_limits: tuple[SetPointLimits, ...]
+    homing: Callable[[], HomingSequence]
+    stop_from: Callable[[SetPoint], Motion]
+    inverse: InverseKinematics
+    camera: Camera | None
+    joint_names: tuple[str, ...]
+    period_s: float
+    stopwatch_s: Callable[[], float]
+
+
+class Runtime:
+    """The arm under control. `cycle` is called every period; the requests are in control.loop.requests."""
+
+    def __init__(self, parts: Parts) -> None:
+        n = len(parts.joint_names)
+        self.parts = parts
+        self.monitor = Monitor()
+        self.punctuality = Punctuality(parts.period_s, parts.stopwatch_s)
+        self.now_s = 0.0
+        self.cycles = 0
+        self.run_number = 0
+        self.payload_kg = 0.0
+        self.averaging: Averaging | None = None
+        self.camera_m = NOWHERE
+        self.camera_at_s = -math.inf
+        self.fault_rows: tuple[bytes, ...] = ()
+        self.is_quitting = False
+        self.has_waited = False  # for boards, outside of a cycle: the deadlines meanwhile do not count
+        self.motion: Motion | None = None
+        self.motion_s = 0.0
+        self._zeros = (0.0,) * n
+        self.set_point = at_rest(self._zeros)
+        self._elapsed_s = parts.period_s
+        self._homing: HomingSequence | None = None
+        self._still_from_s = 0.0
+        self._enabling_from_s = math.inf
+        self._are_drives_ready = False
+        self._wants_hold = False
+        self._is_going_off = False
+        self._camera_m = NOWHERE
+
+    # ---- the cycle
+
+    def cycle(self, now_s: float, late_s: float, missed: int, missed_in_row: int) -> bool:
+        """One control cycle that began at `now_s`; False when the runtime was told to end and the drives are off."""
+        self.now_s = now_s
+        self.cycles += 1
+        self._elapsed_s = (1 + missed) * self.parts.period_s
+        self.punctuality.begin(late_s, missed)
+        try:
+            self._read()
+            self._watch(missed_in_row)
+            self._advance()
+            self._drive()
+        except Exception as error:  # whatever breaks here, the arm must not be left moving
+            self._break_down(error)
+        self._record(late_s)
+        return not (self.is_quitting and self.monitor.mode is Mode.OFF)
+
+    def _read(self) -> None:
+        feedback = self.parts.hardware.read()
+        if self.parts.measurement.update(feedback.count, feedback.shift_count, feedback.encoder_at_s):
+            self._follow_shift()
+        self._camera_m = NOWHERE
+        if self.parts.camera is not None and (tip := self.parts.camera.newest_tip_m()) is not None:
+            self._camera_m = self.camera_m = tip
+            self.camera_at_s = self.now_s
+        if self.averaging is not None:
+            seen = None if self._camera_m is NOWHERE else self._camera_m
+            self.averaging.add(self.now_s, self.parts.measurement, feedback.current_A, seen)
+
+    def _watch(self, missed_in_row: int) -> None:
+        self._follow_drives()
+        mode = self.monitor.mode
+        if mode is Mode.OFF:
+            return
+        measured = self.parts.measurement
+        is_servoing = mode in CONTROLLED_MODES or self.monitor.is_held_fault
+        found = self.parts.watch.look(
+            self.now_s, self.parts.hardware.feedback, measured.q_rad, measured.speed_rad_s,
+            self.set_point.q_rad, self.set_point.speed_rad_s, missed_in_row,
+            Expectation(self._are_drives_ready, self.monitor.is_homed, is_servoing),
+        )  # fmt: skip
+        for fault in found:
+            self.fail(fault)
+
+    def _follow_drives(self) -> None:
+        """Notice when all drives have come to OPERATION ENABLED, or have not in time."""
+        if self._are_drives_ready or self._enabling_from_s == math.inf:
+            return
+        states = [word & STATE_MASK for word in self.parts.hardware.feedback.statusword]
+        self._are_drives_ready = all(state == OPERATION_ENABLED for state in states)
+        if not self._are_drives_ready and self.now_s - self._enabling_from_s > ENABLE_LIMIT_S:
+            self._enabling_from_s = math.inf
+            for joint, state in enumerate(states):
+                if state != OPERATION_ENABLED:
+                    self.fail(
+                        _not_enabled(self.parts.joint_names[joint], self.parts.hardware.feedback, joint)
+                    )
+
+    def _advance(self) -> None:
+        mode = self.monitor.mode
+        if mode in (Mode.MOVING, Mode.STOPPING) or self.monitor.is_held_fault:
+            self._follow_motion()
+        elif mode is Mode.HOMING:
+            self._home()
+        elif mode is not Mode.HOLDING:
+            self._stay()
+        if self._is_going_off and (event := self.monitor.next_towards_off(self._is_still())) is not None:
+            self._step_towards_off(event)
+
+    def _follow_motion(self) -> None:
+        if self.motion is None:
+            return
+        self.motion_s += self._elapsed_s
+        self._take(self.motion.at(self.motion_s))
+        if self.motion is not None and self.motion_s >= self.motion.duration_s:
+            self.motion = None
+            self.set_point = at_rest(self.set_point.q_rad)
+            self.on(Event.ARRIVED if self.monitor.mode is Mode.MOVING else Event.STOPPED)
+
+    def _take(self, wanted: SetPoint) -> None:
+        """Follow a motion through the last guard: its plan was checked, so a clip means that something is wrong.
+
+        A stop is not held back: it may brake harder than a motion, where a joint's range asks for it.
+        """
+        if self.monitor.mode is not Mode.MOVING:
+            self.set_point = wanted
+            return
+        last = self.set_point
+        allowed = limit_set_point(
+            wanted.q_rad, last.q_rad, last.speed_rad_s, self.parts.set_point_limits, self._elapsed_s
+        )
+        if not allowed.reasons:
+            self.set_point = wanted
+            return
+        self.set_point = SetPoint(allowed.q_rad, allowed.speed_rad_s, self._zeros)
+        clip = allowed.reasons[0]
+        self.fail(
+            Fault(
+                "set_point_limit",
+                self.parts.joint_names[clip.joint - 1],
+                f"the motion asks for more than its limits: {clip}",
+                "plan the motion again with this arm.toml",
+                Reaction.CONTROLLED,
+            )
+        )
+
+    def _stay(self) -> None:
+        """Nothing is controlled: the set-point goes with the arm, and holds from there when that is wanted."""
+        self.set_point = at_rest(tuple(self.parts.measurement.q_rad))
+        if not (self._wants_hold and self._are_drives_ready):
+            return
+        if self.monitor.mode is Mode.OFF:
+            self.on(Event.CONNECT)
+            self.take_known_zeros()
+        elif self.monitor.mode is Mode.BRAKED:
+            self._wants_hold = False
+            self.parts.servo.reset()
+            self.on(Event.ENABLE)
+
+    def _drive(self) -> None:
+        mode = self.monitor.mode
+        if mode in CONTROLLED_MODES or self.monitor.is_held_fault:
+            self._servo()
+            return
+        servo = self.parts.servo
+        servo.silence()
+        self.parts.hardware.write(
+            OutputMode.OFF if mode is Mode.GUIDING else OutputMode.VOLTAGE, servo.output, servo.feedforward_V
+        )
+
+    def _servo(self) -> None:
+        measured, servo, set_point = self.parts.measurement, self.parts.servo, self.set_point
+        fraction = HOMING_CURRENT_FRACTION if self.monitor.mode is Mode.HOMING else 1.0
+        servo.update(set_point, measured.q_rad, measured.speed_rad_s, self.monitor.is_homed, fraction)
+        self.parts.hardware.write(servo.mode, servo.output, servo.feedforward_V)
+
+    def _record(self, late_s: float) -> None:
+        feedback, measured, servo = self.parts.hardware.feedback, self.parts.measurement, self.parts.servo
+        row = [
+            self.now_s, self.cycles & 0xFFFFFFFF, self.run_number, MODE_NUMBER[self.monitor.mode],
+            self.punctuality.missed, late_s, self.punctuality.end(), self.payload_kg, *self._camera_m,
+        ]  # fmt: skip
+        is_open = self.monitor.mode in (Mode.GUIDING, Mode.OFF)
+        for joint in range(feedback.joint_count):
+            row += (
+                measured.q_rad[joint], self.set_point.q_rad[joint],
+                measured.speed_rad_s[joint], self.set_point.speed_rad_s[joint], feedback.count[joint],
+                math.nan if is_open else servo.volts[joint], feedback.current_A[joint],
+                feedback.supply_V[joint], feedback.temperature_C[joint], feedback.statusword[joint],
+                feedback.drive_faults[joint], feedback.channel_flags[joint],
+            )  # fmt: skip
+        self.parts.recorder.write(row)
+
+    # ---- faults
+
+    def fail(self, fault: Fault) -> None:
+        """A fault: to FAULT with the reaction that it asks for, the cycles before it kept."""
+        was_braking = self.monitor.reaction is Reaction.BRAKE
+        is_first = self.monitor.mode is not Mode.FAULT
+        self.monitor.fault(fault)
+        if is_first:
+            self.fault_rows = self.parts.recorder.last_rows()
+            self._homing = None
+            self._wants_hold = False
+            if fault.code == "zero_lost":
+                self.monitor.forget_home()
+        if self.monitor.is_held_fault and is_first:
+            self._stop_where(self.set_point if fault.code != "following_error" else self._measured())
+        elif not was_braking and self.monitor.reaction is Reaction.BRAKE:
+            self.motion = None
+
+    def _stop_where(self, state: SetPoint) -> None:
+        """Plan the jerk-limited stop from `state`; where there is none, brake."""
+        if state is not self.set_point:
+            self.set_point = state
+            self.parts.servo.reset()
+        self.motion_s = 0.0
+        self.motion = self.parts.stop_from(state)
+
+    def _measured(self) -> SetPoint:
+        measured = self.parts.measurement
+        return SetPoint(tuple(measured.q_rad), tuple(measured.speed_rad_s), self._zeros)
+
+    def _break_down(self, error: Exception) -> None:
+        """Something in the cycle raised: fault, and 0 V as long as the links still carry it."""
+        if isinstance(error, LinkError):
+            where, remedy, code = "links", "check cables and supply", "link"
+        else:
+            where, remedy, code = "control loop", "report it with the recording of this run", "internal"
+        message = (
+            str(error) if isinstance(error, LinkError | ArmError) else f"{type(error).__name__}: {error}"
+        )
+        self.fail(Fault(code, where, message, remedy, Reaction.BRAKE))
+        servo = self.parts.servo
+        servo.silence()
+        try:
+            self.parts.hardware.write(OutputMode.VOLTAGE, servo.output, servo.feedforward_V)
+        except LinkError:
+            self.parts.hardware.emergency_stop()
+
+    # ---- what requests and the modes use
+
+    def on(self, event: Event) -> None:
+        """Take an event; IllegalTransition when the mode does not allow it, and nothing has changed."""
+        before = self.monitor.mode
+        self.monitor.on(event)
+        if self.monitor.mode is not before:
+            self._still_from_s = self.now_s
+
+    def want_hold(self) -> None:
+        """Get to HOLDING from OFF, BRAKED or GUIDING, through all that lies between."""
+        if self.monitor.mode is Mode.OFF:
+            self.parts.hardware.enable()
+            self.has_waited = True
+            self._are_drives_ready = False
+            self._enabling_from_s = self.now_s
+        elif self.monitor.mode is Mode.GUIDING:
+            self.on(Event.BRAKE)
+        elif self.monitor.mode is not Mode.BRAKED:
+            self.monitor.on(Event.ENABLE)  # says why not
+        self._is_going_off = False
+        self._wants_hold = True
+
+    def start(self, motion: Motion) -> None:
+        """Start a motion that was checked and that begins at the set-point, at rest."""
+        self.on(Event.MOVE)
+        self.run_number += 1
+        self.motion, self.motion_s = motion, 0.0
+
+    def stop(self) -> None:
+        """Controlled stop; legal in every mode."""
+        before = self.monitor.mode
+        self.on(Event.STOP)
+        self._wants_hold = False
+        if self.monitor.mode is Mode.STOPPING and before is not Mode.STOPPING:
+            self._homing = None
+            self._stop_where(self.set_point)
+
+    def brake(self) -> None:
+        """Windings shorted now: under control first to a stop where something moves would be `stop`."""
+        if self.monitor.mode in (Mode.MOVING, Mode.HOMING, Mode.STOPPING):
+            self.fail(
+                Fault(
+                    "brake", "operator", "braked while moving", "acknowledge when it is safe", Reaction.BRAKE
+                )
+            )
+        else:
+            self.on(Event.BRAKE)
+        self._wants_hold = False
+
+    def guide(self) -> None:
+        """Open the circuits: somebody holds the arm."""
+        self.on(Event.GUIDE)
+        self.run_number += 1
+
+    def acknowledge(self) -> tuple[Fault, ...]:
+        """A human has seen the faults. Drives that faulted are reset and enabled again, at 0 V."""
+        if self.monitor.mode is Mode.FAULT and not self.monitor.is_held_fault:
+            self.parts.hardware.reset_drive_faults()
+            self._are_drives_ready = False
+            self._enabling_from_s = self.now_s
+            self.has_waited = True
+        cleared = self.monitor.acknowledge()
+        self._still_from_s = self.now_s
+        return cleared
+
+    def progress(self) -> float:
+        """How much of the present motion is done, 0 to 1; 1 when there is none."""
+        if self.motion is None or self.motion.duration_s <= 0.0:
+            return 1.0
+        return min(1.0, self.motion_s / self.motion.duration_s)
+
+    def go_off(self, quits: bool) -> None:
+        """Stop, hold, brake, off: begun here, carried on by the cycle."""
+        self._is_going_off = True
+        self._wants_hold = False
+        self.is_quitting = self.is_quitting or quits
+
+    def _step_towards_off(self, event: Event) -> None:
+        if event is Event.STOP:
+            self.stop()
+            return
+        self.on(event)
+        if self.monitor.mode is Mode.OFF:
+            self._is_going_off = False
+            self._are_drives_ready = False
+            self._enabling_from_s = math.inf
+            self.parts.hardware.disable()
+
+    def _is_still(self) -> bool:
+        if any(abs(speed) > STILL_rad_s for speed in self.parts.measurement.speed_rad_s):
+            self._still_from_s = self.now_s
+        return self.now_s - self._still_from_s >= STILL_S
+
+    # ---- homing
+
+    def take_known_zeros(self) -> bool:
+        """Believe boards that all say that their zero was set since power-up; returns whether they do."""
+        if not all(flags & ZERO_SET for flags in self.parts.hardware.feedback.channel_flags):
+            return False
+        self.on(Event.HOMED)
+        return True
+
+    def start_homing(self) -> None:
+        """Home every joint, one after the other. ArmError when arm.toml does not say how."""
+        sequence = self.parts.homing()
+        self.on(Event.HOME)
+        self.run_number += 1
+        self._homing = sequence
+
+    def _home(self) -> None:
+        if self._homing is None:
+            return
+        try:
+            self.set_point = self._homing.step(
+                self.set_point,
+                self.parts.hardware.feedback,
+                self.parts.measurement.speed_rad_s,
+                self._elapsed_s,
+            )
+        except HomingFailed as error:
+            self.fail(Fault("homing", error.where, error.message, error.remedy, Reaction.CONTROLLED))
+            return
+        if self._homing.is_done:
+            self._homing = None
+            self.on(Event.HOMED)
+
+    def _follow_shift(self) -> None:
+        """A counter was shifted under a joint that is held: its set-point is shifted with it, so nothing moves."""
+        shifted = zip(self.set_point.q_rad, self.parts.measurement.shifted_rad, strict=True)
+        self.set_point = self.set_point._replace(q_rad=tuple(q + shift for q, shift in shifted))
+
+
+def _not_enabled(where: str, feedback: Feedback, joint: int) -> Fault:
+    return Fault(
+        "drive_not_enabled",
+        where,
+        f"its drive did not come to OPERATION ENABLED within {ENABLE_LIMIT_S:.1f} s (statusword"
+        f" 0x{feedback.statusword[joint]:02x}, fault bits 0x{feedback.drive_faults[joint]:02x})",
+        "check its supply and the emergency stop",
+        Reaction.BRAKE,
+    )

@@ -1,0 +1,154 @@
+"""The local socket of the loop: polled between cycles, never waited for.
+
+Newline-separated JSON over a Unix socket that only this user can open. At most one request is served a cycle, whatever clients
+send; a client that stops reading is cut off. A motion belongs to the connection that started it: when that connection
+closes, for whatever reason, the motion is stopped (a dead operator's terminal must not leave a moving arm).
+"""
+
+import contextlib
+import os
+import selectors
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from control.errors import ArmError
+
+Message = dict[str, Any]
+Handle = Callable[[Message, int], Message]
+LINE_LIMIT_bytes = 1 << 20  # a path of thousands of way-points fits; a line without end does not
+QUEUE_LIMIT = (
+    64  # requests of one client that may wait; beyond that its bytes stay in the kernel and slow it down
+)
+
+
+class SocketTaken(ArmError):
+    """Another runtime already serves at this place."""
+
+
+class Client:
+    """One connection: bytes of a request so far, and the requests that wait their turn."""
+
+    def __init__(self, connection: socket.socket, number: int) -> None:
+        self.connection = connection
+        self.number = number
+        self.partial = b""
+        self.lines: list[bytes] = []
+        self.is_over = False
+
+    def receive(self) -> None:
+        """Gather what has arrived; `is_over` is set when nothing more will."""
+        if len(self.lines) >= QUEUE_LIMIT:
+            return
+        try:
+            chunk = self.connection.recv(1 << 16)
+        except BlockingIOError:
+            return
+        except OSError:
+            chunk = b""
+        *lines, self.partial = (self.partial + chunk).split(b"\n")
+        self.lines += [line for line in lines if line.strip()]
+        self.is_over = not chunk or len(self.partial) > LINE_LIMIT_bytes
+
+
+class Server:
+    """Serves `handle(request, client_number) -> answer`; `on_gone(client_number)` is called when a client is gone."""
+
+    def __init__(self, path: Path, handle: Handle, on_gone: Callable[[int], None]) -> None:
+        self.path = path
+        self._handle = handle
+        self._on_gone = on_gone
+        self._clients: list[Client] = []
+        self._turn = 0
+        self._numbers = 0
+        self._listener = listen(path)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ, None)
+
+    def poll(self) -> None:
+        """Accept, receive and serve at most one request; returns at once."""
+        for key, _ in self._selector.select(0):
+            client = key.data
+            if client is None:
+                self._accept()
+            else:
+                client.receive()
+        self._serve_one()
+        for client in [c for c in self._clients if c.is_over and not c.lines]:
+            self._drop(client)
+
+    def close(self) -> None:
+        """Close every connection and remove the socket."""
+        for client in list(self._clients):
+            self._drop(client)
+        self._selector.close()
+        self._listener.close()
+        self.path.unlink(missing_ok=True)
+
+    def _accept(self) -> None:
+        connection, _ = self._listener.accept()
+        connection.setblocking(False)
+        self._numbers += 1
+        client = Client(connection, self._numbers)
+        self._clients.append(client)
+        self._selector.register(connection, selectors.EVENT_READ, client)
+
+    def _serve_one(self) -> None:
+        waiting = [client for client in self._clients if client.lines]
+        if not waiting:
+            return
+        self._turn += 1
+        client = waiting[self._turn % len(waiting)]
+        answer = self._answer(client.lines.pop(0), client.number)
+        try:
+            client.connection.sendall(msgspec.json.encode(answer) + b"\n")
+        except OSError:
+            self._drop(client)
+
+    def _answer(self, line: bytes, number: int) -> Message:
+        try:
+            request = msgspec.json.decode(line)
+        except msgspec.DecodeError as error:
+            return {"ok": False, "error": f"a request is one JSON object a line; this is none: {error}"}
+        if not isinstance(request, dict):
+            return {"ok": False, "error": f"a request is a JSON object with the key `do`; got {line[:80]!r}"}
+        answer = self._handle(request, number)
+        if "id" in request:
+            answer["id"] = request["id"]
+        return answer
+
+    def _drop(self, client: Client) -> None:
+        if client not in self._clients:
+            return
+        self._clients.remove(client)
+        self._selector.unregister(client.connection)
+        client.connection.close()
+        self._on_gone(client.number)
+
+
+def default_path(arm_name: str) -> Path:
+    """Where the runtime of an arm listens: in the user's runtime folder, else in a private folder under /tmp."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    folder = Path(runtime) / "armwright" if runtime else Path(f"/tmp/armwright-{os.getuid()}")
+    return folder / f"{arm_name}.sock"
+
+
+def listen(path: Path) -> socket.socket:
+    """A listening socket at `path`, readable by this user only. SocketTaken when a runtime answers there already."""
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if path.exists():
+        with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)) as probe:
+            if probe.connect_ex(str(path)) == 0:
+                raise SocketTaken(
+                    f"a runtime already serves at {path}: use it, or stop it with `armwright off --quit`"
+                )
+        path.unlink()
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    listener.bind(str(path))
+    path.chmod(0o600)
+    listener.listen(8)
+    listener.setblocking(False)
+    return listener

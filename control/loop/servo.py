@@ -1,0 +1,109 @@
+"""From set-point to output: feed-forward of what the model knows, PID for what it does not.
+
+Voltage of a brushed DC motor: u = R i + k_t N dq/dt (inductance is five times faster than a cycle), with i = tau / (N k_t) for
+the torque tau that the model asks for. The PID acts on the joint's error and adds volts; in CURRENT mode it adds amperes
+and the board supplies the back-EMF; in POSITION mode the board runs the PID on counts and takes the volts as feed-forward.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from control.loop.hardware import OutputMode
+from control.motion.setpoint import SetPoint
+from control.safety.limits import voltage_range
+
+
+class JointPid(Protocol):
+    """The controller of one joint (control.loop.pid)."""
+
+    def update(
+        self,
+        error: float,
+        error_rate: float | None,
+        feedforward: float,
+        lower: float | None,
+        upper: float | None,
+    ) -> float: ...
+
+    def reset(self) -> None: ...
+
+
+TorqueModel = Callable[[Sequence[float], Sequence[float], Sequence[float]], Sequence[float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Motor:
+    """One joint's motor, seen from the joint: volts and amperes per N m and rad/s."""
+
+    amperes_per_Nm: float
+    resistance_ohm: float
+    volts_per_rad_s: float
+    supply_V: float
+    current_limit_A: float
+
+
+class Servo:
+    """The controllers of all joints.
+
+    After an update, one entry a joint: `output` in the mode's unit, `feedforward_V` for POSITION mode, `volts` commanded or
+    implied.
+    """
+
+    def __init__(
+        self, mode: OutputMode, motors: Sequence[Motor], pids: Sequence[JointPid], torque_model: TorqueModel
+    ) -> None:
+        self.mode = mode
+        self.output = [0.0] * len(motors)
+        self.feedforward_V = [0.0] * len(motors)
+        self.volts = [0.0] * len(motors)
+        self._motors = motors
+        self._pids = pids
+        self._torque_model = torque_model
+        self._no_torque = tuple(0.0 for _ in motors)
+
+    def reset(self) -> None:
+        """Forget integrals and filters: the next update starts without a bump from the feed-forward alone."""
+        for pid in self._pids:
+            pid.reset()
+
+    def silence(self) -> None:
+        """Zero all outputs, for modes that control nothing."""
+        for joint in range(len(self.output)):
+            self.output[joint] = self.feedforward_V[joint] = self.volts[joint] = 0.0
+
+    def update(
+        self,
+        set_point: SetPoint,
+        q_rad: Sequence[float],
+        speed_rad_s: Sequence[float],
+        knows_pose: bool,
+        current_fraction: float = 1.0,
+    ) -> None:
+        """One cycle. Without a known pose (before homing) gravity is left to the integral.
+
+        `current_fraction` scales the current limit, so that homing runs with little force.
+        """
+        torque_Nm = self._torque_model(*set_point) if knows_pose else self._no_torque
+        for joint, motor in enumerate(self._motors):
+            amperes = torque_Nm[joint] * motor.amperes_per_Nm
+            volts = amperes * motor.resistance_ohm + motor.volts_per_rad_s * set_point.speed_rad_s[joint]
+            if self.mode is OutputMode.POSITION:
+                self.output[joint] = set_point.q_rad[joint]
+                self.feedforward_V[joint] = self.volts[joint] = min(
+                    max(volts, -motor.supply_V), motor.supply_V
+                )
+                continue
+            error = set_point.q_rad[joint] - q_rad[joint]
+            error_rate = set_point.speed_rad_s[joint] - speed_rad_s[joint]
+            limit_A = motor.current_limit_A * current_fraction
+            back_emf_V = motor.volts_per_rad_s * speed_rad_s[joint]
+            if self.mode is OutputMode.CURRENT:
+                amperes = self._pids[joint].update(error, error_rate, amperes, -limit_A, limit_A)
+                self.output[joint] = amperes
+                self.volts[joint] = amperes * motor.resistance_ohm + back_emf_V
+                continue
+            lower, upper = voltage_range(motor.supply_V, limit_A, motor.resistance_ohm, back_emf_V)
+            self.output[joint] = self.volts[joint] = self._pids[joint].update(
+                error, error_rate, volts, lower, upper
+            )

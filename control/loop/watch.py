@@ -1,0 +1,220 @@
+"""What can be wrong in a cycle: measured values against their limits, each finding a fault with a remedy.
+
+Two reactions (control.safety.monitor): where the feedback is good, a controlled stop and hold; where it cannot be trusted, the
+windings are shorted on all joints. Order matters only for the operator: the first finding is usually the cause.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from control.loop.hardware import Feedback
+from control.safety.fault import Fault, Reaction
+from control.safety.limits import following_error_excess, is_stale, overrun
+
+ZERO_SET, QUADRATURE_ERROR, SIGNAL_LOST = 1 << 3, 1 << 4, 1 << 5  # channel flags, docs/encoder_board.md
+OPERATION_ENABLED = 0x27  # statusword & 0x6F, docs/motor_board.md
+STATE_MASK = 0x6F
+DRIVE_FAULTS = {
+    0: ("over-current", "look for a blocked joint or a short; lower the acceleration"),
+    1: ("over-temperature", "let it cool; check the load and the fan"),
+    2: ("supply too low", "check the supply and the emergency-stop switch"),
+    3: ("supply too high", "a braking motor feeds the supply: add a brake resistor"),
+    4: ("watchdog", "the board heard nothing in time: look at late cycles and the CAN cable"),
+    5: ("its encoder", "check the motor encoder's cable at the drive"),
+    6: ("bad command", "firmware and program do not agree: compare protocol versions"),
+    7: ("emergency stop", "release the emergency stop when it is safe"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class JointLimits:
+    """Limits of what is measured at one joint; lag: following error = base + per_speed * |speed|."""
+
+    lower_rad: float
+    upper_rad: float
+    range_margin_rad: float
+    speed_rad_s: float
+    following_error_rad: float
+    following_error_per_speed_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class WatchLimits:
+    """Limits of the whole arm: ages of what the boards last said, and cycles missed in a row."""
+
+    joints: tuple[JointLimits, ...]
+    stale_s: float
+    missed_in_row: int
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """What the loop counts on in this cycle."""
+
+    are_drives_enabled: bool
+    is_homed: bool
+    is_servoing: bool
+
+
+class Watch:
+    """Compares a cycle's feedback with its limits. Plain floats; nothing is allocated while all is well."""
+
+    def __init__(self, limits: WatchLimits, joint_names: Sequence[str]) -> None:
+        self._limits = limits
+        self._names = joint_names
+
+    def look(
+        self,
+        now_s: float,
+        feedback: Feedback,
+        q_rad: Sequence[float],
+        speed_rad_s: Sequence[float],
+        q_set_rad: Sequence[float],
+        speed_set_rad_s: Sequence[float],
+        missed_in_row: int,
+        expected: Expectation,
+    ) -> list[Fault]:
+        """All that is wrong in this cycle, the likeliest cause first."""
+        faults: list[Fault] = []
+        if is_stale(now_s, feedback.encoder_at_s, self._limits.stale_s):
+            faults.append(self._silent_encoder(now_s - feedback.encoder_at_s))
+        for joint in range(feedback.joint_count):
+            faults += self._drive(joint, now_s, feedback, expected)
+            faults += self._channel(joint, feedback, expected)
+        if expected.is_servoing and not faults:
+            for joint, limit in enumerate(self._limits.joints):
+                faults += self._motion(
+                    joint,
+                    limit,
+                    q_rad[joint],
+                    speed_rad_s[joint],
+                    q_set_rad[joint],
+                    speed_set_rad_s[joint],
+                    expected,
+                )
+            if missed_in_row > self._limits.missed_in_row:
+                faults.append(self._late(missed_in_row))
+        return faults
+
+    def _silent_encoder(self, age_s: float) -> Fault:
+        return Fault(
+            "encoder_stale",
+            "encoder board",
+            f"no report for {age_s:.3f} s (limit {self._limits.stale_s:.3f} s)",
+            "check its cable and supply",
+            Reaction.BRAKE,
+        )
+
+    def _drive(self, joint: int, now_s: float, feedback: Feedback, expected: Expectation) -> Iterator[Fault]:
+        age_s = now_s - feedback.reply_at_s[joint]
+        if is_stale(now_s, feedback.reply_at_s[joint], self._limits.stale_s):
+            yield Fault(
+                "drive_silent",
+                self._names[joint],
+                f"its drive sent no reply for {age_s:.3f} s (limit {self._limits.stale_s:.3f} s)",
+                "check the CAN cable, its termination and the drive's supply",
+                Reaction.BRAKE,
+            )
+            return
+        if not expected.are_drives_enabled:
+            return
+        for bit, (name, remedy) in DRIVE_FAULTS.items() if feedback.drive_faults[joint] else ():
+            if feedback.drive_faults[joint] >> bit & 1:
+                yield Fault(
+                    "drive_fault",
+                    self._names[joint],
+                    f"its drive reports a fault: {name}",
+                    remedy,
+                    Reaction.BRAKE,
+                )
+        if not feedback.drive_faults[joint]:
+            state = feedback.statusword[joint] & STATE_MASK
+            if state != OPERATION_ENABLED:
+                yield Fault(
+                    "drive_left",
+                    self._names[joint],
+                    f"its drive left OPERATION ENABLED by itself (statusword 0x{feedback.statusword[joint]:02x})",
+                    "it was reset, or somebody else commands it: check its supply and the bus",
+                    Reaction.BRAKE,
+                )
+
+    def _channel(self, joint: int, feedback: Feedback, expected: Expectation) -> Iterator[Fault]:
+        flags = feedback.channel_flags[joint]
+        if flags & SIGNAL_LOST:
+            yield Fault(
+                "encoder_signal",
+                self._names[joint],
+                "its encoder's signal is lost",
+                "check the encoder's cable and plug",
+                Reaction.BRAKE,
+            )
+        elif flags & QUADRATURE_ERROR and expected.is_homed:
+            yield Fault(
+                "encoder_miscount",
+                self._names[joint],
+                "its encoder made an illegal transition: the count may be off",
+                "check the encoder's cable and shield, then home again",
+                Reaction.BRAKE,
+            )
+        if expected.is_homed and not flags & ZERO_SET:
+            yield Fault(
+                "zero_lost",
+                self._names[joint],
+                "the encoder board was reset and has lost its zero",
+                "check its supply, then home again",
+                Reaction.BRAKE,
+            )
+
+    def _motion(
+        self,
+        joint: int,
+        limit: JointLimits,
+        q_rad: float,
+        speed_rad_s: float,
+        q_set_rad: float,
+        speed_set_rad_s: float,
+        expected: Expectation,
+    ) -> Iterator[Fault]:
+        if overrun(speed_rad_s, limit.speed_rad_s) > 0.0:
+            yield Fault(
+                "overspeed",
+                self._names[joint],
+                f"it moves at {speed_rad_s:.2f} rad/s (limit {limit.speed_rad_s:.2f} rad/s)",
+                "check gains, the sign of motor and encoder, and what pushes it",
+                Reaction.BRAKE,
+            )
+        excess_rad = following_error_excess(
+            q_set_rad, q_rad, speed_set_rad_s, limit.following_error_rad, limit.following_error_per_speed_s
+        )
+        if excess_rad > 0.0:
+            error_rad = q_set_rad - q_rad
+            yield Fault(
+                "following_error",
+                self._names[joint],
+                f"following error {error_rad:.4f} rad (limit {abs(error_rad) - excess_rad:.4f} rad at"
+                f" {speed_set_rad_s:.2f} rad/s)",
+                "look for a collision, a loose belt or a load beyond the current limit",
+                Reaction.CONTROLLED,
+            )
+        if expected.is_homed:
+            yield from self._range(joint, limit, q_rad)
+
+    def _range(self, joint: int, limit: JointLimits, q_rad: float) -> Iterator[Fault]:
+        lower, upper = limit.lower_rad - limit.range_margin_rad, limit.upper_rad + limit.range_margin_rad
+        if not lower <= q_rad <= upper:
+            yield Fault(
+                "joint_range",
+                self._names[joint],
+                f"it stands at {q_rad:.4f} rad, outside {limit.lower_rad:.4f} to {limit.upper_rad:.4f} rad",
+                "guide it back by hand (`armwright guide`), then look at why it went there",
+                Reaction.CONTROLLED,
+            )
+
+    def _late(self, missed_in_row: int) -> Fault:
+        return Fault(
+            "loop_late",
+            "control loop",
+            f"{missed_in_row} cycles missed in a row (limit {self._limits.missed_in_row})",
+            "stop other programs on this machine; give the operator real-time rights (`armwright check` says how)",
+            Reaction.CONTROLLED,
+        )
