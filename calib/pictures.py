@@ -187,13 +187,16 @@ def _draw_arrows(
         zorder=3,
     )
     axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.2)
+    ends = np.vstack((tips, tips + magnified * shown))
+    axes.update_datalim(ends[:, plane])
+    axes.margins(0.06)
+    axes.autoscale_view()
     length_mm = _round_length(typical)
-    words = f"{length_mm:g} mm, drawn {magnified:.3g} times as long"
+    words = f"{length_mm:g} mm, drawn {magnified:.3g} times"
     axes.quiverkey(
         arrows,
-        0.11,
-        0.05,
+        0.58,
+        1.05,
         magnified * length_mm,
         words,
         labelpos="E",

@@ -27,7 +27,7 @@ section { background: #fff; border: 1px solid var(--line); border-radius: 10px; 
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; font-size: 14px; }
 th, td { padding: 4px 10px; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
 th { color: var(--soft); font-weight: 600; border-bottom: 2px solid var(--line); }
-th:first-child, td:first-child, .text { text-align: left; }
+th:first-child, td:first-child, .text, .inputs th { text-align: left; }
 td.text { white-space: normal; }
 tr.group td { border-top: 2px solid var(--line); }
 .before { color: #A84A00; } .after { color: #005A8C; font-weight: 600; }
@@ -39,6 +39,7 @@ ul, ol { margin: 6px 0; padding-left: 22px; }
 @media print { body { background: #fff; } section, .tile { break-inside: avoid; } }
 """
 
+NO_EFFECT = 0.999  # share of a parameter that the data leave open, from which on it is said to have no effect
 Cell = str | tuple[str, str]
 
 
@@ -128,7 +129,9 @@ def _inputs(inputs: tuple[InputFile, ...]) -> list[str]:
     if not inputs:
         return []
     rows: list[Sequence[Cell]] = [(file.name, ("text", file.what), ("text", file.sha256)) for file in inputs]
-    return [_section("Inputs", _table(("file", "what it is", "SHA-256"), rows))]
+    return [
+        _section("Inputs", '<div class="inputs">', _table(("file", "what it is", "SHA-256"), rows), "</div>")
+    ]
 
 
 def _verification(comparison: Comparison | None) -> list[str]:
@@ -220,8 +223,8 @@ def _parameters(found: Identification | None) -> list[str]:
     return [
         _section(
             "DH parameters",
-            f"<p>Objective {_said(found.objective)}: {before:.6g} before, {after:.6g} after. What is left at the points"
-            f" is {1e3 * found.noise_m:.3f} mm per axis (standard deviation).</p>",
+            f"<p>Objective {_said(found.objective)}: {before:.6g} before, {after:.6g} after (SI units). Left at the points"
+            f": {1e3 * found.noise_m:.3f} mm per axis (standard deviation).</p>",
             "<h3>What the data determine, and what they do not</h3>",
             _list(found.in_words()),
             _table(header, rows),
@@ -234,13 +237,14 @@ def _parameters(found: Identification | None) -> list[str]:
 def _parameter_row(estimate: Estimate) -> Sequence[Cell]:
     parameter = estimate.parameter
     unit, scale, digits = ("mm", 1e3, 3) if parameter.unit == "m" else ("deg", math.degrees(1.0), 4)
-    sd = "" if math.isnan(estimate.sd) else f"{scale * estimate.sd:.{digits}f}"
+    is_open = estimate.undetermined_share > NO_EFFECT
+    sd = "" if math.isnan(estimate.sd) or is_open else f"{scale * estimate.sd:.{digits}f}"
     return (
         parameter.name,
         unit,
         f"{scale * parameter.nominal:.{digits}f}",
         ("after", f"{scale * estimate.value:.{digits}f}"),
-        f"{scale * estimate.deviation:+.{digits}f}",
+        f"{scale * estimate.deviation + 0.0:+.{digits}f}",
         sd,
         f"± {scale * parameter.bound:.{digits}g}",
         ("text", _remark(estimate)),
@@ -249,7 +253,7 @@ def _parameter_row(estimate: Estimate) -> Sequence[Cell]:
 
 def _remark(estimate: Estimate) -> str:
     said = []
-    if estimate.undetermined_share > 0.999:
+    if estimate.undetermined_share > NO_EFFECT:
         said.append("no effect, kept at nominal")
     elif not estimate.is_determined:
         said.append("moves together with others")
