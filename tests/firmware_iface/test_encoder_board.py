@@ -59,6 +59,12 @@ def test_identify_starts_with_a_delimiter_and_returns_who_it_is() -> None:
     assert board.identity == identity()
 
 
+def test_an_ack_is_no_identity() -> None:
+    board, _, _ = make([(TX, first(wire.Identify(1))), (RX, send(Ack(0, 1, Result.DONE)))])
+    with pytest.raises(ProtocolViolation, match="answered IDENTIFY by"):
+        board.identify()
+
+
 def test_a_wrong_serial_number_is_one_message_with_both_numbers() -> None:
     board, _, _ = make([(TX, first(wire.Identify(1))), (RX, send(identity()))])
     with pytest.raises(WrongIdentity, match=r'encoder board "enc0" on /dev/ttyTEST: .* 78, found 77'):
@@ -326,6 +332,12 @@ class TestIndex:
         link.push(send(IndexLatch(1, 1, 5, 33)))
         board.update()
         board.set_zero(1)
+        assert board.index_latch(1) is None
+
+    def test_disarming_forgets_the_latch(self) -> None:
+        board, link, _ = self.armed([(TX, send(wire.ArmIndex(2, 1, 0))), (RX, send(Ack(2, 2, 0)))])
+        link.push(send(IndexLatch(1, 1, 5, 33)))
+        board.disarm_index(1)
         assert board.index_latch(1) is None
 
     def test_an_index_of_no_channel_is_a_violation(self) -> None:

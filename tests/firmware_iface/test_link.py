@@ -1,0 +1,61 @@
+"""What real drivers do now and then: error frames, bus off, strange frames, a port that takes no more bytes."""
+
+import os
+import pty
+import tty
+from collections.abc import Iterator
+
+import can
+import pytest
+
+from firmware_iface.errors import LinkLost
+from firmware_iface.link import FrameLink, open_can, open_serial
+
+ERROR_PASSIVE, BUS_OFF = 0x04, 0x40
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[FrameLink, can.BusABC]]:
+    channel = f"drivers-{os.getpid()}"
+    link = open_can("virtual", channel)
+    far = can.Bus(interface="virtual", channel=channel, ignore_config=True)
+    yield link, far
+    link.close()
+    far.shutdown()
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        can.Message(arbitration_id=0x181, is_extended_id=True, data=bytes(8)),
+        can.Message(arbitration_id=0x181, is_extended_id=False, is_remote_frame=True, dlc=8),
+        can.Message(arbitration_id=0x181, is_extended_id=False, is_fd=True, data=bytes(8)),
+        can.Message(arbitration_id=ERROR_PASSIVE, is_extended_id=False, is_error_frame=True, data=bytes(8)),
+    ],
+)
+def test_what_is_no_classic_data_frame_is_dropped(
+    ends: tuple[FrameLink, can.BusABC], odd: can.Message
+) -> None:
+    link, far = ends
+    far.send(odd)
+    far.send(can.Message(arbitration_id=0x182, is_extended_id=False, data=b"ok"))
+    assert link.receive() == [(0x182, b"ok")]
+
+
+def test_bus_off_is_a_lost_link_that_says_where_to_look(ends: tuple[FrameLink, can.BusABC]) -> None:
+    link, far = ends
+    far.send(can.Message(arbitration_id=BUS_OFF, is_extended_id=False, is_error_frame=True, data=bytes(8)))
+    with pytest.raises(LinkLost, match=r"bus off: .*termination.*bit rate"):
+        link.receive()
+
+
+def test_a_port_that_takes_no_more_bytes_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("firmware_iface.link._WRITE_TIMEOUT_ms", 1)
+    master, slave = pty.openpty()
+    tty.setraw(master)
+    link = open_serial(os.ttyname(slave), 1_000_000)
+    with pytest.raises(LinkLost, match="takes no bytes"):
+        link.write(bytes(1 << 20))
+    link.close()
+    os.close(master)
+    os.close(slave)
