@@ -91,7 +91,8 @@ class PlanarInverse:
         frame = np.array([np.cross(y, z), y, z])
         self._rows, self._origin = frame.tolist(), axes.points[0].tolist()
         shoulder, elbow, end = ((frame @ (p - axes.points[0])).tolist() for p in (*axes.points[1:], axes.tip))
-        self._a_u, self._a_z, self._w = shoulder[0], shoulder[2], end[1]
+        self._a_u, self._a_z = shoulder[0], shoulder[2]
+        self._w: float = end[1]
         self.l2, self._b2 = _polar(elbow[0] - shoulder[0], elbow[2] - shoulder[2])
         self.l3, self._b3 = _polar(end[0] - elbow[0], end[2] - elbow[2])
         deviation = max(abs(axes.directions[1] @ z), np.linalg.norm(np.cross(axes.directions[2], y)))
