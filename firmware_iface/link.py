@@ -18,7 +18,7 @@ from serial.tools import list_ports
 
 from firmware_iface.errors import LinkLost, MisuseError, PortMissing
 
-_READ_BYTES = 65536  # more than a serial driver buffers: one read empties it
+_READ_BYTES = 65536  # more than a serial driver buffers
 _WRITE_TIMEOUT_ms = 200  # requests are a dozen bytes: a line that does not take them in this time is dead
 _HANGUP_CHECK_READS = 8  # a port that was unplugged reads as empty: look closer after so many empty reads
 _SOCKETCAN_BUS_OFF = 0x40  # CAN_ERR_BUSOFF of linux/can/error.h, in the id of an error frame
@@ -116,19 +116,25 @@ class _PosixByteLink:
         self._empty_reads = 0
 
     def read(self) -> bytes:
-        try:
-            received = os.read(self._fd, _READ_BYTES)
-        except BlockingIOError:
-            received = b""
-        except OSError as problem:
-            raise self._lost(problem) from None
+        received = self._read_once()
         if received:
             self._empty_reads = 0
+            # A tty hands over what it has; only an empty read has waited for what was on its way.
+            while more := self._read_once():
+                received += more
             return received
         self._empty_reads += 1
         if self._empty_reads % _HANGUP_CHECK_READS == 0 and self._hangup.poll(0):
             raise self._lost("it hung up")
         return b""
+
+    def _read_once(self) -> bytes:
+        try:
+            return os.read(self._fd, _READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as problem:
+            raise self._lost(problem) from None
 
     def write(self, data: bytes) -> None:
         left = data
@@ -229,6 +235,18 @@ def _heard_from_can() -> Iterator[list[str]]:
         logger.removeHandler(listener)
 
 
+class _OwnMessage(can.Message):
+    """A message that is made for one `send` and never touched again, so it need not be copied.
+
+    python-can's virtual bus copies what it sends for every receiver, deeply, which costs five times the rest.
+    """
+
+    __slots__ = ()
+
+    def __deepcopy__(self, memo: object) -> "_OwnMessage":
+        return self
+
+
 class _CanFrameLink:
     """Any python-can bus. What is no classic data frame with an 11-bit id is counted in `rejected`."""
 
@@ -241,7 +259,7 @@ class _CanFrameLink:
         self._is_open = True
 
     def send(self, can_id: int, payload: bytes) -> None:
-        message = can.Message(arbitration_id=can_id, data=payload, is_extended_id=False, check=False)
+        message = _OwnMessage(arbitration_id=can_id, data=payload, is_extended_id=False, check=False)
         try:
             self._bus.send(message)
         except (can.CanError, OSError, ValueError) as problem:

@@ -91,7 +91,7 @@ class SteppedClock:
         wires.from_host(robot)
         while robot.now_s < end_s:
             robot.tick()
-        wires.to_host(robot, is_stepped=True)
+        wires.to_host(robot)
 
 
 class SteppedRig:

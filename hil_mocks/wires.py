@@ -6,11 +6,8 @@ The host opens the other ends with its ordinary drivers: a pty's path, an interf
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import socket
-import sys
-import termios
 import tty
 from typing import Protocol
 
@@ -18,7 +15,6 @@ from firmware_iface.link import open_can
 from hil_mocks.devices.motor_board import Frame
 
 _ROOM_BYTES = 3500  # of the 4095 that a tty holds for a host that does not read
-_MOST_LOOKS = 20_000  # some 10 ms
 
 
 class OnWires(Protocol):
@@ -60,18 +56,6 @@ class Pty:
         with contextlib.suppress(BlockingIOError):
             os.write(self._ours, sent)
 
-    def write_through(self, sent: bytes) -> None:
-        """Send, and return when the host can read it: what it reads next does not hang on the kernel's mood."""
-        waiting = self._unread()
-        self.write(sent)
-        wanted = min(waiting + len(sent), _ROOM_BYTES)
-        for _ in range(_MOST_LOOKS):
-            if self._unread() >= wanted:
-                return
-
-    def _unread(self) -> int:
-        return int.from_bytes(fcntl.ioctl(self._theirs, termios.FIONREAD, b"\0\0\0\0"), sys.byteorder)
-
     def close(self) -> None:
         """Hang up."""
         os.close(self._ours)
@@ -100,13 +84,15 @@ class Wires:
         for can_id, payload in self._can.receive():
             robot.from_host_can(can_id, payload)
 
-    def to_host(self, robot: OnWires, is_stepped: bool = False) -> None:
-        """Give the host what the robot has sent by now; a stepped host finds all of it when this returns."""
+    def to_host(self, robot: OnWires) -> None:
+        """Give the host what the robot has sent by now.
+
+        A host that reads its port until it is empty finds all of it: an empty read waits for what is on its way
+        through the pty.
+        """
         for i, pty in enumerate(self.ptys):
             sent = robot.serial_outgoing(i)
-            if sent and is_stepped:
-                pty.write_through(sent)
-            elif sent:
+            if sent:
                 pty.write(sent)
         if robot.can_outgoing:
             for can_id, payload in robot.can_outgoing:

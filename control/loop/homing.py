@@ -9,6 +9,7 @@ others hold; the first that fails stops them all.
     SEEK     move up until the switch becomes active
     INDEX    go on slower until the index latches
     SETTLE   slow down; at rest, shift the counter
+    SHIFTED  the next cycle reads counts from the new zero
     DONE
 """
 
@@ -36,6 +37,7 @@ class Phase(Enum):
     SEEK = "seek"
     INDEX = "index"
     SETTLE = "settle"
+    SHIFTED = "shifted"
     DONE = "done"
 
 
@@ -97,7 +99,10 @@ class JointHoming:
             return self._seek(is_active, elapsed_s)
         if self.phase is Phase.INDEX:
             return self._find_index(elapsed_s)
-        return self._settle(speed_rad_s, elapsed_s)
+        if self.phase is Phase.SETTLE:
+            return self._settle(speed_rad_s, elapsed_s)
+        self.phase = Phase.DONE  # this cycle has read counts from the new zero
+        return 0.0
 
     def _release(self, is_active: bool, elapsed_s: float) -> float:
         step = self._go(-self._home.speed_rad_s, elapsed_s)
@@ -138,7 +143,7 @@ class JointHoming:
         self._quiet_s = self._quiet_s + elapsed_s if is_quiet else 0.0
         if self._quiet_s >= SETTLE_S and latched is not None:
             self._counter.shift_count(self._joint, self._home.index_count - latched)
-            self._enter(Phase.DONE)
+            self._enter(Phase.SHIFTED)
         return step
 
     def _check_turn(self) -> None:
