@@ -17,7 +17,7 @@ import msgspec
 from firmware_iface.clock import Clock, MonotonicClock
 from hil_mocks.errors import RigError
 from hil_mocks.plant.hand import Point
-from hil_mocks.rig import MockHand
+from hil_mocks.rig import MockArm, MockHand, SteppedRig
 from hil_mocks.scenario import FaultTable
 
 _START_LIMIT_S = 20.0  # Python, MuJoCo and a busy machine
@@ -123,6 +123,15 @@ class RealTimeRig:
             raise RigError(str(answer["error"]))
         return answer
 
+    def hang_up(self) -> None:
+        """What the process sees when this one dies: its standard input ends."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+
+    def wait_for_end(self) -> int:
+        """Exit status of the process once it has ended by itself."""
+        return self._process.wait(_END_LIMIT_S)
+
     def close(self) -> None:
         """End its process and wait for it."""
         self._lines.close()
@@ -142,8 +151,7 @@ class RealTimeRig:
 
     def _end_process(self) -> None:
         process = self._process
-        if process.stdin is not None:
-            process.stdin.close()  # which it takes as the end
+        self.hang_up()
         try:
             process.wait(_END_LIMIT_S)
         except subprocess.TimeoutExpired:
@@ -160,3 +168,8 @@ class RealTimeRig:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def open_mock_arm(arm: str | Path, scenario: str | Path = "ideal", is_realtime: bool = False) -> MockArm:
+    """A mock arm by either clock; whoever opens it closes it."""
+    return RealTimeRig(arm, scenario) if is_realtime else SteppedRig(arm, scenario)

@@ -56,6 +56,7 @@ def plant(
     start_rad: Sequence[float] = (0.0,),
     gravity_m_s2: Vector = (0.0, -G_m_s2, 0.0),
     timestep_s: float = 2.5e-4,
+    link_share: float = 0.5,
     **of_drive: float,
 ) -> Plant:
     joints = len(start_rad)
@@ -63,7 +64,7 @@ def plant(
         arm(joints, gravity_m_s2, **of_drive),
         effects(*entries, joints=joints),
         start_rad,
-        PlantOptions(timestep_s=timestep_s),
+        PlantOptions(timestep_s=timestep_s, link_share=link_share),
     )
 
 

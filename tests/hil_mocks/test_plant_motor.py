@@ -7,13 +7,13 @@ import math
 import pytest
 
 from tests.hil_mocks.pendulum import (
-    K_Nm_A,
     L_H,
     R_OHM,
-    REFLECTED_kg_m2,
     SUPPLY_V,
-    TOTAL_kg_m2,
     WEIGHTLESS,
+    K_Nm_A,
+    REFLECTED_kg_m2,
+    TOTAL_kg_m2,
     gravity_torque_Nm,
     plant,
     run,
