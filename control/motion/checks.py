@@ -65,7 +65,9 @@ def check_poses(
         def say(
             i: int, joint: int = joint, low: float = low, high: float = high, beyond: Array = beyond
         ) -> str:
-            return f"joint {joint + 1} would be {beyond[i]:.4f} rad outside of its range {low:.4f} .. {high:.4f} rad"
+            return (
+                f"joint {joint + 1} would be {beyond[i]:.4f} rad outside of its range {low:.4f} to {high:.4f}"
+            )
 
         _require(beyond <= _ROUNDING_RAD, waypoints, times_s, tip, say, -beyond)
     margin = joints.smallest_singular_m
@@ -75,7 +77,7 @@ def check_poses(
         times_s,
         tip,
         lambda i: (
-            f"the arm is near-singular: it moves its tip {margin[i]:.4f} m per rad in its worst direction, least"
+            f"the arm is near-singular: {margin[i]:.4f} m of tip travel per rad in its worst direction, least"
             f" allowed {LEAST_SINGULAR_M_RAD} m"
         ),
         margin,

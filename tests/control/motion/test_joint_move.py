@@ -128,6 +128,12 @@ def test_a_start_too_fast_to_stay_inside_is_refused():
         JointMove(SetPoint((2.55, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0,) * 3), END, LIMITS)
 
 
+def test_a_moving_start_that_overshoots_only_while_braking_is_refused_too():
+    state = SetPoint((0.0, -1.75, 0.0), (0.0, -2.0, 0.0), (0.0,) * 3)
+    with pytest.raises(MotionError, match=r"joint 2 .* leave its range by 0\.09\d\d rad"):
+        JointMove(state, (0.0, 0.0, 0.0), LIMITS)
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_numbers_that_are_not_finite_are_refused(bad):
     with pytest.raises(MotionError, match="finite"):

@@ -149,6 +149,19 @@ def test_a_wrong_number_of_joints_is_refused():
         limits.limit_set_point((0.0,), (0.0, 0.0), (0.0,), (JOINT,), T)
 
 
+@pytest.mark.parametrize("speed", [0.15, 0.9, 2.0, -0.15, -0.9, -2.0])
+@pytest.mark.parametrize("middle", [0.0, 0.7, -3.0])
+def test_running_at_constant_speed_into_either_end_of_any_range_is_braked_in_time(speed, middle):
+    limit = SetPointLimits(middle - 1.0, middle + 1.0, 2.0, 10.0)
+    q, last_speed, wanted = middle, speed, middle
+    for _ in range(5000):
+        wanted = min(max(wanted + speed * T, middle - 1.0), middle + 1.0)
+        new, new_speed, _ = _step(wanted, q, last_speed, limit)
+        assert abs(new_speed - last_speed) <= CHANGE * (1.0 + 1e-6)
+        q, last_speed = new, new_speed
+    assert q == pytest.approx(middle + math.copysign(1.0, speed), abs=1e-9)
+
+
 @pytest.mark.parametrize("goal", [5.0, -5.0])
 def test_pushed_at_the_end_of_its_range_a_joint_stops_there_within_its_acceleration(goal):
     q, speed, fastest = 0.0, 0.0, 0.0

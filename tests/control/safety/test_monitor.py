@@ -187,6 +187,12 @@ def test_an_arm_that_is_not_homed_does_not_move_and_says_so():
     assert monitor.on(Event.MOVE) is Mode.MOVING
 
 
+def test_a_new_arm_is_off_without_faults_and_knows_no_zero():
+    monitor = Monitor()
+    assert (monitor.mode, monitor.faults, monitor.reaction) == (Mode.OFF, (), None)
+    assert not monitor.is_homed
+
+
 def test_homing_again_forgets_the_old_zero_until_it_succeeds():
     monitor = _monitor(Mode.HOLDING)
     assert monitor.is_homed
