@@ -103,9 +103,9 @@ class MockRobot:
         if now_s >= self._plan.next_change_s:
             self._change_faults(now_s)
         bridges, polarity = self.plant.bridges, self._polarity
+        currents_A, supply_V, is_clamped = bridges.currents_A(), bridges.supply_V, bridges.is_clamped
         for j, board in enumerate(self.motor_boards):
-            current_A = polarity[j] * bridges.current_A(j)
-            frames = board.tick(now_s, current_A, bridges.supply_V[j], bridges.is_clamped[j])
+            frames = board.tick(now_s, polarity[j] * currents_A[j], supply_V[j], is_clamped[j])
             if frames:
                 self._send_can(j, frames)
             if board.output is not self._applied[j]:

@@ -37,6 +37,8 @@ class Bridges:
         self._gain, self._dynamics = model.actuator_gainprm, model.actuator_dynprm
         self._ctrl, self._act, self._velocity = state.ctrl, state.act, state.actuator_velocity
         self._windings, self._index = tuple(windings), tuple(index)
+        self._constants = [(winding.K_V_s_rad, winding.resistance_ohm) for winding in self._windings]
+        self._nominal_V = [winding.supply_V for winding in self._windings]
         self._current_at = tuple(int(model.actuator_actadr[k]) for k in index)
         self._supply_ohm = supply_ohm
         count = len(self._windings)
@@ -66,7 +68,23 @@ class Bridges:
         if self._supply_ohm > 0.0:
             self._sag()
         for j, speed in enumerate(speeds_rad_s):
+            if self._mode[j] == VOLTAGE and self._set_as[j] == VOLTAGE and self._supply_ohm == 0.0:
+                # The common case, short: the same mode as before and no limit in reach.
+                voltage, (K, resistance_ohm) = self._command[j], self._constants[j]
+                current_A = (voltage - K * speed) / resistance_ohm
+                limit_A, supply_V = self._limit_A[j], self.supply_V[j]
+                if (
+                    -limit_A <= current_A <= limit_A
+                    and -supply_V <= voltage <= supply_V == self._nominal_V[j]
+                ):
+                    self._ctrl[self._index[j]] = voltage
+                    continue
             self._settle(j, speed)
+
+    def currents_A(self) -> list[float]:
+        """Currents of all motors now."""
+        act: list[float] = self._act.tolist()
+        return [act[k] for k in self._current_at]
 
     def current_A(self, j: int) -> float:
         """Current of the motor now."""
