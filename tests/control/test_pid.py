@@ -79,6 +79,26 @@ def test_narrowed_limits_take_the_integral_with_them():
     assert pid.update(0.0, 0.0, 0.0) == 5.0
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_integral_keeps_to_what_the_limit_leaves_beside_the_feed_forward(sign):
+    pid = _pid(kp=0.0, ki=1.0, output_limit=24.0)
+    pid.reset(sign * 20.0)
+    assert pid.update(0.0, 0.0, sign * 2.0, lower=-6.0, upper=6.0) == sign * 6.0
+    assert pid.integral == sign * 4.0
+    pid.reset(sign * 20.0)
+    pid.update(0.0, 0.0, sign * 9.0, lower=-6.0, upper=6.0)
+    assert pid.integral == 0.0
+
+
+def test_a_plain_reset_starts_from_zero_and_is_not_saturated():
+    pid = _pid(kp=1.0, ki=1.0, output_limit=0.5)
+    pid.update(9.0)
+    assert pid.is_saturated
+    pid.reset()
+    assert (pid.integral, pid.is_saturated) == (0.0, False)
+    assert pid.update(0.0) == 0.0
+
+
 def test_limits_may_be_asymmetric_and_change_every_cycle():
     pid = _pid(kp=100.0)
     for lower, upper in [(-1.0, 3.0), (0.5, 0.75), (-9.0, -8.0), (2.0, 2.0)]:

@@ -150,7 +150,7 @@ def test_a_wrong_number_of_joints_is_refused():
 
 
 @pytest.mark.parametrize("speed", [0.15, 0.9, 2.0, -0.15, -0.9, -2.0])
-@pytest.mark.parametrize("middle", [0.0, 0.7, -3.0])
+@pytest.mark.parametrize("middle", [0.0, 0.7, -3.0, 3.0])
 def test_running_at_constant_speed_into_either_end_of_any_range_is_braked_in_time(speed, middle):
     limit = SetPointLimits(middle - 1.0, middle + 1.0, 2.0, 10.0)
     q, last_speed, wanted = middle, speed, middle
