@@ -5,6 +5,7 @@ keys and of 0-based indices, as one would index the parsed document: `("link", 2
 """
 
 import re
+import tomllib
 from collections.abc import Callable
 from typing import Final
 
@@ -30,6 +31,11 @@ def nearest_line(lines: dict[Path, int], path: Path) -> int | None:
         if path[:length] in lines:
             return lines[path[:length]]
     return None
+
+
+def _unquoted(key: str) -> str:
+    """Return a key as tomllib reads it, escapes and all."""
+    return next(iter(tomllib.loads(f"{key} = 0"))) if key[0] in "\"'" else key
 
 
 class _Scanner:
@@ -66,7 +72,7 @@ class _Scanner:
         parts: list[str] = []
         while True:
             self._skip(_SPACE)
-            parts.append(self._skip(_KEY).strip("\"'"))
+            parts.append(_unquoted(self._skip(_KEY)))
             self._skip(_SPACE)
             if self._text[self._at] != ".":
                 return parts
