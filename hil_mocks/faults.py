@@ -20,7 +20,7 @@ OF_MOTOR = (
     | _IDENTITY
     | {"over_current", "over_temperature", "supply", "encoder_fault", "swapped_polarity"}
 )
-OF_CAMERA = ON_FRAMES
+OF_CAMERA = ON_FRAMES - {"delay_frames"}  # its latency is a key of its own
 _WIRING = {"wrong_counts", "swapped_channels"}  # built in before power-up
 _NEED_VALUE = {
     "delay_frames",

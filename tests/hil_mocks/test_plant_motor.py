@@ -62,8 +62,12 @@ def test_an_open_circuit_carries_no_current_and_does_not_brake() -> None:
     subject = plant(gravity_m_s2=WEIGHTLESS)
     subject.drive_voltage(0, 6.0)
     run(subject, 0.3)
+    subject.drive_voltage(0, 0.0)
+    subject.step(4)
+    assert abs(subject.current_A(0)) > 1.0
     subject.drive_open(0)
-    run(subject, 0.005)
+    subject.step(1)
+    assert subject.current_A(0) == pytest.approx(0.0, abs=1e-9)
     before = subject.joint_speed_rad_s()[0]
     run(subject, 0.5)
     assert subject.current_A(0) == pytest.approx(0.0, abs=1e-9)
