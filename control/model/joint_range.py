@@ -66,11 +66,12 @@ class JointRange:
 def turned_toward(q: Sequence[float], q_near: Sequence[float]) -> tuple[float, ...]:
     """Return q with the whole turns that bring each angle nearest to that of `q_near`."""
     return tuple(
-        [
-            a if -pi < a - b <= pi or a != a else a - _TURN * round((a - b) / _TURN)
-            for a, b in zip(q, q_near, strict=True)
-        ]
+        [a if -pi < a - b <= pi else a - _whole_turns_rad(a - b) for a, b in zip(q, q_near, strict=True)]
     )
+
+
+def _whole_turns_rad(difference: float) -> float:
+    return _TURN * round(difference / _TURN) if math.isfinite(difference) else 0.0
 
 
 def travel_rad(q: Sequence[float], q_from: Sequence[float]) -> float:

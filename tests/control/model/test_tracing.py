@@ -31,7 +31,7 @@ def _source(function: Callable[..., Any], names: str = "xyz") -> str:
         (lambda x, y, z: x * 0.0 + y, "return y"),
         (lambda x, y, z: 0.0 + x * 1.0 - 0.0, "return x"),
         (lambda x, y, z: x * -1.0 + y, "return (y - x)"),
-        (lambda x, y, z: -(-x), "return x"),
+        (lambda x, y, z: -(0.0 - x), "return x"),
         (lambda x, y, z: x - x, "return 0.0"),
         (lambda x, y, z: (-x) * (-y), "return (x * y)"),
         (lambda x, y, z: 2.0 * (3.0 * x), "return (6.0 * x)"),

@@ -1,0 +1,85 @@
+"""Default gains hold the joint stably in every pose; gains of the file are taken as they are."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from control.errors import MissingModel
+from control.model.arm import Arm, Drive, DrivePid
+from control.model.description import load_arm
+from control.model.dynamics import Dynamics
+from control.model.gains import Gains, POLE_rad_s, gains_of, placed_gains
+
+RIGHT = load_arm("right")
+PERIOD_S = 0.002
+
+
+def _with_pid(pid: DrivePid) -> Arm:
+    return dataclasses.replace(RIGHT, drives=tuple(dataclasses.replace(d, pid=pid) for d in RIGHT.drives))
+
+
+def _phase_margin_deg(drive: Drive, inertia: float, gains: Gains) -> float:
+    """Of the sampled loop: motor with inductance, one and a half cycles of delay, filtered derivative."""
+    omega = np.logspace(0, 3.3, 4000)
+    s = 1j * omega
+    constant = drive.gear_ratio * drive.torque_constant_Nm_A
+    motor = constant / ((drive.inductance_H * s + drive.resistance_ohm) * inertia * s + constant**2) / s
+    pid = gains.kp + gains.ki / s + gains.kd * s / (gains.derivative_filter_s * s + 1)
+    loop = motor * np.exp(-1.5 * PERIOD_S * s) * pid
+    crossover = np.flatnonzero(np.abs(loop) > 1)[-1]
+    return 180.0 + float(np.degrees(np.angle(loop[crossover])))
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3])
+@pytest.mark.parametrize(("payload_kg", "margin_deg"), [(0.0, 48.0), (0.5, 42.0)])
+def test_default_gains_keep_their_phase_margin_in_every_pose(
+    joint: int, payload_kg: float, margin_deg: float
+) -> None:
+    lower, upper = np.array(RIGHT.limits_rad).T
+    poses = np.random.default_rng(1).uniform(lower, upper, (300, 3))
+    inertias = Dynamics(RIGHT, payload_kg).mass_matrices(poses)[:, joint - 1, joint - 1]
+    gains = gains_of(RIGHT, joint)
+    for inertia in (inertias.min(), inertias.max()):
+        assert _phase_margin_deg(RIGHT.drive(joint), inertia, gains) >= margin_deg - 0.5
+
+
+@pytest.mark.parametrize("mode", ["voltage", "current", "position"])
+def test_the_poles_are_where_they_were_asked_for(mode: str) -> None:
+    drive = dataclasses.replace(RIGHT.drive(2), pid=DrivePid(mode))  # type: ignore[arg-type]
+    inertia = 2.0
+    gains = placed_gains(drive, inertia, 0.0)
+    constant = drive.gear_ratio * drive.torque_constant_Nm_A
+    gain = constant / inertia / (1.0 if mode == "current" else drive.resistance_ohm)
+    damping = 0.0 if mode == "current" else constant * gain
+    poles = np.roots([1.0, damping + gain * gains.kd, gain * gains.kp, gain * gains.ki])
+    assert poles == pytest.approx([-POLE_rad_s] * 3, rel=1e-4)
+
+
+def test_gains_of_the_file_win_and_the_rest_is_derived() -> None:
+    derived = gains_of(RIGHT, 1)
+    assert gains_of(_with_pid(DrivePid(kp=1.0, ki=2.0, kd=3.0, derivative_filter_s=0.0)), 1) == Gains(
+        1, 2, 3, 0
+    )
+    assert gains_of(_with_pid(DrivePid(kp=7.0)), 1) == dataclasses.replace(derived, kp=7.0)
+
+
+def test_without_masses_gains_must_be_given() -> None:
+    links = tuple(dataclasses.replace(k, mass_kg=None, com_m=None, inertia_kg_m2=None) for k in RIGHT.links)
+    with pytest.raises(MissingModel, match=r"no kp, ki, kd, and they cannot be derived.*\[\[link\]\] 1"):
+        gains_of(dataclasses.replace(RIGHT, links=links), 1)
+    given = dataclasses.replace(_with_pid(DrivePid(kp=1.0, ki=2.0, kd=3.0)), links=links)
+    assert gains_of(given, 1).kp == 1.0
+    with pytest.raises(MissingModel, match="joint 4 has no"):
+        gains_of(RIGHT, 4)
+
+
+def test_a_joint_without_inertia_is_named() -> None:
+    nothing = (0.0, 0.0, 0.0)
+    links = tuple(
+        dataclasses.replace(k, mass_kg=0.0, com_m=nothing, inertia_kg_m2=nothing) for k in RIGHT.links
+    )
+    drives = tuple(dataclasses.replace(d, rotor_inertia_kg_m2=0.0) for d in RIGHT.drives)
+    weightless = dataclasses.replace(RIGHT, links=links, drives=drives)
+    with pytest.raises(MissingModel, match="joint 1 has no inertia"):
+        gains_of(weightless, 1)
