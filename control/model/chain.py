@@ -6,8 +6,7 @@ and z of the moving frame, and that sequence is all that the functions here look
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,8 +19,7 @@ Array = NDArray[np.float64]
 Row = Sequence[Scalar]  # d, theta, L, alpha of one link
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(NamedTuple):
     """One step of the chain: a move along and a turn about the x or the z of the moving frame.
 
     `turn` is the constant part of the angle, `joint` (0-based) the joint that adds to it, `link` its row.

@@ -1,0 +1,86 @@
+"""Peers run in an environment of their own, `.venv-peers`, so that their dependencies are not ours."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+HERE = Path(__file__).parent
+ENVIRONMENT = HERE.parent / ".venv-peers"
+LOCK = HERE / "peers" / "requirements.lock"
+INSTALL_TIMEOUT_S = 600.0
+
+
+class PeerMissing(Exception):
+    """The peers' environment cannot be made here; says why."""
+
+
+def peer_python() -> Path:
+    """Return the Python of the peers' environment, made from its lock file where it is not there yet."""
+    python = ENVIRONMENT / "bin" / "python"
+    stamp = ENVIRONMENT / "installed"
+    if stamp.exists() and stamp.stat().st_mtime >= LOCK.stat().st_mtime:
+        return python
+    pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    for command in (
+        [sys.executable, "-m", "venv", str(ENVIRONMENT)],
+        [*pip, "--require-hashes", "-r", str(LOCK)],
+    ):
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=INSTALL_TIMEOUT_S, check=False
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise PeerMissing(f"not installed: {type(error).__name__}") from None
+        if done.returncode != 0:
+            raise PeerMissing("not installable here")
+    stamp.touch()
+    return python
+
+
+class Peer:
+    """A peer script at work: one JSON line in, one out."""
+
+    def __init__(self, script: str, task: Mapping[str, Any]) -> None:
+        quiet = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        self._process = subprocess.Popen(
+            [str(peer_python()), str(HERE / "peers" / script)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            env=quiet,
+        )
+        self.answers = self.ask(task)
+
+    def ask(self, question: Any) -> dict[str, Any]:
+        """Return the answer to one line; PeerMissing where the script has ended."""
+        if self._process.stdin is None or self._process.stdout is None:
+            raise PeerMissing("has no pipes")
+        try:
+            self._process.stdin.write(json.dumps(question) + "\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            raise PeerMissing("does not run here") from None
+        line = self._process.stdout.readline()
+        if not line:
+            raise PeerMissing("does not run here")
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def __enter__(self) -> "Peer":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the script."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        self._process.wait()
