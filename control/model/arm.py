@@ -19,6 +19,7 @@ from control.model.rules import (
     ANGLE,
     DIRECTION,
     ENCODER_BITS,
+    LIMIT,
     NODE,
     NOT_NEGATIVE,
     ONE_OR_MORE,
@@ -89,8 +90,8 @@ class Drive:
     inductance_H: NonNegative = 0.0
     rotor_inertia_kg_m2: NonNegative = 0.0
     current_limit_A: Positive = math.inf
-    joint_lower_rad: float = -math.inf
-    joint_upper_rad: float = math.inf
+    joint_lower_rad: Annotated[float, LIMIT] = -math.inf
+    joint_upper_rad: Annotated[float, LIMIT] = math.inf
     joint_speed_limit_rad_s: Positive = math.inf
     joint_acceleration_limit_rad_s2: Positive = math.inf
     joint_jerk_limit_rad_s3: Positive = math.inf

@@ -44,6 +44,11 @@ def _check_drive(arm: Arm, drive: Drive, index: int) -> None:
     if not drive.joint_lower_rad < drive.joint_upper_rad:
         got = f"{drive.joint_upper_rad} (joint_lower_rad is {drive.joint_lower_rad})"
         raise Rejected((*path, "joint_upper_rad"), "more than joint_lower_rad", got)
+    if drive.home is not None:
+        for key, angle in (("switch_rad", drive.home.switch_rad), ("index_rad", drive.home.index_rad)):
+            if not drive.joint_lower_rad <= angle <= drive.joint_upper_rad:
+                expected = f"an angle within the joint's limits, {drive.joint_lower_rad} to {drive.joint_upper_rad} rad"
+                raise Rejected((*path, "home", key), expected, str(angle))
     if drive.encoder_channel >= ENCODER_CHANNELS:
         raise Rejected((*path, "encoder_channel"), "0, 1 or 2", str(drive.encoder_channel))
 

@@ -15,7 +15,8 @@ from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.chain import checked_poses
 from control.model.rigid_body import chain_of, inverse_dynamics
-from control.model.tracing import Graph, Scalar, Symbol, compile_function
+from control.model.straight_line import compile_function
+from control.model.tracing import Graph, Scalar, Symbol
 
 Array = NDArray[np.float64]
 Floats = tuple[float, ...]

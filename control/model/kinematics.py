@@ -15,7 +15,8 @@ from control.errors import ArmError
 from control.model import chain
 from control.model.arm import Arm, Convention, Vector3
 from control.model.chain_jacobian import tips_and_dh_jacobian
-from control.model.tracing import Graph, Symbol, compile_function, derivative
+from control.model.straight_line import compile_function, derivative
+from control.model.tracing import Graph, Symbol
 
 Array = NDArray[np.float64]
 Rows = tuple[tuple[float, ...], ...]

@@ -4,7 +4,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from control.model.kinematics import Kinematics
-from control.model.tracing import Graph, compile_function, derivative
+from control.model.straight_line import compile_function, derivative
+from control.model.tracing import Graph
 
 ACCURACY_M = 1e-9
 _STEPS = 8

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from control.model.kinematics import Kinematics
-from control.model.tracing import Graph, Scalar, acos, atan2, compile_function, cos, sin, sqrt
+from control.model.straight_line import compile_function
+from control.model.tracing import Graph, Scalar, acos, atan2, cos, sin, sqrt
 
 Array = NDArray[np.float64]
 Shoulder = Literal["front", "back"]

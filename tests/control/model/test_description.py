@@ -114,6 +114,20 @@ def test_drives_come_in_the_order_of_the_joints_whatever_the_file_has() -> None:
     ("old", "new", "key", "expected", "got"),
     [
         ("d_m = -0.012", 'd_m = "x"', "d_m of [[link]] 3", "a finite number", "'x'"),
+        (
+            "joint_upper_rad = 0.8",
+            "joint_upper_rad = 45.8",
+            "joint_upper_rad of [[drive]] 2",
+            "four turns",
+            "45.8",
+        ),
+        (
+            "switch_rad = 0.1",
+            "switch_rad = 1.1",
+            "home.switch_rad of [[drive]] 2",
+            "within the joint's",
+            "1.1",
+        ),
         ("d_m = -0.012", "d_m = nan", "d_m of [[link]] 3", "a finite number", "nan"),
         ("d_m = -0.012", "d_m = true", "d_m of [[link]] 3", "a finite number", "true"),
         ("d_m = -0.012", "d_mm = -12", "d_mm of [[link]] 3", "one of the keys", "an unknown key"),

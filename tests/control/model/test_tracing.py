@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from control.model import tracing
-from control.model.tracing import Graph, Symbol, compile_function, cos, derivative, function_source, sin
+from control.model.straight_line import compile_function, derivative, function_source
+from control.model.tracing import Graph, Symbol, cos, sin
 
 
 def _traced(function: Callable[..., Any], names: str = "xyz") -> tuple[list[Symbol], Any]:
