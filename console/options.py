@@ -68,6 +68,12 @@ LINKS = (
         "--can-channel", metavar="CHANNEL", help="python-can's channel: can0, /dev/ttyACM1, 239.74.163.2, ..."
     ),
     option(
+        "--can-option",
+        metavar="K=V",
+        action="append",
+        help="passed to python-can's interface, e.g. port=43113",
+    ),
+    option(
         "--camera-port",
         type=int,
         metavar="PORT",

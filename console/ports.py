@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from calib.session.ports import Sample, Vector
 from control.errors import ArmError
-from control.loop.client import ArmClient
+from control.loop.client import ArmClient, ArmFaulted, fault_text
 from hil_mocks.rig import MockHand
 
 SEATED_m = 2e-4  # a tip that is this near the hand sits in its cavity
@@ -32,7 +32,10 @@ class RuntimePort:
 
     def hold(self) -> None:
         """Hold where the arm stands."""
-        if self._client.status()["mode"] != "HOLDING":
+        status = self._client.status()
+        if status["mode"] == "FAULT":
+            raise ArmFaulted(fault_text(status))
+        if status["mode"] != "HOLDING":
             self._client.hold()
 
     def average(self, duration_s: float) -> Sample:
@@ -56,6 +59,9 @@ class HandPort:
     def __init__(self, hand: MockHand, wait: Callable[[float], None]) -> None:
         self._hand = hand
         self._wait = wait
+
+    def grip(self) -> None:
+        """The mock hand is quicker than gravity: nothing to wait for."""
 
     def seat(self, point_m: Vector) -> None:
         """Drag the tip to the cavity; returns when it sits. ArmError when it cannot be brought there."""

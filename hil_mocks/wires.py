@@ -69,7 +69,9 @@ class Wires:
         self, encoder_boards: int, can_interface: str, can_channel: str, camera_port: int = 0
     ) -> None:
         self.ptys = [Pty() for _ in range(encoder_boards)]
-        self.can_options: dict[str, int] = {"hop_limit": 0} if can_interface == "udp_multicast" else {}
+        # A port of its own: python-can listens to all groups of a port. No hops: frames stay on this machine.
+        is_multicast = can_interface == "udp_multicast"
+        self.can_options: dict[str, int] = {"port": free_udp_port(), "hop_limit": 0} if is_multicast else {}
         self._can = open_can(can_interface, can_channel, **self.can_options)
         self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._camera.setblocking(False)

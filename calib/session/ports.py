@@ -45,6 +45,9 @@ class ArmPort(Protocol):
 class TipSeat(Protocol):
     """The hand that seats the tip: an operator who is asked to, or the mock hand."""
 
+    def grip(self) -> None:
+        """Return when the hand has the arm, so that the drives may let it go."""
+
     def seat(self, point_m: Vector) -> None:
         """Return when the tip sits in the cavity at point_m (base frame)."""
 

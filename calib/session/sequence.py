@@ -1,4 +1,6 @@
-"""The order of a session: above a point, down, seat, rest, average, record, up, on to the next.
+"""The order of a session: above a point, the hand takes the tip down and seats it, rest, average, record, up, on.
+
+The drives never take the tip down to the board: an arm that is not calibrated yet does not know where that is.
 
 Every function here is a generator of Progress, so that whoever runs it can draw a bar and stop at any time:
 on every way out the hand lets go and the drives hold.
@@ -99,7 +101,7 @@ def step_through(
             yield _progress(Stage.KEPT, done, points, target)
             continue
         try:
-            path = walk.plan(target)
+            above = walk.plan(target)
         except ArmError as error:
             yield _progress(Stage.UNREACHABLE, done, points, target, reason=str(error))
             continue
@@ -109,10 +111,10 @@ def step_through(
                 set_up(target.setup)
             standing = target.setup
             yield _progress(Stage.SETUP, done - 1, points, target)
-        walk.go_above(path)
+        walk.go_above(above)
         yield _progress(Stage.ABOVE, done - 1, points, target)
+        seat.grip()
         try:
-            walk.lower(path)
             arm.release()
             seat.seat(target.tip_m)
             arm.hold()
@@ -147,27 +149,20 @@ def take_free_poses(
         yield _progress(Stage.RECORDED, done, poses, pose, record)
 
 
-@dataclass(frozen=True, slots=True)
-class _Path:
-    """Joint angles above and at a point."""
-
-    above: tuple[float, ...]
-    at: tuple[float, ...]
-
-
 class _Walk:
-    """Moves between points: up along the board's normal, across, down."""
+    """Moves between points: up along the board's normal, and across."""
 
     def __init__(self, inverse: Inverse, arm: ArmPort, how: SessionSettings) -> None:
         self._inverse, self._arm, self._how = inverse, arm, how
         self._q_rad = arm.average(how.window_s).q_rad
         self._above: tuple[float, ...] | None = None
 
-    def plan(self, target: BoardPoint) -> _Path:
-        """Angles nearest to where the arm is; ArmError if the point or the one above is out of reach."""
+    def plan(self, target: BoardPoint) -> tuple[float, ...]:
+        """Angles above the point, nearest to where the arm is; ArmError if it or the one above is out of reach."""
         x, y, z = (p + self._how.approach_m * n for p, n in zip(target.tip_m, target.normal, strict=True))
         above = tuple(self._inverse.nearest((x, y, z), self._q_rad))
-        return _Path(above, tuple(self._inverse.nearest(target.tip_m, above)))
+        self._inverse.nearest(target.tip_m, above)
+        return above
 
     def lift(self) -> None:
         """Up from the point where the arm is, if it is at one."""
@@ -175,16 +170,11 @@ class _Walk:
             self._arm.move_to_q(self._above)
             self._above = None
 
-    def go_above(self, path: _Path) -> None:
+    def go_above(self, above: tuple[float, ...]) -> None:
         """Up, and across to above the next point."""
         self.lift()
-        self._arm.move_to_q(path.above)
-        self._q_rad = path.above
-
-    def lower(self, path: _Path) -> None:
-        """Down to the point."""
-        self._above = path.above
-        self._arm.move_to_q(path.at)
+        self._arm.move_to_q(above)
+        self._q_rad = self._above = above
 
 
 def _record(

@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-import time
 
 from hil_mocks.realtime import RealTimeRig
 
@@ -19,9 +18,8 @@ def run(given: argparse.Namespace) -> int:
         )
         sys.stdout.flush()
         try:
-            while rig.is_alive():
-                time.sleep(0.2)
+            status = rig.wait_for_end()
         except KeyboardInterrupt:
             return 0
-    sys.stderr.write("armwright: the mock arm's process ended by itself\n")
+    sys.stderr.write(f"armwright: the mock arm's process ended by itself with status {status}\n")
     return 1

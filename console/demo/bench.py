@@ -170,6 +170,10 @@ class RealTimeBench:
         """End the runtime, if it still runs, and the mock arm."""
         if self._runtime is not None and self._runtime.poll() is None:
             self._runtime.terminate()
-            self._runtime.wait(START_LIMIT_S)
+            try:
+                self._runtime.wait(START_LIMIT_S)
+            except subprocess.TimeoutExpired:
+                self._runtime.kill()
+                self._runtime.wait()
         self.rig.close()
         self._folder.cleanup()

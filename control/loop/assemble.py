@@ -17,6 +17,7 @@ from control.loop.watch import JointLimits as MeasuredLimits
 from control.loop.watch import Watch, WatchLimits
 from control.model.arm import Arm, Drive
 from control.model.dynamics import Dynamics
+from control.model.feedforward import torque_model
 from control.model.gains import gains_of
 from control.model.inverse import InverseKinematics
 from control.model.joint_map import JointMap
@@ -87,7 +88,7 @@ def _servo(arm: Arm, period_s: float) -> Servo:
         gains = gains_of(arm, drive.joint)
         limit = drive.current_limit_A if mode is OutputMode.CURRENT else drive.supply_V
         pids.append(Pid(gains.kp, gains.ki, gains.kd, gains.derivative_filter_s, limit, period_s))
-    return Servo(mode, [_motor(drive) for drive in arm.drives], pids, torque_model(arm))
+    return Servo(mode, [_motor(drive) for drive in arm.drives], pids, TorqueModel(arm))
 
 
 def _motor(drive: Drive) -> Motor:
@@ -97,9 +98,28 @@ def _motor(drive: Drive) -> Motor:
     )
 
 
-def torque_model(arm: Arm) -> Callable[[Sequence[float], Sequence[float], Sequence[float]], Sequence[float]]:
-    """Joint torques that the model expects for angles, speeds and accelerations: rigid body, rotors, known friction."""
-    return Dynamics(arm).inverse
+class TorqueModel:
+    """Joint torques that the model expects for a motion; the payload at the tip may change while it runs.
+
+    Torques are linear in the payload's mass, so one kilogram more than nothing, scaled, is any payload.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self.payload_kg = 0.0
+        self._known = torque_model(arm)
+        self._empty = Dynamics(arm).inverse
+        self._laden = Dynamics(arm, 1.0).inverse
+
+    def __call__(
+        self, q_rad: Sequence[float], speed_rad_s: Sequence[float], acceleration_rad_s2: Sequence[float]
+    ) -> Sequence[float]:
+        """Torques in N m: rigid body, rotors, payload, known friction."""
+        known = self._known(q_rad, speed_rad_s, acceleration_rad_s2)
+        if self.payload_kg == 0.0:
+            return known
+        laden = self._laden(q_rad, speed_rad_s, acceleration_rad_s2)
+        empty = self._empty(q_rad, speed_rad_s, acceleration_rad_s2)
+        return [k + self.payload_kg * (w - e) for k, w, e in zip(known, laden, empty, strict=True)]
 
 
 def _watch_limits(arm: Arm) -> WatchLimits:
@@ -114,7 +134,7 @@ def _watch_limits(arm: Arm) -> WatchLimits:
         )
         for drive in arm.drives
     )
-    return WatchLimits(joints, arm.limits.stale_s, MISSED_IN_ROW)
+    return WatchLimits(joints, arm.limits.stale_s, arm.limits.watchdog_s, MISSED_IN_ROW)
 
 
 def _set_point_limits(drive: Drive) -> SetPointLimits:

@@ -66,6 +66,7 @@ class BoardHardware:
                 report = wired.encoder.latest
                 if report is not None:
                     feedback.count[joint] = report.counts[wired.channel]
+                    feedback.counted_at_s[joint] = wired.encoder.board_time_s
                     feedback.channel_flags[joint] = report.flags[wired.channel]
                 oldest_s = min(oldest_s, wired.encoder.latest_at_s)
                 self._take_reply(joint, wired.motor)

@@ -26,6 +26,9 @@ class Feedback:
 
     joint_count: int
     encoder_at_s: float = float("-inf")  # the oldest of the last reports, on the host's clock
+    counted_at_s: list[float] = field(
+        default_factory=list
+    )  # when `count` was latched, on its board's own clock
     reply_at_s: list[float] = field(default_factory=list)
     count: list[int] = field(default_factory=list)
     shift_count: list[int] = field(
@@ -43,7 +46,7 @@ class Feedback:
         self.reply_at_s = [float("-inf")] * n
         for name in ("count", "shift_count", "channel_flags", "statusword", "drive_faults"):
             setattr(self, name, [0] * n)
-        for name in ("current_A", "supply_V", "temperature_C"):
+        for name in ("counted_at_s", "current_A", "supply_V", "temperature_C"):
             setattr(self, name, [0.0] * n)
 
 

@@ -13,6 +13,7 @@ from control.model.joint_map import Unwrapper
 SPEED_FILTER_S = (
     0.004  # one count in one 2 ms cycle is 0.015 rad/s on the reference arm: two cycles of smoothing
 )
+LONGEST_GAP_S = 1.0  # between two reports; beyond it, or backwards in time, the speed starts anew
 DIRECTION_STEP_rad = 2e-4  # a motion smaller than this is dither at a set-point, not an approach
 
 
@@ -39,35 +40,36 @@ class Measurement:
         self._unwrappers: list[Unwrapper] = []
         self._shifts = [0] * n
         self._turning_point_rad = [0.0] * n
-        self._last_s = -math.inf
+        self._last_s = [-math.inf] * n
 
-    def update(self, counts: Sequence[int], shifts: Sequence[int], measured_at_s: float) -> bool:
-        """Take the counts of a report that came at `measured_at_s`; one seen before changes nothing.
+    def update(self, counts: Sequence[int], shifts: Sequence[int], counted_at_s: Sequence[float]) -> bool:
+        """Take the counts of the newest reports; a report seen before changes nothing.
 
-        `shifts` are the counts that have been added to each counter by request, as far as this report includes them.
-        Returns whether one of them is new.
+        `counted_at_s` is when each count was latched, by its board's own clock: what a line or a busy host adds on the way
+        must not look like speed. `shifts` are the counts that have been added to each counter by request, as far as this
+        report includes them. Returns whether one of them is new.
         """
-        elapsed_s = measured_at_s - self._last_s
-        if not elapsed_s > 0.0:
-            return False
-        is_first = not self._unwrappers
-        if is_first:
+        if not self._unwrappers:
             self._unwrappers = [
                 Unwrapper(b, count) for b, count in zip(self._counter_bits, counts, strict=True)
             ]
         is_shifted = self._follow_shifts(shifts)
-        gain = elapsed_s / (elapsed_s + SPEED_FILTER_S)
         for joint, count in enumerate(counts):
+            elapsed_s = counted_at_s[joint] - self._last_s[joint]
+            if elapsed_s == 0.0:
+                continue
+            self._last_s[joint] = counted_at_s[joint]
             shift = self._shifts[joint]
             q = self._maps[joint].radians(self._unwrappers[joint].update(count - shift) + shift)
-            if is_first:
-                self._turning_point_rad[joint] = q
-            else:
+            if 0.0 < elapsed_s < LONGEST_GAP_S:
                 speed = (q - self.q_rad[joint]) / elapsed_s
+                gain = elapsed_s / (elapsed_s + SPEED_FILTER_S)
                 self.speed_rad_s[joint] += gain * (speed - self.speed_rad_s[joint])
                 self._follow_direction(joint, q)
+            else:
+                self.speed_rad_s[joint] = 0.0
+                self._turning_point_rad[joint] = q
             self.q_rad[joint] = q
-        self._last_s = measured_at_s
         return is_shifted
 
     def _follow_shifts(self, shifts: Sequence[int]) -> bool:

@@ -142,7 +142,7 @@ class Requests:
         return {"average": averaging.result}
 
     def _payload(self, request: Message, client: int) -> Message:
-        self._runtime.payload_kg = _number(request, "mass_kg", 0.0, 100.0)
+        self._runtime.parts.servo.torque_model.payload_kg = _number(request, "mass_kg", 0.0, 100.0)
         return {}
 
     def _acknowledge(self, request: Message, client: int) -> Message:

@@ -39,6 +39,9 @@ MODE_NUMBER = {mode: number for number, mode in enumerate(Mode)}  # as recorded
 ENABLE_LIMIT_S = 1.0  # a drive takes three cycles; a second is somebody's emergency stop
 HOMING_CURRENT_FRACTION = 0.5
 STILL_S = 0.5
+SINK_LIMIT_S = (
+    15.0  # shorted windings let the reference arm down from any pose within this; its encoders may be dead
+)
 STILL_rad_s = 0.01
 
 
@@ -80,7 +83,6 @@ class Runtime:
         self.now_s = 0.0
         self.cycles = 0
         self.run_number = 0
-        self.payload_kg = 0.0
         self.averaging: Averaging | None = None
         self.camera_m = NOWHERE
         self.camera_at_s = -math.inf
@@ -93,7 +95,7 @@ class Runtime:
         self.set_point = at_rest(self._zeros)
         self._elapsed_s = parts.period_s
         self._homing: HomingSequence | None = None
-        self._still_from_s = 0.0
+        self._mode_from_s = self._still_from_s = 0.0
         self._enabling_from_s = math.inf
         self._are_drives_ready = False
         self._wants_hold = False
@@ -108,6 +110,8 @@ class Runtime:
         self.cycles += 1
         self._elapsed_s = (1 + missed) * self.parts.period_s
         self.punctuality.begin(late_s, missed)
+        if missed:
+            self.parts.watch.note_pause(now_s)
         try:
             self._read()
             self._watch(missed_in_row)
@@ -120,7 +124,7 @@ class Runtime:
 
     def _read(self) -> None:
         feedback = self.parts.hardware.read()
-        if self.parts.measurement.update(feedback.count, feedback.shift_count, feedback.encoder_at_s):
+        if self.parts.measurement.update(feedback.count, feedback.shift_count, feedback.counted_at_s):
             self._follow_shift()
         self._camera_m = NOWHERE
         if self.parts.camera is not None and (tip := self.parts.camera.newest_tip_m()) is not None:
@@ -136,7 +140,7 @@ class Runtime:
         if mode is Mode.OFF:
             return
         measured = self.parts.measurement
-        is_servoing = mode in CONTROLLED_MODES or self.monitor.is_held_fault
+        is_servoing = self._is_controlled()
         found = self.parts.watch.look(
             self.now_s, self.parts.hardware.feedback, measured.q_rad, measured.speed_rad_s,
             self.set_point.q_rad, self.set_point.speed_rad_s, missed_in_row,
@@ -221,15 +225,17 @@ class Runtime:
             self.on(Event.ENABLE)
 
     def _drive(self) -> None:
-        mode = self.monitor.mode
-        if mode in CONTROLLED_MODES or self.monitor.is_held_fault:
+        if self._is_controlled():
             self._servo()
             return
         servo = self.parts.servo
         servo.silence()
-        self.parts.hardware.write(
-            OutputMode.OFF if mode is Mode.GUIDING else OutputMode.VOLTAGE, servo.output, servo.feedforward_V
-        )
+        is_free = self.monitor.mode is Mode.GUIDING
+        output_mode = OutputMode.OFF if is_free else OutputMode.VOLTAGE
+        self.parts.hardware.write(output_mode, servo.output, servo.feedforward_V)
+
+    def _is_controlled(self) -> bool:
+        return self.monitor.mode in CONTROLLED_MODES or self.monitor.is_held_fault
 
     def _servo(self) -> None:
         measured, servo, set_point = self.parts.measurement, self.parts.servo, self.set_point
@@ -241,7 +247,7 @@ class Runtime:
         feedback, measured, servo = self.parts.hardware.feedback, self.parts.measurement, self.parts.servo
         row = [
             self.now_s, self.cycles & 0xFFFFFFFF, self.run_number, MODE_NUMBER[self.monitor.mode],
-            self.punctuality.missed, late_s, self.punctuality.end(), self.payload_kg, *self._camera_m,
+            self.punctuality.missed, late_s, self.punctuality.end(), self.parts.servo.torque_model.payload_kg, *self._camera_m,
         ]  # fmt: skip
         is_open = self.monitor.mode in (Mode.GUIDING, Mode.OFF)
         for joint in range(feedback.joint_count):
@@ -262,6 +268,7 @@ class Runtime:
         is_first = self.monitor.mode is not Mode.FAULT
         self.monitor.fault(fault)
         if is_first:
+            self._mode_from_s = self._still_from_s = self.now_s
             self.fault_rows = self.parts.recorder.last_rows()
             self._homing = None
             self._wants_hold = False
@@ -308,7 +315,7 @@ class Runtime:
         before = self.monitor.mode
         self.monitor.on(event)
         if self.monitor.mode is not before:
-            self._still_from_s = self.now_s
+            self._mode_from_s = self._still_from_s = self.now_s
 
     def want_hold(self) -> None:
         """Get to HOLDING from OFF, BRAKED or GUIDING, through all that lies between."""
@@ -391,6 +398,9 @@ class Runtime:
             self.parts.hardware.disable()
 
     def _is_still(self) -> bool:
+        """Whether nothing has moved for a while; an arm that brakes has sunk to rest by some time, seen or not."""
+        if not self._is_controlled() and self.now_s - self._mode_from_s > SINK_LIMIT_S:
+            return True
         if any(abs(speed) > STILL_rad_s for speed in self.parts.measurement.speed_rad_s):
             self._still_from_s = self.now_s
         return self.now_s - self._still_from_s >= STILL_S

@@ -5,7 +5,7 @@ the torque tau that the model asks for. The PID acts on the joint's error and ad
 and the board supplies the back-EMF; in POSITION mode the board runs the PID on counts and takes the volts as feed-forward.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -29,7 +29,14 @@ class JointPid(Protocol):
     def reset(self) -> None: ...
 
 
-TorqueModel = Callable[[Sequence[float], Sequence[float], Sequence[float]], Sequence[float]]
+class TorqueModel(Protocol):
+    """Joint torques in N m that the model expects for angles, speeds and accelerations, with a payload at the tip."""
+
+    payload_kg: float
+
+    def __call__(
+        self, q_rad: Sequence[float], speed_rad_s: Sequence[float], acceleration_rad_s2: Sequence[float]
+    ) -> Sequence[float]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +66,7 @@ class Servo:
         self.volts = [0.0] * len(motors)
         self._motors = motors
         self._pids = pids
-        self._torque_model = torque_model
+        self.torque_model = torque_model
         self._no_torque = tuple(0.0 for _ in motors)
 
     def reset(self) -> None:
@@ -84,7 +91,7 @@ class Servo:
 
         `current_fraction` scales the current limit, so that homing runs with little force.
         """
-        torque_Nm = self._torque_model(*set_point) if knows_pose else self._no_torque
+        torque_Nm = self.torque_model(*set_point) if knows_pose else self._no_torque
         for joint, motor in enumerate(self._motors):
             amperes = torque_Nm[joint] * motor.amperes_per_Nm
             volts = amperes * motor.resistance_ohm + motor.volts_per_rad_s * set_point.speed_rad_s[joint]

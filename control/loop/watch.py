@@ -4,6 +4,7 @@ Two reactions (control.safety.monitor): where the feedback is good, a controlled
 windings are shorted on all joints. Order matters only for the operator: the first finding is usually the cause.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -37,13 +38,27 @@ class JointLimits:
     following_error_rad: float
     following_error_per_speed_s: float
 
+    @property
+    def least_rad(self) -> float:
+        """Lower end of the range with its margin."""
+        return self.lower_rad - self.range_margin_rad
+
+    @property
+    def most_rad(self) -> float:
+        """Upper end of the range with its margin."""
+        return self.upper_rad + self.range_margin_rad
+
 
 @dataclass(frozen=True, slots=True)
 class WatchLimits:
-    """Limits of the whole arm: ages of what the boards last said, and cycles missed in a row."""
+    """Limits of the whole arm: ages of what the boards last said, and cycles missed in a row.
+
+    `stale_s` holds while the loop runs; after a pause of the host itself, when nobody listened, `silent_s` does for as long.
+    """
 
     joints: tuple[JointLimits, ...]
     stale_s: float
+    silent_s: float
     missed_in_row: int
 
 
@@ -57,11 +72,24 @@ class Expectation:
 
 
 class Watch:
-    """Compares a cycle's feedback with its limits. Plain floats; nothing is allocated while all is well."""
+    """Compares a cycle's feedback with its limits.
+
+    Nearly always all is well, so that is found out first, in plain comparisons; only otherwise are faults put into words. Each
+    comparison is written so that a NaN is not well.
+    """
 
     def __init__(self, limits: WatchLimits, joint_names: Sequence[str]) -> None:
         self._limits = limits
         self._names = joint_names
+        self._resumed_s = -math.inf
+
+    def note_pause(self, now_s: float) -> None:
+        """The host itself has missed deadlines until now: silence meanwhile says nothing of the boards."""
+        self._resumed_s = now_s
+
+    def _age_limit_s(self, now_s: float) -> float:
+        has_just_resumed = now_s - self._resumed_s < self._limits.stale_s
+        return self._limits.silent_s if has_just_resumed else self._limits.stale_s
 
     def look(
         self,
@@ -75,9 +103,20 @@ class Watch:
         expected: Expectation,
     ) -> list[Fault]:
         """All that is wrong in this cycle, the likeliest cause first."""
+        is_in_order = (
+            self._are_boards_well(now_s, feedback, expected)
+            and missed_in_row <= self._limits.missed_in_row
+            and (
+                not expected.is_servoing
+                or self._is_motion_well(q_rad, speed_rad_s, q_set_rad, speed_set_rad_s, expected.is_homed)
+            )
+        )
+        if is_in_order:
+            return []
         faults: list[Fault] = []
-        if is_stale(now_s, feedback.encoder_at_s, self._limits.stale_s):
-            faults.append(self._silent_encoder(now_s - feedback.encoder_at_s))
+        limit_s = self._age_limit_s(now_s)
+        if is_stale(now_s, feedback.encoder_at_s, limit_s):
+            faults.append(_silent_encoder(now_s - feedback.encoder_at_s, limit_s))
         for joint in range(feedback.joint_count):
             faults += self._drive(joint, now_s, feedback, expected)
             faults += self._channel(joint, feedback, expected)
@@ -96,22 +135,50 @@ class Watch:
                 faults.append(self._late(missed_in_row))
         return faults
 
-    def _silent_encoder(self, age_s: float) -> Fault:
-        return Fault(
-            "encoder_stale",
-            "encoder board",
-            f"no report for {age_s:.3f} s (limit {self._limits.stale_s:.3f} s)",
-            "check its cable and supply",
-            Reaction.BRAKE,
-        )
+    def _are_boards_well(self, now_s: float, feedback: Feedback, expected: Expectation) -> bool:
+        oldest_s = now_s - self._age_limit_s(now_s)
+        wanted_flags = ZERO_SET if expected.is_homed else 0
+        flags_mask = SIGNAL_LOST | (ZERO_SET | QUADRATURE_ERROR if expected.is_homed else 0)
+        if not feedback.encoder_at_s >= oldest_s:
+            return False
+        for flags in feedback.channel_flags:
+            if flags & flags_mask != wanted_flags:
+                return False
+        for replied_s in feedback.reply_at_s:
+            if not replied_s >= oldest_s:
+                return False
+        if expected.are_drives_enabled:
+            for word, fault_bits in zip(feedback.statusword, feedback.drive_faults, strict=True):
+                if fault_bits or word & STATE_MASK != OPERATION_ENABLED:
+                    return False
+        return True
+
+    def _is_motion_well(
+        self,
+        q_rad: Sequence[float],
+        speed_rad_s: Sequence[float],
+        q_set_rad: Sequence[float],
+        speed_set_rad_s: Sequence[float],
+        is_homed: bool,
+    ) -> bool:
+        for joint, limit in enumerate(self._limits.joints):
+            q, allowed_rad = q_rad[joint], limit.following_error_rad
+            allowed_rad += limit.following_error_per_speed_s * abs(speed_set_rad_s[joint])
+            if not (
+                abs(speed_rad_s[joint]) <= limit.speed_rad_s
+                and abs(q_set_rad[joint] - q) <= allowed_rad
+                and (not is_homed or limit.least_rad <= q <= limit.most_rad)
+            ):
+                return False
+        return True
 
     def _drive(self, joint: int, now_s: float, feedback: Feedback, expected: Expectation) -> Iterator[Fault]:
-        age_s = now_s - feedback.reply_at_s[joint]
-        if is_stale(now_s, feedback.reply_at_s[joint], self._limits.stale_s):
+        age_s, limit_s = now_s - feedback.reply_at_s[joint], self._age_limit_s(now_s)
+        if is_stale(now_s, feedback.reply_at_s[joint], limit_s):
             yield Fault(
                 "drive_silent",
                 self._names[joint],
-                f"its drive sent no reply for {age_s:.3f} s (limit {self._limits.stale_s:.3f} s)",
+                f"its drive sent no reply for {age_s:.3f} s (limit {limit_s:.3f} s)",
                 "check the CAN cable, its termination and the drive's supply",
                 Reaction.BRAKE,
             )
@@ -200,8 +267,7 @@ class Watch:
             yield from self._range(joint, limit, q_rad)
 
     def _range(self, joint: int, limit: JointLimits, q_rad: float) -> Iterator[Fault]:
-        lower, upper = limit.lower_rad - limit.range_margin_rad, limit.upper_rad + limit.range_margin_rad
-        if not lower <= q_rad <= upper:
+        if not limit.least_rad <= q_rad <= limit.most_rad:
             yield Fault(
                 "joint_range",
                 self._names[joint],
@@ -218,3 +284,13 @@ class Watch:
             "stop other programs on this machine; give the operator real-time rights (`armwright check` says how)",
             Reaction.CONTROLLED,
         )
+
+
+def _silent_encoder(age_s: float, limit_s: float) -> Fault:
+    return Fault(
+        "encoder_stale",
+        "encoder board",
+        f"no report for {age_s:.3f} s (limit {limit_s:.3f} s)",
+        "check its cable and supply",
+        Reaction.BRAKE,
+    )
