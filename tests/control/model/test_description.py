@@ -260,6 +260,7 @@ EFFECT = '\n[[effect]]\neffect = "{}"\n{}\n'
         ("backlash", "joint = 1\nparameters = { width_rad = -0.1 }", "parameters.width_rad", "not below 0"),
         ("backlash", "joint = 1\nparameters = { width_mm = 1 }", "parameters", "width_rad"),
         ("backlash", 'joint = 1\nparameters = { width_rad = "a" }', "parameters.width_rad", "a finite"),
+        ("link_flexure", "joint = 1\nparameters = { EI_Nm2 = 0 }", "parameters.EI_Nm2", "a positive number"),
         ("belt_coupling", "joint = 3\nparameters = { ratio = 0.5 }", "joint", "no joint"),
         ("link_flexure", "joint = 5\nparameters = { EI_Nm2 = 1 }", "joint", "a link from 1 to 4"),
         ("link_geometry", "parameters = { link5_d_m = 0.1 }", "parameters.link5_d_m", "a link from 1 to 4"),

@@ -12,6 +12,7 @@ from control.model.arm import Arm, Link
 from control.model.description import load_arm
 from control.model.inverse import BRANCHES, Branch, InverseKinematics
 from control.model.joint_range import JointRange, travel_rad, turned_toward
+from control.model.numeric_inverse import descend
 
 ARMS = Path(__file__).parent / "arms"
 BOUNDS = np.array([5e-3, np.radians(2.0), 5e-3, np.radians(2.0)])  # of a calibration, field notes
@@ -270,6 +271,20 @@ def test_seven_joints_reach_any_point_that_they_have_a_pose_for() -> None:
         inverse.branches((0.4, 0.0, 0.4))
 
 
+def test_a_descent_slides_along_the_limits_instead_of_stopping_at_them() -> None:
+    """From a corner of narrow ranges that hold a solution; steps that are only cut off stop in one case of ten."""
+    k = InverseKinematics(load_arm(ARMS / "panda.toml")).kinematics
+    source, arrived = np.random.default_rng(0), 0
+    for q in source.uniform(-1, 1, (100, 7)):
+        limits = q[:, None] + 0.3 * source.uniform(0.02, 1, (7, 2)) * [-1.0, 1.0]
+        corner = np.where(source.random(7) < 0.5, limits[:, 0], limits[:, 1])
+        end = descend(k, k.tip(*q.tolist()), corner.tolist(), limits)
+        assert (limits[:, 0] <= end.q).all()
+        assert (limits[:, 1] >= end.q).all()
+        arrived += end.distance_m < 1e-9
+    assert arrived >= 98
+
+
 def _serial(*alphas: float) -> Arm:
     links = tuple(Link("revolute", 0.1, 0.0, 0.3, alpha) for alpha in alphas)
     return Arm("serial", links)
@@ -293,6 +308,14 @@ def test_three_joints_of_another_structure_go_the_numeric_way() -> None:
     point = inverse.kinematics.tip(*q)
     assert math.dist(inverse.kinematics.tip(*inverse.nearest(point, [0.0] * 3)), point) < 1e-9
     assert inverse.follow(point, [0.31, -0.79, 0.9]) == pytest.approx(q, abs=1e-6)
+
+
+def test_a_singular_target_of_any_arm_is_an_error() -> None:
+    inverse = InverseKinematics(_serial(math.pi / 2, 0.0, 0.0))
+    straight = InverseKinematics(_serial(1.0, 1.2, 0.0), singular_margin_m=0.5)
+    assert inverse.has_branches
+    with pytest.raises(NearSingular, match="the arm would be .* m/rad from losing a direction"):
+        straight.nearest(straight.kinematics.tip(0.3, -0.8, 0.9), [0.3, -0.8, 0.9])
 
 
 def test_an_arm_with_a_link_of_no_length_has_no_named_branches_and_no_crash() -> None:

@@ -55,7 +55,16 @@ def _random_arm(seed: int) -> Kinematics:
     return Kinematics(dh, convention, joints.tolist(), source.uniform(-0.1, 0.1, 3).tolist())
 
 
+def _planar_arm(convention: Convention) -> Kinematics:
+    """Five parallel axes between two skew ones, a fixed link among them: turns whose angles add up."""
+    dh = np.random.default_rng(11).uniform(-1.0, 1.0, (7, 4))
+    dh[1:6, 3] = 0.0
+    return Kinematics(dh, convention, [True, True, True, False, True, True, True], (0.1, -0.2, 0.3))
+
+
 ALL = [
+    pytest.param(_planar_arm("standard"), id="planar standard"),
+    pytest.param(_planar_arm("modified"), id="planar modified"),
     *(pytest.param(_random_arm(seed), id=f"random {seed}") for seed in range(30)),
     pytest.param(Kinematics(load_arm("right")), id="right"),
     pytest.param(Kinematics(load_arm("left")), id="left"),
