@@ -314,7 +314,7 @@ def test_a_singular_target_of_any_arm_is_an_error() -> None:
     inverse = InverseKinematics(_serial(math.pi / 2, 0.0, 0.0))
     straight = InverseKinematics(_serial(1.0, 1.2, 0.0), singular_margin_m=0.5)
     assert inverse.has_branches
-    with pytest.raises(NearSingular, match="the arm would be .* m/rad from losing a direction"):
+    with pytest.raises(NearSingular, match=r"the arm would be .* m/rad from losing a direction"):
         straight.nearest(straight.kinematics.tip(0.3, -0.8, 0.9), [0.3, -0.8, 0.9])
 
 
