@@ -128,9 +128,9 @@ class RealTimeRig:
         if self._process.stdin is not None:
             self._process.stdin.close()
 
-    def wait_for_end(self) -> int:
-        """Exit status of the process once it has ended by itself."""
-        return self._process.wait(_END_LIMIT_S)
+    def wait_for_end(self, limit_s: float | None = _END_LIMIT_S) -> int:
+        """Exit status of the process once it has ended by itself; without a limit for as long as it takes."""
+        return self._process.wait(limit_s)
 
     def close(self) -> None:
         """End its process and wait for it."""

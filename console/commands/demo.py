@@ -15,9 +15,11 @@ def run(given: argparse.Namespace) -> int:
     from calib.verify import comparison_text
 
     arm = load_arm(given.arm)
+    drawn = seeded_scenario(given.scenario, given.seed)
     out = free_folder(Path(given.out))
     out.mkdir(parents=True)
-    scenario = seeded_scenario(given.scenario, given.seed, out)
+    scenario = out / "scenario.toml"
+    scenario.write_bytes(drawn)
     log = out / "log"
     bench: Bench = (
         RealTimeBench(given.arm, scenario, log) if given.realtime else SteppedBench(arm, scenario, log)
@@ -50,8 +52,8 @@ def free_folder(wanted: Path) -> Path:
     return folder
 
 
-def seeded_scenario(name: str, seed: int | None, out: Path) -> Path:
-    """The scenario with its seed as a file beside the results, so that the run can be repeated."""
+def seeded_scenario(name: str, seed: int | None) -> bytes:
+    """The scenario with its seed as the text of a file, kept beside the results so that the run can be repeated."""
     import msgspec
 
     from hil_mocks.scenario import load_scenario
@@ -61,9 +63,7 @@ def seeded_scenario(name: str, seed: int | None, out: Path) -> Path:
         scenario = msgspec.structs.replace(scenario, seed=seed)
     document = msgspec.to_builtins(scenario)
     del document["path"]
-    path = out / "scenario.toml"
-    path.write_bytes(msgspec.toml.encode(_without_none(document)))
-    return path
+    return msgspec.toml.encode(_without_none(document))
 
 
 def _without_none(value: object) -> object:

@@ -18,7 +18,7 @@ def run(given: argparse.Namespace) -> int:
         )
         sys.stdout.flush()
         try:
-            status = rig.wait_for_end()
+            status = rig.wait_for_end(None)
         except KeyboardInterrupt:
             return 0
     sys.stderr.write(f"armwright: the mock arm's process ended by itself with status {status}\n")

@@ -15,7 +15,11 @@ COMMANDS = (
                 action="store_true",
                 help="the same in real time: own processes, pty and UDP multicast",
             ),
-            option("--seed", type=int, default=1, help="seed of what is hidden in the mock arm (default: 1)"),
+            option(
+                "--seed",
+                type=int,
+                help="seed of what is hidden in the mock arm (default: the scenario's own)",
+            ),
             option(
                 "--scenario",
                 default="demo",

@@ -103,6 +103,8 @@ class SteppedBench:
         if self._client is None or self._connection is None or self._sink is None:
             raise ArmError("the bench has no runtime to stop")
         self._client.off(quit_runtime=True)
+        while self._channel is not None and self._channel.is_running:
+            self._channel.wait(PERIOD_S)
         self._connection.close()
         self._sink.close()
         return self._recordings[-1]

@@ -205,5 +205,5 @@ class ArmClient:
 
 def fault_text(status: Message) -> str:
     """The faults of a status as an operator should read them."""
-    lines = [f"{fault['where']}: {fault['message']}. {fault['remedy']}" for fault in status["faults"]]
-    return "; ".join(lines) or "the arm is in FAULT without a stated reason"
+    lines = [f"{fault['where']}: {fault['message']}; {fault['remedy']}" for fault in status["faults"]]
+    return "the arm is in FAULT" + "".join(f"\n  - {line}" for line in lines)

@@ -97,7 +97,7 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
         if (board := _encoder(port, arm, clock, closers, failures)) is not None
     ]
     motors = _motors(arm, clock, closers, failures)
-    attempted = len(arm.encoder_boards) + len(arm.drives)
+    attempted = len(arm.encoder_boards) + max(len(motors), 1)
     camera = None
     if not failures and camera_port is not None:
         with _collect(failures):

@@ -30,16 +30,31 @@ CSV_REST = ("cycle", "mode", "late_s", "busy_s", "missed")
 
 
 def to_csv(recording: Recording, path: Path, every: int = 1) -> int:
-    """Write `path` (.csv or .csv.gz) with every k-th row; returns the number of rows. Empty cells where nothing was measured."""
+    """Write `path` (.csv or .csv.gz) with every k-th row of each run; returns the number of rows.
+
+    Only runs are written, `t_s` from the start of each: what happened before the first motion is in the MCAP file. Cells are
+    empty where nothing was measured.
+    """
     names = _csv_columns(recording.layout.joint_count)
     with _open_text(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(names)
         written = 0
-        for row in _rows(recording, every):
+        for row in _run_rows(recording, every):
             writer.writerow([_cell(row[name]) for name in names])
             written += 1
     return written
+
+
+def _run_rows(recording: Recording, every: int) -> Iterator[Row]:
+    """Every k-th row of each run, `t_s` counted from the run's first."""
+    run, number, start_s = 0.0, 0, 0.0
+    for row in _rows(recording, 1):
+        if row["run"] != run:
+            run, number, start_s = row["run"], 0, row["t_s"]
+        if run >= 1 and number % every == 0:
+            yield {**row, "t_s": row["t_s"] - start_s}
+        number += 1
 
 
 def _csv_columns(joint_count: int) -> list[str]:

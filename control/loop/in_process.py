@@ -21,7 +21,7 @@ class InProcessChannel:
         self._assembly = assembly
         self._clock = clock
         self._beat = Beat(clock, assembly.runtime.parts.period_s)
-        self._is_running = True
+        self.is_running = True
 
     def request(self, message: Message) -> Message:
         """Serve the request at once, between two cycles."""
@@ -37,9 +37,9 @@ class InProcessChannel:
         """Run cycles for `duration_s` of the clock, or until the runtime ends."""
         end_s = self._clock.now_s() + duration_s
         beat, runtime = self._beat, self._assembly.runtime
-        while self._is_running and self._clock.now_s() < end_s - 1e-9:
+        while self.is_running and self._clock.now_s() < end_s - 1e-9:
             late_s = beat.wait()
-            self._is_running = runtime.cycle(self._clock.now_s(), late_s, beat.skipped, beat.missed_in_row)
+            self.is_running = runtime.cycle(self._clock.now_s(), late_s, beat.skipped, beat.missed_in_row)
             self.cycles += 1
 
     def close(self) -> None:

@@ -168,7 +168,10 @@ class Recording:
             header = json.loads(text)
             packing = struct.Struct(header["packing"])
             layout = Layout(header["joint_count"], tuple(header["names"]), packing)
-        except (ValueError, KeyError, struct.error) as error:
+            packing.pack(*(0 for _ in layout.names))  # as many values as names
+            if not layout.names:
+                raise ValueError("it names no columns")
+        except (ValueError, KeyError, TypeError, struct.error) as error:
             raise RecordError(f"{path}: the header of this recording is damaged ({error})") from error
         return cls(path, header, layout, len(MAGIC) + 4 + length)
 

@@ -18,12 +18,23 @@ from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
 from control.motion.plan import PlannedPath
 from control.motion.setpoint import Motion
+from control.safety.monitor import IllegalTransition
 from control.safety.table import Mode
 from firmware_iface.errors import LinkError
 
 Message = dict[str, Any]
 START_TOLERANCE_rad = 5e-3  # of a path's first point: a joint move ends within a few counts of it
 LONGEST_AVERAGE_S = 60.0
+ADVICE = {
+    Mode.OFF: "switch its drives on first (`armwright enable`)",
+    Mode.BRAKED: "let it hold first (`armwright enable`)",
+    Mode.HOLDING: "home it first (`armwright home`)",
+    Mode.MOVING: "wait until it has arrived, or stop it (`armwright stop`)",
+    Mode.HOMING: "wait until it is homed, or stop it (`armwright stop`)",
+    Mode.GUIDING: "let it hold first (`armwright hold`)",
+    Mode.STOPPING: "wait until it has stopped",
+    Mode.FAULT: "read what is wrong (`armwright status`), make it safe, then `armwright acknowledge`",
+}
 
 
 class Requests:
@@ -64,6 +75,11 @@ class Requests:
             }
         try:
             return {"ok": True, **serve(request, client)}
+        except IllegalTransition as error:
+            return {
+                "ok": False,
+                "error": f"the arm is {error.mode.name}, so it cannot {request['do']}: {ADVICE[error.mode]}",
+            }
         except (ArmError, LinkError) as error:
             return {"ok": False, "error": str(error)}
         except (TypeError, ValueError, KeyError, OverflowError) as error:

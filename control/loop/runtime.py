@@ -120,7 +120,7 @@ class Runtime:
         except Exception as error:  # whatever breaks here, the arm must not be left moving
             self._break_down(error)
         self._record(late_s)
-        return not (self.is_quitting and self.monitor.mode is Mode.OFF)
+        return not (self.is_quitting and self._has_left())
 
     def _read(self) -> None:
         feedback = self.parts.hardware.read()
@@ -233,6 +233,14 @@ class Runtime:
         is_free = self.monitor.mode is Mode.GUIDING
         output_mode = OutputMode.OFF if is_free else OutputMode.VOLTAGE
         self.parts.hardware.write(output_mode, servo.output, servo.feedforward_V)
+
+    def _has_left(self) -> bool:
+        """Whether the arm is off and its drives have said so, or have had time enough to."""
+        if self.monitor.mode is not Mode.OFF:
+            return False
+        words = self.parts.hardware.feedback.statusword
+        is_any_enabled = any(word & STATE_MASK == OPERATION_ENABLED for word in words)
+        return not is_any_enabled or self.now_s - self._mode_from_s > ENABLE_LIMIT_S
 
     def _is_controlled(self) -> bool:
         return self.monitor.mode in CONTROLLED_MODES or self.monitor.is_held_fault
@@ -365,11 +373,14 @@ class Runtime:
 
     def acknowledge(self) -> tuple[Fault, ...]:
         """A human has seen the faults. Drives that faulted are reset and enabled again, at 0 V."""
-        if self.monitor.mode is Mode.FAULT and not self.monitor.is_held_fault:
+        are_drives_faulted = any(self.parts.hardware.feedback.drive_faults)
+        if are_drives_faulted or (self.monitor.mode is Mode.FAULT and not self.monitor.is_held_fault):
+            self.has_waited = True
             self.parts.hardware.reset_drive_faults()
             self._are_drives_ready = False
-            self._enabling_from_s = self.now_s
-            self.has_waited = True
+            self._enabling_from_s = self.now_s if self.monitor.mode is Mode.FAULT else math.inf
+            if not self.monitor.faults:
+                return ()  # drives that were faulted before this runtime began
         cleared = self.monitor.acknowledge()
         self._still_from_s = self.now_s
         return cleared

@@ -60,6 +60,11 @@ def _state_name(statusword: int) -> str:
 def _warnings(runtime: Runtime) -> list[str]:
     parts = runtime.parts
     warnings = []
+    for name, bits in zip(parts.joint_names, parts.hardware.feedback.drive_faults, strict=True):
+        if bits and not runtime.monitor.faults:
+            warnings.append(
+                f"the drive of {name} is in FAULT (bits 0x{bits:02x}): `armwright acknowledge` when it is safe"
+            )
     if parts.recorder.lost_rows:
         warnings.append(
             f"{parts.recorder.lost_rows} cycles were not recorded: the disk or the writer does not keep up"

@@ -38,15 +38,11 @@ class JointLimits:
     following_error_rad: float
     following_error_per_speed_s: float
 
-    @property
-    def least_rad(self) -> float:
-        """Lower end of the range with its margin."""
-        return self.lower_rad - self.range_margin_rad
-
-    @property
-    def most_rad(self) -> float:
-        """Upper end of the range with its margin."""
-        return self.upper_rad + self.range_margin_rad
+    def holds(self, q_rad: float, q_set_rad: float) -> bool:
+        """Whether the joint is inside its range and margin; one that a hand took out of it may be held there, no further."""
+        lower = min(self.lower_rad, q_set_rad) - self.range_margin_rad
+        upper = max(self.upper_rad, q_set_rad) + self.range_margin_rad
+        return lower <= q_rad <= upper
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +163,7 @@ class Watch:
             if not (
                 abs(speed_rad_s[joint]) <= limit.speed_rad_s
                 and abs(q_set_rad[joint] - q) <= allowed_rad
-                and (not is_homed or limit.least_rad <= q <= limit.most_rad)
+                and (not is_homed or limit.holds(q, q_set_rad[joint]))
             ):
                 return False
         return True
@@ -264,10 +260,10 @@ class Watch:
                 Reaction.CONTROLLED,
             )
         if expected.is_homed:
-            yield from self._range(joint, limit, q_rad)
+            yield from self._range(joint, limit, q_rad, q_set_rad)
 
-    def _range(self, joint: int, limit: JointLimits, q_rad: float) -> Iterator[Fault]:
-        if not limit.least_rad <= q_rad <= limit.most_rad:
+    def _range(self, joint: int, limit: JointLimits, q_rad: float, q_set_rad: float) -> Iterator[Fault]:
+        if not limit.holds(q_rad, q_set_rad):
             yield Fault(
                 "joint_range",
                 self._names[joint],
