@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from console.commands.serve import link_options
+from console.commands.serve import camera_port, link_options
 from control.loop.connect import connect, with_links
 from control.loop.scheduling import punctuality_remedy
 from control.model.description import load_arm
@@ -15,7 +15,7 @@ PERIOD_S = 0.002
 def run(given: argparse.Namespace) -> int:
     """Connect, say who answered, hang up."""
     arm = with_links(load_arm(given.arm), link_options(given))
-    connection = connect(arm, MonotonicClock(), PERIOD_S, given.camera_port)
+    connection = connect(arm, MonotonicClock(), PERIOD_S, camera_port(given, arm))
     try:
         for encoder in connection.encoders:
             if (found := encoder.identity) is not None:

@@ -2,19 +2,26 @@
 
 import argparse
 import sys
+import tempfile
+from pathlib import Path
 
+from console.mock_arm import wired_to
+from control.model.description import load_arm, save_arm
 from hil_mocks.realtime import RealTimeRig
 
 
 def run(given: argparse.Namespace) -> int:
-    """Start the mock, print how to connect to it, and wait."""
-    with RealTimeRig(given.arm, given.scenario) as rig:
-        encoders = " ".join(f"--encoder {url}" for url in rig.encoder_urls)
-        options = " ".join(f"--can-option {key}={value}" for key, value in rig.can_options.items())
+    """Start the mock, write an arm.toml that is wired to it, print how to connect, and wait."""
+    arm = load_arm(given.arm)
+    with (
+        RealTimeRig(given.arm, given.scenario) as rig,
+        tempfile.TemporaryDirectory(prefix="armwright-") as folder,
+    ):
+        file = Path(folder) / f"{arm.name}.toml"
+        save_arm(wired_to(arm, rig), file)
         sys.stdout.write(
-            f"A mock of arm {given.arm!r} runs with scenario {given.scenario!r}; Ctrl-C ends it. Connect to it with\n\n"
-            f"  armwright serve --arm {given.arm} {encoders} --can-interface {rig.can_interface}"
-            f" --can-channel {rig.can_channel} {options} --camera-port {rig.camera_port}\n"
+            f"A mock of arm {arm.name!r} runs with scenario {given.scenario!r}; Ctrl-C ends it. Connect to it with\n\n"
+            f"  armwright serve --arm {file}\n"
         )
         sys.stdout.flush()
         try:

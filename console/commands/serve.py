@@ -8,6 +8,7 @@ from console.commands.connection import socket_path
 from control.errors import ArmError
 from control.loop.connect import LinkOptions, with_links
 from control.loop.process import ServeOptions, serve
+from control.model.arm import Arm
 from control.model.description import load_arm
 
 LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 50.0, 1200.0  # three boards at 1 Mbit/s end at 1234 Hz
@@ -18,9 +19,18 @@ def run(given: argparse.Namespace) -> int:
     if not LOWEST_RATE_Hz <= given.rate <= HIGHEST_RATE_Hz:
         raise ArmError(f"--rate: expected {LOWEST_RATE_Hz:g} to {HIGHEST_RATE_Hz:g} Hz, got {given.rate:g}")
     arm = with_links(load_arm(given.arm), link_options(given))
-    options = ServeOptions(socket_path(given, arm), Path(given.log), 1.0 / given.rate, given.camera_port)
+    options = ServeOptions(
+        socket_path(given, arm), Path(given.log), 1.0 / given.rate, camera_port(given, arm)
+    )
     serve(arm, options, announce)
     return 0
+
+
+def camera_port(given: argparse.Namespace, arm: Arm) -> int | None:
+    """The UDP port of the command line, or that of the arm's [camera]; None for an arm without one."""
+    if given.camera_port is not None:
+        return int(given.camera_port)
+    return arm.camera.udp_port if arm.camera else None
 
 
 def link_options(given: argparse.Namespace) -> LinkOptions:

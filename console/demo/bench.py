@@ -5,17 +5,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
+from console.mock_arm import wired_to
 from control.errors import ArmError
 from control.loop.assemble import assemble
 from control.loop.client import ArmClient, RuntimeGone, SocketChannel
 from control.loop.connect import Connection, connect
 from control.loop.in_process import InProcessChannel
 from control.loop.record import FileSink, Layout
-from control.model.arm import Arm, CanBus, EncoderBoardPort
+from control.model.arm import Arm
 from control.model.description import save_arm
 from hil_mocks.realtime import RealTimeRig
 from hil_mocks.rig import MockArm, SteppedRig
@@ -45,19 +45,6 @@ class Bench(Protocol):
     def close(self) -> None:
         """End the mock arm."""
         ...
-
-
-def wired_to(arm: Arm, rig: MockArm) -> Arm:
-    """The arm with the mock's ports in place of its own."""
-    boards = tuple(
-        replace(arm.encoder_boards[i], port=url)
-        if i < len(arm.encoder_boards)
-        else EncoderBoardPort(f"enc{i}", url)
-        for i, url in enumerate(rig.encoder_urls)
-    )
-    return replace(
-        arm, encoder_boards=boards, can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options)
-    )
 
 
 class SteppedBench:
@@ -134,7 +121,7 @@ class RealTimeBench:
         self._runtime = subprocess.Popen(
             [
                 sys.executable, "-m", "console.main", "serve", "--arm", str(arm_file), "--socket", str(socket_path),
-                "--camera-port", str(self.rig.camera_port), "--log", str(self._log_folder),
+                "--log", str(self._log_folder),
             ],
             stdout=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C is for the demo, which then ends the runtime in its own way

@@ -145,7 +145,9 @@ class Camera:
     """The camera that sees the tip."""
 
     position_noise_m: NonNegative = 0.0
-    udp_port: Annotated[int, Rule("a UDP port from 1 to 65535", lambda n: 1 <= n <= 65535)] = 47_300
+    udp_port: Annotated[int, Rule("a UDP port from 1 to 65535", lambda n: 1 <= n <= 65535)] = (
+        47_310  # docs/camera.md
+    )
 
 
 @dataclass(frozen=True, slots=True)
