@@ -30,6 +30,11 @@ class Bench(Protocol):
     @property
     def rig(self) -> MockArm: ...
 
+    @property
+    def speed(self) -> float:
+        """Fraction of the joints' limits for joint moves."""
+        ...
+
     def start(self, arm: Arm) -> ArmClient:
         """Start a runtime that believes in `arm`; drives are off."""
         ...
@@ -49,6 +54,8 @@ class Bench(Protocol):
 
 class SteppedBench:
     """Everything in this process; time passes only while somebody waits, many times faster than outside."""
+
+    speed = 1.0
 
     def __init__(self, arm: Arm, scenario: Path, log_folder: Path) -> None:
         self.rig: MockArm = SteppedRig(arm, scenario)
@@ -102,7 +109,13 @@ class SteppedBench:
 
 
 class RealTimeBench:
-    """The mock arm in one process, the runtime in another, as it would be with a real arm."""
+    """The mock arm in one process, the runtime in another, as it would be with a real arm.
+
+    Joint moves are slower: a desktop pauses its programs for a tenth of a second now and then, and an arm that goes on at
+    its last voltage meanwhile must not get far.
+    """
+
+    speed = 0.4
 
     def __init__(self, arm: Path | str, scenario: Path, log_folder: Path) -> None:
         self.rig: MockArm = RealTimeRig(arm, scenario)

@@ -73,9 +73,9 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     client.enable()
     client.home()
     advance("verification points, before", 0.05)
-    before = _verify(arm, table, client, out / "verification_before.csv")
+    before = _verify(arm, table, bench, client, out / "verification_before.csv")
     advance("circle and line, before", 0.1)
-    runs_before = _run_paths(arm, table, client)
+    runs_before = _run_paths(arm, table, bench, client)
     points_file = out / "points.csv"
     for done, what in _session(arm, table, bench, client, points_file):
         advance(what, 0.15 + 0.6 * done)
@@ -93,9 +93,9 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     advance("verification points, after", 0.8)
     client = bench.start(calibrated)
     client.enable()
-    after = _verify(calibrated, table, client, out / "verification_after.csv")
+    after = _verify(calibrated, table, bench, client, out / "verification_after.csv")
     advance("circle and line, after", 0.88)
-    runs_after = _run_paths(calibrated, table, client)
+    runs_after = _run_paths(calibrated, table, bench, client)
     recording_after = bench.stop()
 
     advance("report", 0.94)
@@ -145,7 +145,7 @@ def verification_targets(table: Table) -> Iterator[tuple[str, str, tuple[float, 
             yield setup, f"v{number + 1}", tables.to_base(table, setup, (x, y, HEIGHT_m))
 
 
-def _verify(arm: Arm, table: Table, client: ArmClient, file: Path) -> Visit:
+def _verify(arm: Arm, table: Table, bench: Bench, client: ArmClient, file: Path) -> Visit:
     """Send the tip to the verification points by `arm`'s model, and look with the camera where it went."""
     inverse = InverseKinematics(arm)
     q_rad: Sequence[float] = client.status()["q_rad"]
@@ -154,7 +154,7 @@ def _verify(arm: Arm, table: Table, client: ArmClient, file: Path) -> Visit:
         q_rad = inverse.nearest(target, q_rad)
         poses.append(FreePose(setup, name, tuple(q_rad)))
         wanted.append(target)
-    port = RuntimePort(client)
+    port = RuntimePort(client, bench.speed)
     with PointsWriter(file, arm.joint_count) as writer:
         records = [
             step.record
@@ -164,21 +164,23 @@ def _verify(arm: Arm, table: Table, client: ArmClient, file: Path) -> Visit:
     return Visit(tuple(poses), np.array(wanted), np.array([record.tip_m for record in records]))
 
 
-def _run_paths(arm: Arm, table: Table, client: ArmClient) -> list[tuple[str, int]]:
+def _run_paths(arm: Arm, table: Table, bench: Bench, client: ArmClient) -> list[tuple[str, int]]:
     """Run the circle and the line in Cartesian space; returns their names and run numbers."""
     runs = []
     for name, waypoints in (
         ("circle", circle(table, height_m=HEIGHT_m)),
         ("line", line(table, height_m=HEIGHT_m)),
     ):
-        runs.append((name, run_waypoints(arm, waypoints, PATH_SPEED_m_s, client)))
+        runs.append((name, run_waypoints(arm, waypoints, PATH_SPEED_m_s, client, bench.speed)))
     return runs
 
 
-def run_waypoints(arm: Arm, waypoints: Waypoints, speed_m_s: float | None, client: ArmClient) -> int:
+def run_waypoints(
+    arm: Arm, waypoints: Waypoints, speed_m_s: float | None, client: ArmClient, approach_speed: float = 1.0
+) -> int:
     """Plan, approach the first point, run; returns the number of the run."""
     path = plan_path(arm, waypoints, speed_m_s, q_near_rad=client.status()["q_rad"])
-    client.move_joints(path.q_start_rad)
+    client.move_joints(path.q_start_rad, approach_speed)
     client.run_path(path.to_message())
     return int(client.status()["run"])
 
@@ -188,7 +190,7 @@ def _session(
 ) -> Iterator[tuple[float, str]]:
     """Step through every cavity on every tilt; yields the share that is done and what it is at."""
     targets = [point for setup in SETUPS for point in board_points(setup, tables.cavities(table, setup))]
-    port, seat = RuntimePort(client), HandPort(bench.rig.hand, bench.wait)
+    port, seat = RuntimePort(client, bench.speed), HandPort(bench.rig.hand, bench.wait)
     with PointsWriter(file, arm.joint_count) as writer:
         for step in step_through(targets, InverseKinematics(arm), port, seat, writer):
             if step.stage is Stage.UNREACHABLE:

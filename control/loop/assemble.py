@@ -26,7 +26,7 @@ from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import Stop
 from control.safety.limits import SetPointLimits
 
-MISSED_IN_ROW = 50  # cycles: 0.1 s at 500 Hz; the boards' watchdogs act at twice that
+PAUSE_LIMIT = 0.9  # of the boards' watchdog: a host that pauses longer in one go is not fit to control an arm
 OVERSPEED = 1.5  # of the speed limit: more than any controlled motion overshoots
 RANGE_MARGIN_rad = 0.05
 SET_POINT_MARGIN = 1.05  # of speed and acceleration: a plan is checked at samples, the guard at every cycle
@@ -62,7 +62,7 @@ def assemble(
             [JointMap(drive) for drive in arm.drives], [d.encoder_bits for d in arm.drives]
         ),
         servo=_servo(arm, period_s),
-        watch=Watch(_watch_limits(arm), names),
+        watch=Watch(_watch_limits(arm, period_s), names),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),
         stop_from=lambda state: Stop(state, limits),
@@ -122,7 +122,7 @@ class TorqueModel:
         return [k + self.payload_kg * (w - e) for k, w, e in zip(known, laden, empty, strict=True)]
 
 
-def _watch_limits(arm: Arm) -> WatchLimits:
+def _watch_limits(arm: Arm, period_s: float) -> WatchLimits:
     joints = tuple(
         MeasuredLimits(
             lower_rad=drive.joint_lower_rad,
@@ -134,7 +134,8 @@ def _watch_limits(arm: Arm) -> WatchLimits:
         )
         for drive in arm.drives
     )
-    return WatchLimits(joints, arm.limits.stale_s, arm.limits.watchdog_s, MISSED_IN_ROW)
+    missed_in_row = int(PAUSE_LIMIT * arm.limits.watchdog_s / period_s)
+    return WatchLimits(joints, arm.limits.stale_s, arm.limits.watchdog_s, missed_in_row)
 
 
 def _set_point_limits(drive: Drive) -> SetPointLimits:

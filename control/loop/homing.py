@@ -1,12 +1,12 @@
 """Homing: each joint toward its home switch, on to the next index pulse, stop, shift the counter.
 
-An incremental encoder knows nothing at power-up, so the switch (a cam that is active above an angle) says which way to go and
-which motor turn it is, and the index pulse in that turn says where exactly: the counter is shifted by what the latched count
+An incremental encoder knows nothing at power-up, so the switch (a cam that is active on one side of an angle) says which way to
+go and which motor turn it is, and the index pulse in that turn says where exactly: the counter is shifted by what the latched count
 is off, once the joint stands still. The joints home one after the other while the
 others hold; the first that fails stops them all.
 
-    RELEASE  the switch is active: move down until it is not, and a little further
-    SEEK     move up until the switch becomes active
+    RELEASE  the switch is active: move back until it is not, and a little further
+    SEEK     move forth until the switch becomes active; forth is from `switch_rad` to `index_rad`
     INDEX    go on slower until the index latches
     SETTLE   slow down; at rest, shift the counter
     SHIFTED  the next cycle reads counts from the new zero
@@ -88,6 +88,7 @@ class JointHoming:
         self._counter = counter
         self._travelled_rad = 0.0
         self._since_active_rad = home.backoff_rad
+        self._forth = 1.0 if home.index_rad >= home.switch_rad else -1.0
         self._quiet_s = 0.0
 
     def step(self, feedback: Feedback, speed_rad_s: float, elapsed_s: float) -> float:
@@ -105,8 +106,8 @@ class JointHoming:
         return 0.0
 
     def _release(self, is_active: bool, elapsed_s: float) -> float:
-        step = self._go(-self._home.speed_rad_s, elapsed_s)
-        self._since_active_rad = 0.0 if is_active else self._since_active_rad - step
+        step = self._go(-self._forth * self._home.speed_rad_s, elapsed_s)
+        self._since_active_rad = 0.0 if is_active else self._since_active_rad + abs(step)
         if not is_active and self._since_active_rad >= self._home.backoff_rad:
             self._enter(Phase.SEEK)
         self._check(
@@ -115,7 +116,7 @@ class JointHoming:
         return step
 
     def _seek(self, is_active: bool, elapsed_s: float) -> float:
-        step = self._go(self._home.speed_rad_s, elapsed_s)
+        step = self._go(self._forth * self._home.speed_rad_s, elapsed_s)
         if is_active:
             self._counter.arm_index(self._joint)
             self._enter(Phase.INDEX)
@@ -127,7 +128,7 @@ class JointHoming:
         return step
 
     def _find_index(self, elapsed_s: float) -> float:
-        step = self._go(self._home.speed_rad_s * INDEX_SPEED_FRACTION, elapsed_s)
+        step = self._go(self._forth * self._home.speed_rad_s * INDEX_SPEED_FRACTION, elapsed_s)
         if self._counter.index_count(self._joint) is not None:
             self._check_turn()
             self._enter(Phase.SETTLE)
