@@ -15,7 +15,7 @@ from control.model.gains import Gains
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
-from firmware_iface.errors import BoardFaulted, BoardSilent, LinkError
+from firmware_iface.errors import BoardFaulted, BoardSilent, LinkError, MisuseError
 from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.cia402 import State
 from firmware_iface.motor.wire import Mode, Output, Parameter
@@ -35,12 +35,23 @@ class JointWiring:
     gains: Gains
 
 
+def start_stream(encoder: EncoderBoard, period_s: float) -> None:
+    """Two reports a cycle where the line can take them, so that the newest is never older than half a cycle."""
+    try:
+        encoder.stream(0.5 * period_s)
+    except MisuseError:
+        encoder.stream(period_s)
+
+
 class BoardHardware:
     """`control.loop.hardware.Hardware` on boards; made and checked by control.loop.connect."""
 
-    def __init__(self, arm: Arm, clock: Clock, bus: MotorBus, wiring: Sequence[JointWiring]) -> None:
+    def __init__(
+        self, arm: Arm, clock: Clock, bus: MotorBus, wiring: Sequence[JointWiring], period_s: float
+    ) -> None:
         self.feedback = Feedback(len(wiring))
         self._clock = clock
+        self._period_s = period_s
         self._bus = bus
         self._wiring = tuple(wiring)
         self._encoders = tuple(dict.fromkeys(joint.encoder for joint in wiring))
@@ -57,9 +68,7 @@ class BoardHardware:
         """Drain the links into `feedback`. Raises LinkLost, BoardReset, ProtocolViolation."""
         feedback = self.feedback
         try:
-            for encoder in self._encoders:
-                encoder.update()
-            self._bus.update()
+            self._update()
         finally:
             oldest_s = math.inf
             for joint, wired in enumerate(self._wiring):
@@ -72,6 +81,14 @@ class BoardHardware:
                 self._take_reply(joint, wired.motor)
             feedback.encoder_at_s = oldest_s
         return feedback
+
+    def _update(self) -> None:
+        """Hear all boards, also when one of them has to complain."""
+        try:
+            for encoder in self._encoders:
+                encoder.update()
+        finally:
+            self._bus.update()
 
     def _take_reply(self, joint: int, motor: MotorBoard) -> None:
         feedback, reply = self.feedback, motor.reply
@@ -130,7 +147,11 @@ class BoardHardware:
         self._is_wanted_enabled = False
 
     def reset_drive_faults(self) -> None:
-        """Acknowledge the drives' faults and upload again to boards that were reset. Raises BoardFaulted."""
+        """Acknowledge the drives' faults and start boards that were reset as they were. Raises BoardFaulted."""
+        for wired in self._wiring:
+            if wired.encoder.latest is None:
+                start_stream(wired.encoder, self._period_s)
+                self._fresh_count(wired)
         for wired in self._wiring:
             wired.motor.acknowledge_fault()
         self._configure()

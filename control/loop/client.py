@@ -117,10 +117,10 @@ class ArmClient:
         """State of the arm: mode, angles, set-points, currents, faults, cycle statistics (docs/socket.md)."""
         return self.ask("status")
 
-    def until(self, modes: Sequence[str], timeout_s: float) -> Message:
+    def until(self, modes: Sequence[str], timeout_s: float, is_fault_known: bool = False) -> Message:
         """Wait until the arm is in one of `modes`; returns the status then.
 
-        ArmFaulted when it goes to FAULT instead, ArmError on time-out.
+        ArmFaulted when it goes to FAULT instead, unless that `is_fault_known`; ArmError on time-out.
         """
         waited_s = 0.0
         while True:
@@ -129,7 +129,7 @@ class ArmClient:
                 self._on_wait(status)
             if status["mode"] in modes:
                 return status
-            if status["mode"] == "FAULT":
+            if status["mode"] == "FAULT" and not is_fault_known:
                 raise ArmFaulted(fault_text(status))
             if waited_s > timeout_s:
                 raise ArmError(
@@ -189,7 +189,7 @@ class ArmClient:
         """Stop, hold, brake until the arm has sunk to rest, drives off; then the runtime ends if it shall."""
         self.ask("off", quit=quit_runtime)
         try:
-            self.until(["OFF"], timeout_s)
+            self.until(["OFF"], timeout_s, is_fault_known=True)
         except RuntimeGone:
             if not quit_runtime:
                 raise

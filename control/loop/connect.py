@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from control.errors import MissingModel
-from control.loop.boards import BoardHardware, JointWiring
+from control.loop.boards import BoardHardware, JointWiring, start_stream
 from control.model.arm import Arm, CanBus, EncoderBoardPort
 from control.model.gains import gains_of
 from firmware_iface.camera import CameraReceiver
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
-from firmware_iface.errors import ConnectionFailed, LinkError, MisuseError, WrongIdentity
+from firmware_iface.errors import ConnectionFailed, LinkError, WrongIdentity
 from firmware_iface.link import open_can, open_serial
 from firmware_iface.motor.board import MotorBoard, MotorBus
 
@@ -106,21 +106,14 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
             camera = TipCamera(receiver)
     for encoder in encoders if not failures else ():
         with _collect(failures):
-            _stream(encoder, period_s)
+            start_stream(encoder, period_s)
     if failures:
         for close in closers:
             close()
         raise ConnectionFailed(failures, attempted)
-    hardware = BoardHardware(arm, clock, motors[0][0], _wiring(arm, encoders, [board for _, board in motors]))
+    wiring = _wiring(arm, encoders, [board for _, board in motors])
+    hardware = BoardHardware(arm, clock, motors[0][0], wiring, period_s)
     return Connection(hardware, camera, tuple(encoders), tuple(board for _, board in motors), closers)
-
-
-def _stream(encoder: EncoderBoard, period_s: float) -> None:
-    """Two reports a cycle where the line can take them, so that the newest is never older than half a cycle."""
-    try:
-        encoder.stream(0.5 * period_s)
-    except MisuseError:
-        encoder.stream(period_s)
 
 
 @contextlib.contextmanager

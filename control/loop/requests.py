@@ -28,7 +28,7 @@ LONGEST_AVERAGE_S = 60.0
 ADVICE = {
     Mode.OFF: "switch its drives on first (`armwright enable`)",
     Mode.BRAKED: "let it hold first (`armwright enable`)",
-    Mode.HOLDING: "home it first (`armwright home`)",
+    Mode.HOLDING: "it holds already",
     Mode.MOVING: "wait until it has arrived, or stop it (`armwright stop`)",
     Mode.HOMING: "wait until it is homed, or stop it (`armwright stop`)",
     Mode.GUIDING: "let it hold first (`armwright hold`)",
@@ -78,11 +78,12 @@ class Requests:
         except IllegalTransition as error:
             return {
                 "ok": False,
-                "error": f"the arm is {error.mode.name}, so it cannot {request['do']}: {ADVICE[error.mode]}",
+                "error": f"the arm is {error.mode.name}, so it cannot {request['do']}:"
+                f" {error.why or ADVICE[error.mode]}",
             }
         except (ArmError, LinkError) as error:
             return {"ok": False, "error": str(error)}
-        except (TypeError, ValueError, KeyError, OverflowError) as error:
+        except Exception as error:  # whatever a client sends, the arm must not stop for it
             return {"ok": False, "error": f"request {request.get('do')!r}: {type(error).__name__}: {error}"}
 
     def on_gone(self, client: int) -> None:

@@ -13,7 +13,7 @@ same object runs in a process of its own in real time and inside a test on a ste
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from control.errors import ArmError
@@ -31,7 +31,7 @@ from control.safety.fault import Fault, Reaction
 from control.safety.limits import SetPointLimits, limit_set_point
 from control.safety.monitor import Monitor
 from control.safety.table import CONTROLLED_MODES, Event, Mode
-from firmware_iface.errors import LinkError
+from firmware_iface.errors import BoardReset, LinkError
 
 Vector = tuple[float, float, float]
 NOWHERE: Vector = (math.nan, math.nan, math.nan)
@@ -274,14 +274,18 @@ class Runtime:
         """A fault: to FAULT with the reaction that it asks for, the cycles before it kept."""
         was_braking = self.monitor.reaction is Reaction.BRAKE
         is_first = self.monitor.mode is not Mode.FAULT
+        if fault.code == "following_error" and self.monitor.is_held_fault and self.now_s > self._mode_from_s:
+            fault = replace(
+                fault, reaction=Reaction.BRAKE
+            )  # not even the stop is followed: control is not to be trusted
         self.monitor.fault(fault)
+        if fault.code == "zero_lost":
+            self.monitor.forget_home()
         if is_first:
             self._mode_from_s = self._still_from_s = self.now_s
             self.fault_rows = self.parts.recorder.last_rows()
             self._homing = None
             self._wants_hold = False
-            if fault.code == "zero_lost":
-                self.monitor.forget_home()
         if self.monitor.is_held_fault and is_first:
             self._stop_where(self.set_point if fault.code != "following_error" else self._measured())
         elif not was_braking and self.monitor.reaction is Reaction.BRAKE:
@@ -308,7 +312,12 @@ class Runtime:
         message = (
             str(error) if isinstance(error, LinkError | ArmError) else f"{type(error).__name__}: {error}"
         )
-        self.fail(Fault(code, where, message, remedy, Reaction.BRAKE))
+        if not (self.is_quitting and self.monitor.mode is Mode.OFF):
+            self.fail(Fault(code, where, message, remedy, Reaction.BRAKE))
+        if isinstance(error, BoardReset):
+            self.monitor.forget_home()  # boards that still know their zero are taken at their word by `home`
+        if self._is_going_off and (event := self.monitor.next_towards_off(self._is_still())) is not None:
+            self._step_towards_off(event)
         servo = self.parts.servo
         servo.silence()
         try:
@@ -322,14 +331,15 @@ class Runtime:
         """Take an event; IllegalTransition when the mode does not allow it, and nothing has changed."""
         before = self.monitor.mode
         self.monitor.on(event)
-        if self.monitor.mode is not before:
+        if self.monitor.mode is not before or event is Event.BRAKE:
             self._mode_from_s = self._still_from_s = self.now_s
 
     def want_hold(self) -> None:
         """Get to HOLDING from OFF, BRAKED or GUIDING, through all that lies between."""
         if self.monitor.mode is Mode.OFF:
-            self.parts.hardware.enable()
+            self.monitor.require_no_faults("ENABLE")
             self.has_waited = True
+            self.parts.hardware.enable()
             self._are_drives_ready = False
             self._enabling_from_s = self.now_s
         elif self.monitor.mode is Mode.GUIDING:

@@ -19,6 +19,7 @@ class IllegalTransition(ArmError):
         self.mode = mode
         self.event = event
         self.legal = legal
+        self.why = why
         names = ", ".join(entry.name for entry in legal if entry not in _FAULT_EVENTS)
         reason = f": {why}" if why else f"; it takes {names}"
         super().__init__(f"the arm is in {mode.name} and does not take {event} now{reason}")
@@ -72,13 +73,20 @@ class Monitor:
         following = TRANSITIONS.get((self._mode, event))
         if following is None:
             raise self._refusal(event.name)
-        if event is Event.CONNECT and self._faults:
-            raise self._refusal(event.name, "faults wait to be acknowledged")
+        if event is Event.CONNECT:
+            self.require_no_faults(event.name)
         if event is Event.MOVE and not self._is_homed:
-            raise self._refusal(event.name, "not every joint knows its zero, home it first")
+            raise self._refusal(
+                event.name, "not every joint knows its zero, home it first (`armwright home`)"
+            )
         self._note(event)
         self._mode = following
         return following
+
+    def require_no_faults(self, event: str) -> None:
+        """Raise IllegalTransition for `event` while faults wait to be acknowledged."""
+        if self._faults:
+            raise self._refusal(event, "faults wait to be acknowledged (`armwright acknowledge`)")
 
     def fault(self, fault: Fault) -> Mode:
         """Go to FAULT, list `fault` (once per code and place) and take the more severe reaction. Always

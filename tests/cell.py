@@ -1,0 +1,173 @@
+"""A mock arm on the stepped clock with a whole runtime connected to it: what tests of the loop and the console stand on."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import msgspec
+
+from control.loop.assemble import Assembly, assemble
+from control.loop.client import ArmClient
+from control.loop.connect import Connection, connect
+from control.loop.in_process import InProcessChannel
+from control.loop.record import RowSink
+from control.loop.runtime import Runtime
+from control.model.arm import Arm, CanBus
+from control.model.description import load_arm
+from control.safety.table import Mode
+from hil_mocks.rig import SteppedRig
+from hil_mocks.scenario import EffectTable, FaultTable, Scenario, Start, load_scenario
+
+PERIOD_S = 0.002
+RIGHT = load_arm("right")
+STRETCHED = (0.1, -0.6, 0.2)  # gravity pulls joint 2 with 6 Nm here
+FRICTION = tuple(
+    EffectTable("coulomb_friction", joint, {"torque_Nm": torque})
+    for joint, torque in ((1, 1.0), (2, 1.2), (3, 0.7))
+)
+
+
+def scenario(
+    q_rad: Sequence[float] | None = STRETCHED, homed: bool = True, base: str = "ideal", **changed: Any
+) -> Scenario:
+    """A shipped scenario that starts at `q_rad`, its zero known unless told otherwise; one physics step a tick."""
+    shipped = load_scenario(base)
+    coarse = msgspec.structs.replace(shipped.plant, timestep_s=1e-3)
+    start = Start(q_rad=tuple(q_rad) if q_rad else None, homed=homed)
+    return msgspec.structs.replace(shipped, start=start, plant=coarse, **changed)
+
+
+@dataclass
+class Cell:
+    """A rig, the runtime that is connected to it, and a client. `watchers` are called after every cycle."""
+
+    rig: SteppedRig
+    connection: Connection
+    assembly: Assembly
+    channel: InProcessChannel
+    client: ArmClient
+    watchers: list[Callable[[], None]] = field(default_factory=list)
+
+    @property
+    def runtime(self) -> Runtime:
+        return self.assembly.runtime
+
+    @property
+    def mode(self) -> Mode:
+        return self.runtime.monitor.mode
+
+    @property
+    def faults(self) -> list[tuple[str, str]]:
+        """Code and place of each fault."""
+        return [(fault.code, fault.where) for fault in self.runtime.monitor.faults]
+
+    def run(self, duration_s: float) -> None:
+        self.client.wait(duration_s)
+
+    def until(self, is_so: Callable[[], bool], limit_s: float) -> float:
+        """Run until something is so; returns how long it took. AssertionError when it takes longer."""
+        begun_s = self.rig.clock.now_s()
+        while not is_so():
+            self.run(PERIOD_S)
+            taken_s = self.rig.clock.now_s() - begun_s
+            assert taken_s <= limit_s, f"still {self.mode} {self.faults} after {taken_s:.3f} s"
+        return self.rig.clock.now_s() - begun_s
+
+    def until_fault(self, limit_s: float) -> float:
+        return self.until(lambda: self.mode is Mode.FAULT, limit_s)
+
+    def inject(self, kind: str, board: str, **keys: Any) -> None:
+        self.rig.inject(FaultTable(kind, board, **keys))
+
+    def refusal(self, **request: Any) -> str:
+        """The error of a request that is refused."""
+        answer = self.channel.request(request)
+        assert not answer["ok"], answer
+        return str(answer["error"])
+
+    def start_move(self, q_rad: Sequence[float], speed: float = 1.0) -> float:
+        """Start a joint move and come back at once; returns its duration."""
+        return float(self.client.ask("move_joints", q_rad=list(q_rad), speed=speed)["duration_s"])
+
+    def true_speeds(self) -> list[float]:
+        """Grows while cycles run: the largest true joint speed of each cycle, in rad/s."""
+        speeds: list[float] = []
+        last = [self.rig.joint_rad(), self.rig.clock.now_s()]
+
+        def watch() -> None:
+            q_rad, now_s = self.rig.joint_rad(), self.rig.clock.now_s()
+            if now_s > last[1]:
+                steps = [abs(q - p) for q, p in zip(q_rad, last[0], strict=True)]
+                speeds.append(max(steps) / (now_s - last[1]))
+                last[:] = [q_rad, now_s]
+
+        self.watchers.append(watch)
+        return speeds
+
+
+def wired_to(arm: Arm, rig: SteppedRig) -> Arm:
+    """The arm on the rig's wires, with the limits of a real one (console.mock_arm has more patience with its boards)."""
+    boards = tuple(
+        replace(board, port=url) for board, url in zip(arm.encoder_boards, rig.encoder_urls, strict=True)
+    )
+    return replace(
+        arm, encoder_boards=boards, can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options)
+    )
+
+
+@contextmanager
+def open_cell(
+    hidden: Scenario | None = None,
+    arm: Arm = RIGHT,
+    sink: RowSink | None = None,
+    believed: Arm | None = None,
+) -> Iterator[Cell]:
+    """Connect a runtime that believes in `believed` to a mock of `arm`; drives are off."""
+    with SteppedRig(arm, hidden or scenario()) as rig:
+        model = wired_to(believed or arm, rig)
+        connection = connect(model, rig.clock, PERIOD_S, rig.camera_port)
+        assembly = assemble(model, connection.hardware, PERIOD_S, connection.camera, sink, rig.clock.now_s)
+        channel = InProcessChannel(assembly, rig.clock)
+        cell = Cell(rig, connection, assembly, channel, ArmClient(channel))
+        original = assembly.runtime.cycle
+
+        def cycle(*timing: Any) -> bool:
+            goes_on = original(*timing)
+            for watcher in cell.watchers:
+                watcher()
+            return goes_on
+
+        assembly.runtime.cycle = cycle  # type: ignore[method-assign]
+        try:
+            cell.run(0.02)
+            yield cell
+        finally:
+            connection.close()
+
+
+@contextmanager
+def holding_cell(hidden: Scenario | None = None, arm: Arm = RIGHT, **keys: Any) -> Iterator[Cell]:
+    """The same, HOLDING where the arm stands."""
+    with open_cell(hidden, arm, **keys) as cell:
+        cell.client.enable()
+        yield cell
+
+
+def with_drives(arm: Arm, **changes: Any) -> Arm:
+    """The arm with keys of every [[drive]] changed."""
+    return replace(arm, drives=tuple(replace(drive, **changes) for drive in arm.drives))
+
+
+def with_drive(arm: Arm, joint: int, **changes: Any) -> Arm:
+    """The arm with keys of one [[drive]] changed; joint from 1."""
+    drives = tuple(replace(d, **changes) if d.joint == joint else d for d in arm.drives)
+    return replace(arm, drives=drives)
+
+
+def run_numbers(rows: Sequence[dict[str, str]]) -> list[str]:
+    """The runs of an exported log, in order."""
+    return [run for run, _ in itertools.groupby(row["run"] for row in rows)]

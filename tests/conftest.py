@@ -1,0 +1,20 @@
+"""Fixtures that several packages' tests share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from tests.cell import Cell
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    """A stretched, homed arm that is held; see tests/cell.py."""
+    from tests.cell import holding_cell  # MuJoCo takes a second to import: not for tests that need no plant
+
+    with holding_cell() as held:
+        yield held
