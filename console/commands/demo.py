@@ -15,7 +15,8 @@ def run(given: argparse.Namespace) -> int:
     from calib.verify import comparison_text
 
     arm = load_arm(given.arm)
-    drawn = seeded_scenario(given.scenario, given.seed)
+    can_home = all(drive.home is not None for drive in arm.drives)
+    drawn = seeded_scenario(given.scenario, given.seed, was_homed=not can_home)
     out = free_folder(Path(given.out))
     out.mkdir(parents=True)
     scenario = out / "scenario.toml"
@@ -52,8 +53,11 @@ def free_folder(wanted: Path) -> Path:
     return folder
 
 
-def seeded_scenario(name: str, seed: int | None) -> bytes:
-    """The scenario with its seed as the text of a file, kept beside the results so that the run can be repeated."""
+def seeded_scenario(name: str, seed: int | None, was_homed: bool) -> bytes:
+    """The scenario with its seed as the text of a file, kept beside the results so that the run can be repeated.
+
+    An arm whose file does not say how it homes begins with boards that know their zero (`was_homed`).
+    """
     import msgspec
 
     from hil_mocks.scenario import load_scenario
@@ -61,6 +65,10 @@ def seeded_scenario(name: str, seed: int | None) -> bytes:
     scenario = load_scenario(name)
     if seed is not None:
         scenario = msgspec.structs.replace(scenario, seed=seed)
+    if was_homed:
+        scenario = msgspec.structs.replace(
+            scenario, start=msgspec.structs.replace(scenario.start, homed=True)
+        )
     document = msgspec.to_builtins(scenario)
     del document["path"]
     return msgspec.toml.encode(_without_none(document))

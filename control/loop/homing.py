@@ -1,9 +1,9 @@
 """Homing: each joint toward its home switch, on to the next index pulse, stop, shift the counter.
 
-An incremental encoder knows nothing at power-up, so the switch (a cam that is active on one side of an angle) says which way to
-go and which motor turn it is, and the index pulse in that turn says where exactly: the counter is shifted by what the latched count
-is off, once the joint stands still. The joints home one after the other while the
-others hold; the first that fails stops them all.
+An incremental encoder knows nothing at power-up, so the switch (a cam that is active on one side of an angle) says which way
+to go and which motor turn it is, and the index pulse in that turn says where exactly: the counter is shifted by what the
+latched count is off, once the joint stands still. The joints home one after the other while the others hold; the first that
+fails stops them all.
 
     RELEASE  the switch is active: move back until it is not, and a little further
     SEEK     move forth until the switch becomes active; forth is from `switch_rad` to `index_rad`
