@@ -25,7 +25,7 @@ class OnWires(Protocol):
 
     def from_host_serial(self, board: int, received: bytes) -> None: ...
     def from_host_can(self, can_id: int, payload: bytes) -> None: ...
-    def serial_outgoing(self, board: int) -> bytes: ...
+    def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes: ...
 
 
 class Pty:
@@ -86,16 +86,20 @@ class Wires:
         for can_id, payload in self._can.receive():
             robot.from_host_can(can_id, payload)
 
+    def serial_to_host(self, robot: OnWires, ahead_s: float = 0.0) -> None:
+        """Give the host the bytes that have arrived by now, or will have in `ahead_s`."""
+        for i, pty in enumerate(self.ptys):
+            sent = robot.serial_outgoing(i, ahead_s)
+            if sent:
+                pty.write(sent)
+
     def to_host(self, robot: OnWires) -> None:
         """Give the host what the robot has sent by now.
 
         A host that reads its port until it is empty finds all of it: an empty read waits for what is on its way
         through the pty.
         """
-        for i, pty in enumerate(self.ptys):
-            sent = robot.serial_outgoing(i)
-            if sent:
-                pty.write(sent)
+        self.serial_to_host(robot)
         if robot.can_outgoing:
             for can_id, payload in robot.can_outgoing:
                 self._can.send(can_id, payload)

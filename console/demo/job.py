@@ -79,7 +79,7 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     points_file = out / "points.csv"
     for done, what in _session(arm, table, bench, client, points_file):
         advance(what, 0.15 + 0.6 * done)
-    recording_before = bench.stop()
+    recording_before = _put_away(arm, bench, client)
 
     advance("identification", 0.77)
     points, found = _identify(arm, table, points_file)
@@ -96,7 +96,7 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     after = _verify(calibrated, table, bench, client, out / "verification_after.csv")
     advance("circle and line, after", 0.88)
     runs_after = _run_paths(calibrated, table, bench, client)
-    recording_after = bench.stop()
+    recording_after = _put_away(calibrated, bench, client)
 
     advance("report", 0.94)
     tracks = (
@@ -183,6 +183,13 @@ def run_waypoints(
     client.move_joints(path.q_start_rad, approach_speed)
     client.run_path(path.to_message())
     return int(client.status()["run"])
+
+
+def _put_away(arm: Arm, bench: Bench, client: ArmClient) -> Path:
+    """To the rest pose, if the arm has one, where it need not sink far when its drives go off; returns the recording."""
+    if arm.rest is not None:
+        client.move_joints(arm.rest.q_rad, bench.speed)
+    return bench.stop()
 
 
 def _session(
