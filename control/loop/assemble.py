@@ -1,6 +1,7 @@
 """Puts a runtime together from an arm, its hardware and a recorder. The only place that knows all of the loop's parts."""
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 
@@ -69,11 +70,19 @@ def assemble(
         inverse=InverseKinematics(arm),
         camera=camera,
         joint_names=names,
+        do_counters_span=all(_does_counter_span(drive) for drive in arm.drives),
         period_s=period_s,
         stopwatch_s=stopwatch_s,
     )
     runtime = Runtime(parts)
     return Assembly(runtime, Requests(runtime, limits, kinematics, {"arm": arm.name, **(about or {})}))
+
+
+def _does_counter_span(drive: Drive) -> bool:
+    """Whether every angle of the joint's range has a count of its own."""
+    mapped, half = JointMap(drive), 1 << (drive.encoder_bits - 1)
+    ends = (drive.joint_lower_rad, drive.joint_upper_rad)
+    return all(abs(mapped.count(end)) < half for end in ends if math.isfinite(end))
 
 
 def _servo(arm: Arm, period_s: float) -> Servo:

@@ -22,7 +22,7 @@ from control.loop.hardware import Feedback
 from control.motion.setpoint import SetPoint
 
 HOME_SWITCH = 1 << 2  # bit of the channel flags, docs/encoder_board.md
-SETTLE_SPEED_rad_s = 5e-3  # below the resolution of the speed estimate there is nothing to wait for
+DITHER_counts = 2  # a held joint without friction hunts by a count; that is rest, whatever a count is in rad
 SETTLE_S = 0.1
 INDEX_SPEED_FRACTION = 0.3  # of the seeking speed: the joint must stop soon after the latch
 TURN_TOLERANCE = (
@@ -90,8 +90,9 @@ class JointHoming:
         self._since_active_rad = home.backoff_rad
         self._forth = 1.0 if home.index_rad >= home.switch_rad else -1.0
         self._quiet_s = 0.0
+        self._rest_count = 0
 
-    def step(self, feedback: Feedback, speed_rad_s: float, elapsed_s: float) -> float:
+    def step(self, feedback: Feedback, elapsed_s: float) -> float:
         """Advance by one cycle and return the step of the set-point in rad. HomingFailed when something is not found."""
         is_active = bool(feedback.channel_flags[self._joint] & HOME_SWITCH)
         if self.phase is Phase.RELEASE:
@@ -101,7 +102,7 @@ class JointHoming:
         if self.phase is Phase.INDEX:
             return self._find_index(elapsed_s)
         if self.phase is Phase.SETTLE:
-            return self._settle(speed_rad_s, elapsed_s)
+            return self._settle(feedback.count[self._joint], elapsed_s)
         self.phase = Phase.DONE  # this cycle has read counts from the new zero
         return 0.0
 
@@ -137,11 +138,13 @@ class JointHoming:
         )
         return step
 
-    def _settle(self, speed_rad_s: float, elapsed_s: float) -> float:
+    def _settle(self, count: int, elapsed_s: float) -> float:
         step = self._go(0.0, elapsed_s)
         latched = self._counter.index_count(self._joint)
-        is_quiet = self.speed_set_rad_s == 0.0 and abs(speed_rad_s) < SETTLE_SPEED_rad_s
+        is_quiet = self.speed_set_rad_s == 0.0 and abs(count - self._rest_count) <= DITHER_counts
         self._quiet_s = self._quiet_s + elapsed_s if is_quiet else 0.0
+        if not is_quiet:
+            self._rest_count = count
         if self._quiet_s >= SETTLE_S and latched is not None:
             self._counter.shift_count(self._joint, self._home.index_count - latched)
             self._enter(Phase.SHIFTED)
@@ -194,9 +197,7 @@ class HomingSequence:
         """Whether every joint knows its zero."""
         return not self._waiting and self._present is None
 
-    def step(
-        self, set_point: SetPoint, feedback: Feedback, speed_rad_s: Sequence[float], elapsed_s: float
-    ) -> SetPoint:
+    def step(self, set_point: SetPoint, feedback: Feedback, elapsed_s: float) -> SetPoint:
         """The set-point of this cycle from that of the last. HomingFailed names the joint that did not find its zero."""
         if self._present is None:
             if not self._waiting:
@@ -204,7 +205,7 @@ class HomingSequence:
             joint, home = self._waiting.pop(0)
             self._present = (joint, JointHoming(home, joint, self._counter))
         joint, homing = self._present
-        step_rad = homing.step(feedback, speed_rad_s[joint], elapsed_s)
+        step_rad = homing.step(feedback, elapsed_s)
         if homing.phase is Phase.DONE:
             self._present = None
         return _with_joint(set_point, joint, step_rad, homing.speed_set_rad_s, homing.acceleration_set_rad_s2)

@@ -53,14 +53,13 @@ class Measurement:
             self._unwrappers = [
                 Unwrapper(b, count) for b, count in zip(self._counter_bits, counts, strict=True)
             ]
-        is_shifted = self._follow_shifts(shifts)
+        is_shifted = self._follow_shifts(counts, shifts)
         for joint, count in enumerate(counts):
             elapsed_s = counted_at_s[joint] - self._last_s[joint]
             if elapsed_s == 0.0:
                 continue
             self._last_s[joint] = counted_at_s[joint]
-            shift = self._shifts[joint]
-            q = self._maps[joint].radians(self._unwrappers[joint].update(count - shift) + shift)
+            q = self._maps[joint].radians(self._unwrappers[joint].update(count))
             if 0.0 < elapsed_s < LONGEST_GAP_S:
                 speed = (q - self.q_rad[joint]) / elapsed_s
                 gain = elapsed_s / (elapsed_s + SPEED_FILTER_S)
@@ -72,12 +71,18 @@ class Measurement:
             self.q_rad[joint] = q
         return is_shifted
 
-    def _follow_shifts(self, shifts: Sequence[int]) -> bool:
+    def _follow_shifts(self, counts: Sequence[int], shifts: Sequence[int]) -> bool:
+        """Take a counter that was set at its word: turns that it went through before its zero was known mean nothing."""
         if self._shifts == shifts:
             return False
-        for joint, shift in enumerate(shifts):
+        for joint, (count, shift) in enumerate(zip(counts, shifts, strict=True)):
+            self.shifted_rad[joint] = 0.0
+            if shift == self._shifts[joint]:
+                continue
             mapped = self._maps[joint]
-            moved_rad = mapped.radians(shift) - mapped.radians(self._shifts[joint])
+            before = self._unwrappers[joint].update(count - (shift - self._shifts[joint]))
+            moved_rad = mapped.radians(count) - mapped.radians(before)
+            self._unwrappers[joint] = Unwrapper(self._counter_bits[joint], count)
             self.shifted_rad[joint] = moved_rad
             self.q_rad[joint] += moved_rad
             self._turning_point_rad[joint] += moved_rad

@@ -68,6 +68,7 @@ class Parts:
     inverse: InverseKinematics
     camera: Camera | None
     joint_names: tuple[str, ...]
+    do_counters_span: bool  # the whole travel of their joints, without a wrap
     period_s: float
     stopwatch_s: Callable[[], float]
 
@@ -419,8 +420,8 @@ class Runtime:
             self.parts.hardware.disable()
 
     def _is_still(self) -> bool:
-        """Whether nothing has moved for a while; an arm that brakes has sunk to rest by some time, seen or not."""
-        if not self._is_controlled() and self.now_s - self._mode_from_s > SINK_LIMIT_S:
+        """Whether nothing has moved for a while; by some time every arm has sunk or come to rest, seen or not."""
+        if self.now_s - self._mode_from_s > SINK_LIMIT_S:
             return True
         if any(abs(speed) > STILL_rad_s for speed in self.parts.measurement.speed_rad_s):
             self._still_from_s = self.now_s
@@ -429,8 +430,13 @@ class Runtime:
     # ---- homing
 
     def take_known_zeros(self) -> bool:
-        """Believe boards that all say that their zero was set since power-up; returns whether they do."""
-        if not all(flags & ZERO_SET for flags in self.parts.hardware.feedback.channel_flags):
+        """Believe boards that all say that their zero was set since power-up; returns whether they do.
+
+        A counter that wraps inside its joint's travel may have done so while nobody looked: it is never believed.
+        """
+        if not self.parts.do_counters_span or not all(
+            flags & ZERO_SET for flags in self.parts.hardware.feedback.channel_flags
+        ):
             return False
         self.on(Event.HOMED)
         return True
@@ -446,12 +452,7 @@ class Runtime:
         if self._homing is None:
             return
         try:
-            self.set_point = self._homing.step(
-                self.set_point,
-                self.parts.hardware.feedback,
-                self.parts.measurement.speed_rad_s,
-                self._elapsed_s,
-            )
+            self.set_point = self._homing.step(self.set_point, self.parts.hardware.feedback, self._elapsed_s)
         except HomingFailed as error:
             self.fail(Fault("homing", error.where, error.message, error.remedy, Reaction.CONTROLLED))
             return
