@@ -5,11 +5,14 @@ Neither kind ever blocks on reading.
 """
 
 import contextlib
+import fcntl
 import logging
 import os
 import select
+import termios
 from collections import deque
 from collections.abc import Iterator
+from struct import Struct
 from typing import Protocol
 
 import can
@@ -19,8 +22,9 @@ from serial.tools import list_ports
 from firmware_iface.errors import LinkLost, MisuseError, PortMissing
 
 _READ_BYTES = 65536  # more than a serial driver buffers
+_INT = Struct("i")
+_NO_BYTES = _INT.pack(0)
 _WRITE_TIMEOUT_ms = 200  # requests are a dozen bytes: a line that does not take them in this time is dead
-_HANGUP_CHECK_READS = 8  # a port that was unplugged reads as empty: look closer after so many empty reads
 _SOCKETCAN_BUS_OFF = 0x40  # CAN_ERR_BUSOFF of linux/can/error.h, in the id of an error frame
 _ECHO_MEMORY = 64  # frames of ours that may be on their way back at once
 
@@ -109,31 +113,18 @@ class _PosixByteLink:
         self._port = port
         self._fd = port.fileno()
         os.set_blocking(self._fd, False)
-        self._hangup = select.poll()
-        self._hangup.register(self._fd, 0)
         self._writable = select.poll()
         self._writable.register(self._fd, select.POLLOUT)
-        self._empty_reads = 0
 
     def read(self) -> bytes:
-        received = self._read_once()
-        if received:
-            self._empty_reads = 0
-            # A tty hands over what it has; only an empty read has waited for what was on its way.
-            while more := self._read_once():
-                received += more
-            return received
-        self._empty_reads += 1
-        if self._empty_reads % _HANGUP_CHECK_READS == 0 and self._hangup.poll(0):
-            raise self._lost("it hung up")
-        return b""
-
-    def _read_once(self) -> bytes:
+        # Asked first how much there is, because reading an empty tty is not free of waiting: the kernel then finishes what is
+        # on its way in a worker of ordinary priority, for which a real-time loop would wait behind everybody.
         try:
-            return os.read(self._fd, _READ_BYTES)
+            (waiting,) = _INT.unpack(fcntl.ioctl(self._fd, termios.FIONREAD, _NO_BYTES))
+            return os.read(self._fd, waiting) if waiting else b""
         except BlockingIOError:
             return b""
-        except OSError as problem:
+        except (OSError, ValueError) as problem:  # a port that was unplugged, or closed under its hands
             raise self._lost(problem) from None
 
     def write(self, data: bytes) -> None:

@@ -96,6 +96,7 @@ class SteppedClock:
                 wires.serial_to_host(robot, robot.tick_s)
             robot.tick()
         wires.to_host(robot)
+        wires.settle()
 
 
 class SteppedRig:

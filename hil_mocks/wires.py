@@ -6,14 +6,19 @@ The host opens the other ends with its ordinary drivers: a pty's path, an interf
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
+import select
 import socket
+import sys
+import termios
 import tty
 from typing import Protocol
 
 from firmware_iface.link import open_can
 from hil_mocks.devices.motor_board import Frame
 
+_MOST_LOOKS = 20_000  # some 10 ms
 _ROOM_BYTES = 3500  # of the 4095 that a tty holds for a host that does not read
 
 
@@ -35,6 +40,9 @@ class Pty:
         self._ours, self._theirs = os.openpty()
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
+        self._readable = select.poll()
+        self._readable.register(self._theirs, select.POLLIN)
+        self._expected_bytes = 0  # that the host will find, once the kernel has carried all to it
         self.path = os.ttyname(self._theirs)
 
     def read(self) -> bytes:
@@ -53,8 +61,22 @@ class Pty:
         if len(sent) > _ROOM_BYTES:
             sent = sent[-_ROOM_BYTES:]
             sent = sent[sent.index(0) + 1 :]
+        self._expected_bytes = min(self._unread() + len(sent), _ROOM_BYTES)
         with contextlib.suppress(BlockingIOError):
             os.write(self._ours, sent)
+
+    def settle(self) -> None:
+        """Return when the host can read what was sent: what it reads next does not hang on the kernel's mood."""
+        if not self._expected_bytes:
+            return
+        for _ in range(_MOST_LOOKS):
+            self._readable.poll(0)  # of an empty tty: waits for what is on its way
+            if self._unread() >= self._expected_bytes:
+                break
+        self._expected_bytes = 0
+
+    def _unread(self) -> int:
+        return int.from_bytes(fcntl.ioctl(self._theirs, termios.FIONREAD, b"\0\0\0\0"), sys.byteorder)
 
     def close(self) -> None:
         """Hang up."""
@@ -93,12 +115,13 @@ class Wires:
             if sent:
                 pty.write(sent)
 
-    def to_host(self, robot: OnWires) -> None:
-        """Give the host what the robot has sent by now.
+    def settle(self) -> None:
+        """Return when the host can read all that was sent to it."""
+        for pty in self.ptys:
+            pty.settle()
 
-        A host that reads its port until it is empty finds all of it: an empty read waits for what is on its way
-        through the pty.
-        """
+    def to_host(self, robot: OnWires) -> None:
+        """Give the host what the robot has sent by now; over a pty it may take a little to get there."""
         self.serial_to_host(robot)
         if robot.can_outgoing:
             for can_id, payload in robot.can_outgoing:
