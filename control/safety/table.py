@@ -9,7 +9,7 @@ from typing import Final
 class Mode(Enum):
     """What the arm does now; the value is what the drives do in it."""
 
-    OFF = "drives open circuit: the arm must rest on something"
+    OFF = "drives off: the boards short the windings, so a loaded arm sinks slowly and does not drop"
     BRAKED = "0 V: shorted windings brake, nothing is controlled"
     HOLDING = "position control at a constant set-point"
     MOVING = "position control along a checked motion"
