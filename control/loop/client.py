@@ -53,8 +53,9 @@ class SocketChannel:
         try:
             self._socket.connect(str(path))
         except OSError as error:
+            self._socket.close()
             raise RuntimeGone(
-                f"no runtime answers at {path} ({error.strerror}): start one with `armwright serve`"
+                f"no runtime answers at {path} ({error.strerror or error}): start one with `armwright serve`"
             ) from error
         self._lines = self._socket.makefile("rb")
 

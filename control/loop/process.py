@@ -18,7 +18,7 @@ from control.loop.connect import Connection, connect
 from control.loop.periodic import Beat
 from control.loop.record import Layout, PipeSink
 from control.loop.scheduling import request_punctuality
-from control.loop.server import Server
+from control.loop.server import Server, require_free
 from control.model.arm import Arm
 from firmware_iface.clock import Clock, MonotonicClock
 
@@ -37,6 +37,7 @@ class ServeOptions:
 
 def serve(arm: Arm, options: ServeOptions, announce: Callable[[str], None]) -> None:
     """Connect, then run the loop until it is told to end. Raises what connecting raises; nothing has moved then."""
+    require_free(options.socket_path)  # before its boards hear anything from a second host
     clock = MonotonicClock()
     connection = connect(arm, clock, options.period_s, options.camera_port)
     recording, writer, sink = _start_writer(arm, options)

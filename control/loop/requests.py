@@ -177,20 +177,20 @@ class Requests:
 
 def _number(request: Message, key: str, lower: float, upper: float, default: float | None = None) -> float:
     value = request.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not lower <= value <= upper:
+    if not isinstance(value, int | float) or not _is_number(value) or not lower <= value <= upper:
         raise ArmError(
             f"request {request['do']!r}: expected {key} to be a number from {lower:g} to {upper:g}, got {value!r}"
         )
     return float(value)
 
 
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
 def _numbers(request: Message, key: str, count: int) -> tuple[float, ...]:
     values = request.get(key)
-    if (
-        not isinstance(values, list)
-        or len(values) != count
-        or not all(isinstance(v, int | float) and math.isfinite(v) for v in values)
-    ):
+    if not isinstance(values, list) or len(values) != count or not all(_is_number(value) for value in values):
         raise ArmError(
             f"request {request['do']!r}: expected {key} to be {count} finite numbers, got {values!r}"
         )

@@ -23,10 +23,12 @@ LINE_LIMIT_bytes = 1 << 20  # a path of thousands of way-points fits; a line wit
 QUEUE_LIMIT = (
     64  # requests of one client that may wait; beyond that its bytes stay in the kernel and slow it down
 )
+CHUNK_bytes = 1 << 13  # taken from one client a cycle: even newlines alone are split well within a cycle
+CLIENT_LIMIT = 32  # connections at a time; more would use up the loop's file descriptors
 
 
 class SocketTaken(ArmError):
-    """Another runtime already serves at this place."""
+    """Something else is at this place: another runtime, or a file that is no socket."""
 
 
 class Client:
@@ -44,7 +46,7 @@ class Client:
         if len(self.lines) >= QUEUE_LIMIT:
             return
         try:
-            chunk = self.connection.recv(1 << 16)
+            chunk = self.connection.recv(CHUNK_bytes)
         except BlockingIOError:
             return
         except OSError:
@@ -89,7 +91,13 @@ class Server:
         self.path.unlink(missing_ok=True)
 
     def _accept(self) -> None:
-        connection, _ = self._listener.accept()
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:  # it has gone again, or the machine is out of file descriptors
+            return
+        if len(self._clients) >= CLIENT_LIMIT:
+            connection.close()
+            return
         connection.setblocking(False)
         self._numbers += 1
         client = Client(connection, self._numbers)
@@ -111,7 +119,7 @@ class Server:
     def _answer(self, line: bytes, number: int) -> Message:
         try:
             request = msgspec.json.decode(line)
-        except msgspec.DecodeError as error:
+        except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, nested without end
             return {"ok": False, "error": f"a request is one JSON object a line; this is none: {error}"}
         if not isinstance(request, dict):
             return {"ok": False, "error": f"a request is a JSON object with the key `do`; got {line[:80]!r}"}
@@ -137,18 +145,30 @@ def default_path(arm_name: str) -> Path:
 
 
 def listen(path: Path) -> socket.socket:
-    """A listening socket at `path`, readable by this user only. SocketTaken when a runtime answers there already."""
-    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if path.exists():
-        with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)) as probe:
-            if probe.connect_ex(str(path)) == 0:
-                raise SocketTaken(
-                    f"a runtime already serves at {path}: use it, or stop it with `armwright off --quit`"
-                )
-        path.unlink()
+    """A listening socket at `path`, for this user only. SocketTaken says why there can be none."""
+    require_free(path)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    listener.bind(str(path))
-    path.chmod(0o600)
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        listener.bind(str(path))
+        path.chmod(0o600)
+    except OSError as error:
+        listener.close()
+        raise SocketTaken(f"cannot listen at {path}: {error}; choose another place with --socket") from error
     listener.listen(8)
     listener.setblocking(False)
     return listener
+
+
+def require_free(path: Path) -> None:
+    """Raise SocketTaken when a runtime answers at `path`, or when what is there is no socket."""
+    if not path.exists():
+        return
+    if not path.is_socket():
+        raise SocketTaken(f"{path} is no socket and is left alone: choose another place with --socket")
+    with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)) as probe:
+        if probe.connect_ex(str(path)) == 0:
+            raise SocketTaken(
+                f"a runtime already serves at {path}: use it, or stop it with `armwright off --quit`"
+            )
