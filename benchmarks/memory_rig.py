@@ -1,0 +1,115 @@
+"""A mock arm on links in memory, whose every byte is kept, so that a second run can have the boards as a script.
+
+The first run has the physics and the mock boards behind the links; the further ones only hand out what those sent, at the same
+times. A host that does the same gets the same, and the boards cost nothing while it is measured.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from control.loop.boards import BoardHardware, JointWiring
+from control.model.arm import Arm
+from control.model.gains import gains_of
+from firmware_iface.clock import Clock
+from firmware_iface.encoder.board import EncoderBoard
+from firmware_iface.memory_link import MemoryBus, MemoryByteLink, MemoryFrameLink, byte_pair
+from firmware_iface.motor.board import MotorBoard, MotorBus
+from hil_mocks.robot import MockRobot
+from hil_mocks.scenario import Scenario
+
+SLACK_S = 1e-9  # of sums of ticks
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """What the boards had sent by a time."""
+
+    at_s: float
+    serial: bytes
+    frames: tuple[tuple[int, bytes], ...]
+
+
+class LiveClock:
+    """Waiting lets the mock arm run, and keeps what it sends in `script`."""
+
+    def __init__(self, robot: MockRobot, serial: MemoryByteLink, can: MemoryFrameLink) -> None:
+        self.script: list[Delivery] = []
+        self._robot, self._serial, self._can = robot, serial, can
+
+    def now_s(self) -> float:
+        """Simulated time."""
+        return self._robot.now_s
+
+    def wait_until_s(self, t: float) -> None:
+        """Let the host's bytes take effect, advance to `t`, hand out what was sent."""
+        robot = self._robot
+        received = self._serial.read()
+        if received:
+            robot.from_host_serial(0, received)
+        for can_id, payload in self._can.receive():
+            robot.from_host_can(can_id, payload)
+        while robot.now_s < t - SLACK_S:
+            robot.tick()
+        sent = Delivery(robot.now_s, robot.serial_outgoing(0), tuple(robot.can_outgoing))
+        robot.can_outgoing.clear()
+        robot.camera_outgoing.clear()
+        self.script.append(sent)
+        _deliver(sent, self._serial, self._can)
+
+
+class ScriptClock:
+    """Waiting hands out the next delivery of a script; what the host says is not listened to."""
+
+    def __init__(self, script: Sequence[Delivery], serial: MemoryByteLink, can: MemoryFrameLink) -> None:
+        self._script: Iterator[Delivery] = iter(script)
+        self._serial, self._can = serial, can
+        self._now_s = 0.0
+
+    def now_s(self) -> float:
+        """Time of the last delivery."""
+        return self._now_s
+
+    def wait_until_s(self, t: float) -> None:
+        """On to the next delivery."""
+        self._serial.read()
+        self._can.receive()
+        sent = next(self._script)
+        self._now_s = sent.at_s
+        _deliver(sent, self._serial, self._can)
+
+
+def _deliver(sent: Delivery, serial: MemoryByteLink, can: MemoryFrameLink) -> None:
+    if sent.serial:
+        serial.write(sent.serial)
+    for can_id, payload in sent.frames:
+        can.send(can_id, payload)
+
+
+class MemoryRig:
+    """The host's ends of the wires to an arm: simulated, or from a script."""
+
+    def __init__(
+        self, arm: Arm, scenario: Scenario, period_s: float, script: Sequence[Delivery] | None = None
+    ) -> None:
+        bus = MemoryBus()
+        self._serial, theirs = byte_pair()
+        self._can, their_can = bus.join(), bus.join()
+        live = LiveClock(MockRobot(arm, scenario), theirs, their_can) if script is None else None
+        self.clock: Clock = live or ScriptClock(script or (), theirs, their_can)
+        self.script: Sequence[Delivery] = live.script if live is not None else script or ()
+        self.hardware = self._connected(arm, period_s)
+
+    def _connected(self, arm: Arm, period_s: float) -> BoardHardware:
+        """The hosts' drivers on the links, as control.loop.connect makes them on ports."""
+        encoder = EncoderBoard(self._serial, self.clock)
+        encoder.identify()
+        encoder.stream(0.5 * period_s)
+        bus = MotorBus(self._can, self.clock)
+        wiring = []
+        for drive in arm.drives:
+            motor = MotorBoard(bus, drive.motor_node)
+            motor.identify()
+            wiring.append(
+                JointWiring(encoder, drive.encoder_channel, motor, drive, gains_of(arm, drive.joint))
+            )
+        return BoardHardware(arm, self.clock, bus, wiring, period_s)
