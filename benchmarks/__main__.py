@@ -1,0 +1,93 @@
+"""`make bench`: the measured claims as one table, and as out/bench.json.
+
+python -m benchmarks [section ...]
+"""
+
+import datetime
+import importlib
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+
+from benchmarks.table import BenchRow
+
+OUT = Path("out/bench.json")
+SECTIONS = {
+    "kinematics": "Kinematics and dynamics",
+    "control_cycle": "One control cycle without waiting",
+    "wire": "Frames",
+    "tracking": "Tip tracking: circle of 0.09 m at 0.15 m/s",
+    "stepped": "Stepped simulation of the whole loop",
+    "realtime": "Real time, over the mock boards",
+}
+NAME_WIDTH, PEER_WIDTH = 82, 48
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure the sections named, or all. A target that is missed is said, but is no error: the machine may have been busy."""
+    unknown = [name for name in arguments if name not in SECTIONS]
+    if unknown:
+        print(f"unknown section {unknown[0]!r}: expected some of {', '.join(SECTIONS)}", file=sys.stderr)
+        return 2
+    found: dict[str, list[BenchRow]] = {}
+    for name in arguments or SECTIONS:
+        print(f"\n{SECTIONS[name]}\n{_heading()}", flush=True)
+        start_s = time.monotonic()
+        found[name] = importlib.import_module(f"benchmarks.{name}").rows()
+        print("\n".join(_line(row) for row in found[name]))
+        print(f"({time.monotonic() - start_s:.0f} s)", flush=True)
+    _save(found)
+    rows = [row for section in found.values() for row in section if row.passed is not None]
+    short = [row.name for row in rows if not row.passed]
+    print(f"\n{len(rows) - len(short)} of {len(rows)} targets met; all figures in {OUT}")
+    for name in short:
+        print(f"short: {name}")
+    return 0
+
+
+def _heading() -> str:
+    return f"{'':{NAME_WIDTH}} {'value':>9} {'unit':<7}{'ratio':>9} of {'peer or limit':<{PEER_WIDTH}} target"
+
+
+def _line(row: BenchRow) -> str:
+    ratio = "" if row.ratio is None else f"{row.ratio:.3g}"
+    verdict = {None: "", True: ": passed", False: ": SHORT"}[row.passed]
+    beside = row.peer if row.peer_value is None else f"{row.peer} ({row.peer_value:.4g})"
+    return (
+        f"{row.name:{NAME_WIDTH}} {row.value:9.4g} {row.unit:<7}{ratio:>9}    {beside:<{PEER_WIDTH}} "
+        f"{row.target}{verdict}"
+    ).rstrip()
+
+
+def _save(found: dict[str, list[BenchRow]]) -> None:
+    """All rows, with what the numbers depend on; nothing that names the machine."""
+    about = {
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "program": f"armwright {version('armwright')}",
+        "python": ".".join(map(str, sys.version_info[:3])),
+        "processors": os.cpu_count(),
+        "load": round(os.getloadavg()[0], 2),
+        "packages": {name: version(name) for name in ("mujoco", "numpy", "python-can", "pyserial", "ruckig")},
+    }
+    rows = {name: [asdict(row) for row in section] for name, section in found.items()}
+    OUT.parent.mkdir(parents=True, exist_ok=True)
+    OUT.write_text(json.dumps(_finite({**about, "rows": rows}), indent=1) + "\n", encoding="utf-8")
+
+
+def _finite(value: object) -> object:
+    """JSON has no NaN."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
