@@ -179,7 +179,12 @@ class Runtime:
         if self.motion is None:
             return
         self.motion_s += self._elapsed_s
-        self._take(self.motion.at(self.motion_s))
+        try:
+            wanted = self.motion.at(self.motion_s)
+        except Exception as error:  # the feedback is good all the same, so the arm can stop under control
+            self._lose_motion(error)
+            return
+        self._take(wanted)
         if self.motion is not None and self.motion_s >= self.motion.duration_s:
             self.motion = None
             self.set_point = at_rest(self.set_point.q_rad)
@@ -291,6 +296,21 @@ class Runtime:
             self._stop_where(self.set_point if fault.code != "following_error" else self._measured())
         elif not was_braking and self.monitor.reaction is Reaction.BRAKE:
             self.motion = None
+
+    def _lose_motion(self, error: Exception) -> None:
+        """The motion gave no set-point: a controlled stop; brake if it was the stop itself."""
+        is_stop = self.monitor.mode is not Mode.MOVING
+        self.motion = None
+        message = str(error) if isinstance(error, ArmError) else f"{type(error).__name__}: {error}"
+        self.fail(
+            Fault(
+                "motion",
+                "motion",
+                f"it could not go on: {message}",
+                "plan it again; report it with the recording of this run if it was planned for this arm",
+                Reaction.BRAKE if is_stop else Reaction.CONTROLLED,
+            )
+        )
 
     def _stop_where(self, state: SetPoint) -> None:
         """Plan the jerk-limited stop from `state`; where there is none, brake."""
