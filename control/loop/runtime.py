@@ -458,8 +458,15 @@ class Runtime:
             flags & ZERO_SET for flags in self.parts.hardware.feedback.channel_flags
         ):
             return False
-        self.on(Event.HOMED)
+        self._become_homed()
         return True
+
+    def _become_homed(self) -> None:
+        """The pose is known: the feed-forward now carries the weight that the integrals have carried so far."""
+        was_homed = self.monitor.is_homed
+        self.on(Event.HOMED)
+        if not was_homed:
+            self.parts.servo.reset()
 
     def start_homing(self) -> None:
         """Home every joint, one after the other. ArmError when arm.toml does not say how."""
@@ -478,7 +485,7 @@ class Runtime:
             return
         if self._homing.is_done:
             self._homing = None
-            self.on(Event.HOMED)
+            self._become_homed()
 
     def _follow_shift(self) -> None:
         """A counter was shifted under a joint that is held: its set-point is shifted with it, so nothing moves."""
