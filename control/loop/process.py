@@ -43,8 +43,8 @@ def serve(arm: Arm, options: ServeOptions, announce: Callable[[str], None]) -> N
     recording, writer, sink = _start_writer(arm, options)
     remedy = request_punctuality()
     about = {"recording": str(recording), "rights": remedy or "granted"}
-    assembly = assemble(arm, connection.hardware, options.period_s, connection.camera, sink, about=about)
     try:
+        assembly = assemble(arm, connection.hardware, options.period_s, connection.camera, sink, about=about)
         server = Server(options.socket_path, assembly.requests.handle, assembly.requests.on_gone)
         announce(f"serving arm {arm.name!r} at {options.socket_path}, recording to {recording}")
         if remedy:
