@@ -146,7 +146,9 @@ def _message(row: Row, fields: dict[str, tuple[str, str]], joint_count: int) -> 
     message: dict[str, Any] = {}
     for name, (column, _) in fields.items():
         if "{}" in column:
-            message[name] = [row[column.format(joint)] for joint in range(1, joint_count + 1)]
+            values = [row[column.format(joint)] for joint in range(1, joint_count + 1)]
+            if not any(map(math.isnan, values)):  # JSON has no NaN, and readers stop at one
+                message[name] = values
         elif not math.isnan(row[column]):
             message[name] = row[column]
     return message

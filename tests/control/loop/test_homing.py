@@ -16,7 +16,7 @@ from control.model.description import Home
 from control.motion.setpoint import SetPoint, at_rest
 from control.safety.table import Mode
 from hil_mocks.scenario import EncoderBoardTable
-from tests.cell import RIGHT, holding_cell, open_cell, scenario, with_drive, with_drives
+from tests.cell import FRICTION, RIGHT, holding_cell, open_cell, scenario, with_drive, with_drives
 
 COUNTS_PER_RAD = 10_000.0
 TURN_rad = 0.06
@@ -210,8 +210,10 @@ NEAR_HOME = (-0.1, 0.0, 0.6)  # just below the switches: a short search
 
 
 def homing_error_rad(start: tuple[float, ...], arm: object = RIGHT, index_error_rad: float = 0.0) -> float:
-    """Largest difference between measured and true angle after homing on the rig."""
-    hidden = scenario(start, homed=False, encoder_board=EncoderBoardTable(index_error_rad=index_error_rad))
+    """Largest difference between measured and true angle after homing on the rig, with the friction that a gear has."""
+    hidden = scenario(
+        start, homed=False, encoder_board=EncoderBoardTable(index_error_rad=index_error_rad), effect=FRICTION
+    )
     with holding_cell(hidden, arm) as cell:  # type: ignore[arg-type]
         speeds = cell.true_speeds()
         cell.client.home()
