@@ -53,7 +53,7 @@ def report_html(report: ReportData) -> str:
     """The whole page."""
     parts = [
         f"<h1>{_said(report.title)}</h1>",
-        f'<p class="soft">arm <b>{_said(report.arm)}</b> · {_said(report.date)} · armwright'
+        f'<p class="soft">arm <b>{_said(report.arm)}</b> · {_said(report.date)} ·'
         f" {_said(report.program_version)}</p>",
         _tiles(report),
         _done(report),
