@@ -63,6 +63,8 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return 1
+    except OSError as error:  # a folder that cannot be made, a file that cannot be read
+        return fail(f"{error.filename or 'the system'}: {error.strerror or error}", 2)
 
 
 def fail(message: str, status: int) -> int:

@@ -1,4 +1,4 @@
-"""Recordings: every row comes back, a torn tail is dropped, a damaged header is one clear error, a full pipe says what it lost."""
+"""Recordings: every row comes back, a torn tail is dropped, a damaged header is one clear error, a full pipe says so."""
 
 from __future__ import annotations
 
