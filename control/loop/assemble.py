@@ -97,7 +97,7 @@ def _servo(arm: Arm, period_s: float) -> Servo:
         gains = gains_of(arm, drive.joint)
         limit = drive.current_limit_A if mode is OutputMode.CURRENT else drive.supply_V
         pids.append(Pid(gains.kp, gains.ki, gains.kd, gains.derivative_filter_s, limit, period_s))
-    return Servo(mode, [_motor(drive) for drive in arm.drives], pids, TorqueModel(arm))
+    return Servo(mode, [_motor(drive) for drive in arm.drives], pids, TorqueModel(arm), period_s)
 
 
 def _motor(drive: Drive) -> Motor:

@@ -10,9 +10,8 @@ from typing import Protocol
 
 from control.model.joint_map import Unwrapper
 
-SPEED_FILTER_S = (
-    0.004  # one count in one 2 ms cycle is 0.015 rad/s on the reference arm: two cycles of smoothing
-)
+# Enough to calm the steps of one count; each millisecond more costs 5 degrees of phase margin.
+SPEED_FILTER_S = 0.001
 LONGEST_GAP_S = 1.0  # between two reports; beyond it, or backwards in time, the speed starts anew
 DIRECTION_STEP_rad = 2e-4  # a motion smaller than this is dither at a set-point, not an approach
 

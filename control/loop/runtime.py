@@ -18,13 +18,15 @@ from typing import Protocol
 
 from control.errors import ArmError
 from control.loop.averaging import Averaging
-from control.loop.hardware import Feedback, Hardware, OutputMode
+from control.loop.hardware import Hardware, OutputMode
 from control.loop.homing import HomingFailed, HomingSequence
 from control.loop.measure import Measurement
 from control.loop.punctuality import Punctuality
+from control.loop.readiness import ENABLE_LIMIT_S, DriveReadiness, is_any_enabled
 from control.loop.record import Recorder
 from control.loop.servo import Servo
-from control.loop.watch import OPERATION_ENABLED, STATE_MASK, ZERO_SET, Expectation, Watch
+from control.loop.stillness import Stillness
+from control.loop.watch import ZERO_SET, Expectation, Watch
 from control.model.inverse import InverseKinematics
 from control.motion.setpoint import Motion, SetPoint, at_rest
 from control.safety.fault import Fault, Reaction
@@ -36,13 +38,7 @@ from firmware_iface.errors import BoardReset, LinkError
 Vector = tuple[float, float, float]
 NOWHERE: Vector = (math.nan, math.nan, math.nan)
 MODE_NUMBER = {mode: number for number, mode in enumerate(Mode)}  # as recorded
-ENABLE_LIMIT_S = 1.0  # a drive takes three cycles; a second is somebody's emergency stop
 HOMING_CURRENT_FRACTION = 0.5
-STILL_S = 0.5
-SINK_LIMIT_S = (
-    15.0  # shorted windings let the reference arm down from any pose within this; its encoders may be dead
-)
-STILL_rad_s = 0.01
 
 
 class Camera(Protocol):
@@ -96,9 +92,8 @@ class Runtime:
         self.set_point = at_rest(self._zeros)
         self._elapsed_s = parts.period_s
         self._homing: HomingSequence | None = None
-        self._mode_from_s = self._still_from_s = 0.0
-        self._enabling_from_s = math.inf
-        self._are_drives_ready = False
+        self._drives = DriveReadiness(parts.joint_names)
+        self._stillness = Stillness()
         self._wants_hold = False
         self._is_going_off = False
         self._camera_m = NOWHERE
@@ -136,7 +131,8 @@ class Runtime:
             self.averaging.add(self.now_s, self.parts.measurement, feedback.current_A, seen)
 
     def _watch(self, missed_in_row: int) -> None:
-        self._follow_drives()
+        for fault in self._drives.follow(self.now_s, self.parts.hardware.feedback):
+            self.fail(fault)
         mode = self.monitor.mode
         if mode is Mode.OFF:
             return
@@ -145,24 +141,10 @@ class Runtime:
         found = self.parts.watch.look(
             self.now_s, self.parts.hardware.feedback, measured.q_rad, measured.speed_rad_s,
             self.set_point.q_rad, self.set_point.speed_rad_s, missed_in_row,
-            Expectation(self._are_drives_ready, self.monitor.is_homed, is_servoing),
+            Expectation(self._drives.is_ready, self.monitor.is_homed, is_servoing),
         )  # fmt: skip
         for fault in found:
             self.fail(fault)
-
-    def _follow_drives(self) -> None:
-        """Notice when all drives have come to OPERATION ENABLED, or have not in time."""
-        if self._are_drives_ready or self._enabling_from_s == math.inf:
-            return
-        states = [word & STATE_MASK for word in self.parts.hardware.feedback.statusword]
-        self._are_drives_ready = all(state == OPERATION_ENABLED for state in states)
-        if not self._are_drives_ready and self.now_s - self._enabling_from_s > ENABLE_LIMIT_S:
-            self._enabling_from_s = math.inf
-            for joint, state in enumerate(states):
-                if state != OPERATION_ENABLED:
-                    self.fail(
-                        _not_enabled(self.parts.joint_names[joint], self.parts.hardware.feedback, joint)
-                    )
 
     def _advance(self) -> None:
         mode = self.monitor.mode
@@ -220,7 +202,7 @@ class Runtime:
     def _stay(self) -> None:
         """Nothing is controlled: the set-point goes with the arm, and holds from there when that is wanted."""
         self.set_point = at_rest(tuple(self.parts.measurement.q_rad))
-        if not (self._wants_hold and self._are_drives_ready):
+        if not (self._wants_hold and self._drives.is_ready):
             return
         if self.monitor.mode is Mode.OFF:
             self.on(Event.CONNECT)
@@ -244,9 +226,8 @@ class Runtime:
         """Whether the arm is off and its drives have said so, or have had time enough to."""
         if self.monitor.mode is not Mode.OFF:
             return False
-        words = self.parts.hardware.feedback.statusword
-        is_any_enabled = any(word & STATE_MASK == OPERATION_ENABLED for word in words)
-        return not is_any_enabled or self.now_s - self._mode_from_s > ENABLE_LIMIT_S
+        has_waited_long = self.now_s - self._stillness.mode_from_s > ENABLE_LIMIT_S
+        return has_waited_long or not is_any_enabled(self.parts.hardware.feedback)
 
     def _is_controlled(self) -> bool:
         return self.monitor.mode in CONTROLLED_MODES or self.monitor.is_held_fault
@@ -280,15 +261,18 @@ class Runtime:
         """A fault: to FAULT with the reaction that it asks for, the cycles before it kept."""
         was_braking = self.monitor.reaction is Reaction.BRAKE
         is_first = self.monitor.mode is not Mode.FAULT
-        if fault.code == "following_error" and self.monitor.is_held_fault and self.now_s > self._mode_from_s:
-            fault = replace(
-                fault, reaction=Reaction.BRAKE
-            )  # not even the stop is followed: control is not to be trusted
+        if (
+            fault.code == "following_error"
+            and self.monitor.is_held_fault
+            and self.now_s > self._stillness.mode_from_s
+        ):
+            # Not even the stop is followed: control is not to be trusted.
+            fault = replace(fault, reaction=Reaction.BRAKE)
         self.monitor.fault(fault)
         if fault.code == "zero_lost":
             self.monitor.forget_home()
         if is_first:
-            self._mode_from_s = self._still_from_s = self.now_s
+            self._stillness.enter_mode(self.now_s)
             self.fault_rows = self.parts.recorder.last_rows()
             self._homing = None
             self._wants_hold = False
@@ -353,7 +337,7 @@ class Runtime:
         before = self.monitor.mode
         self.monitor.on(event)
         if self.monitor.mode is not before or event is Event.BRAKE:
-            self._mode_from_s = self._still_from_s = self.now_s
+            self._stillness.enter_mode(self.now_s)
 
     def want_hold(self) -> None:
         """Get to HOLDING from OFF, BRAKED or GUIDING, through all that lies between."""
@@ -361,8 +345,7 @@ class Runtime:
             self.monitor.require_no_faults("ENABLE")
             self.has_waited = True
             self.parts.hardware.enable()
-            self._are_drives_ready = False
-            self._enabling_from_s = self.now_s
+            self._drives.expect(self.now_s)
         elif self.monitor.mode is Mode.GUIDING:
             self.on(Event.BRAKE)
         elif self.monitor.mode is not Mode.BRAKED:
@@ -408,12 +391,14 @@ class Runtime:
         if are_drives_faulted or (self.monitor.mode is Mode.FAULT and not self.monitor.is_held_fault):
             self.has_waited = True
             self.parts.hardware.reset_drive_faults()
-            self._are_drives_ready = False
-            self._enabling_from_s = self.now_s if self.monitor.mode is Mode.FAULT else math.inf
+            if self.monitor.mode is Mode.FAULT:
+                self._drives.expect(self.now_s)
+            else:
+                self._drives.forget()
             if not self.monitor.faults:
                 return ()  # drives that were faulted before this runtime began
         cleared = self.monitor.acknowledge()
-        self._still_from_s = self.now_s
+        self._stillness.enter_mode(self.now_s)
         return cleared
 
     def progress(self) -> float:
@@ -435,17 +420,11 @@ class Runtime:
         self.on(event)
         if self.monitor.mode is Mode.OFF:
             self._is_going_off = False
-            self._are_drives_ready = False
-            self._enabling_from_s = math.inf
+            self._drives.forget()
             self.parts.hardware.disable()
 
     def _is_still(self) -> bool:
-        """Whether nothing has moved for a while; by some time every arm has sunk or come to rest, seen or not."""
-        if self.now_s - self._mode_from_s > SINK_LIMIT_S:
-            return True
-        if any(abs(speed) > STILL_rad_s for speed in self.parts.measurement.speed_rad_s):
-            self._still_from_s = self.now_s
-        return self.now_s - self._still_from_s >= STILL_S
+        return self._stillness.is_still(self.now_s, self.parts.measurement.speed_rad_s)
 
     # ---- homing
 
@@ -466,7 +445,7 @@ class Runtime:
         was_homed = self.monitor.is_homed
         self.on(Event.HOMED)
         if not was_homed:
-            self.parts.servo.reset()
+            self.parts.servo.learn_pose()
 
     def start_homing(self) -> None:
         """Home every joint, one after the other. ArmError when arm.toml does not say how."""
@@ -491,14 +470,3 @@ class Runtime:
         """A counter was shifted under a joint that is held: its set-point is shifted with it, so nothing moves."""
         shifted = zip(self.set_point.q_rad, self.parts.measurement.shifted_rad, strict=True)
         self.set_point = self.set_point._replace(q_rad=tuple(q + shift for q, shift in shifted))
-
-
-def _not_enabled(where: str, feedback: Feedback, joint: int) -> Fault:
-    return Fault(
-        "drive_not_enabled",
-        where,
-        f"its drive did not come to OPERATION ENABLED within {ENABLE_LIMIT_S:.1f} s (statusword"
-        f" 0x{feedback.statusword[joint]:02x}, fault bits 0x{feedback.drive_faults[joint]:02x})",
-        "check its supply and the emergency stop",
-        Reaction.BRAKE,
-    )

@@ -13,6 +13,8 @@ from control.loop.hardware import OutputMode
 from control.motion.setpoint import SetPoint
 from control.safety.limits import voltage_range
 
+FADE_S = 2.0  # slow beside the boards' integrals: the arm moves by a tenth of a milliradian meanwhile
+
 
 class JointPid(Protocol):
     """The controller of one joint (control.loop.pid)."""
@@ -58,7 +60,12 @@ class Servo:
     """
 
     def __init__(
-        self, mode: OutputMode, motors: Sequence[Motor], pids: Sequence[JointPid], torque_model: TorqueModel
+        self,
+        mode: OutputMode,
+        motors: Sequence[Motor],
+        pids: Sequence[JointPid],
+        torque_model: TorqueModel,
+        period_s: float,
     ) -> None:
         self.mode = mode
         self.output = [0.0] * len(motors)
@@ -67,12 +74,25 @@ class Servo:
         self._motors = motors
         self._pids = pids
         self.torque_model = torque_model
+        self._share = 1.0  # of the model's torque that is fed forward
+        self._fade_step = period_s / FADE_S
         self._no_torque = tuple(0.0 for _ in motors)
 
     def reset(self) -> None:
         """Forget integrals and filters: the next update starts without a bump from the feed-forward alone."""
+        self._share = 1.0
         for pid in self._pids:
             pid.reset()
+
+    def learn_pose(self) -> None:
+        """The pose has become known: the feed-forward takes over the weight that the integrals have carried so far.
+
+        Integrals of this loop are forgotten at once; those on the boards cannot be, so there the feed-forward fades in.
+        """
+        if self.mode is OutputMode.POSITION:
+            self._share = 0.0
+        else:
+            self.reset()
 
     def silence(self) -> None:
         """Zero all outputs, for modes that control nothing."""
@@ -92,6 +112,9 @@ class Servo:
         `current_fraction` scales the current limit, so that homing runs with little force.
         """
         torque_Nm = self.torque_model(*set_point) if knows_pose else self._no_torque
+        if self._share < 1.0:
+            self._share = min(1.0, self._share + self._fade_step)
+            torque_Nm = [self._share * torque for torque in torque_Nm]
         for joint, motor in enumerate(self._motors):
             amperes = torque_Nm[joint] * motor.amperes_per_Nm
             volts = amperes * motor.resistance_ohm + motor.volts_per_rad_s * set_point.speed_rad_s[joint]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from control.loop.periodic import Beat
@@ -87,6 +87,7 @@ def test_a_restart_forgives_what_was_waited_outside_of_a_cycle(clock: FakeClock)
     assert beat.missed == 0
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(0.0, 0.2), min_size=1, max_size=50))
 def test_every_deadline_is_either_served_or_counted_as_missed(pauses_s: list[float]) -> None:
     clock = FakeClock()

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from control.loop.record import MAGIC, FileSink, Layout, PipeSink, Recorder, RecordError, Recording
@@ -94,6 +94,7 @@ def test_a_damaged_start_is_one_sentence_that_names_the_file(tmp_path: Path, sta
         list(Recording.open(path).rows())
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=300))
 def test_no_bytes_at_all_break_the_reader(tail: bytes) -> None:
     import tempfile

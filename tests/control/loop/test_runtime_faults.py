@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from control.loop import runtime
+from control.loop import stillness
 from control.loop.client import ArmFaulted, RequestRefused
 from control.model.arm import Limits
 from control.safety.table import Mode
@@ -213,7 +213,7 @@ def test_with_a_link_gone_for_good_the_runtime_can_still_be_ended(
         raise LinkLost("serial port /dev/ttyACM0: gone")
 
     monkeypatch.setattr(moving.connection.encoders[0], "update", lost)
-    monkeypatch.setattr(runtime, "SINK_LIMIT_S", 1.0)
+    monkeypatch.setattr(stillness, "SINK_LIMIT_S", 1.0)
     moving.until_fault(2 * CYCLE_s)
     moving.client.ask("off", quit=True)
     moving.until(lambda: not moving.channel.is_running, 1.0 + 5 * CYCLE_s)

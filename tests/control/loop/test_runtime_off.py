@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from control.loop import runtime as runtime_module
+from control.loop import stillness
 from control.model.arm import Arm
 from control.safety.table import Mode
 from tests.cell import FRICTION, RIGHT, STRETCHED, Cell, holding_cell, open_cell, scenario, with_drives
@@ -38,7 +38,7 @@ def test_off_while_a_stretched_arm_moves_stops_holds_brakes_and_lets_it_sink(
         cell.start_move((0.5, -0.4, 0.4))
         cell.run(0.1)
         modes, speeds = modes_of(cell), cell.true_speeds()
-        monkeypatch.setattr(runtime_module, "SINK_LIMIT_S", 3.0)
+        monkeypatch.setattr(stillness, "SINK_LIMIT_S", 3.0)
         cell.client.off()
         stopped = next(k for k, speed in enumerate(speeds) if speed < 0.05)
         cell.run(0.05)
@@ -105,7 +105,7 @@ def test_a_held_fault_goes_off_through_braking_and_waits_until_the_arm_has_sunk(
 
 
 def test_a_joint_whose_coarse_encoder_hunts_does_not_keep_the_arm_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runtime_module, "SINK_LIMIT_S", 1.0)
+    monkeypatch.setattr(stillness, "SINK_LIMIT_S", 1.0)
     with holding_cell(scenario(STRETCHED), with_drives(RIGHT, encoder_counts_per_rev=64)) as cell:
         cell.client.ask("off")
         cell.until(lambda: cell.mode is Mode.OFF, 3.0)
@@ -171,7 +171,8 @@ def test_homing_works_with_the_controller_on_the_board_too(mode: str) -> None:
         assert cell.runtime.parts.measurement.q_rad == pytest.approx(cell.rig.joint_rad(), abs=1e-4)
         held = cell.rig.joint_rad()
         cell.run(0.2)
-        assert cell.rig.joint_rad() == pytest.approx(held, abs=3e-4)
+        # In position mode the board's own integral carries the weight and unwinds as the feed-forward takes over.
+        assert cell.rig.joint_rad() == pytest.approx(held, abs=1e-3)
 
 
 def test_a_payload_that_is_told_is_held_without_sagging(cell: Cell) -> None:

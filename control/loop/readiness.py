@@ -1,0 +1,59 @@
+"""Whether the drives are where the loop wants them: asked for, awaited, and a fault for each that does not come."""
+
+import math
+from collections.abc import Sequence
+
+from control.loop.hardware import Feedback
+from control.loop.watch import OPERATION_ENABLED, STATE_MASK
+from control.safety.fault import Fault, Reaction
+
+ENABLE_LIMIT_S = 1.0  # a drive takes three cycles; a second is somebody's emergency stop
+
+
+class DriveReadiness:
+    """Follows the drives to OPERATION ENABLED; `is_ready` once all of them have been there since `expect`."""
+
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        self.is_ready = False
+        self._names = joint_names
+        self._expected_from_s = math.inf
+
+    def expect(self, now_s: float) -> None:
+        """The drives have been asked to OPERATION ENABLED just now."""
+        self.is_ready = False
+        self._expected_from_s = now_s
+
+    def forget(self) -> None:
+        """Nothing is expected of the drives."""
+        self.is_ready = False
+        self._expected_from_s = math.inf
+
+    def follow(self, now_s: float, feedback: Feedback) -> list[Fault]:
+        """Look at the newest states; a fault for each drive that has not come in time, once."""
+        if self.is_ready or self._expected_from_s == math.inf:
+            return []
+        missing = [joint for joint in range(feedback.joint_count) if not _is_enabled(feedback, joint)]
+        self.is_ready = not missing
+        if not missing or now_s - self._expected_from_s <= ENABLE_LIMIT_S:
+            return []
+        self._expected_from_s = math.inf
+        return [self._not_enabled(feedback, joint) for joint in missing]
+
+    def _not_enabled(self, feedback: Feedback, joint: int) -> Fault:
+        return Fault(
+            "drive_not_enabled",
+            self._names[joint],
+            f"its drive did not come to OPERATION ENABLED within {ENABLE_LIMIT_S:.1f} s (statusword"
+            f" 0x{feedback.statusword[joint]:02x}, fault bits 0x{feedback.drive_faults[joint]:02x})",
+            "check its supply and the emergency stop",
+            Reaction.BRAKE,
+        )
+
+
+def is_any_enabled(feedback: Feedback) -> bool:
+    """Whether a drive was in OPERATION ENABLED when it was last heard."""
+    return any(_is_enabled(feedback, joint) for joint in range(feedback.joint_count))
+
+
+def _is_enabled(feedback: Feedback, joint: int) -> bool:
+    return feedback.statusword[joint] & STATE_MASK == OPERATION_ENABLED
