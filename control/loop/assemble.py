@@ -19,7 +19,7 @@ from control.loop.watch import Watch, WatchLimits
 from control.model.arm import Arm, Drive
 from control.model.dynamics import Dynamics
 from control.model.feedforward import torque_model
-from control.model.gains import gains_of
+from control.model.gains import InertiaScale, gains_of
 from control.model.inverse import InverseKinematics
 from control.model.joint_map import JointMap
 from control.model.kinematics import Kinematics
@@ -97,7 +97,8 @@ def _servo(arm: Arm, period_s: float) -> Servo:
         gains = gains_of(arm, drive.joint)
         limit = drive.current_limit_A if mode is OutputMode.CURRENT else drive.supply_V
         pids.append(Pid(gains.kp, gains.ki, gains.kd, gains.derivative_filter_s, limit, period_s))
-    return Servo(mode, [_motor(drive) for drive in arm.drives], pids, TorqueModel(arm), period_s)
+    shares = InertiaScale(arm) if mode is OutputMode.CURRENT else None
+    return Servo(mode, [_motor(drive) for drive in arm.drives], pids, TorqueModel(arm), period_s, shares)
 
 
 def _motor(drive: Drive) -> Motor:

@@ -52,6 +52,15 @@ class Motor:
     current_limit_A: float
 
 
+class GainShares(Protocol):
+    """What share of its gains each joint takes in a pose; `unknown` where the pose is not known."""
+
+    @property
+    def unknown(self) -> Sequence[float]: ...
+
+    def __call__(self, q_rad: Sequence[float]) -> Sequence[float]: ...
+
+
 class Servo:
     """The controllers of all joints.
 
@@ -66,8 +75,11 @@ class Servo:
         pids: Sequence[JointPid],
         torque_model: TorqueModel,
         period_s: float,
+        gain_shares: GainShares | None = None,
     ) -> None:
+        """`gain_shares`: of the PID's gains in CURRENT mode, by pose; all of them where there is none."""
         self.mode = mode
+        self._gain_shares = gain_shares
         self.output = [0.0] * len(motors)
         self.feedforward_V = [0.0] * len(motors)
         self.volts = [0.0] * len(motors)
@@ -77,6 +89,7 @@ class Servo:
         self._share = 1.0  # of the model's torque that is fed forward
         self._fade_step = period_s / FADE_S
         self._no_torque = tuple(0.0 for _ in motors)
+        self._all = tuple(1.0 for _ in motors)
 
     def reset(self) -> None:
         """Forget integrals and filters: the next update starts without a bump from the feed-forward alone."""
@@ -115,6 +128,7 @@ class Servo:
         if self._share < 1.0:
             self._share = min(1.0, self._share + self._fade_step)
             torque_Nm = [self._share * torque for torque in torque_Nm]
+        shares = self._shares(q_rad, knows_pose)
         for joint, motor in enumerate(self._motors):
             amperes = torque_Nm[joint] * motor.amperes_per_Nm
             volts = amperes * motor.resistance_ohm + motor.volts_per_rad_s * set_point.speed_rad_s[joint]
@@ -124,8 +138,8 @@ class Servo:
                     max(volts, -motor.supply_V), motor.supply_V
                 )
                 continue
-            error = set_point.q_rad[joint] - q_rad[joint]
-            error_rate = set_point.speed_rad_s[joint] - speed_rad_s[joint]
+            error = shares[joint] * (set_point.q_rad[joint] - q_rad[joint])
+            error_rate = shares[joint] * (set_point.speed_rad_s[joint] - speed_rad_s[joint])
             limit_A = motor.current_limit_A * current_fraction
             back_emf_V = motor.volts_per_rad_s * speed_rad_s[joint]
             if self.mode is OutputMode.CURRENT:
@@ -137,3 +151,8 @@ class Servo:
             self.output[joint] = self.volts[joint] = self._pids[joint].update(
                 error, error_rate, volts, lower, upper
             )
+
+    def _shares(self, q_rad: Sequence[float], knows_pose: bool) -> Sequence[float]:
+        if self._gain_shares is None:
+            return self._all
+        return self._gain_shares(q_rad) if knows_pose else self._gain_shares.unknown

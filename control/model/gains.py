@@ -12,10 +12,11 @@ The joint as its motor sees it, without the inductance (its time constant is a f
 Where the back-EMF damps more than 3 w, kd is zero. With the loop's delay (one and a half cycles of 2 ms, counts up to 1 ms
 old) and the filters of the speed estimate, w = 40 rad/s leaves the reference arm at least 50 degrees of phase margin (40 with
 0.5 kg at the tip) and a sensitivity of at most 1.65 in every pose, at a crossover of 28 to 72 rad/s. In current mode no
-back-EMF damps and the derivative has to: there 15 rad/s leave 42 degrees and 2.1, and 25 would leave 15 degrees at joint 1
-with the arm drawn in.
+back-EMF damps and the derivative has to, so delay costs more: w = 25 rad/s leaves 44 degrees at the inertia that it was placed
+for and only 15 at joint 1 with the arm drawn in. There the loop scales the PID by `InertiaScale`, which keeps the 44.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,7 @@ from control.model.arm import Arm, Drive
 from control.model.dynamics import Dynamics
 
 POLE_rad_s = 40.0
-CURRENT_MODE_POLE_rad_s = 15.0
+CURRENT_MODE_POLE_rad_s = 25.0
 _POSES = 200
 DERIVATIVE_FILTER_S = 0.001  # half a cycle: only enough to calm the steps of the encoder
 
@@ -70,6 +71,30 @@ def placed_gains(
         a = constant * b
     w = pole_rad_s
     return Gains(3.0 * w * w / b, w**3 / b, max(3.0 * w - a, 0.0) / b, filter_s)
+
+
+class InertiaScale:
+    """What share of its derived gains each joint takes in a pose: its inertia there over the largest that it meets.
+
+    A joint whose gains arm.toml gives takes all of them. `unknown` holds the least shares, for an arm whose pose is not known.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        joints = range(1, arm.joint_count + 1)
+        self._largest = tuple(_inertia_kg_m2(arm, joint) for joint in joints)
+        self._is_derived = tuple(arm.drive(joint).pid.kp is None for joint in joints)
+        self._mass_matrix = Dynamics(arm).mass_matrix
+        diagonals = np.diagonal(Dynamics(arm).mass_matrices(_scatter(arm)), axis1=1, axis2=2)
+        self.unknown = self._shares(diagonals.min(axis=0).tolist())
+
+    def __call__(self, q_rad: Sequence[float]) -> tuple[float, ...]:
+        """Shares of all joints, above 0 and at most about 1."""
+        rows = self._mass_matrix(q_rad)
+        return self._shares([row[joint] for joint, row in enumerate(rows)])
+
+    def _shares(self, inertias: Sequence[float]) -> tuple[float, ...]:
+        each = zip(inertias, self._largest, self._is_derived, strict=True)
+        return tuple(inertia / largest if is_derived else 1.0 for inertia, largest, is_derived in each)
 
 
 def _inertia_kg_m2(arm: Arm, joint: int) -> float:
