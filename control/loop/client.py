@@ -6,7 +6,7 @@ docs/socket.md lists every request.
 """
 
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -103,9 +103,8 @@ class Average:
 class ArmClient:
     """The arm, from outside the loop. Methods that move return when the arm has done it or raise what stopped it."""
 
-    def __init__(self, channel: Channel, on_wait: Callable[[Message], None] | None = None) -> None:
+    def __init__(self, channel: Channel) -> None:
         self._channel = channel
-        self._on_wait = on_wait
 
     def ask(self, do: str, **arguments: Any) -> Message:
         """One request. RequestRefused with the runtime's own words when it says no."""
@@ -124,20 +123,16 @@ class ArmClient:
         ArmFaulted when it goes to FAULT instead, unless that `is_fault_known`; ArmError on time-out.
         """
         waited_s = 0.0
-        while True:
-            status = self.status()
-            if self._on_wait:
-                self._on_wait(status)
-            if status["mode"] in modes:
-                return status
-            if status["mode"] == "FAULT" and not is_fault_known:
-                raise ArmFaulted(fault_text(status))
+        while (mode := self.ask("mode")["mode"]) not in modes:
+            if mode == "FAULT" and not is_fault_known:
+                raise ArmFaulted(fault_text(self.status()))
             if waited_s > timeout_s:
                 raise ArmError(
-                    f"the arm is still {status['mode']} after {waited_s:.1f} s; expected {' or '.join(modes)}"
+                    f"the arm is still {mode} after {waited_s:.1f} s; expected {' or '.join(modes)}"
                 )
             self._channel.wait(POLL_S)
             waited_s += POLL_S
+        return self.status()
 
     def enable(self) -> None:
         """Drives on, holding where the arm stands."""

@@ -48,6 +48,7 @@ class Requests:
         self._owner: int | None = None
         self._serve: Mapping[str, Callable[[Message, int], Message]] = {
             "status": self._status,
+            "mode": self._mode,
             "enable": self._enable,
             "home": self._home,
             "move_joints": self._move_joints,
@@ -96,6 +97,9 @@ class Requests:
 
     def _status(self, request: Message, client: int) -> Message:
         return {**self._about, **status_of(self._runtime, self._kinematics)}
+
+    def _mode(self, request: Message, client: int) -> Message:
+        return {"mode": self._runtime.monitor.mode.name, "progress": self._runtime.progress()}
 
     def _enable(self, request: Message, client: int) -> Message:
         self._runtime.want_hold()
