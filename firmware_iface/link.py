@@ -94,6 +94,8 @@ def open_serial(url: str, baud: int) -> ByteLink:
         with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):
             port.set_low_latency_mode(True)
         return _PosixByteLink(port, url, baud)
+    if url.startswith("socket:") and os.name == "posix":
+        return _SocketByteLink(port, url, 0)
     return _PyserialByteLink(port, url, 0 if url.startswith("socket:") else baud)
 
 
@@ -107,7 +109,7 @@ def _ports_here() -> str:
 class _PosixByteLink:
     """A tty or pty: opened by pyserial, read and written without its layers (some 20 us a read)."""
 
-    def __init__(self, port: serial.Serial, name: str, baud: int) -> None:
+    def __init__(self, port: serial.SerialBase, name: str, baud: int) -> None:
         self.name = name
         self.baud = baud
         self._port = port
@@ -146,8 +148,23 @@ class _PosixByteLink:
         self._port.close()
 
 
+class _SocketByteLink(_PosixByteLink):
+    """A TCP connection to a serial server, or to a mock: opened by pyserial, read and written without its layers."""
+
+    def read(self) -> bytes:
+        try:
+            received = os.read(self._fd, _READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as problem:
+            raise self._lost(problem) from None
+        if not received:
+            raise self._lost("the other end closed it")
+        return received
+
+
 class _PyserialByteLink:
-    """Any other port that pyserial has: sockets, loops, RFC 2217, Windows."""
+    """Any other port that pyserial has: loops, RFC 2217, Windows."""
 
     def __init__(self, port: serial.SerialBase, name: str, baud: int) -> None:
         self.name = name
