@@ -1,7 +1,8 @@
 """One whole control cycle without waiting: `Runtime.cycle` on the Cartesian circle, every DH parameter of the arm off nominal.
 
 Only the call of `cycle` is timed: what boards and clock cost lies between the cycles. Once over links in memory whose boards
-are a script (benchmarks.memory_rig), once over a TCP connection and a python-can bus with the mock boards behind them; both in turn.
+are a script (benchmarks.memory_rig), once over a TCP connection and a python-can bus with the mock boards behind them; both in
+turn.
 """
 
 import gc

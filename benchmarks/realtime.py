@@ -34,7 +34,16 @@ PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
 
 def rows() -> list[BenchRow]:
     """Return the measured rows."""
-    return [row for rate_Hz in RATES_Hz for row in _rows_at(rate_Hz)]
+    return [row for rate_Hz in RATES_Hz for row in _rows_or_reason(rate_Hz)]
+
+
+def _rows_or_reason(rate_Hz: int) -> list[BenchRow]:
+    """The rows of a rate; where this machine paused for so long that the arm stopped, that is the row."""
+    try:
+        return _rows_at(rate_Hz)
+    except ArmError as error:
+        reason = str(error).replace("\n", " ")
+        return [BenchRow(f"real time, {rate_Hz} Hz: ended early", float("nan"), "", reason, passed=False)]
 
 
 def _rows_at(rate_Hz: int) -> list[BenchRow]:

@@ -19,7 +19,7 @@ from control.motion.joint_move import JointMove
 from control.motion.plan import PlannedPath
 from control.motion.setpoint import Motion
 from control.safety.monitor import IllegalTransition
-from control.safety.table import Mode
+from control.safety.table import Event, Mode
 from firmware_iface.errors import LinkError
 
 Message = dict[str, Any]
@@ -121,6 +121,8 @@ class Requests:
 
     def _run_path(self, request: Message, client: int) -> Message:
         path = PlannedPath.from_message(request["path"])
+        if self._runtime.monitor.mode is not Mode.HOLDING:
+            self._runtime.on(Event.MOVE)  # says why not, before where the arm stands is of any interest
         first = path.q_start_rad
         off_rad = max(abs(a - b) for a, b in zip(first, self._runtime.set_point.q_rad, strict=True))
         if off_rad > START_TOLERANCE_rad:
