@@ -43,8 +43,8 @@ def turns_after(once: Waypoints, turns: int) -> tuple[tuple[float, float, float]
     return once.points[1:] * (turns - 1)
 
 
-def go_to_start(client: ArmClient, path: PlannedPath) -> None:
-    """Drives on, zeros found or believed, the tip at the path's first point."""
+def go_to_start(client: ArmClient, path: PlannedPath, speed: float = 1.0) -> None:
+    """Drives on, zeros found or believed, the tip at the path's first point, at a fraction of the joints' speed."""
     client.enable()
     client.home()
-    client.move_joints(path.q_start_rad)
+    client.move_joints(path.q_start_rad, speed)

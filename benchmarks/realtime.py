@@ -24,6 +24,7 @@ from control.loop.record import Recording
 from control.model.description import save_arm
 from hil_mocks.realtime import RealTimeRig
 
+APPROACH_SPEED = 0.3  # so that an arm whose host pauses does not get far at its last voltage
 RATES_Hz = (1000, 500)
 HOLDING_S = 20.0
 TURNS = 5  # of 3.8 s
@@ -57,7 +58,7 @@ def _rows_at(rate_Hz: int) -> list[BenchRow]:
         spans[name] = start_s, client.status()["t_s"]
 
     with tempfile.TemporaryDirectory() as folder, _runtime(Path(folder), rate_Hz) as client:
-        go_to_start(client, path)
+        go_to_start(client, path, APPROACH_SPEED)
         timed(client, "holding", lambda: time.sleep(HOLDING_S))
         timed(client, "circle", lambda: client.run_path(path.to_message()))
         status = client.status()

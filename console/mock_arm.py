@@ -5,9 +5,11 @@ from dataclasses import replace
 from control.model.arm import Arm, Camera, CanBus, EncoderBoardPort
 from hil_mocks.rig import MockArm
 
-# The mock's boards share this machine with everything else, which may keep them waiting for 40 to 170 ms; real boards do not
-# wait, and 20 ms of silence mean something there.
-SHARED_MACHINE_STALE_S = 0.15
+# The mock's boards and the loop share this machine with everything else, and a virtual machine may keep either waiting for some
+# tenths of a second. Real boards do not wait, and 20 ms of their silence mean something; a mock arm hurts nobody.
+SHARED_MACHINE_STALE_S = 0.3
+SHARED_MACHINE_WATCHDOG_S = 0.5
+SHARED_MACHINE_LAG_S = 0.5
 
 
 def wired_to(arm: Arm, rig: MockArm) -> Arm:
@@ -23,5 +25,10 @@ def wired_to(arm: Arm, rig: MockArm) -> Arm:
         encoder_boards=boards,
         can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options),
         camera=replace(arm.camera or Camera(), udp_port=rig.camera_port),
-        limits=replace(arm.limits, stale_s=max(arm.limits.stale_s, SHARED_MACHINE_STALE_S)),
+        limits=replace(
+            arm.limits,
+            stale_s=max(arm.limits.stale_s, SHARED_MACHINE_STALE_S),
+            watchdog_s=max(arm.limits.watchdog_s, SHARED_MACHINE_WATCHDOG_S),
+            following_error_per_speed_s=max(arm.limits.following_error_per_speed_s, SHARED_MACHINE_LAG_S),
+        ),
     )

@@ -8,6 +8,7 @@ from control.loop.client import ArmClient, ArmFaulted, fault_text
 from hil_mocks.rig import MockHand
 
 SEATED_m = 2e-4  # a tip that is this near the hand sits in its cavity
+CAMERA_PATIENCE_S = 2.0  # a marker may be hidden for a moment, a host may pause
 SEAT_PATIENCE = 3.0  # times what the hand said that it takes
 
 
@@ -45,12 +46,13 @@ class RuntimePort:
 
     def measure(self, duration_s: float) -> tuple[Vector, Vector]:
         """Mean of the camera's tip positions and their standard deviation. ArmError when none came."""
-        mean = self._client.average(duration_s)
-        if mean.tip_m is None or mean.tip_std_m is None:
-            raise ArmError(
-                f"no camera frame came within {duration_s:g} s: is the camera on, and does it see the tip?"
-            )
-        return mean.tip_m, mean.tip_std_m
+        for _ in range(1 + int(CAMERA_PATIENCE_S / duration_s)):
+            mean = self._client.average(duration_s)
+            if mean.tip_m is not None and mean.tip_std_m is not None:
+                return mean.tip_m, mean.tip_std_m
+        raise ArmError(
+            f"no camera frame came within {CAMERA_PATIENCE_S:g} s: is the camera on, and does it see the tip?"
+        )
 
 
 class HandPort:

@@ -19,7 +19,7 @@ from calib.points import Points, read_points
 from calib.points_writer import PointsWriter
 from calib.report import write_report
 from calib.report_data import ReportData, Track, input_file
-from calib.session.sequence import FreePose, Stage, step_through, take_free_poses
+from calib.session.sequence import FreePose, SessionSettings, Stage, step_through, take_free_poses
 from calib.table import board_points, with_reference_tips
 from calib.verify import Comparison, compare
 from console.demo.bench import Bench
@@ -38,7 +38,7 @@ HEIGHT_m = 0.05  # of paths and verification points above the board: an uncalibr
 PATH_SPEED_m_s = 0.15
 VERIFY_RADIUS_m = 0.06
 VERIFY_POINTS = 6
-VERIFY_AVERAGE_S = 0.3
+VERIFY_AVERAGE_S = 0.2  # 20 camera frames
 
 Advance = Callable[[str, float], None]
 """Called with what is being done and how much of the whole is done, 0 to 1."""
@@ -158,7 +158,9 @@ def _verify(arm: Arm, table: Table, bench: Bench, client: ArmClient, file: Path)
     with PointsWriter(file, arm.joint_count) as writer:
         records = [
             step.record
-            for step in take_free_poses(poses, port, port, writer)
+            for step in take_free_poses(
+                poses, port, port, writer, SessionSettings(average_s=VERIFY_AVERAGE_S)
+            )
             if step.record is not None and step.record.tip_m is not None
         ]
     return Visit(tuple(poses), np.array(wanted), np.array([record.tip_m for record in records]))
