@@ -18,7 +18,7 @@ from calib.outcome import write_calibrated_arm, write_calibration_json
 from calib.points import Points, read_points
 from calib.points_writer import PointsWriter
 from calib.report import write_report
-from calib.report_data import ReportData, Track, input_file
+from calib.report_data import InputFile, ReportData, Track, input_file
 from calib.session.sequence import FreePose, SessionSettings, Stage, step_through, take_free_poses
 from calib.table import board_points, with_reference_tips
 from calib.verify import Comparison, compare
@@ -58,11 +58,30 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """Verification poses and paths as one model of the arm ran them: wanted and measured tips (m, 3)."""
+    """What one model of the arm did: verification points with wanted and measured tips (m, 3), and named runs along paths."""
 
     poses: tuple[FreePose, ...]
     wanted_m: np.ndarray
     measured_m: np.ndarray
+    runs: tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """The points of the session and what was made of them."""
+
+    arm: Arm
+    file: Path
+    points: Points
+    found: Identification
+    inputs: tuple[InputFile, ...]
+    date: str
+    program: str
+
+    @property
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of the inputs by name."""
+        return {entry.name: entry.sha256 for entry in self.inputs}
 
 
 def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
@@ -72,40 +91,58 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     client = bench.start(arm)
     client.enable()
     client.home()
-    advance("verification points, before", 0.05)
-    before = _verify(arm, table, bench, client, out / "verification_before.csv")
-    advance("circle and line, before", 0.1)
-    runs_before = _run_paths(arm, table, bench, client)
-    points_file = out / "points.csv"
-    for done, what in _session(arm, table, bench, client, points_file):
+    advance("verification, before", 0.05)
+    before = _visit(arm, table, bench, client, out / "verification_before.csv")
+    for done, what in _session(arm, table, bench, client, out / "points.csv"):
         advance(what, 0.15 + 0.6 * done)
     recording_before = _put_away(arm, bench, client)
 
     advance("identification", 0.77)
-    points, found = _identify(arm, table, points_file)
-    today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    program = f"armwright {version('armwright')}"
-    inputs = (input_file(points_file, "tip seated in the cavities, encoders averaged"),)
-    hashes = {entry.name: entry.sha256 for entry in inputs}
-    calibrated_file = out / "arm_calibrated.toml"
-    calibrated = write_calibrated_arm(calibrated_file, arm, found, hashes, today, program)
+    calibrated = _calibrate(arm, table, out)
 
-    advance("verification points, after", 0.8)
-    client = bench.start(calibrated)
+    advance("verification, after", 0.8)
+    client = bench.start(calibrated.arm)
     client.enable()
-    after = _verify(calibrated, table, bench, client, out / "verification_after.csv")
-    advance("circle and line, after", 0.88)
-    runs_after = _run_paths(calibrated, table, bench, client)
-    recording_after = _put_away(calibrated, bench, client)
+    after = _visit(calibrated.arm, table, bench, client, out / "verification_after.csv")
+    recording_after = _put_away(calibrated.arm, bench, client)
 
     advance("report", 0.94)
     tracks = (
-        *(track_of(recording_before, arm, run, f"{name}, before calibration") for name, run in runs_before),
-        *(
-            track_of(recording_after, calibrated, run, f"{name}, after calibration")
-            for name, run in runs_after
-        ),
+        *_tracks(recording_before, arm, before, "before calibration"),
+        *_tracks(recording_after, calibrated.arm, after, "after calibration"),
     )
+    outcome = _report(arm, calibrated, before, after, tracks, out)
+    advance("done", 1.0)
+    return outcome
+
+
+def _visit(arm: Arm, table: Table, bench: Bench, client: ArmClient, file: Path) -> Visit:
+    """The verification points, the circle and the line, by `arm`'s model."""
+    poses, wanted_m, measured_m = _verify(arm, table, bench, client, file)
+    return Visit(poses, wanted_m, measured_m, tuple(_run_paths(arm, table, bench, client)))
+
+
+def _calibrate(arm: Arm, table: Table, out: Path) -> Calibrated:
+    """Identify, and write the calibrated arm."""
+    points, found = _identify(arm, table, out / "points.csv")
+    inputs = (input_file(out / "points.csv", "tip seated in the cavities, encoders averaged"),)
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    program = f"armwright {version('armwright')}"
+    file = out / "arm_calibrated.toml"
+    hashes = {entry.name: entry.sha256 for entry in inputs}
+    calibrated = write_calibrated_arm(file, arm, found, hashes, date, program)
+    return Calibrated(calibrated, file, points, found, inputs, date, program)
+
+
+def _tracks(recording: Path, arm: Arm, visit: Visit, when: str) -> tuple[Track, ...]:
+    return tuple(track_of(recording, arm, number, f"{name}, {when}") for name, number in visit.runs)
+
+
+def _report(
+    arm: Arm, made: Calibrated, before: Visit, after: Visit, tracks: tuple[Track, ...], out: Path
+) -> Outcome:
+    """Compare before and after, and write calibration.json and report.html."""
+    points, found = made.points, made.found
     verification = compare(
         [pose.setup for pose in before.poses],
         [pose.point for pose in before.poses],
@@ -114,17 +151,19 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
         after.measured_m - after.wanted_m,
     )
     calibration = compare(points.setup, points.point, points.tip_m, found.error_before_m, found.error_after_m)
-    write_calibration_json(out / "calibration.json", arm.name, found, hashes, today, program, verification)
+    write_calibration_json(
+        out / "calibration.json", arm.name, found, made.hashes, made.date, made.program, verification
+    )
     report = out / "report.html"
     write_report(
         report,
         ReportData(
             title="armwright demo: calibration of a mock arm",
             arm=arm.name,
-            date=today,
-            program_version=program,
+            date=made.date,
+            program_version=made.program,
             steps=_steps(len(points), len(before.poses)),
-            inputs=inputs,
+            inputs=made.inputs,
             tracks=tracks,
             identification=found,
             calibration=calibration,
@@ -132,8 +171,7 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
             notes=_notes(verification),
         ),
     )
-    advance("done", 1.0)
-    return Outcome(verification, calibration, found, tracks, report, calibrated_file)
+    return Outcome(verification, calibration, found, tracks, report, made.file)
 
 
 def verification_targets(table: Table) -> Iterator[tuple[str, str, tuple[float, float, float]]]:
@@ -145,7 +183,9 @@ def verification_targets(table: Table) -> Iterator[tuple[str, str, tuple[float, 
             yield setup, f"v{number + 1}", tables.to_base(table, setup, (x, y, HEIGHT_m))
 
 
-def _verify(arm: Arm, table: Table, bench: Bench, client: ArmClient, file: Path) -> Visit:
+def _verify(
+    arm: Arm, table: Table, bench: Bench, client: ArmClient, file: Path
+) -> tuple[tuple[FreePose, ...], np.ndarray, np.ndarray]:
     """Send the tip to the verification points by `arm`'s model, and look with the camera where it went."""
     inverse = InverseKinematics(arm)
     q_rad: Sequence[float] = client.status()["q_rad"]
@@ -163,7 +203,7 @@ def _verify(arm: Arm, table: Table, bench: Bench, client: ArmClient, file: Path)
             )
             if step.record is not None and step.record.tip_m is not None
         ]
-    return Visit(tuple(poses), np.array(wanted), np.array([record.tip_m for record in records]))
+    return tuple(poses), np.array(wanted), np.array([record.tip_m for record in records])
 
 
 def _run_paths(arm: Arm, table: Table, bench: Bench, client: ArmClient) -> list[tuple[str, int]]:
