@@ -1,8 +1,7 @@
 """One whole control cycle without waiting: `Runtime.cycle` on the Cartesian circle, every DH parameter of the arm off nominal.
 
 Only the call of `cycle` is timed: what boards and clock cost lies between the cycles. Once over links in memory whose boards
-are a script (benchmarks.memory_rig), once over a TCP connection and a python-can bus with the mock boards behind them; both in
-turn.
+are a script (benchmarks.memory_rig), once over a pty and a python-can bus with the mock boards behind them; both in turn.
 """
 
 import gc
@@ -114,7 +113,7 @@ def rows() -> list[BenchRow]:
         hand_us = min(hand_us, _hand_inlined_us())
     return [
         *_rows_of("links in memory", memory, memory_parts, hand_us, f"at most {TARGET_us:g} us"),
-        *_rows_of("socket and python-can", wires, wire_parts, hand_us, ""),
+        *_rows_of("pty and python-can", wires, wire_parts, hand_us, ""),
     ]
 
 

@@ -105,7 +105,7 @@ def rows() -> list[BenchRow]:
 
 
 def _over_memory(arm: Arm) -> tuple[Clock, ArmClient]:
-    """The same without socket and python-can: what they cost is the difference."""
+    """The same without pty and python-can: what they cost is the difference."""
     rig = MemoryRig(arm, load_scenario("demo"), PERIOD_S)
     assembly = assemble(arm, rig.hardware, PERIOD_S, stopwatch_s=rig.clock.now_s)
     client = ArmClient(InProcessChannel(assembly, rig.clock))

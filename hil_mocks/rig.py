@@ -1,8 +1,7 @@
 """A mock arm to plug into: the Protocol that both rigs meet, and the stepped one, all in one process.
 
 The stepped rig's clock is the simulation's: whoever waits on it lets plant, boards and camera run on, in ticks, to the wanted
-time. Bytes really go through a TCP connection and frames through a CAN bus of python-can, so the host's drivers are the real
-ones.
+time. Bytes really go through a pty and frames through a CAN bus of python-can, so the host's drivers are the real ones.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from firmware_iface.clock import Clock
 from hil_mocks.plant.hand import Point
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable, Scenario, load_scenario
-from hil_mocks.wires import TcpPort, Wires
+from hil_mocks.wires import Wires
 
 _channels = itertools.count(1)  # a virtual bus is shared by all in the process who say the same channel
 _SLACK_S = 1e-9  # of sums of ticks
@@ -91,8 +90,13 @@ class SteppedClock:
             return
         wires.from_host(robot)
         while robot.now_s < end_s:
+            if robot.now_s + robot.tick_s >= end_s:
+                # The host reads no sooner than when this returns, so what arrives within the last tick may enter the pty
+                # before the physics runs: the kernel carries it meanwhile.
+                wires.serial_to_host(robot, robot.tick_s)
             robot.tick()
         wires.to_host(robot)
+        wires.settle()
 
 
 class SteppedRig:
@@ -104,12 +108,10 @@ class SteppedRig:
         self.robot = MockRobot(as_built, self.scenario)
         self.can_interface = "virtual"
         self.can_channel = f"armwright-{os.getpid()}-{next(_channels)}"
-        self._wires = Wires(
-            [TcpPort() for _ in self.robot.encoder_boards], self.can_interface, self.can_channel
-        )
+        self._wires = Wires(len(self.robot.encoder_boards), self.can_interface, self.can_channel)
         self.can_options = self._wires.can_options
         self.camera_port = self._wires.camera_port
-        self.encoder_urls = [port.path for port in self._wires.serial_ports]
+        self.encoder_urls = [pty.path for pty in self._wires.ptys]
         self.clock: Clock = SteppedClock(self.robot, self._wires)
 
     @property

@@ -120,12 +120,12 @@ class MockRobot:
         if now_s >= self.camera.next_s:
             self._look(now_s)
 
-    def serial_outgoing(self, board: int) -> bytes:
-        """Bytes of an encoder board that have arrived at the host by now."""
+    def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes:
+        """Bytes of an encoder board that have arrived at the host by now, or will have in `ahead_s`."""
         queue = self._serial[board]
         if not queue:
             return b""
-        moment_s = self.now_s + _SLACK_S
+        moment_s = self.now_s + ahead_s + _SLACK_S
         there = [frame for when_s, frame in queue if when_s <= moment_s]
         if there:
             self._serial[board] = [sent for sent in queue if sent[0] > moment_s]

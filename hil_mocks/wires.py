@@ -1,20 +1,24 @@
-"""The wires of a mock arm: ports for the serial boards, a CAN bus of python-can, datagrams of the camera.
+"""The wires of a mock arm: ptys for the serial boards, a CAN bus of python-can, datagrams of the camera.
 
-The host opens the other ends with its ordinary drivers: a pty's path or a socket's URL, an interface and a channel, a UDP port.
+The host opens the other ends with its ordinary drivers: a pty's path, an interface and a channel, a UDP port.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
+import select
 import socket
+import sys
+import termios
 import tty
-from collections.abc import Sequence
 from typing import Protocol
 
 from firmware_iface.link import open_can
 from hil_mocks.devices.motor_board import Frame
 
+_MOST_LOOKS = 20_000  # some 10 ms
 _ROOM_BYTES = 3500  # of the 4095 that a tty holds for a host that does not read
 
 
@@ -26,7 +30,7 @@ class OnWires(Protocol):
 
     def from_host_serial(self, board: int, received: bytes) -> None: ...
     def from_host_can(self, can_id: int, payload: bytes) -> None: ...
-    def serial_outgoing(self, board: int) -> bytes: ...
+    def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes: ...
 
 
 class Pty:
@@ -36,6 +40,9 @@ class Pty:
         self._ours, self._theirs = os.openpty()
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
+        self._readable = select.poll()
+        self._readable.register(self._theirs, select.POLLIN)
+        self._expected_bytes = 0  # that the host will find, once the kernel has carried all to it
         self.path = os.ttyname(self._theirs)
 
     def read(self) -> bytes:
@@ -51,8 +58,25 @@ class Pty:
 
     def write(self, sent: bytes) -> None:
         """Send; of what a host that does not read has no room for, the oldest frames are lost."""
+        if len(sent) > _ROOM_BYTES:
+            sent = sent[-_ROOM_BYTES:]
+            sent = sent[sent.index(0) + 1 :]
+        self._expected_bytes = min(self._unread() + len(sent), _ROOM_BYTES)
         with contextlib.suppress(BlockingIOError):
-            os.write(self._ours, newest(sent))
+            os.write(self._ours, sent)
+
+    def settle(self) -> None:
+        """Return when the host can read what was sent: what it reads next does not hang on the kernel's mood."""
+        if not self._expected_bytes:
+            return
+        for _ in range(_MOST_LOOKS):
+            self._readable.poll(0)  # of an empty tty: waits for what is on its way
+            if self._unread() >= self._expected_bytes:
+                break
+        self._expected_bytes = 0
+
+    def _unread(self) -> int:
+        return int.from_bytes(fcntl.ioctl(self._theirs, termios.FIONREAD, b"\0\0\0\0"), sys.byteorder)
 
     def close(self) -> None:
         """Hang up."""
@@ -60,83 +84,13 @@ class Pty:
         os.close(self._theirs)
 
 
-class TcpPort:
-    """A serial server on loopback, as pyserial opens it by `socket://`; one host at a time, the newest.
-
-    The kernel has carried the bytes when `write` returns, which a pty leaves to a worker in its own time. So a stepped
-    simulation is deterministic without waiting for it.
-    """
-
-    def __init__(self) -> None:
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.setblocking(False)
-        self._host: socket.socket | None = None
-        self.path = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
-
-    def read(self) -> bytes:
-        """All that the host has written."""
-        self._accept()
-        if self._host is None:
-            return b""
-        try:
-            received = self._host.recv(65536)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            received = b""
-        if not received:
-            self._hang_up()
-        return received
-
-    def write(self, sent: bytes) -> None:
-        """Send; of what a host that does not read has no room for, the oldest frames are lost."""
-        if self._host is None:
-            return
-        try:
-            self._host.send(newest(sent))
-        except BlockingIOError:
-            return
-        except OSError:
-            self._hang_up()
-
-    def close(self) -> None:
-        """Hang up."""
-        self._hang_up()
-        self._listener.close()
-
-    def _accept(self) -> None:
-        with contextlib.suppress(BlockingIOError):
-            host, _ = self._listener.accept()
-            host.setblocking(False)
-            host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._hang_up()
-            self._host = host
-
-    def _hang_up(self) -> None:
-        if self._host is not None:
-            self._host.close()
-            self._host = None
-
-
-def newest(sent: bytes) -> bytes:
-    """What of `sent` a serial driver would still hold for a host that has not read: whole frames, the newest ones."""
-    if len(sent) <= _ROOM_BYTES:
-        return sent
-    kept = sent[-_ROOM_BYTES:]
-    return kept[kept.index(0) + 1 :]
-
-
 class Wires:
     """All wires of one robot. Nothing blocks."""
 
     def __init__(
-        self,
-        serial_ports: Sequence[Pty | TcpPort],
-        can_interface: str,
-        can_channel: str,
-        camera_port: int = 0,
+        self, encoder_boards: int, can_interface: str, can_channel: str, camera_port: int = 0
     ) -> None:
-        self.serial_ports = tuple(serial_ports)
+        self.ptys = [Pty() for _ in range(encoder_boards)]
         # A port of its own: python-can listens to all groups of a port. No hops: frames stay on this machine.
         is_multicast = can_interface == "udp_multicast"
         self.can_options: dict[str, int] = {"port": free_udp_port(), "hop_limit": 0} if is_multicast else {}
@@ -147,19 +101,28 @@ class Wires:
 
     def from_host(self, robot: OnWires) -> None:
         """Give the robot what the host has sent."""
-        for i, port in enumerate(self.serial_ports):
-            received = port.read()
+        for i, pty in enumerate(self.ptys):
+            received = pty.read()
             if received:
                 robot.from_host_serial(i, received)
         for can_id, payload in self._can.receive():
             robot.from_host_can(can_id, payload)
 
+    def serial_to_host(self, robot: OnWires, ahead_s: float = 0.0) -> None:
+        """Give the host the bytes that have arrived by now, or will have in `ahead_s`."""
+        for i, pty in enumerate(self.ptys):
+            sent = robot.serial_outgoing(i, ahead_s)
+            if sent:
+                pty.write(sent)
+
+    def settle(self) -> None:
+        """Return when the host can read all that was sent to it."""
+        for pty in self.ptys:
+            pty.settle()
+
     def to_host(self, robot: OnWires) -> None:
         """Give the host what the robot has sent by now; over a pty it may take a little to get there."""
-        for i, port in enumerate(self.serial_ports):
-            sent = robot.serial_outgoing(i)
-            if sent:
-                port.write(sent)
+        self.serial_to_host(robot)
         if robot.can_outgoing:
             for can_id, payload in robot.can_outgoing:
                 self._can.send(can_id, payload)
@@ -177,8 +140,8 @@ class Wires:
 
     def close(self) -> None:
         """Take all wires away."""
-        for port in self.serial_ports:
-            port.close()
+        for pty in self.ptys:
+            pty.close()
         self._can.close()
         self._camera.close()
 
