@@ -17,3 +17,7 @@ class UnusablePointsError(CalibrationError):
 
 class SessionError(CalibrationError):
     """A session cannot go on: the arm does not come to rest, or the record does not belong to it."""
+
+
+class RegistrationError(CalibrationError):
+    """Where a board stands cannot be found from the markers that were seen; nothing is guessed."""

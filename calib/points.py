@@ -30,7 +30,7 @@ REQUIRED = ("setup", "point", "repeat")
 TIP = ("x_m", "y_m", "z_m")
 SCALARS = ("t_s", "payload_kg")
 OWN_EXTRAS = re.compile(
-    r"q\d+_sd_rad"
+    r"q\d+_sd_rad|temperature\d+_C|approach|take"
 )  # what our own sessions add; kept like any other column, but no surprise
 
 
@@ -110,7 +110,7 @@ def make_points(
 
 def read_points(path: Path, joint_count: int | None = None) -> tuple[Points, tuple[str, ...]]:
     """The points of a file and warnings about it. PointsFileError names file, line and column."""
-    with _opened(path) as file:
+    with opened_text(path) as file:
         reader = csv.reader(file)
         columns = _Columns.of(path, next(reader, []), joint_count)
         table = _Table(path, columns)
@@ -123,7 +123,7 @@ def read_points(path: Path, joint_count: int | None = None) -> tuple[Points, tup
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[TextIO]:
+def opened_text(path: Path) -> Iterator[TextIO]:
     """Text of a .csv or .csv.gz; what the system or the file's form refuses becomes one sentence."""
     try:
         if path.name.endswith(".gz"):
