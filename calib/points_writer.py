@@ -62,7 +62,7 @@ def write_points(path: Path, points: Points) -> None:
         columns |= {name: [_text(v, 9) for v in points.tip_m[:, k]] for k, name in enumerate(TIP)}
     columns |= points.extra
     lines = [_line(list(columns)), *(_line(row) for row in zip(*columns.values(), strict=True))]
-    _replace(path, "".join(lines).encode())
+    replace_file(path, "".join(lines).encode())
 
 
 class PointsWriter:
@@ -122,7 +122,7 @@ class PointsWriter:
                 f"{self._path}: not a session's header for {self._joint_count} joints; name another file"
             )
         if whole != content:
-            _replace(self._path, whole)
+            replace_file(self._path, whole)
         return warnings
 
     def _recorded(self) -> frozenset[Key]:
@@ -179,7 +179,7 @@ def _line(values: Sequence[str]) -> str:
     return line.getvalue()
 
 
-def _replace(path: Path, content: bytes) -> None:
+def replace_file(path: Path, content: bytes) -> None:
     """Put a whole file in place, so that a reader sees the old one or the new one."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.partial")

@@ -112,6 +112,21 @@ COMMANDS = (
         (ARM, SOCKET, option("--quit", action="store_true", help="end the runtime too")),
     ),
     CommandSpec(
+        "register",
+        "where the calibration board stands, from three or more markers that a camera saw",
+        (
+            ARM,
+            option(
+                "--markers",
+                required=True,
+                metavar="M",
+                help="a markers.csv: setup,marker,x_m,y_m,z_m in the base frame; markers are cavities by name",
+            ),
+            OUT,
+        ),
+        "Prints the residual of every marker, names those that disagree, writes boards.json.",
+    ),
+    CommandSpec(
         "export",
         "turn a recording into log.csv.gz and MCAP",
         (

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from calib_arms import board_points
 
+from calib.boards import read_boards, write_boards
 from calib.errors import PointsFileError, RegistrationError
 from calib.markers import Markers, markers_text, read_markers
 from calib.registration import register, register_boards
@@ -191,3 +193,19 @@ def test_unknown_columns_of_markers_are_ignored_with_a_warning(tmp_path: Path) -
     markers = read_markers(path)
     np.testing.assert_allclose(markers.seen_m, [[0.1, 0.2, 0.3]])
     assert markers.warnings == (f"{path}: unknown columns ignored: t_s",)
+
+
+def test_boards_written_come_back_and_a_wrong_file_is_named(tmp_path: Path) -> None:
+    rotation, origin = turned(np.random.default_rng(8))
+    found = register(BOARD[FIVE], BOARD[FIVE] @ rotation.T + origin, [NAMES[k] for k in FIVE])
+    path = tmp_path / "boards.json"
+    write_boards(path, "right", {"roll": found}, {"markers.csv": "00"}, "2026-11-21", "armwright 0")
+    back = read_boards(path)["roll"]
+    np.testing.assert_allclose(back.to_base(BOARD), found.to_base(BOARD), atol=1e-11)
+    entry = json.loads(path.read_text())["boards"]["roll"]
+    assert set(entry) == {"origin_m", "rotation", "sd", "noise_m", "residual_m", "outliers", "notes"}
+    assert list(entry["residual_m"]) == [NAMES[k] for k in FIVE]
+    for wrong, said in (("boards/1", "boards/2"), (str(entry["rotation"][0][0])[:6], "9.999")):
+        (tmp_path / "wrong.json").write_text(path.read_text().replace(wrong, said))
+        with pytest.raises(RegistrationError, match=r"wrong\.json, "):
+            read_boards(tmp_path / "wrong.json")
