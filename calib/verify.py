@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
-from calib.identify.problem import TipModel
+from calib.identify.arm_model import ArmModel
 from calib.points import Points
 
 CONFIDENCE = 0.95
@@ -92,7 +92,7 @@ def compare(
     return Comparison(tuple(setup), tuple(point), frozen(tip_m), frozen(before_m), frozen(after_m))
 
 
-def compare_points(model: TipModel, nominal_dh: Array, dh: Array, points: Points) -> Comparison:
+def compare_points(model: ArmModel, nominal_dh: Array, dh: Array, points: Points) -> Comparison:
     """Measured tips against those that the DH table predicts from the encoders, before and after calibration.
 
     Points without a measured tip are left out.

@@ -50,7 +50,7 @@ def determinability(jacobian: Array, parameters: tuple[Parameter, ...]) -> Deter
     """From the scaled Jacobian (m, 3, k) of the residuals."""
     rows = jacobian.reshape(-1, jacobian.shape[2])
     singular, right = _singular(rows)
-    rank = int(np.sum(singular > RANK_TOLERANCE * singular[0])) if singular[0] > 0 else 0
+    rank = int(np.sum(singular > RANK_TOLERANCE * _yardstick(rows, parameters)))
     null = right[rank:].T
     open_share = np.sqrt(np.einsum("ij,ij->i", null, null))
     return Determinability(
@@ -63,10 +63,17 @@ def determinability(jacobian: Array, parameters: tuple[Parameter, ...]) -> Deter
     )
 
 
-def null_space(jacobian: Array, tolerance: float) -> Array:
+def null_space(jacobian: Array, parameters: tuple[Parameter, ...], tolerance: float) -> Array:
     """Combinations of unknowns (k, k - rank) that the scaled Jacobian (m, 3, k) does not see."""
-    singular, right = _singular(jacobian.reshape(-1, jacobian.shape[2]))
-    return np.asarray(right[int(np.sum(singular > tolerance * singular[0])) :].T)
+    rows = jacobian.reshape(-1, jacobian.shape[2])
+    singular, right = _singular(rows)
+    return np.asarray(right[int(np.sum(singular > tolerance * _yardstick(rows, parameters))) :].T)
+
+
+def _yardstick(rows: Array, parameters: tuple[Parameter, ...]) -> float:
+    """What the best determined combination of bounded parameters does to the tips [m per bound]."""
+    bounded = [k for k, parameter in enumerate(parameters) if parameter.has_bound]
+    return float(np.linalg.norm(rows[:, bounded or ...], 2))
 
 
 def _singular(rows: Array) -> tuple[Array, Array]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +10,8 @@ from calib.arrays import Array, frozen, norms
 from calib.identify.checks import require_usable
 from calib.identify.determinability import NOTICEABLE, Undetermined, determinability
 from calib.identify.objective import Objective, SumOfDistances, noise_variance, value_of
-from calib.identify.parameters import Bounds, Parameter
-from calib.identify.problem import DhProblem, TipModel
+from calib.identify.parameters import Parameter
+from calib.identify.problem import ArmProblem, Solution
 from calib.identify.solver import minimise
 
 AT_BOUND = 1.0 - 1e-6  # a scaled deviation beyond this rests on its bound
@@ -52,7 +51,7 @@ class Identification:
     """What was found. Objectives in their unit; errors are vectors measured minus modelled, (m, 3)."""
 
     objective: str
-    dh: Array
+    solution: Solution
     nominal_dh: Array
     estimates: tuple[Estimate, ...]
     objective_before: float
@@ -66,6 +65,11 @@ class Identification:
     undetermined: tuple[Undetermined, ...]
     steps_count: int
     is_converged: bool
+
+    @property
+    def dh(self) -> Array:
+        """The identified DH table (links, 4)."""
+        return self.solution.dh
 
     @property
     def deviations(self) -> Array:
@@ -98,34 +102,24 @@ class Identification:
 
 
 def identify(
-    model: TipModel,
-    nominal_dh: Array,
-    q_rad: Array,
-    tip_m: Array,
-    *,
-    objective: Objective | None = None,
-    bounds: Bounds | None = None,
-    fixed: Collection[str] = (),
-    starts_count: int = 4,
-    seed: int = 0,
+    problem: ArmProblem, *, objective: Objective | None = None, starts_count: int = 4, seed: int = 0
 ) -> Identification:
-    """DH deviations within their bounds that explain measured tips best.
+    """The deviations within their bounds that explain the measured tips best.
 
-    nominal_dh (links, 4) [d, theta, L, alpha]; q_rad (m, n); tip_m (m, 3) in the base frame.
-    UnusablePointsError if no calibration can be made of them. Same inputs and seed, same result.
+    UnusablePointsError if no calibration can be made of the points. Same inputs and seed, same result.
     """
     wanted: Objective = objective or SumOfDistances()
-    require_usable(q_rad, tip_m)
-    problem = DhProblem(model, nominal_dh, q_rad, tip_m, bounds, fixed)
+    require_usable(problem.observed.q_rad, problem.references_m)
     best = minimise(problem, wanted, starts_count, seed)
     before = problem.residuals(np.zeros(len(best.x)))
     after, jacobian = problem.residuals_and_jacobian(best.x)
     known = determinability(jacobian, problem.parameters)
     variance = noise_variance(wanted, after, known.rank)
+    solution = problem.solution(best.x)
     return Identification(
         objective=wanted.name,
-        dh=frozen(problem.dh(best.x)),
-        nominal_dh=frozen(nominal_dh),
+        solution=solution,
+        nominal_dh=frozen(problem.model.nominal_dh),
         estimates=_estimates(problem.parameters, best.x, jacobian, variance, known.undetermined_share),
         objective_before=value_of(wanted, before),
         objective_after=value_of(wanted, after),
@@ -145,13 +139,14 @@ def _estimates(
     parameters: tuple[Parameter, ...], x: Array, jacobian: Array, variance_m2: float, open_share: Array
 ) -> tuple[Estimate, ...]:
     """Deviation and standard deviation of each; those on a bound are known by the bound, not by the data."""
-    free = np.flatnonzero(np.abs(x) < AT_BOUND)
+    limits = np.array([parameter.limit for parameter in parameters])
+    free = np.flatnonzero(np.abs(x) < AT_BOUND * limits)
     sd = np.full(len(x), np.nan)
     if len(free):
         known = determinability(jacobian[:, :, free], tuple(parameters[k] for k in free))
         sd[free] = np.sqrt(np.diag(known.covariance(variance_m2)))
     return tuple(
-        Estimate(p, float(x[k] * p.bound), float(sd[k] * p.bound), float(open_share[k]))
+        Estimate(p, float(x[k] * p.scale), float(sd[k] * p.scale), float(open_share[k]))
         for k, p in enumerate(parameters)
     )
 

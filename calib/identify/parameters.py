@@ -11,16 +11,45 @@ from calib.errors import CalibrationError
 
 DH_KINDS = ("d", "theta", "L", "alpha")
 DH_UNITS = ("m", "rad", "m", "rad")
+LENGTH_BOUND_m = 0.005  # SpringerPlus 5:1771, eq. (4)
+ANGLE_BOUND_rad = math.radians(2.0)
+# Unknowns without a nominal value (where a board stands, how long a tool is) are scaled by this many times the
+# bounds above. What the data cannot tell apart from a DH parameter then moves them and leaves the DH parameter.
+FREE_TIMES = 100.0
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One unknown: `name` as in theta2, `unit` m or rad, nominal value, largest deviation from it."""
+    """One unknown: `name` as in theta2, its unit ("m", "rad" or another), start value, largest deviation from it.
+
+    An infinite `bound` stands for no bound. `typical` is the deviation that the solver's x = 1 means; 0 for the
+    bound itself.
+    """
 
     name: str
     unit: str
     nominal: float
     bound: float
+    typical: float = 0.0
+
+    @property
+    def scale(self) -> float:
+        """The deviation that x = 1 stands for, in the parameter's unit."""
+        if self.typical > 0.0:
+            return self.typical
+        if math.isfinite(self.bound):
+            return self.bound
+        return FREE_TIMES * (LENGTH_BOUND_m if self.unit == "m" else ANGLE_BOUND_rad)
+
+    @property
+    def limit(self) -> float:
+        """The largest |x|."""
+        return self.bound / self.scale
+
+    @property
+    def has_bound(self) -> bool:
+        """Whether it has a nominal value that it must stay near."""
+        return math.isfinite(self.bound)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,16 +57,23 @@ class Bounds:
     """Largest deviation per parameter. The defaults are those of SpringerPlus 5:1771, eq. (4): 5 mm and 2
     degrees.
 
-    `own` overrides single parameters by name, in their unit (m or rad).
+    `own` overrides single parameters by name, in their unit.
     """
 
-    length_m: float = 0.005
-    angle_rad: float = math.radians(2.0)
+    length_m: float = LENGTH_BOUND_m
+    angle_rad: float = ANGLE_BOUND_rad
     own: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, name: str, unit: str) -> float:
-        """The bound of one parameter; it must be positive and finite."""
-        bound = self.own.get(name, self.length_m if unit == "m" else self.angle_rad)
+        """The bound of a DH parameter; it must be positive and finite."""
+        return self._checked(name, unit, self.own.get(name, self.length_m if unit == "m" else self.angle_rad))
+
+    def of_free(self, name: str, unit: str) -> float:
+        """The bound of an unknown that has none unless `own` gives it one."""
+        return self._checked(name, unit, self.own[name]) if name in self.own else math.inf
+
+    @staticmethod
+    def _checked(name: str, unit: str, bound: float) -> float:
         if not (math.isfinite(bound) and bound > 0):
             raise CalibrationError(
                 f"bound of {name}: expected a positive number of {unit}, got {bound};"
@@ -51,22 +87,18 @@ def dh_names(link_count: int) -> tuple[str, ...]:
     return tuple(f"{kind}{link}" for link in range(1, link_count + 1) for kind in DH_KINDS)
 
 
-def dh_parameters(
-    dh: Array, bounds: Bounds, fixed: Collection[str] = ()
-) -> tuple[tuple[Parameter, ...], tuple[int, ...]]:
-    """Free parameters of a (links, 4) DH table, and where in dh.ravel() each stands."""
-    names = dh_names(len(dh))
-    unknown = sorted((set(fixed) | set(bounds.own)) - set(names))
-    if unknown:
-        raise CalibrationError(f"no DH parameter is called {', '.join(unknown)}; they are {', '.join(names)}")
-    places = tuple(k for k, name in enumerate(names) if name not in fixed)
-    if not places:
-        raise CalibrationError("every DH parameter is fixed: free at least one")
-    flat = dh.ravel()
-    return (
-        tuple(
-            Parameter(names[k], DH_UNITS[k % 4], float(flat[k]), bounds.of(names[k], DH_UNITS[k % 4]))
-            for k in places
-        ),
-        places,
+def dh_parameters(dh: Array, bounds: Bounds) -> tuple[Parameter, ...]:
+    """Every parameter of a (links, 4) DH table, in the order of dh.ravel()."""
+    return tuple(
+        Parameter(name, DH_UNITS[k % 4], float(value), bounds.of(name, DH_UNITS[k % 4]))
+        for k, (name, value) in enumerate(zip(dh_names(len(dh)), dh.ravel(), strict=True))
     )
+
+
+def require_known_names(wanted: Collection[str], names: Collection[str]) -> None:
+    """CalibrationError that lists the valid names, if `wanted` holds another."""
+    unknown = sorted(set(wanted) - set(names))
+    if unknown:
+        raise CalibrationError(
+            f"no parameter of this calibration is called {', '.join(unknown)}; they are {', '.join(names)}"
+        )

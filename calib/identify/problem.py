@@ -1,85 +1,223 @@
-"""Residuals and their analytic Jacobian in scaled unknowns.
+"""Residuals of an arm and their analytic Jacobian in scaled unknowns.
 
-An unknown x is a deviation divided by its bound, so that the box is -1 .. 1 for millimetres and radians
-alike: in SI units a solver stops far from the optimum, because a radian moves the tip half a metre and a
-metre moves it one.
+An unknown x is a deviation divided by its scale (its bound, where it has one), so that the box is -1 .. 1 for
+millimetres and radians alike: in SI units a solver stops far from the optimum, because a radian moves the tip half a
+metre and a metre moves it one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from calib.arrays import Array, frozen
-from calib.identify.parameters import Bounds, Parameter, dh_parameters
+from calib.errors import CalibrationError
+from calib.identify.arm_model import ArmModel
+from calib.identify.frames import AXIS_UNITS, Frame, cross_matrix, left_jacobian, rotation_of
+from calib.identify.observations import Observations
+from calib.identify.parameters import Bounds, Parameter, dh_parameters, require_known_names
 
-
-class TipModel(Protocol):
-    """Forward kinematics of many poses at once; control.model.kinematics provides it."""
-
-    def tips(self, dh: Array, q: Array) -> Array:
-        """Tip positions (m, 3) [m] in the base frame, from dh (links, 4) and joint angles q (m, n) [rad]."""
-
-    def tips_and_dh_jacobian(self, dh: Array, q: Array) -> tuple[Array, Array]:
-        """Tips (m, 3) and their derivatives (m, 3, 4 links) with respect to dh.ravel()."""
+ALL = slice(None)
+TOOL_NAMES = ("tool_x", "tool_y", "tool_z")
 
 
 class Problem(Protocol):
-    """What the solver needs to know: unknowns x (k,) in -1 .. 1, and residuals measured minus modelled [m].
+    """What the solver needs to know: unknowns x (k,) within +-limits, and residuals reference minus modelled [m].
 
-    A problem with more unknowns (tool, table frames, gears) is another class of this form.
+    The Jacobian (m, 3, k) is a view of (k, 3, m) in one piece: jacobian.transpose(2, 1, 0) costs nothing.
     """
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The k unknowns, in the order of x."""
 
-    def residuals(self, x: Array) -> Array:
-        """(m, 3) [m]."""
+    def __len__(self) -> int:
+        """How many poses, m."""
 
-    def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
-        """(m, 3) [m] and the derivative of the residuals (m, 3, k) [m per bound]."""
+    def residuals(self, x: Array, rows: slice = ALL) -> Array:
+        """(m, 3) [m], of all poses or a slice of them."""
+
+    def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
+        """(m, 3) [m] and the derivative of the residuals (m, 3, k) [m per scaled unknown]."""
 
 
-class DhProblem:
-    """Tips measured in the base frame against DH deviations, SpringerPlus 5:1771, eq. (4)."""
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """What unknowns x stand for: DH table (links, 4), tool (3,), frames, values of the corrections."""
+
+    dh: Array
+    tool_m: Array
+    frames: tuple[Frame, ...]
+    corrections: dict[str, float]
+
+
+class ArmProblem:
+    """Reference points of the tip against DH deviations, tool, frames and joint corrections; SpringerPlus 5:1771,
+    eq. (4), and past it.
+    """
 
     def __init__(
         self,
-        model: TipModel,
-        nominal_dh: Array,
-        q_rad: Array,
-        tip_m: Array,
+        model: ArmModel,
+        observed: Observations,
+        *,
         bounds: Bounds | None = None,
         fixed: Collection[str] = (),
+        is_tool_free: bool = False,
+        tool_m: Array | None = None,
     ) -> None:
-        """Nominal (links, 4), q_rad (m, n), tip_m (m, 3); `fixed` names parameters that keep their value."""
-        self._model = model
-        self._nominal_dh = frozen(nominal_dh)
-        self._q_rad = frozen(q_rad)
-        self._tip_m = frozen(tip_m)
-        self.parameters, places = dh_parameters(self._nominal_dh, bounds or Bounds(), fixed)
-        self._places = np.array(places)
-        self._scale = np.array([parameter.bound for parameter in self.parameters])
+        """`fixed` names parameters that keep their start value; `tool_m` (3,) is the tool's, nominal by default.
+
+        Frames that are free start where `observed` has them. CalibrationError for a name that is none, or if nothing is
+        left to identify.
+        """
+        self.model, self.observed = model, observed
+        self._tool_m = frozen(model.nominal_tool_m if tool_m is None else tool_m)
+        self._centres = _centres(observed)
+        self._free = [k for k, frame in enumerate(observed.frames) if frame.is_free]
+        self.references_m = _in_base(observed)
+        self._tool_at = model.nominal_dh.size  # where each part stands in the whole deviation vector
+        self._frames_at = self._tool_at + 3 * is_tool_free
+        self._corrections_at = self._frames_at + 6 * len(self._free)
+        everything = self._every_parameter(bounds or Bounds(), is_tool_free)
+        names = [parameter.name for parameter in everything]
+        require_known_names({*fixed, *(bounds or Bounds()).own}, names)
+        self._places = np.array([k for k, name in enumerate(names) if name not in fixed], dtype=np.intp)
+        if not len(self._places):
+            raise CalibrationError("every parameter is fixed: free at least one")
+        self.parameters = tuple(everything[k] for k in self._places)
+        self._scale = np.array([parameter.scale for parameter in self.parameters])
+        self._start = np.array([c.nominal for c in observed.corrections])
+        self._whole_size = len(everything)
+
+    def _every_parameter(self, bounds: Bounds, is_tool_free: bool) -> tuple[Parameter, ...]:
+        """DH, tool, free frames, corrections: the order of the whole deviation vector."""
+        found = list(dh_parameters(self.model.nominal_dh, bounds))
+        if is_tool_free:
+            found += [
+                Parameter(name, "m", float(value), bounds.of_free(name, "m"))
+                for name, value in zip(TOOL_NAMES, self._tool_m, strict=True)
+            ]
+        for frame in self.free_frames:
+            found += [
+                Parameter(name, unit, 0.0, bounds.of_free(name, unit))
+                for name, unit in zip(frame.parameter_names, AXIS_UNITS, strict=True)
+            ]
+        found += [
+            Parameter(c.name, c.unit, c.nominal, bounds.own.get(c.name, c.bound), c.typical)
+            for c in self.observed.corrections
+        ]
+        return tuple(found)
 
     @property
-    def dh_scale(self) -> Array:
-        """Bounds of the free parameters, (k,): a deviation is x times this."""
+    def free_frames(self) -> tuple[Frame, ...]:
+        """Frames that are identified too."""
+        return tuple(frame for frame in self.observed.frames if frame.is_free)
+
+    @property
+    def scale(self) -> Array:
+        """Scales of the unknowns, (k,): a deviation is x times this."""
         return self._scale
 
-    def dh(self, x: Array) -> Array:
-        """The DH table (links, 4) at scaled unknowns x."""
-        flat = self._nominal_dh.ravel().copy()
-        flat[self._places] += x * self._scale
-        return flat.reshape(self._nominal_dh.shape)
+    def __len__(self) -> int:
+        """How many poses."""
+        return len(self.observed)
 
-    def residuals(self, x: Array) -> Array:
-        """Measured minus modelled tip, (m, 3)."""
-        return self._tip_m - self._model.tips(self.dh(x), self._q_rad)
+    def solution(self, x: Array) -> Solution:
+        """What the unknowns x (k,) stand for."""
+        dh, tool, moves, values = self._parts(x)
+        frames = list(self.observed.frames)
+        for index, move in zip(self._free, moves, strict=True):
+            frames[index] = frames[index].moved(self._centres[index], move)
+        names = [correction.name for correction in self.observed.corrections]
+        return Solution(
+            frozen(dh), frozen(tool), tuple(frames), dict(zip(names, values.tolist(), strict=True))
+        )
 
-    def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
+    def _parts(self, x: Array) -> tuple[Array, Array, Array, Array]:
+        """DH table, tool, moves of the free frames (f, 6), values of the corrections, at unknowns x."""
+        whole = np.zeros(self._whole_size)
+        whole[self._places] = x * self._scale
+        dh, tool, moves, values = np.split(whole, [self._tool_at, self._frames_at, self._corrections_at])
+        tool = self._tool_m + tool if len(tool) else self._tool_m
+        return self.model.nominal_dh + dh.reshape(-1, 4), tool, moves.reshape(-1, 6), self._start + values
+
+    def _joint_rad(self, values: Array, rows: slice) -> Array:
+        """Joint angles (m, n): encoders and corrections."""
+        q = self.observed.q_rad[rows]
+        for value, correction in zip(values, self.observed.corrections, strict=True):
+            q = q + value * correction.slope_rad[rows]
+        return q
+
+    def residuals(self, x: Array, rows: slice = ALL) -> Array:
+        """Reference minus modelled tip, (m, 3), base frame."""
+        dh, tool, moves, values = self._parts(x)
+        tips = self.model.tips(dh, self._joint_rad(values, rows), tool)
+        return np.asarray(self._references(moves, rows)[0] - tips)
+
+    def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
         """Residuals (m, 3) and their derivative with respect to x, (m, 3, k)."""
-        tips, jacobian = self._model.tips_and_dh_jacobian(self.dh(x), self._q_rad)
-        return self._tip_m - tips, -jacobian[:, :, self._places] * self._scale
+        dh, tool, moves, values = self._parts(x)
+        slopes = self.model.slopes(dh, self._joint_rad(values, rows), tool)
+        references, arms = self._references(moves, rows)
+        columns = np.empty((self._whole_size, 3, len(references)))
+        columns[: self._tool_at] = slopes.by_dh.transpose(2, 1, 0)
+        if self._frames_at > self._tool_at:
+            columns[self._tool_at : self._frames_at] = slopes.by_tool.transpose(2, 1, 0)
+        self._frame_columns(columns[self._frames_at : self._corrections_at], moves, arms, rows)
+        self._correction_columns(columns[self._corrections_at :], slopes.by_dh, rows)
+        chosen = columns if len(self._places) == len(columns) else columns[self._places]
+        chosen *= -self._scale[:, None, None]
+        return references - slopes.tips, chosen.transpose(2, 1, 0)
+
+    def _references(self, moves: Array, rows: slice) -> tuple[Array, Array]:
+        """Reference points (m, 3) in the base frame, and their arms (m, 3) from the centre of their free frame."""
+        references = self.references_m[rows]
+        if not self._free:
+            return references, references
+        references, arms = references.copy(), np.zeros_like(references)
+        which = self.observed.frame[rows]
+        for index, move in zip(self._free, moves, strict=True):
+            here, frame = which == index, self.observed.frames[index]
+            anchor = frame.to_base(self._centres[index])
+            arms[here] = (references[here] - anchor) @ rotation_of(move[3:]).T
+            references[here] = anchor + move[:3] + arms[here]
+        return references, arms
+
+    def _frame_columns(self, columns: Array, moves: Array, arms: Array, rows: slice) -> None:
+        """Minus the derivative of the references by each free frame's move and turn, as the tip's are plus."""
+        which = self.observed.frame[rows]
+        for place, (index, move) in enumerate(zip(self._free, moves, strict=True)):
+            here = np.flatnonzero(which == index)
+            block = columns[6 * place : 6 * place + 6]
+            block[:] = 0.0
+            turns = left_jacobian(move[3:])
+            for axis in range(3):
+                block[axis, axis, here] = -1.0
+                block[3 + axis][:, here] = -(cross_matrix(turns[:, axis]) @ arms[here].T)
+
+    def _correction_columns(self, columns: Array, by_dh: Array, rows: slice) -> None:
+        """Derivatives by the corrections: through the joints' angles."""
+        theta = list(self.model.theta_places)
+        for column, correction in zip(columns, self.observed.corrections, strict=True):
+            column[:] = np.einsum("mij,mj->im", by_dh[:, :, theta], correction.slope_rad[rows])
+
+
+def _centres(observed: Observations) -> list[Array]:
+    """The middle of each frame's points, in the frame."""
+    return [
+        observed.position_m[observed.rows_of(k)].mean(axis=0) if (observed.frame == k).any() else np.zeros(3)
+        for k in range(len(observed.frames))
+    ]
+
+
+def _in_base(observed: Observations) -> Array:
+    """The reference points in the base frame, as the frames are known before, (m, 3)."""
+    references = np.array(observed.position_m)
+    for k, frame in enumerate(observed.frames):
+        here = observed.rows_of(k)
+        references[here] = frame.to_base(observed.position_m[here])
+    return frozen(references)

@@ -63,13 +63,14 @@ def minimise(problem: Problem, objective: Objective, starts_count: int = 4, seed
     Where bounds bind there are local minima, and BOUND_STARTS times as many searches are made.
     """
     k = len(problem.parameters)
+    bounded = np.array([parameter.has_bound for parameter in problem.parameters])
     draw = np.random.default_rng(seed)
     rough = _search(problem, objective, np.zeros(k), _rough(objective))
     seen, best = [rough.value], _search(problem, objective, rough.x, _fine(objective), rough.steps_count)
     done = 1
-    while done < starts_count * (BOUND_STARTS if np.max(np.abs(best.x)) >= 1.0 else 1):
+    while done < starts_count * (BOUND_STARTS if np.max(np.abs(best.x[bounded]), initial=0.0) >= 1.0 else 1):
         done += 1
-        rough = _search(problem, objective, draw.uniform(-0.7, 0.7, k), _rough(objective))
+        rough = _search(problem, objective, draw.uniform(-0.7, 0.7, k) * bounded, _rough(objective))
         if (
             rough.value > min(seen) * (1.0 + ROUGH_ERROR)
             or np.min(np.abs(np.divide(seen, rough.value) - 1.0)) < SAME
@@ -110,7 +111,7 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum) -
     stiffness = _stiffness(objective, residuals, jacobian, smoothing_m)
     tried = -1
     for rank_tolerance in RANK_TOLERANCES:
-        null = null_space(jacobian, rank_tolerance)
+        null = null_space(jacobian, problem.parameters, rank_tolerance)
         if null.shape[1] == tried:
             continue
         tried = null.shape[1]
@@ -219,15 +220,16 @@ def _step(
     def merit(at: Array) -> float:
         return objective.value(norms(problem.residuals(at)), smoothing_m) + 0.5 * float(at @ (here.held @ at))
 
+    limits = np.array([parameter.limit for parameter in problem.parameters])
     promise = 0.0
     best, lowest = x, here.value
     for hessian in (here.newton, here.majorant):
-        d = step_in_box(hessian, here.gradient, -1.0 - x, 1.0 - x)
+        d = step_in_box(hessian, here.gradient, -limits - x, limits - x)
         slope = float(here.gradient @ d)
         promise = max(promise, -0.5 * slope)
         share = 1.0
         while share > 1e-4:
-            candidate = np.clip(x + share * d, -1.0, 1.0)
+            candidate = np.clip(x + share * d, -limits, limits)
             there = merit(candidate)
             if there <= here.value + 1e-4 * share * slope:
                 break

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arrays import norms
-from calib.identify.arm_model import ArmModel
+from calib.identify.assembly import problem_of
 from calib.identify.identification import Identification, identify
 from calib.outcome import write_calibrated_arm, write_calibration_json
 from calib.points import Points, read_points
@@ -250,7 +250,7 @@ def _session(
 def _identify(arm: Arm, table: Table, file: Path) -> tuple[Points, Identification]:
     points, _ = read_points(file, arm.joint_count)
     points = with_reference_tips(points, lambda setup: tables.cavities(table, setup))
-    return points, identify(ArmModel(arm), arm.dh, points.q_rad, points.tip_m)
+    return points, identify(problem_of(arm, points))
 
 
 def _steps(points_count: int, verified_count: int) -> tuple[str, ...]:

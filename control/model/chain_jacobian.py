@@ -7,6 +7,7 @@ along and about one z axis, L and alpha along and about one x axis.
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,21 +18,41 @@ Z, X = 0, 1
 MOVE, TURN = 0, 1
 
 
+class TipSlopes(NamedTuple):
+    """Tips (m, 3) of m poses and their derivatives: by dh.ravel() (m, 3, 4 links), by the tool's position (m, 3, 3).
+
+    Base frame; [m/m] and [m/rad]. A joint's angle adds to its link's theta, so that column is d tip / d q too. The
+    derivatives are views of arrays that hold each parameter's column in one piece.
+    """
+
+    tips: Array
+    by_dh: Array
+    by_tool: Array
+
+
 def tips_and_dh_jacobian(
     dh: Array, q: Array, joints: Sequence[bool], convention: Convention, tool_m: Sequence[float]
 ) -> tuple[Array, Array]:
     """Return tips (m, 3) and d tip / d dh.ravel() (m, 3, 4 links) [m/m, m/rad] of poses (m, n), base frame."""
+    slopes = tip_slopes(dh, q, joints, convention, tool_m)
+    return slopes.tips, np.ascontiguousarray(slopes.by_dh)
+
+
+def tip_slopes(
+    dh: Array, q: Array, joints: Sequence[bool], convention: Convention, tool_m: Sequence[float]
+) -> TipSlopes:
+    """Return the tips of poses (m, n) and their derivatives by every DH parameter and by the tool."""
     slopes = np.empty((len(dh), 2, 2, 3, len(q)))  # link, axis z or x, move or turn: the order of a DH row
     axes = slopes[:, :, MOVE]
     arms = np.empty_like(axes)
-    tip = _walk(dh, q, joints, convention, tool_m, axes, arms)
+    tip, frame = _walk(dh, q, joints, convention, tool_m, axes, arms)
     np.subtract(tip, arms, out=arms)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         turn = slopes[:, :, TURN, i]
         np.multiply(axes[:, :, j], arms[:, :, k], out=turn)
         turn -= axes[:, :, k] * arms[:, :, j]
     jacobian = slopes.reshape(4 * len(dh), 3, len(q))
-    return np.ascontiguousarray(tip.T), np.ascontiguousarray(jacobian.transpose(2, 1, 0))
+    return TipSlopes(np.ascontiguousarray(tip.T), jacobian.transpose(2, 1, 0), frame.transpose(2, 1, 0))
 
 
 def _walk(
@@ -42,8 +63,10 @@ def _walk(
     tool_m: Sequence[float],
     axes: Array,
     origins: Array,
-) -> Array:
-    """Fill in each link's z and x axis and a point on each (links, 2, 3, m); return the tip (3, m).
+) -> tuple[Array, Array]:
+    """Fill in each link's z and x axis and a point on each (links, 2, 3, m).
+
+    Return the tip (3, m) and the axes of the last frame (axis, 3, m).
 
     The axes of a step are those of the frame that it starts from; a turn about an axis leaves it in place.
     """
@@ -65,7 +88,7 @@ def _walk(
     for length, axis in zip(tool_m, frame, strict=True):
         if length != 0.0:
             origin = origin + length * axis
-    return origin
+    return origin, frame
 
 
 def _turn(frame: Array, along: int, c: Array | float, s: Array | float) -> None:

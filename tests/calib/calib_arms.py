@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.identify import ArmModel, ArmProblem, Identification, Observations, identify
+from control.model.arm import Arm, Link, Tool
+
 PI = np.pi
 REFERENCE_DH = np.array(
     [
@@ -124,3 +127,23 @@ def board_session(rng, setups=("normal", "roll", "pitch"), noise_m=0.00014, size
     q = angles_for(REFERENCE, true_dh, tips, np.array([0.0, -1.0, 0.0]))
     names = tuple(s for s in setups for _ in range(33))
     return true_dh, q, tips + rng.normal(0, noise_m, tips.shape), names
+
+
+def arm_of(model: ChainModel, dh: np.ndarray) -> Arm:
+    """The same arm as control knows it."""
+    links = tuple(
+        Link("revolute" if turns else "fixed", *row)
+        for row, turns in zip(dh.tolist(), model.joints, strict=True)
+    )
+    convention = "modified" if model.modified else "standard"
+    return Arm("test", links, dh_convention=convention, tool=Tool(model.tool_m))
+
+
+def problem_of_tips(model: ChainModel, dh: np.ndarray, q, tips, **choice) -> ArmProblem:
+    """Tips measured in the base frame against the DH parameters of an arm; `choice` as ArmProblem takes it."""
+    return ArmProblem(ArmModel(arm_of(model, dh)), Observations.of_tips(q, tips), **choice)
+
+
+def identified(model: ChainModel, dh: np.ndarray, q, tips, bounds=None, fixed=(), **how) -> Identification:
+    """What an identification makes of tips measured in the base frame."""
+    return identify(problem_of_tips(model, dh, q, tips, bounds=bounds, fixed=fixed), **how)

@@ -11,12 +11,14 @@ from calib_arms import (
     TWO_JOINT_DH,
     board_session,
     deviations,
+    identified,
+    problem_of_tips,
 )
 from scipy.optimize import minimize
 
 from calib.arrays import norms
 from calib.errors import CalibrationError, UnusablePointsError
-from calib.identify import Bounds, DhProblem, LeastSquares, SumOfDistances, identify
+from calib.identify import ArmProblem, Bounds, LeastSquares, SumOfDistances
 from calib.identify.box import step_in_box
 
 ARMS = {
@@ -40,7 +42,7 @@ def test_without_noise_every_prediction_is_exact(name, objective) -> None:
     model, dh = ARMS[name]
     rng = np.random.default_rng(3)
     true, q, tips = workspace(rng, model, dh, 60, 0.0)
-    found = identify(model, dh, q, tips, objective=objective)
+    found = identified(model, dh, q, tips, objective=objective)
     fresh = rng.uniform(-2.0, 2.0, (200, q.shape[1]))
     # Parameters that trade against each other are not the true ones; the tips that they predict are, everywhere.
     assert norms(model.tips(found.dh, fresh) - model.tips(true, fresh)).max() < 1e-6
@@ -53,7 +55,7 @@ def test_with_camera_noise_predictions_hold_over_the_workspace(name, seed) -> No
     model, dh = ARMS[name]
     rng = np.random.default_rng(seed)
     true, q, tips = workspace(rng, model, dh, 120, 0.00014)
-    found = identify(model, dh, q, tips)
+    found = identified(model, dh, q, tips)
     fresh = rng.uniform(-1.2, 1.2, (300, q.shape[1]))
     # 10 to 20 parameters from 360 coordinates: about 0.14 mm * sqrt(20 / 360) = 0.03 mm per axis is left.
     assert norms(model.tips(found.dh, fresh) - model.tips(true, fresh)).mean() < 0.00012
@@ -68,7 +70,7 @@ def test_determined_parameters_lie_within_their_standard_deviations() -> None:
     scores = []
     for seed in range(24):
         true, q, tips, _ = board_session(np.random.default_rng(seed), size=0.7)
-        found = identify(REFERENCE, REFERENCE_DH, q, tips, starts_count=1)
+        found = identified(REFERENCE, REFERENCE_DH, q, tips, starts_count=1)
         wanted = (true - REFERENCE_DH).ravel()
         scores += [
             (e.deviation - w) / e.sd
@@ -81,7 +83,7 @@ def test_determined_parameters_lie_within_their_standard_deviations() -> None:
     assert np.std(scores) == pytest.approx(1.0, abs=0.2)
 
 
-def best_known(problem: DhProblem, starts: np.ndarray) -> float:
+def best_known(problem: ArmProblem, starts: np.ndarray) -> float:
     """Scipy's SLSQP as well as it can be called: scaled, analytic gradient, tight, many starts."""
 
     def value(x):
@@ -103,29 +105,29 @@ def best_known(problem: DhProblem, starts: np.ndarray) -> float:
 def test_the_optimum_is_within_a_millionth_of_the_best_that_slsqp_finds(seed, setups, size) -> None:
     rng = np.random.default_rng(seed)
     _, q, tips, _ = board_session(rng, setups, size=size)
-    found = identify(REFERENCE, REFERENCE_DH, q, tips)
-    problem = DhProblem(REFERENCE, REFERENCE_DH, q, tips)
+    found = identified(REFERENCE, REFERENCE_DH, q, tips)
+    problem = problem_of_tips(REFERENCE, REFERENCE_DH, q, tips)
     best = best_known(problem, np.vstack((np.zeros(16), rng.uniform(-1, 1, (4, 16)))))
     assert found.objective_after <= best * (1.0 + 1e-6)
-    assert np.abs(found.deviations.ravel() / problem.dh_scale).max() <= 1.0 + 1e-12
+    assert np.abs(found.deviations.ravel() / problem.scale).max() <= 1.0 + 1e-12
 
 
 def test_a_level_board_determines_nine_of_sixteen_parameters_and_three_tilts_ten() -> None:
     """../shared field notes: rank 9 with condition near 1000 for 33 level points, rank 10 and some 300 on three tilts."""
     rng = np.random.default_rng(1)
     _, q, tips, _ = board_session(rng, ("normal",))
-    level = identify(REFERENCE, REFERENCE_DH, q, tips)
+    level = identified(REFERENCE, REFERENCE_DH, q, tips)
     assert level.rank == 9
     assert 800 < level.condition_number < 1400
     _, q, tips, _ = board_session(rng)
-    tilted = identify(REFERENCE, REFERENCE_DH, q, tips)
+    tilted = identified(REFERENCE, REFERENCE_DH, q, tips)
     assert tilted.rank == 10
     assert 200 < tilted.condition_number < 500
 
 
 def test_what_cannot_be_determined_stays_at_nominal_and_is_named() -> None:
     _, q, tips, _ = board_session(np.random.default_rng(2))
-    found = identify(REFERENCE, REFERENCE_DH, q, tips)
+    found = identified(REFERENCE, REFERENCE_DH, q, tips)
     deviation = dict(zip((e.parameter.name for e in found.estimates), found.deviations.ravel(), strict=True))
     assert deviation["alpha4"] == 0.0
     assert abs(deviation["theta4"]) < 1e-4
@@ -158,25 +160,25 @@ def test_bounds_that_bind_are_named_and_kept() -> None:
     true[1, 2] += 0.008  # L2 is 8 mm longer: 3 mm more than the bound
     q = rng.uniform(-1.0, 1.0, (80, 3))
     tips = REFERENCE.tips(true, q) + rng.normal(0, 0.00014, (80, 3))
-    found = identify(REFERENCE, REFERENCE_DH, q, tips)
+    found = identified(REFERENCE, REFERENCE_DH, q, tips)
     assert "L2" in found.binding
     assert found.deviations[1, 2] == pytest.approx(0.005, abs=1e-9)
     assert "At the bound: " in " ".join(found.in_words())
-    freer = identify(REFERENCE, REFERENCE_DH, q, tips, bounds=Bounds(own={"L2": 0.02}))
+    freer = identified(REFERENCE, REFERENCE_DH, q, tips, bounds=Bounds(own={"L2": 0.02}))
     assert freer.binding == ()
     assert freer.deviations[1, 2] == pytest.approx(0.008, abs=1e-4)
 
 
 def test_a_fixed_parameter_keeps_its_value() -> None:
     _, q, tips, _ = board_session(np.random.default_rng(4))
-    found = identify(REFERENCE, REFERENCE_DH, q, tips, fixed=["d1", "theta4"])
+    found = identified(REFERENCE, REFERENCE_DH, q, tips, fixed=["d1", "theta4"])
     assert found.dh[0, 0] == REFERENCE_DH[0, 0]
     assert len(found.estimates) == 14
 
 
 def test_same_inputs_same_result_and_starts_do_not_matter() -> None:
     _, q, tips, _ = board_session(np.random.default_rng(6))
-    one, again, other = (identify(REFERENCE, REFERENCE_DH, q, tips, seed=s) for s in (0, 0, 9))
+    one, again, other = (identified(REFERENCE, REFERENCE_DH, q, tips, seed=s) for s in (0, 0, 9))
     assert np.array_equal(one.dh, again.dh)
     assert other.objective_after == pytest.approx(one.objective_after, rel=1e-6)
 
@@ -195,15 +197,15 @@ def test_same_inputs_same_result_and_starts_do_not_matter() -> None:
 def test_points_that_cannot_be_used_are_refused(change, says) -> None:
     _, q, tips, _ = board_session(np.random.default_rng(6))
     with pytest.raises(UnusablePointsError, match=says):
-        identify(REFERENCE, REFERENCE_DH, *change(q, tips))
+        identified(REFERENCE, REFERENCE_DH, *change(q, tips))
 
 
 def test_a_bound_or_name_that_makes_no_sense_is_refused() -> None:
     _, q, tips, _ = board_session(np.random.default_rng(6))
-    with pytest.raises(CalibrationError, match="no DH parameter is called theta9"):
-        identify(REFERENCE, REFERENCE_DH, q, tips, fixed=["theta9"])
+    with pytest.raises(CalibrationError, match="no parameter of this calibration is called theta9"):
+        identified(REFERENCE, REFERENCE_DH, q, tips, fixed=["theta9"])
     with pytest.raises(CalibrationError, match="bound of L2"):
-        identify(REFERENCE, REFERENCE_DH, q, tips, bounds=Bounds(own={"L2": 0.0}))
+        identified(REFERENCE, REFERENCE_DH, q, tips, bounds=Bounds(own={"L2": 0.0}))
 
 
 @pytest.mark.parametrize("seed", range(20))

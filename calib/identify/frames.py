@@ -1,0 +1,106 @@
+"""Frames that reference points are given in: a board as it stands in one setup, or what camera and table call base.
+
+A deviation of a frame is a move t and a turn w (rotation vector) about the centre of its points:
+p_base = anchor + t + exp([w]x) R0 (p - centre), anchor = R0 centre + origin. Turning about the centre of the points
+keeps moves and turns apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array, frozen
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+AXIS_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """base_T_frame as it is known before: rotation (3, 3), origin_m (3,); identified too if `is_free`.
+
+    `is_placed` is False while nobody knows where it is: an identification then begins where the arm says.
+    """
+
+    name: str
+    rotation: Array
+    origin_m: Array
+    is_free: bool = False
+    is_placed: bool = True
+
+    @classmethod
+    def unplaced(cls, name: str) -> Frame:
+        """A frame of which nothing is known."""
+        return cls(name, frozen(np.eye(3)), frozen(np.zeros(3)), is_free=True, is_placed=False)
+
+    @classmethod
+    def base(cls, is_free: bool = False) -> Frame:
+        """The arm's base frame itself, as the camera or the table sees it."""
+        return cls("base", frozen(np.eye(3)), frozen(np.zeros(3)), is_free)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """base_x ... base_rz: a move [m] and a turn [rad], in the base frame's axes."""
+        return tuple(f"{self.name}_{axis}" for axis in AXES)
+
+    def to_base(self, points_m: Array) -> Array:
+        """Points (m, 3) of the frame in the base frame."""
+        return np.asarray(points_m @ self.rotation.T + self.origin_m)
+
+    def moved(self, centre_m: Array, move: Array) -> Frame:
+        """The frame after a deviation (6,): t and w about `centre_m` (3,), a point of the frame."""
+        turned = rotation_of(move[3:]) @ self.rotation
+        origin = self.to_base(centre_m) + move[:3] - turned @ centre_m
+        return Frame(self.name, frozen(turned), frozen(origin), self.is_free)
+
+
+def rotation_of(vector_rad: Array) -> Array:
+    """exp([w]x), (3, 3): Rodrigues' formula."""
+    angle = float(np.linalg.norm(vector_rad))
+    cross = cross_matrix(vector_rad)
+    if angle < 1e-8:
+        return np.asarray(np.eye(3) + cross + 0.5 * cross @ cross)
+    return np.asarray(
+        np.eye(3) + np.sin(angle) / angle * cross + (1.0 - np.cos(angle)) / angle**2 * cross @ cross
+    )
+
+
+def rotation_vector(rotation: Array) -> Array:
+    """The w, (3,), |w| <= pi, with exp([w]x) = rotation (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
+
+
+def left_jacobian(vector_rad: Array) -> Array:
+    """J (3, 3) with exp([w + dw]x) = exp([J dw]x) exp([w]x) to first order (Barfoot, State Estimation for Robotics)."""
+    angle = float(np.linalg.norm(vector_rad))
+    cross = cross_matrix(vector_rad)
+    if angle < 1e-4:
+        return np.asarray(np.eye(3) + 0.5 * cross + cross @ cross / 6.0)
+    return np.asarray(
+        np.eye(3)
+        + (1.0 - np.cos(angle)) / angle**2 * cross
+        + (angle - np.sin(angle)) / angle**3 * cross @ cross
+    )
+
+
+def cross_matrix(vector: Array) -> Array:
+    """[v]x: the matrix of v x."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def fitted_pose(points_m: Array, seen_m: Array) -> tuple[Array, Array]:
+    """Rotation (3, 3) and origin (3,) that bring points (k, 3) nearest to where they were seen (k, 3), least squares.
+
+    Kabsch, Acta Crystallographica A 32 (1976) 922. Points in a line, or a single one, leave a turn open: any rotation
+    that fits is given.
+    """
+    centre, seen_centre = points_m.mean(axis=0), seen_m.mean(axis=0)
+    left, _, right = np.linalg.svd((seen_m - seen_centre).T @ (points_m - centre))
+    hand = np.diag([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
+    rotation = left @ hand @ right
+    return rotation, seen_centre - rotation @ centre
