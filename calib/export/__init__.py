@@ -1,0 +1,49 @@
+"""A calibrated arm for other tools: URDF, MJCF, or plain JSON. docs/export.md says what each form holds.
+
+A joint angle of the exported model is the arm's own: no offset has to be added. The tip is a frame of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final
+
+from calib.errors import CalibrationError
+from calib.export.losses import losses
+from calib.export.mjcf import mjcf_text
+from calib.export.plain import plain_text
+from calib.export.urdf import urdf_text
+from control.model.arm import Arm
+
+__all__ = ["FORMS", "export", "export_text"]
+
+FORMS: Final[Mapping[str, Callable[[Arm], str]]] = {
+    "urdf": urdf_text,
+    "mjcf": mjcf_text,
+    "json": plain_text,
+}
+
+
+def export(arm: Arm, form: str, path: Path) -> tuple[str, ...]:
+    """Write the arm as a new file; returns what this form cannot hold, one sentence each.
+
+    Raises:
+        CalibrationError: there is no such form, or the file is there already or cannot be written.
+    """
+    text = export_text(arm, form)
+    if path.exists():
+        raise CalibrationError(f"{path}: exists already, and an export overwrites nothing; name another file")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be written: {error.strerror or error}") from None
+    return losses(arm, form)
+
+
+def export_text(arm: Arm, form: str) -> str:
+    """The file's text; CalibrationError where there is no such form."""
+    if form not in FORMS:
+        raise CalibrationError(f'export form: expected one of {", ".join(FORMS)}, got "{form}"')
+    return FORMS[form](arm)

@@ -1,0 +1,132 @@
+"""The DH chain as other formats want it: bodies whose frame lies on their joint's axis.
+
+Rz(q) comes first in a body's own frame, so that the joint turns about its z axis through its origin:
+
+    standard DH    link i: Rz(q_i) [Tz(d_i) Rz(theta_i) Tx(L_i) Rx(alpha_i)]
+    modified DH    link i: Rx(alpha_i) Tx(L_i) Rz(q_i) [Tz(d_i) Rz(theta_i)]
+
+Rz(q) and Tz(d) Rz(theta) commute. Between two joints there is then always one Tz(d) Rz(theta) Tx(L) Rx(alpha), a
+`Placement`, and its fixed-axis angles are alpha, 0, theta as they stand: nothing is decomposed, nothing is singular.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array
+from control.model.arm import Arm, Link, Vector3
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Tz(d) Rz(theta) Tx(L) Rx(alpha): a frame in another."""
+
+    d_m: float = 0.0
+    theta_rad: float = 0.0
+    L_m: float = 0.0
+    alpha_rad: float = 0.0
+
+    @property
+    def position_m(self) -> Vector3:
+        """Origin."""
+        return (
+            self.L_m * math.cos(self.theta_rad) + 0.0,
+            self.L_m * math.sin(self.theta_rad) + 0.0,
+            self.d_m + 0.0,
+        )
+
+    @property
+    def rpy_rad(self) -> Vector3:
+        """Turns about the fixed x, y, z axes, in this order: URDF's rpy."""
+        return self.alpha_rad + 0.0, 0.0, self.theta_rad + 0.0
+
+    @property
+    def quaternion(self) -> tuple[float, float, float, float]:
+        """Orientation w, x, y, z."""
+        ct, st = math.cos(0.5 * self.theta_rad), math.sin(0.5 * self.theta_rad)
+        ca, sa = math.cos(0.5 * self.alpha_rad), math.sin(0.5 * self.alpha_rad)
+        return ct * ca + 0.0, ct * sa + 0.0, st * sa + 0.0, st * ca + 0.0
+
+    @property
+    def matrix(self) -> Array:
+        """The 4x4 transform."""
+        c, s = math.cos(self.theta_rad), math.sin(self.theta_rad)
+        ca, sa = math.cos(self.alpha_rad), math.sin(self.alpha_rad)
+        x, y, z = self.position_m
+        return np.array(
+            [[c, -s * ca, s * sa, x], [s, c * ca, -c * sa, y], [0.0, sa, ca, z], [0.0, 0.0, 0.0, 1.0]]
+        )
+
+    def of(self, point_m: Vector3) -> Vector3:
+        """A point of this frame, in the frame that it is placed in."""
+        x, y, z = (self.matrix @ np.array([*point_m, 1.0]))[:3].tolist()
+        return x + 0.0, y + 0.0, z + 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """One link: `joint` (1-based) turns it about its frame's z axis, None where it is fixed.
+
+    `parent_T_body` at joint angle 0; `body_T_dh` is where the link's DH frame, in which masses are given, lies in it.
+    """
+
+    number: int
+    joint: int | None
+    parent_T_body: Placement
+    body_T_dh: Placement
+    link: Link
+
+    @property
+    def name(self) -> str:
+        """What the exported file calls it."""
+        return f"link{self.number}"
+
+    @property
+    def has_inertia(self) -> bool:
+        """Whether mass, centre of mass and inertia are known."""
+        link = self.link
+        return bool(link.mass_kg) and link.com_m is not None and link.inertia_kg_m2 is not None
+
+    @property
+    def com_m(self) -> Vector3:
+        """Centre of mass in the body's frame."""
+        return self.body_T_dh.of(self.link.com_m or (0.0, 0.0, 0.0))
+
+
+def bodies_of(arm: Arm) -> tuple[Body, ...]:
+    """The links from base to tip."""
+    bodies, joint, before = [], 0, Placement()
+    for number, link in enumerate(arm.links, start=1):
+        turns = link.joint == "revolute"
+        joint += turns
+        if arm.dh_convention == "standard":
+            at, after = before, Placement(link.d_m, link.theta_rad, link.L_m, link.alpha_rad)
+        else:
+            at = Placement(before.d_m, before.theta_rad, link.L_m, link.alpha_rad)
+            after = Placement(link.d_m, link.theta_rad)
+        bodies.append(Body(number, joint if turns else None, at, after, link))
+        before = after
+    return tuple(bodies)
+
+
+def tip_in_last(arm: Arm, bodies: tuple[Body, ...]) -> Vector3:
+    """The tip in the last body's frame."""
+    return bodies[-1].body_T_dh.of(arm.tool.position_m)
+
+
+def ends_m(arm: Arm, bodies: tuple[Body, ...]) -> tuple[Vector3, ...]:
+    """Where each body's frame meets the next one, or the tip: what its shape is drawn to."""
+    return (*(body.parent_T_body.position_m for body in bodies[1:]), tip_in_last(arm, bodies))
+
+
+def massless_joints(bodies: tuple[Body, ...]) -> tuple[int, ...]:
+    """Joints that move no known mass before the next joint; a simulator cannot turn these."""
+    weighs: dict[int, bool] = {}
+    joint = 0
+    for body in bodies:
+        joint = body.joint or joint
+        weighs[joint] = weighs.get(joint, False) or body.has_inertia
+    return tuple(joint for joint, does in weighs.items() if joint and not does)

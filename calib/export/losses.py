@@ -1,0 +1,89 @@
+"""What a format cannot hold, in words: nobody should find out in the simulation that backlash is not there."""
+
+from __future__ import annotations
+
+from calib.export.drives import joint_figures
+from calib.export.frames import bodies_of, massless_joints
+from control.model.arm import Arm, Effect
+
+HELD = ("viscous_friction", "coulomb_friction")
+EARTH_m_s2 = (0.0, 0.0, -9.81)
+
+
+def losses(arm: Arm, form: str) -> tuple[str, ...]:
+    """One sentence each; none for JSON, which holds everything."""
+    if form == "json":
+        return ()
+    said = [*_effects(arm, form), *_masses(arm)]
+    if form == "urdf" and arm.gravity_m_s2 != EARTH_m_s2:
+        x, y, z = arm.gravity_m_s2
+        said.append(f"urdf has no gravity: set {x:g}, {y:g}, {z:g} m/s^2 in the tool that reads it")
+    return (*said, *_drives(arm, form), *_rest(arm, form))
+
+
+def _effects(arm: Arm, form: str) -> list[str]:
+    return [
+        f"{form} cannot hold the effect {_spelled(effect)}: left out"
+        for effect in arm.effects
+        if effect.effect not in HELD
+    ]
+
+
+def _spelled(effect: Effect) -> str:
+    figures = ", ".join(f"{key} {value:g}" for key, value in effect.parameters.items())
+    where = f" of {effect.joint}" if effect.joint is not None else ""
+    return f"{effect.effect}{where} ({figures})"
+
+
+def _masses(arm: Arm) -> list[str]:
+    bodies = bodies_of(arm)
+    bare = massless_joints(bodies)
+    said = []
+    if bare:
+        joints = ", ".join(map(str, bare))
+        said.append(
+            f"masses behind joint {joints} are not known: the geometry is right, but dynamics mean nothing"
+            " (MuJoCo gets 1e-6 kg a link, or it would refuse the file)"
+        )
+    vague = [body.number for body in bodies if body.link.mass_kg and not body.has_inertia]
+    if vague:
+        said.append(f"link {', '.join(map(str, vague))}: mass without com_m and inertia_kg_m2 is left out")
+    return said
+
+
+def _drives(arm: Arm, form: str) -> list[str]:
+    said = []
+    for joint in range(1, arm.joint_count + 1):
+        figures = joint_figures(arm, joint)
+        ends = (figures.lower_rad, figures.upper_rad)
+        if not figures.is_limited and any(abs(end) < 1e3 for end in ends):
+            said.append(
+                f"{form} has no joint with one end: joint {joint}, {ends[0]:g} to {ends[1]:g} rad, turns freely"
+            )
+        if form == "urdf" and figures.rotor_kg_m2:
+            said.append(
+                f"urdf has no rotor inertia: joint {joint} lacks {figures.rotor_kg_m2:.3g} kg m^2"
+                " and will accelerate too fast in a simulation"
+            )
+    if arm.drives:
+        kept = (
+            "limits, torque, speed and friction" if form == "urdf" else "limits, torque, friction and rotor"
+        )
+        said.append(
+            f"{form} holds {kept} of the drives; motors, gears, encoders, accelerations, jerk and gains are left out"
+        )
+    return said
+
+
+def _rest(arm: Arm, form: str) -> list[str]:
+    parts = [
+        name
+        for name, part in (
+            ("table", arm.table),
+            ("camera", arm.camera),
+            ("boards", arm.encoder_boards or arm.can),
+            ("rest pose", arm.rest),
+        )
+        if part
+    ]
+    return [f"{form} has no place for: {', '.join(parts)}"] if parts else []
