@@ -10,7 +10,7 @@ import numpy as np
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError, UnusablePointsError
 from calib.identify.arm_model import ArmModel
-from calib.identify.frames import Frame
+from calib.identify.frames import Frame, rotation_of
 from calib.identify.observations import Correction, Observations
 from calib.identify.parameters import Bounds
 from calib.identify.problem import ArmProblem
@@ -20,6 +20,14 @@ from control.model.arm import Arm
 from control.model.table import SETUPS, board_cavities, board_origin, board_rotation, table_of
 
 FREEABLE = ("base", "table", "tool")
+BASE_FRAME = (
+    "x_m",
+    "y_m",
+    "z_m",
+    "rx_rad",
+    "ry_rad",
+    "rz_rad",
+)  # the effect's parameters: move, rotation vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +72,7 @@ def problem_of(arm: Arm, points: Points, choice: Choice | None = None) -> ArmPro
 
 def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
     """Each pose with its reference: the measured tip in the base frame, or the cavity in its board's frame."""
-    frames = [Frame.base("base" in choice.freed)]
+    frames = [base_frame_of(arm, "base" in choice.freed)]
     position, which = np.array(points.tip_m), np.zeros(len(points), dtype=np.intp)
     unmeasured = np.flatnonzero(np.isnan(points.tip_m).any(axis=1)).tolist()
     for setup in dict.fromkeys(points.setup[k] for k in unmeasured):
@@ -82,14 +90,27 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
     )
 
 
+def base_frame_of(arm: Arm, is_free: bool = False) -> Frame:
+    """What the camera and the table call base, in the arm's base frame: the arm's `base_frame` effect, if it has one."""
+    for effect in arm.effects:
+        if effect.effect == "base_frame":
+            x, y, z, rx, ry, rz = (effect.parameters.get(name, 0.0) for name in BASE_FRAME)
+            return Frame("base", frozen(rotation_of(np.array([rx, ry, rz]))), frozen([x, y, z]), is_free)
+    return Frame.base(is_free)
+
+
 def _board(arm: Arm, setup: str, choice: Choice) -> Frame | None:
     """The frame of a setup's board; None if it moves with the base frame."""
     if setup not in choice.boards and not table_of(arm).known_pose:
         return Frame.unplaced(f"board_{setup}")
-    if "base" in choice.freed and "table" not in choice.freed:
+    if "table" not in choice.freed and ("base" in choice.freed or _has_base_frame(arm)):
         return None
     known = _known_frame(arm, setup, choice)
     return Frame(known.name, known.rotation, known.origin_m, "table" in choice.freed)
+
+
+def _has_base_frame(arm: Arm) -> bool:
+    return any(effect.effect == "base_frame" for effect in arm.effects)
 
 
 def _known_frame(arm: Arm, setup: str, choice: Choice) -> Frame:
