@@ -1,0 +1,327 @@
+"""Criteria 4, 5, 8 to 12 and 14 of recorded runs: settling, paths, corners, speeds, posing times, weaving."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array, frozen, norms
+from calib.iso9283 import cornering, path, settling, velocity, weaving
+from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.recorded import Run
+from calib.iso9283.result import Criterion, Figure, PathTrace, SettlingTrace, criterion, with_headlines
+
+POINTS_ON_PATH = 100
+PATH_MARGIN = 0.05  # of the length, at either end, where the arm starts and stops
+REST_s = 0.3  # at the end of an approach, of which the attained pose is the mean
+NOISE_SIGMAS = 4.5  # per axis: of a thousand positions at rest less than one is farther away
+SPEED_WINDOW_s = 0.2
+CENTRAL = 0.5  # of a path's time: where the speed is judged
+CAMERA, ENCODERS = "camera", "encoders"
+NO_LOG = "a recording of runs (--log with log.csv): "
+Runs = Sequence[Run]
+
+
+@dataclass(frozen=True, slots=True)
+class Bands:
+    """Limit bands in m: wanted (the pose repeatability, or the user's)."""
+
+    wanted_m: float
+    source: str
+
+
+def settling_criteria(runs: Runs, bands: Bands | None) -> tuple[Criterion, Criterion, list[SettlingTrace]]:
+    """4 and 5: stabilization time and overshoot of the approaches to P1, by the camera and by the encoders."""
+    approaches = [run for run in runs if run.programme == "approach"]
+    if not approaches or bands is None:
+        need = NO_LOG + "approaches to P1 until the arm rests (programme approach)"
+        if approaches:
+            need = "a limit band: --band-m, or repeated visits of P1, whose repeatability it is"
+        return criterion(4, (), (need,)), criterion(5, (), (need,)), []
+    times, peaks, traces, needs = [], [], [], []
+    is_seen = all(len(run.seen_m) > 2 for run in approaches)
+    if not is_seen:
+        needs.append(
+            "for the tip itself a measured position (x_m, y_m, z_m, by a camera); the encoders do not see it"
+        )
+    for source in (CAMERA, ENCODERS) if is_seen else (ENCODERS,):
+        band_m, remark = _band(approaches, source, bands)
+        cycles = []
+        for run in approaches:
+            try:
+                cycles.append(_settled(run, source, band_m))
+            except Iso9283Error as error:
+                needs.append(f"run {run.number} by the {source}: {error}")
+        if cycles:
+            t, ov = settling.mean_of_cycles([c.time_s for c in cycles]), max(c.overshoot_m for c in cycles)
+            is_main = source == (CAMERA if is_seen else ENCODERS)
+            times.append(Figure("t", t, "s", f"P1, {source}", len(cycles), is_main, remark))
+            peaks.append(Figure("OV", ov, "m", f"P1, {source}", len(cycles), is_main, remark))
+            traces.append(cycles[0].trace)
+    return criterion(4, times, needs), criterion(5, peaks, needs), traces
+
+
+@dataclass(frozen=True, slots=True)
+class _Settled:
+    time_s: float
+    overshoot_m: float
+    trace: SettlingTrace
+
+
+def _settled(run: Run, source: str, band_m: float) -> _Settled:
+    time_s, tip_m = _measured(run, source)
+    rest_m = settling.rest_position(time_s, tip_m, REST_s)
+    distance = norms(tip_m - rest_m)
+    arguments = (time_s, tip_m, rest_m, band_m)
+    trace = SettlingTrace(f"P1, {source}", frozen(time_s - run.moving_s[0]), frozen(distance), band_m)
+    return _Settled(settling.stabilization_time(*arguments), settling.overshoot(*arguments), trace)
+
+
+def _band(runs: Runs, source: str, bands: Bands) -> tuple[float, str]:
+    """The limit band: at least what single measurements scatter at rest, or nothing would ever be at rest."""
+    noise_m = NOISE_SIGMAS * _scatter_at_rest_m(runs, source)
+    if noise_m <= bands.wanted_m:
+        return bands.wanted_m, f"limit band {1e3 * bands.wanted_m:.3f} mm ({bands.source})"
+    return noise_m, (
+        f"limit band {1e3 * noise_m:.3f} mm: single measurements scatter that much at rest;"
+        f" {bands.source} is {1e3 * bands.wanted_m:.3f} mm"
+    )
+
+
+def _scatter_at_rest_m(runs: Runs, source: str) -> float:
+    """Standard deviation per axis of what is measured at the ends of runs."""
+    squares, freedom = 0.0, 0
+    for run in runs:
+        time_s, tip_m = _measured(run, source)
+        at_rest = tip_m[time_s >= time_s[-1] - REST_s]
+        squares += float(((at_rest - at_rest.mean(axis=0)) ** 2).sum())
+        freedom += 3 * (len(at_rest) - 1)
+    return float(np.sqrt(squares / freedom)) if freedom else 0.0
+
+
+def path_criteria(runs: Runs) -> tuple[Criterion, list[PathTrace]]:
+    """8: AT and RT of every path at every speed."""
+    figures: list[Figure] = []
+    needs: list[str] = []
+    traces = []
+    groups = _path_groups(runs, lambda run: run.programme in ("line", "circle", ""))
+    for name, cycles in groups.items():
+        try:
+            points, attained = _attained(cycles)
+            accuracy = path.path_accuracy(points, attained)
+            remark = (
+                f"{accuracy.skipped} of {len(points)} calculation points not passed"
+                if accuracy.skipped
+                else ""
+            )
+            figures.append(Figure("AT_p", accuracy.total_m, "m", name, len(cycles), remark=remark))
+            if len(cycles) >= 2:
+                scatter = path.path_repeatability(points, attained)
+                figures.append(Figure("RT_p", scatter.total_m, "m", name, len(cycles), remark=remark))
+            else:
+                needs.append(f"for the path repeatability of {name} a second run; there is one")
+            traces.append(PathTrace(name, frozen(points), frozen(attained)))
+        except Iso9283Error as error:
+            needs.append(f"{name}: {error}")
+    if not groups:
+        needs.append(NO_LOG + "a straight line and a circle, ten times each")
+    needs.append("for AT_a, AT_b, AT_c, RT_a, RT_b, RT_c a measured orientation of the tip along the path")
+    return criterion(8, with_headlines(figures), needs), traces
+
+
+def reorientation_criterion(runs: Runs, joint_count: int) -> Criterion:
+    """9: AT_p of runs on a straight path along which the orientation turns (programme reorientation)."""
+    groups = _path_groups(runs, lambda run: run.programme == "reorientation")
+    if not groups:
+        why = " (this arm's three joints are all taken by the tip's position)" if joint_count <= 3 else ""
+        need = f"an arm that turns the tip while it follows a line{why}: runs of programme reorientation in log.csv"
+        return criterion(9, (), (need,))
+    figures, needs = [], []
+    for name, cycles in groups.items():
+        try:
+            accuracy = path.path_accuracy(*_attained(cycles))
+            figures.append(Figure("AT_p", accuracy.total_m, "m", name, len(cycles)))
+        except Iso9283Error as error:
+            needs.append(f"{name}: {error}")
+    return criterion(9, with_headlines(figures), needs)
+
+
+def cornering_criterion(runs: Runs, corners: Sequence[Array] | None) -> Criterion:
+    """10: CR and CO at the corners E2, E3, E4; at E1 the path begins and ends at rest."""
+    groups = _path_groups(runs, lambda run: run.programme == "rectangle")
+    if not groups or corners is None:
+        need = NO_LOG + "runs around a rectangle (programme rectangle)"
+        return criterion(
+            10, (), (need if not groups else "programme.json, which says where the corners are",)
+        )
+    figures = []
+    for name, cycles in groups.items():
+        seen = [run.seen_m for run in cycles if len(run.seen_m) > 1]
+        if not seen:
+            return criterion(10, (), (f"{name}: a measured tip (x_m, y_m, z_m, by a camera)",))
+        for k in (1, 2, 3):
+            before, corner, after = (np.asarray(corners[i % 4]) for i in (k - 1, k, k + 1))
+            arriving, leaving = corner - before, after - corner
+            near = [_near(path_m, corner, before, after) for path_m in seen]
+            where = f"E{k + 1}, {name}"
+            figures.append(Figure("CR", cornering.corner_round_off(corner, near), "m", where, len(near)))
+            length_m = 0.5 * float(np.linalg.norm(leaving))
+            value = cornering.corner_overshoot(corner, arriving, leaving, length_m, near)
+            figures.append(Figure("CO", value, "m", where, len(near)))
+    return criterion(10, with_headlines(figures), ())
+
+
+def velocity_criterion(runs: Runs) -> Criterion:
+    """11: AV, RV and FV on the middle half of the straight line."""
+    groups = _path_groups(runs, lambda run: run.programme in ("line", ""))
+    figures: list[Figure] = []
+    needs: list[str] = []
+    for name, cycles in groups.items():
+        try:
+            found, commanded, remark = _velocity(cycles)
+        except Iso9283Error as error:
+            needs.append(f"{name}: {error}")
+            continue
+        where, n = f"{name}, {commanded:.3f} m/s commanded", len(cycles)
+        figures.append(Figure("AV", found.accuracy_percent, "%", where, n, remark=remark))
+        if found.repeatability_percent is not None:
+            figures.append(Figure("RV", found.repeatability_percent, "%", where, n, remark=remark))
+        figures.append(Figure("FV", found.fluctuation_m_s, "m/s", where, n, remark=remark))
+    if not groups:
+        needs.append(NO_LOG + "a straight line at constant speed, ten times")
+    return criterion(11, with_headlines(figures), needs)
+
+
+def _velocity(cycles: Runs) -> tuple[velocity.PathVelocity, float, str]:
+    measured, commanded = [], []
+    for run in cycles:
+        began, ended = run.moving_s
+        middle, half = 0.5 * (began + ended), 0.5 * CENTRAL * (ended - began)
+        window_s = min(SPEED_WINDOW_s, 0.5 * half)
+        at, speed = velocity.speeds(*_measured(run, CAMERA), window_s)
+        measured.append(speed[np.abs(at - middle) <= half])
+        at, speed = velocity.speeds(run.time_s, run.set_m, window_s)
+        commanded.append(float(speed[np.abs(at - middle) <= half].mean()))
+    wanted = float(np.mean(commanded))
+    remark = f"speeds by the camera over {window_s:.2f} s, on the middle half of the time"
+    asked = cycles[0].speed_m_s
+    if np.isfinite(asked) and wanted < 0.98 * asked:
+        remark += f"; {asked:.3f} m/s were asked for, and the planner slowed the path to the arm's limits"
+    return velocity.path_velocity(wanted, measured), wanted, remark
+
+
+def posing_criterion(runs: Runs, bands: Bands | None) -> Criterion:
+    """12: time from departure until the arm stays within the limit band, by the distance moved."""
+    moves = [run for run in runs if run.programme == "posing"]
+    if not moves or bands is None:
+        need = NO_LOG + "moves between poses over several distances (programme posing)"
+        return criterion(12, (), (need if not moves else "a limit band: --band-m, or repeated visits of P1",))
+    source = CAMERA if all(len(run.seen_m) > 2 for run in moves) else ENCODERS
+    band_m, remark = _band(moves, source, bands)
+    by_distance: dict[int, list[float]] = {}
+    needs = []
+    for run in moves:
+        distance = round(1e3 * float(np.linalg.norm(run.set_m[-1] - run.set_m[0])))
+        try:
+            time_s, tip_m = _measured(run, source)
+            rest_m = settling.rest_position(time_s, tip_m, REST_s)
+            value = settling.posing_time(time_s, tip_m, run.moving_s[0], rest_m, band_m)
+            by_distance.setdefault(distance, []).append(value)
+        except Iso9283Error as error:
+            needs.append(f"run {run.number}: {error}")
+    figures = [
+        Figure("t", float(np.mean(values)), "s", f"{distance} mm", len(values), remark=f"{source}, {remark}")
+        for distance, values in sorted(by_distance.items())
+    ]
+    return criterion(12, with_headlines(figures), needs)
+
+
+def weaving_criterion(runs: Runs) -> Criterion:
+    """14: WS and WF of weaving runs, against the commanded weave, that of the set-points."""
+    weaves = [run for run in runs if run.programme == "weave"]
+    if not weaves:
+        return criterion(14, (), (NO_LOG + "a path that weaves about a line (programme weave)",))
+    deviations, needs = [], []
+    for run in weaves:
+        try:
+            began, ended = run.moving_s
+            across = _across(run.set_m)
+            time_s, tip_m = _measured(run, CAMERA)
+            moving = (time_s >= began) & (time_s <= ended)
+            commanded_rows = (run.time_s >= began) & (run.time_s <= ended)
+            commanded = weaving.weave_of(run.time_s[commanded_rows], run.set_m[commanded_rows], across)
+            attained = weaving.weave_of(time_s[moving], tip_m[moving], across)
+            deviations.append(weaving.weaving_deviations(commanded, attained))
+        except Iso9283Error as error:
+            needs.append(f"run {run.number}: {error}")
+    figures = []
+    if deviations:
+        where = f"{1e3 * commanded.stroke_m:.0f} mm stroke, {commanded.frequency_Hz:.2f} Hz"
+        stroke, frequency = (float(np.mean(column)) for column in zip(*deviations, strict=True))
+        figures = [
+            Figure("WS", stroke, "%", where, len(deviations), True),
+            Figure("WF", frequency, "%", where, len(deviations), True),
+        ]
+    return criterion(14, figures, needs)
+
+
+def _across(set_m: Array) -> Array:
+    """The direction in which a weave swings: at right angles to the line from its beginning to its end."""
+    along = set_m[-1] - set_m[0]
+    along = along / np.linalg.norm(along)
+    off = set_m - set_m[0]
+    off = off - np.outer(off @ along, along)
+    return np.asarray(np.linalg.svd(off - off.mean(axis=0), full_matrices=False)[2][0])
+
+
+def _measured(run: Run, source: str) -> tuple[Array, Array]:
+    if source == ENCODERS:
+        return run.time_s, run.encoder_m
+    if len(run.seen_m) < 3:
+        raise Iso9283Error("a measured tip (x_m, y_m, z_m, by a camera)")
+    return run.seen_s, run.seen_m
+
+
+def _attained(cycles: Runs) -> tuple[Array, Array]:
+    """Calculation points of a commanded path (m, 3) and where the cycles' measured paths cross them (n, m, 3)."""
+    points, tangents = path.calculation_points(cycles[0].set_m, POINTS_ON_PATH, PATH_MARGIN)
+    attained = [path.crossings(points, tangents, _measured(run, CAMERA)[1]) for run in cycles]
+    return points, np.stack(attained)
+
+
+def _path_groups(runs: Runs, is_wanted: Callable[[Run], bool]) -> dict[str, list[Run]]:
+    """Repeats of the same path at the same speed, by name; runs that are not named are compared by set-points."""
+    groups: dict[str, list[Run]] = {}
+    for run in filter(is_wanted, runs):
+        if run.programme:
+            speed = f" at {run.speed_m_s:.3g} m/s" if np.isfinite(run.speed_m_s) else ""
+            groups.setdefault(f"{run.programme}{speed}", []).append(run)
+            continue
+        same = (
+            name for name, others in groups.items() if not others[0].programme and _is_repeat(run, others[0])
+        )
+        name = next(same, f"path of run {run.number}")
+        groups.setdefault(name, []).append(run)
+    return groups
+
+
+def _is_repeat(run: Run, other: Run) -> bool:
+    """Whether two runs have the same set-points, to a tenth of a millimetre at equal times."""
+    if abs(run.time_s[-1] - other.time_s[-1] - run.time_s[0] + other.time_s[0]) > 0.5:
+        return False
+    at = np.linspace(0.0, 1.0, 50) * (run.moving_s[1] - run.moving_s[0])
+    sampled = [
+        np.column_stack([np.interp(r.moving_s[0] + at, r.time_s, r.set_m[:, k]) for k in range(3)])
+        for r in (run, other)
+    ]
+    return bool(np.abs(sampled[0] - sampled[1]).max() < 1e-4)
+
+
+def _near(path_m: Array, corner: Array, before: Array, after: Array) -> Array:
+    """The part of a path about one corner: nearer to it than to half-way to the corners beside."""
+    reach = 0.5 * max(float(np.linalg.norm(corner - before)), float(np.linalg.norm(after - corner)))
+    offset = path_m - corner
+    chosen = path_m[norms(offset) <= reach]
+    return chosen if len(chosen) > 1 else path_m

@@ -1,0 +1,85 @@
+"""points.csv and log.csv of a test as they are written: line by line, each on the disk before the arm goes on."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import TracebackType
+
+from calib.iso9283.checks import Iso9283Error
+
+SET = ("x_set_m", "y_set_m", "z_set_m")
+TIP = ("x_m", "y_m", "z_m")
+LOG_NAMES = ("programme", "cycle", "speed_m_s")
+
+
+def points_header(n: int) -> list[str]:
+    """Columns of points.csv: the interchange format's, and the commanded position."""
+    joints = range(1, n + 1)
+    return [
+        "setup", "point", "repeat", "t_s", "payload_kg", *(f"q{j}_rad" for j in joints), *(f"dir{j}" for j in joints),
+        *(f"i{j}_A" for j in joints), *TIP, *SET, *(f"q{j}_sd_rad" for j in joints),
+    ]  # fmt: skip
+
+
+def log_header(n: int) -> list[str]:
+    """Columns of log.csv: the interchange format's, and which programme a run belongs to."""
+    joints = range(1, n + 1)
+    return [
+        "run", "t_s", *LOG_NAMES, *(f"q{j}_rad" for j in joints), *(f"q{j}_set_rad" for j in joints), "payload_kg", *TIP,
+    ]  # fmt: skip
+
+
+class RecordFile:
+    """Appends rows to a .csv that a killed process leaves whole but for its last line, which is dropped then.
+
+    `rows` are those that the file held when it was opened, as text by column. Iso9283Error if another header stands
+    there.
+    """
+
+    def __init__(self, path: Path, header: Sequence[str]) -> None:
+        """Open the file, or create it with its header."""
+        self._path, self._header = path, list(header)
+        content = path.read_bytes() if path.exists() else b""
+        whole = content[: content.rfind(b"\n") + 1].decode(errors="replace") or _line(self._header)
+        lines = list(csv.reader(io.StringIO(whole)))
+        if lines[0] != self._header:
+            raise Iso9283Error(
+                f"{path}: has other columns than this recording would write: choose another folder"
+            )
+        self.rows = [dict(zip(self._header, line, strict=True)) for line in lines[1:]]
+        if whole.encode() != content:
+            beside = path.with_name(f".{path.name}.partial")
+            beside.write_bytes(whole.encode())
+            beside.replace(path)
+        self._file = path.open("ab", buffering=0)
+
+    def append(self, rows: Iterable[Sequence[str]]) -> None:
+        """Write rows and wait for the disk."""
+        self._file.write("".join(_line(row) for row in rows).encode())
+        os.fsync(self._file.fileno())
+
+    def __enter__(self) -> RecordFile:
+        """Nothing to do: the file is open."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def text(value: float, decimals: int = 9) -> str:
+    """Fixed decimals, empty for NaN."""
+    return "" if math.isnan(value) else f"{value:.{decimals}f}"
+
+
+def _line(values: Sequence[str]) -> str:
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(values)
+    return line.getvalue()

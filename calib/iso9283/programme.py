@@ -1,0 +1,250 @@
+"""The test programmes of ISO 9283:1998 as data: which poses are visited and which paths are run, in which order.
+
+Names in the records: points.csv has the programme in `setup` (pose, from_x, from_y, from_z, distance, drift_1,
+drift_2, ..., load, posing) and the pose in `point`; log.csv has it in the column `programme` (approach, posing, line,
+circle, rectangle, weave) with `cycle` and the commanded `speed_m_s`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.cube import Point, TestCube, point_of
+
+PROGRAMMES = ("pose", "directions", "distance", "drift", "path", "cornering", "posing", "load", "weaving")
+AXES = ("x", "y", "z")
+SETTLING_CYCLES = 3  # whose approach to P1 is recorded: stabilization and overshoot
+DRIFT_CYCLES = 10  # of one set of drift measurements
+CORNERING_CYCLES = 3
+POSING_SHARES = (0.125, 0.25, 0.5, 1.0)  # of the distance from P2 to P4
+LOADS = 10  # equal steps up to the rated load
+LINE_SHARE, CIRCLE_SHARE, RECTANGLE_SHARE = 0.8, 0.8, 0.6  # of the plane's width and of its fall line
+WAVES, WAVE_POINTS, WEAVE_STROKE = 6, 12, 0.08  # strokes as a share of the cube's edge
+WEAVE_SPEED_SHARE = 0.1
+_SPACING_m = 0.02  # of way-points along the rectangle's legs, to keep them straight
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """How much is done. The defaults are the standard's, but for the drift, which it follows for hours."""
+
+    repeats: int = 30
+    path_cycles: int = 10
+    speed_shares: tuple[float, ...] = (0.1, 0.5, 1.0)
+    drift_s: float = 600.0
+    drift_sets: int = 4
+    rated_load_kg: float = 0.0
+    programmes: tuple[str, ...] = PROGRAMMES
+
+    def __post_init__(self) -> None:
+        """Iso9283Error for counts that make no test, or programmes that there are not."""
+        if self.repeats < 2 or self.path_cycles < 2 or self.drift_sets < 2:
+            raise Iso9283Error(
+                "a scatter takes at least 2 repeats, 2 path cycles and 2 drift sets:"
+                f" got {self.repeats}, {self.path_cycles} and {self.drift_sets}"
+            )
+        if not self.speed_shares or not all(0.0 < share <= 1.0 for share in self.speed_shares):
+            raise Iso9283Error(
+                f"speeds: expected shares of the rated speed above 0 and up to 1, got {self.speed_shares}"
+            )
+        if not (math.isfinite(self.drift_s) and self.drift_s >= 0.0 and 0.0 <= self.rated_load_kg < 100.0):
+            raise Iso9283Error(
+                f"expected a drift time and a rated load of 0 or more, got {self.drift_s:g} s and {self.rated_load_kg:g} kg"
+            )
+        unknown = [name for name in self.programmes if name not in PROGRAMMES]
+        if unknown or not self.programmes:
+            raise Iso9283Error(
+                f"programmes: expected some of {', '.join(PROGRAMMES)}; got {', '.join(unknown) or 'none'}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """Go to a pose from `via_m` (straight from the last pose if absent), rest, average. Base frame, m.
+
+    `recorded`: what the approach is called in log.csv, empty where it is not kept. `not_before_s`: since the
+    programme began. `payload_kg` hangs at the tip.
+    """
+
+    setup: str
+    point: str
+    repeat: int
+    tip_m: Point
+    via_m: Point | None = None
+    recorded: str = ""
+    payload_kg: float = 0.0
+    not_before_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PathRun:
+    """Run a Cartesian path once: way-points with speeds, base frame; `speed_m_s` is the commanded one."""
+
+    programme: str
+    cycle: int
+    speed_m_s: float
+    points_m: tuple[Point, ...]
+    speeds_m_s: tuple[float, ...]
+
+
+Step = Visit | PathRun
+
+
+def steps(cube: TestCube, extent: Extent, rated_speed_m_s: float) -> list[Step]:
+    """All of the extent's programmes, in order."""
+    parts: dict[str, Iterator[Step]] = {
+        "pose": pose_programme(cube, extent.repeats),
+        "directions": direction_programme(cube, extent.repeats),
+        "distance": distance_programme(cube, extent.repeats),
+        "path": path_programme(cube, extent.path_cycles, extent.speed_shares, rated_speed_m_s),
+        "cornering": cornering_programme(cube, extent.speed_shares, rated_speed_m_s),
+        "weaving": weaving_programme(cube, min(SETTLING_CYCLES, extent.path_cycles), rated_speed_m_s),
+        "posing": posing_programme(cube),
+        "load": load_programme(cube, extent.rated_load_kg),
+        "drift": drift_programme(cube, extent.drift_sets, extent.drift_s),
+    }
+    return [step for name, part in parts.items() if name in extent.programmes for step in part]
+
+
+def pose_programme(cube: TestCube, repeats: int) -> Iterator[Step]:
+    """P5, P4, P3, P2, P1 in turn, so that each is always reached from the same one."""
+    poses = cube.poses()
+    for repeat in range(1, repeats + 1):
+        for name in reversed(poses):
+            recorded = "approach" if name == "P1" and repeat <= SETTLING_CYCLES else ""
+            yield Visit("pose", name, repeat, poses[name], recorded=recorded)
+
+
+def direction_programme(cube: TestCube, repeats: int) -> Iterator[Step]:
+    """P1, P2 and P4 from three perpendicular directions, parallel to the base axes, from inside the cube."""
+    poses, centre = cube.poses(), np.asarray(cube.centre_m)
+    for repeat in range(1, repeats + 1):
+        for axis, letter in enumerate(AXES):
+            for name in ("P1", "P2", "P4"):
+                tip = np.asarray(poses[name])
+                inward = 1.0 if tip[axis] <= centre[axis] else -1.0
+                via = tip + 0.2 * cube.edge_m * inward * np.eye(3)[axis]
+                yield Visit(f"from_{letter}", name, repeat, poses[name], point_of(via))
+
+
+def distance_programme(cube: TestCube, repeats: int) -> Iterator[Step]:
+    """Between P2 and P4."""
+    poses = cube.poses()
+    for repeat in range(1, repeats + 1):
+        for name in ("P2", "P4"):
+            yield Visit("distance", name, repeat, poses[name])
+
+
+def drift_programme(cube: TestCube, sets: int, duration_s: float) -> Iterator[Step]:
+    """Sets of ten visits of P1 from P2, spread over the duration."""
+    poses = cube.poses()
+    for k in range(sets):
+        for repeat in range(1, DRIFT_CYCLES + 1):
+            wait_s = duration_s * k / (sets - 1) if repeat == 1 else 0.0
+            yield Visit(f"drift_{k + 1}", "P1", repeat, poses["P1"], poses["P2"], not_before_s=wait_s)
+
+
+def posing_programme(cube: TestCube) -> Iterator[Step]:
+    """From P2 towards P4 over several distances, three times each."""
+    poses = cube.poses()
+    start, end = np.asarray(poses["P2"]), np.asarray(poses["P4"])
+    for share in POSING_SHARES:
+        for repeat in range(1, SETTLING_CYCLES + 1):
+            target = point_of(start + share * (end - start))
+            yield Visit(
+                "posing",
+                f"{1e3 * share * np.linalg.norm(end - start):.0f} mm",
+                repeat,
+                target,
+                poses["P2"],
+                "posing",
+            )
+
+
+def load_programme(cube: TestCube, rated_load_kg: float) -> Iterator[Step]:
+    """P1 under loads that hang at the tip, from none to the rated load in ten steps, three times."""
+    if rated_load_kg <= 0.0:
+        return
+    tip = cube.poses()["P1"]
+    for repeat in range(1, SETTLING_CYCLES + 1):
+        for k in range(LOADS + 1):
+            yield Visit("load", f"P1 load {k}", repeat, tip, payload_kg=rated_load_kg * k / LOADS)
+
+
+def path_programme(
+    cube: TestCube, cycles: int, shares: Sequence[float], rated_speed_m_s: float
+) -> Iterator[PathRun]:
+    """Straight line and circle on the diagonal plane at shares of the rated speed."""
+    line = tuple(cube.on_plane(0.0, LINE_SHARE * d) for d in (-1.0, -0.5, 0.5, 1.0))
+    circle = circle_points(cube, 24)
+    for share in shares:
+        speed = share * rated_speed_m_s
+        for cycle in range(1, cycles + 1):
+            yield PathRun("line", cycle, speed, line, (0.0, speed, speed, 0.0))
+        for cycle in range(1, cycles + 1):
+            yield PathRun("circle", cycle, speed, circle, (0.0, *[speed] * (len(circle) - 2), 0.0))
+
+
+def circle_points(cube: TestCube, count: int) -> tuple[Point, ...]:
+    """Once around on the diagonal plane, first point again at the end."""
+    angles = 2.0 * np.pi * np.arange(count + 1) / count
+    radius = CIRCLE_SHARE
+    points = [cube.on_plane(radius * np.sin(a), -radius * np.cos(a) / np.sqrt(2.0)) for a in angles[:-1]]
+    return (*points, points[0])
+
+
+def cornering_programme(cube: TestCube, shares: Sequence[float], rated_speed_m_s: float) -> Iterator[Step]:
+    """Three times around the rectangle E1 E2 E3 E4 E1 on the diagonal plane, its corners not rounded on purpose."""
+    corners = rectangle_corners(cube)
+    points: list[Point] = [corners[0]]
+    for start, end in zip(corners, (*corners[1:], corners[0]), strict=True):
+        a, b = np.asarray(start), np.asarray(end)
+        count = max(2, round(float(np.linalg.norm(b - a)) / _SPACING_m))
+        points += [point_of(a + (b - a) * k / count) for k in range(1, count + 1)]
+    for share in shares:
+        speed = share * rated_speed_m_s
+        for cycle in range(1, CORNERING_CYCLES + 1):
+            yield PathRun("rectangle", cycle, speed, tuple(points), (0.0, *[speed] * (len(points) - 2), 0.0))
+
+
+def rectangle_corners(cube: TestCube) -> tuple[Point, ...]:
+    """E1 .. E4 in the order of travel; E1 is where the path begins and ends at rest."""
+    share = RECTANGLE_SHARE
+    return tuple(cube.on_plane(share * a, share * d) for a, d in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
+
+
+def weaving_programme(cube: TestCube, cycles: int, rated_speed_m_s: float) -> Iterator[Step]:
+    """A sine about the straight line of the path programme."""
+    count = WAVES * WAVE_POINTS
+    points = [
+        cube.on_plane(
+            WEAVE_STROKE * math.sin(2.0 * math.pi * k / WAVE_POINTS), LINE_SHARE * (2.0 * k / count - 1.0)
+        )
+        for k in range(count + 1)
+    ]
+    speed = WEAVE_SPEED_SHARE * rated_speed_m_s
+    for cycle in range(1, cycles + 1):
+        yield PathRun("weave", cycle, speed, tuple(points), (0.0, *[speed] * (count - 1), 0.0))
+
+
+def programme_document(cube: TestCube, extent: Extent, rated_speed_m_s: float) -> dict[str, object]:
+    """programme.json: what evaluation has to know of a recording besides its records."""
+    return {
+        "format": "iso9283-programme/1",
+        "cube": {"centre_m": list(cube.centre_m), "edge_m": cube.edge_m, "plane": "C1-C2-C7-C8"},
+        "poses_m": {name: list(tip) for name, tip in cube.poses().items()},
+        "rectangle_m": [list(corner) for corner in rectangle_corners(cube)],
+        "repeats": extent.repeats,
+        "path_cycles": extent.path_cycles,
+        "rated_speed_m_s": rated_speed_m_s,
+        "speed_shares": list(extent.speed_shares),
+        "drift_s": extent.drift_s,
+        "drift_sets": extent.drift_sets,
+        "rated_load_kg": extent.rated_load_kg,
+        "programmes": list(extent.programmes),
+    }

@@ -1,0 +1,153 @@
+"""What an evaluation says: fourteen criteria, each with its figures or with what it still needs; and iso9283.json."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from calib.arrays import Array
+
+FORMAT = "iso9283/1"
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One value: the standard's symbol, SI unit (or %), where it was found, and what there is to know about it.
+
+    `is_headline`: stands for its symbol in the table, such as the worst of the poses.
+    """
+
+    symbol: str
+    value: float
+    unit: str
+    where: str
+    count: int
+    is_headline: bool = False
+    remark: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Criterion:
+    """One of the fourteen: number as counted here, name, the standard's clause, figures, and what is missing."""
+
+    number: int
+    name: str
+    clause: str
+    figures: tuple[Figure, ...] = ()
+    needs: tuple[str, ...] = ()
+
+    @property
+    def headlines(self) -> tuple[Figure, ...]:
+        """The figures that stand for this criterion."""
+        return tuple(figure for figure in self.figures if figure.is_headline)
+
+
+@dataclass(frozen=True, slots=True)
+class PathTrace:
+    """A commanded path (m, 3), what was attained along it (n, m, 3), for a picture; m."""
+
+    name: str
+    commanded_m: Array
+    attained_m: Array
+
+
+@dataclass(frozen=True, slots=True)
+class SettlingTrace:
+    """Distances (k,) [m] from the attained pose over time_s (k,) of one approach, and the limit band."""
+
+    name: str
+    time_s: Array
+    distance_m: Array
+    band_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """All fourteen criteria, notes on how they were had, and what the pictures show.
+
+    clouds: attained positions (n, 3) minus the commanded one, by pose.
+    """
+
+    criteria: tuple[Criterion, ...]
+    notes: tuple[str, ...]
+    clouds: Mapping[str, Array] = field(default_factory=dict)
+    paths: tuple[PathTrace, ...] = ()
+    settling: tuple[SettlingTrace, ...] = ()
+    loads: tuple[Array, Array] | None = None
+
+
+CRITERIA = (
+    (1, "Pose accuracy and pose repeatability", "7.2"),
+    (2, "Multi-directional pose accuracy variation", "7.2"),
+    (3, "Distance accuracy and distance repeatability", "7.3"),
+    (4, "Position stabilization time", "7.4"),
+    (5, "Position overshoot", "7.5"),
+    (6, "Drift of pose characteristics", "7.6"),
+    (7, "Exchangeability", "7.7"),
+    (8, "Path accuracy and path repeatability", "8.2, 8.3"),
+    (9, "Path accuracy on reorientation", "8.4"),
+    (10, "Cornering deviations", "8.5"),
+    (11, "Path velocity characteristics", "8.6"),
+    (12, "Minimum posing time", "9"),
+    (13, "Static compliance", "10"),
+    (14, "Weaving deviations", "11"),
+)
+
+
+def criterion(number: int, figures: Sequence[Figure], needs: Sequence[str]) -> Criterion:
+    """One criterion by number."""
+    _, name, clause = CRITERIA[number - 1]
+    return Criterion(number, name, clause, tuple(figures), tuple(dict.fromkeys(needs)))
+
+
+def with_headlines(figures: Sequence[Figure], symbols: Sequence[str] | None = None) -> list[Figure]:
+    """Of each symbol (of all, or of those named) the figure of largest size becomes the headline."""
+    worst: dict[str, Figure] = {}
+    for figure in figures:
+        if figure.symbol not in worst or abs(figure.value) > abs(worst[figure.symbol].value):
+            worst[figure.symbol] = figure
+    return [
+        replace(f, is_headline=worst[f.symbol] is f and (symbols is None or f.symbol in symbols))
+        for f in figures
+    ]
+
+
+def document(evaluation: Evaluation, about: Mapping[str, Any]) -> dict[str, Any]:
+    """iso9283.json as plain values; SI units, radians."""
+    return {
+        "format": FORMAT,
+        **about,
+        "criteria": [
+            {
+                "number": c.number,
+                "name": c.name,
+                "clause": c.clause,
+                "values": {
+                    f.symbol: {"value": f.value, "unit": f.unit, "where": f.where} for f in c.headlines
+                },
+                "figures": [
+                    {
+                        "symbol": f.symbol,
+                        "value": f.value,
+                        "unit": f.unit,
+                        "where": f.where,
+                        "count": f.count,
+                        **({"remark": f.remark} if f.remark else {}),
+                    }
+                    for f in c.figures
+                ],
+                "needs": list(c.needs),
+            }
+            for c in evaluation.criteria
+        ],
+        "notes": list(evaluation.notes),
+    }
+
+
+def write_document(path: Path, evaluation: Evaluation, about: Mapping[str, Any]) -> None:
+    """Write iso9283.json."""
+    text = json.dumps(document(evaluation, about), indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")

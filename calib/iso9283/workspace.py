@@ -1,0 +1,141 @@
+"""The largest test cube that an arm reaches: all of it on one branch, within the joint limits, clear of the floor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.cube import TestCube, point_of
+from control.errors import ArmError
+from control.model.arm import Arm
+from control.model.inverse import BRANCHES, InverseKinematics
+from control.model.kinematics import Kinematics
+from control.motion.checks import LEAST_SINGULAR_M_RAD
+
+CLEARANCE_m = 0.08  # of the cube above the floor: an arm that is not calibrated is some 3 cm off
+LIMIT_MARGIN_rad = 0.05  # to the joint limits, for runs that swing out
+SMALLEST_EDGE_m = 0.02
+_TOLERANCE_m = 0.005  # of the edge that is searched
+_STEPS = 9  # of the grid of centres, along each axis
+_ROUNDS = 3  # of refining it
+BASE_COLUMN_m = 0.1  # about the base's vertical axis, kept free of the cube: the arm itself stands there
+_CHECKED = 5  # points along each edge
+
+Solver = Callable[[Array], tuple[float, ...]]
+
+
+def largest_cube(arm: Arm) -> TestCube:
+    """The largest cube with edges along the base axes, to 5 mm of its edge; Iso9283Error where not even 2 cm fit.
+
+    Its centre lies straight ahead, where the table is, or along x; it is searched on a grid that is refined.
+    """
+    found = [cube for solver in solvers(arm) if (cube := _grown(arm, solver, reach_m(arm))) is not None]
+    if not found:
+        raise Iso9283Error(
+            f"arm {arm.name}: no test cube of {SMALLEST_EDGE_m:g} m fits into its workspace within the joint limits and"
+            f" {CLEARANCE_m:g} m above its floor: give one with --cube-centre and --cube-edge"
+        )
+    return max(found, key=lambda cube: cube.edge_m)
+
+
+def solver_of(arm: Arm, cube: TestCube) -> Solver:
+    """Joint angles for points of `cube`, on one branch that reaches all of it; Iso9283Error where none does.
+
+    A cube that the user chose may come nearer to floor and joint limits than one that is searched.
+    """
+    reasons = []
+    for solver in solvers(arm, margin_rad=0.0):
+        reason = _obstacle(arm, solver, cube, clearance_m=0.0)
+        if not reason:
+            return solver
+        reasons.append(reason)
+    raise Iso9283Error(
+        f"arm {arm.name}: the test cube at {cube.centre_m} m with edge {cube.edge_m:g} m is not all within reach:"
+        f" {reasons[0]}; choose another with --cube-centre and --cube-edge, or leave both out"
+    )
+
+
+def solvers(arm: Arm, margin_rad: float = LIMIT_MARGIN_rad) -> Iterator[Solver]:
+    """Inverse kinematics on each branch, or from the rest pose where branches have no names.
+
+    A solver raises ArmError for points that it does not reach, or reaches near a limit or near-singular.
+    """
+    inverse = InverseKinematics(arm)
+    limits = [(lower + margin_rad, upper - margin_rad) for lower, upper in arm.limits_rad]
+    rest = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
+
+    def checked(q: tuple[float, ...]) -> tuple[float, ...]:
+        if not all(lower <= a <= upper for a, (lower, upper) in zip(q, limits, strict=True)):
+            raise Iso9283Error(f"a joint would be within {margin_rad:g} rad of its limit")
+        return q
+
+    if not inverse.has_branches:
+        yield lambda point: checked(inverse.nearest(point_of(point), rest))
+        return
+    for branch in BRANCHES:
+        yield lambda point, branch=branch: checked(inverse.solve(point_of(point), branch))  # type: ignore[misc]
+
+
+def reach_m(arm: Arm) -> float:
+    """No tip is farther from the base than this."""
+    dh = np.abs(arm.dh)
+    return float(np.hypot(dh[:, 0], dh[:, 2]).sum() + np.linalg.norm(arm.tool.position_m))
+
+
+def _grown(arm: Arm, solver: Solver, reach: float) -> TestCube | None:
+    """The largest cube of one solver with its centre in the plane ahead, where the table is (x if there is none)."""
+    table = arm.table.origin_m if arm.table is not None else None
+    x, y = (table[0], table[1]) if table is not None and np.hypot(table[0], table[1]) > 0.0 else (1.0, 0.0)
+    ahead = np.array([x, y, 0.0]) / np.hypot(x, y)
+    middle, span, best = reach * (0.5 * ahead + [0.0, 0.0, 0.5]), 0.5 * reach, None
+    for _ in range(_ROUNDS):
+        for forward in np.linspace(-span, span, _STEPS):
+            for up in np.linspace(-span, span, _STEPS):
+                centre = middle + forward * ahead + [0.0, 0.0, up]
+                least = best.edge_m + _TOLERANCE_m if best is not None else SMALLEST_EDGE_m
+                best = _largest_at(arm, solver, centre, least, reach) or best
+        if best is None:
+            return None
+        middle, span = np.asarray(best.centre_m), 0.4 * span
+    return best
+
+
+def _largest_at(arm: Arm, solver: Solver, centre: Array, least_m: float, reach: float) -> TestCube | None:
+    """The largest cube about a centre, None if not even one of `least_m` fits."""
+
+    def fits(edge_m: float) -> TestCube | None:
+        cube = TestCube(point_of(centre), edge_m)
+        return None if _obstacle(arm, solver, cube, CLEARANCE_m) else cube
+
+    best = fits(least_m)
+    lower, upper = least_m, 1.2 * reach
+    while best is not None and upper - lower > _TOLERANCE_m:
+        edge = 0.5 * (lower + upper)
+        larger = fits(edge)
+        best, lower, upper = (larger, edge, upper) if larger else (best, lower, edge)
+    return best
+
+
+def _obstacle(arm: Arm, solver: Solver, cube: TestCube, clearance_m: float) -> str:
+    """Why a cube is not all within reach; empty if it is."""
+    floor_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + clearance_m
+    if cube.centre_m[2] - 0.5 * cube.edge_m < floor_m:
+        return f"it goes below {floor_m:g} m"
+    beside = np.maximum(np.abs(cube.centre_m[:2]) - 0.5 * cube.edge_m, 0.0)
+    if np.hypot(beside[0], beside[1]) < (BASE_COLUMN_m if clearance_m else 0.0):
+        return f"it comes within {BASE_COLUMN_m:g} m of the base's axis"
+    grid = cube.grid(_CHECKED)
+    try:
+        q_rad = [solver(point) for point in grid]
+    except (ArmError, Iso9283Error) as error:
+        return str(error)
+    jacobians = Kinematics(arm).jacobians(q_rad)
+    if (
+        arm.joint_count >= 3
+        and np.linalg.svd(jacobians, compute_uv=False)[:, -1].min() < LEAST_SINGULAR_M_RAD
+    ):
+        return "the arm is near-singular in it"
+    return ""
