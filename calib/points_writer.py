@@ -22,7 +22,11 @@ Key = tuple[str, str, int]
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One pose as a session takes it: names, joint angles with their scatter, and the tip if it is known."""
+    """One pose as a session takes it: names, joint angles with their scatter, and the tip if it is known.
+
+    temperature_C of the drives, empty where not measured; approach: from which side, from 1; take: 2 and more
+    where earlier records of this pose were withdrawn.
+    """
 
     setup: str
     point: str
@@ -34,6 +38,9 @@ class Record:
     t_s: float
     payload_kg: float
     tip_m: tuple[float, float, float] | None
+    temperature_C: tuple[float, ...] = ()
+    approach: int = 1
+    take: int = 1
 
     @property
     def key(self) -> Key:
@@ -77,18 +84,37 @@ class PointsWriter:
         if path.name.endswith(".gz"):
             raise SessionError(f"{path}: a session appends to plain .csv, not to .gz")
         self._path, self._joint_count = path, joint_count
-        self._header = _header(joint_count)
+        self._header = _line(_header(joint_count))
+        path.parent.mkdir(parents=True, exist_ok=True)
         self.warnings: tuple[str, ...] = self._mend()
-        self.recorded: frozenset[Key] = self._recorded()
+        self._lines: dict[Key, str] = self._read()
         self._file = path.open("ab", buffering=0)
+
+    @property
+    def recorded(self) -> frozenset[Key]:
+        """What the file holds."""
+        return frozenset(self._lines)
+
+    def line(self, key: Key) -> str:
+        """A record as it stands in the file, without the end of the line."""
+        return self._lines[key]
 
     def append(self, record: Record) -> None:
         """Write one record and wait for the disk."""
-        if record.key in self.recorded:
+        if record.key in self._lines:
             raise SessionError(f"{self._path}: {' '.join(map(str, record.key))} is recorded already")
-        self._file.write(_line(self._row(record)).encode())
+        line = _line(self._row(record))
+        self._file.write(line.encode())
         os.fsync(self._file.fileno())
-        self.recorded |= {record.key}
+        self._lines[record.key] = line.rstrip("\n")
+
+    def withdraw(self, key: Key) -> None:
+        """Take a record out; the file is replaced in one step. Whoever asks keeps the line elsewhere first."""
+        left = {other: line for other, line in self._lines.items() if other != key}
+        self._file.close()
+        replace_file(self._path, "".join([self._header, *(f"{line}\n" for line in left.values())]).encode())
+        self._file = self._path.open("ab", buffering=0)
+        self._lines = left
 
     def close(self) -> None:
         """Close the file."""
@@ -115,9 +141,9 @@ class PointsWriter:
                 f'{self._path}: the last line was not written to its end and is dropped: "{torn[:60]}"',
             )
         if not whole:
-            whole = _line(self._header).encode()
+            whole = self._header.encode()
         first = whole.split(b"\n", 1)[0].decode(errors="replace").strip()
-        if first != _line(self._header).strip():
+        if first != self._header.strip():
             raise SessionError(
                 f"{self._path}: not a session's header for {self._joint_count} joints; name another file"
             )
@@ -125,12 +151,18 @@ class PointsWriter:
             replace_file(self._path, whole)
         return warnings
 
-    def _recorded(self) -> frozenset[Key]:
-        """Keys of the records that the file holds."""
-        if self._path.read_bytes().count(b"\n") < 2:
-            return frozenset()
+    def _read(self) -> dict[Key, str]:
+        """The lines of the records that the file holds, by key. PointsFileError where one is no record."""
+        lines = self._path.read_text(encoding="utf-8").split("\n")[1:-1]
+        if not lines:
+            return {}
         points, _ = read_points(self._path, self._joint_count)
-        return frozenset(zip(points.setup, points.point, points.repeat, strict=True))
+        keys = list(zip(points.setup, points.point, points.repeat, strict=True))
+        if len(keys) != len(lines) or len(set(keys)) < len(keys):
+            raise SessionError(
+                f"{self._path}: a point is there twice, or a line is empty: was it edited by hand?"
+            )
+        return dict(zip(keys, lines, strict=True))
 
     def _row(self, record: Record) -> list[str]:
         if not len(record.q_rad) == len(record.q_sd_rad) == self._joint_count:
@@ -148,6 +180,9 @@ class PointsWriter:
             *(_text(i, 4) for i in record.current_A),
             *(_text(x, 7) for x in record.tip_m or (math.nan,) * 3),
             *(_text(sd, 9) for sd in record.q_sd_rad),
+            *(_text(t, 1) for t in record.temperature_C or (math.nan,) * self._joint_count),
+            str(record.approach),
+            str(record.take),
         ]
 
 
@@ -164,6 +199,9 @@ def _header(n: int) -> list[str]:
         *(f"i{j}_A" for j in joints),
         *TIP,
         *(f"q{j}_sd_rad" for j in joints),
+        *(f"temperature{j}_C" for j in joints),
+        "approach",
+        "take",
     ]
 
 

@@ -1,7 +1,9 @@
 """The runtime, the mock hand and the camera, as a calibration session wants them (calib.session.ports)."""
 
+import math
 from collections.abc import Callable, Sequence
 
+from calib.session.plan import Target
 from calib.session.ports import Sample, Vector
 from control.errors import ArmError
 from control.loop.client import ArmClient, ArmFaulted, fault_text
@@ -10,6 +12,7 @@ from hil_mocks.rig import MockHand
 SEATED_m = 2e-4  # a tip that is this near the hand sits in its cavity
 CAMERA_PATIENCE_S = 2.0  # a marker may be hidden for a moment, a host may pause
 SEAT_PATIENCE = 3.0  # times what the hand said that it takes
+CREEP = 0.1  # of the speed of other moves
 
 
 class RuntimePort:
@@ -27,6 +30,10 @@ class RuntimePort:
         """Joint move, done when the arm holds there."""
         self._client.move_joints(q_rad, self._speed)
 
+    def creep_to_q(self, q_rad: Sequence[float]) -> None:
+        """The same, slowly: for jogging."""
+        self._client.move_joints(q_rad, CREEP * self._speed)
+
     def release(self) -> None:
         """Open the circuits for a hand that has the arm."""
         self._client.guide()
@@ -40,9 +47,10 @@ class RuntimePort:
             self._client.hold()
 
     def average(self, duration_s: float) -> Sample:
-        """Mean of encoders and currents."""
+        """Mean of encoders and currents, and the drives' temperature now."""
         mean = self._client.average(duration_s)
-        return Sample(mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction)
+        warmth = tuple(math.nan if t is None else float(t) for t in self._client.status()["temperature_C"])
+        return Sample(mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction, warmth)
 
     def measure(self, duration_s: float) -> tuple[Vector, Vector]:
         """Mean of the camera's tip positions and their standard deviation. ArmError when none came."""
@@ -53,6 +61,25 @@ class RuntimePort:
         raise ArmError(
             f"no camera frame came within {CAMERA_PATIENCE_S:g} s: is the camera on, and does it see the tip?"
         )
+
+
+class MockHandSeat:
+    """`calib.session.conduct.Hand` by the mock arm's hand, which knows where the cavities really are."""
+
+    def __init__(self, hand: "HandPort", place_of: Callable[[Target], Vector]) -> None:
+        self._hand, self._place_of = hand, place_of
+
+    def grip(self) -> None:
+        """The hand has the tip."""
+        self._hand.grip()
+
+    def seat(self, target: Target) -> None:
+        """Drag the tip to the cavity; returns when it sits."""
+        self._hand.seat(self._place_of(target))
+
+    def let_go(self) -> None:
+        """Leave the tip to the arm."""
+        self._hand.let_go()
 
 
 class HandPort:

@@ -14,13 +14,14 @@ class Sample:
     """Encoders and motor currents averaged over a while, one value a joint.
 
     q_rad and its scatter q_sd_rad; current_A of the motors; direction: sign of each joint's last motion, 0
-    unknown.
+    unknown; temperature_C of the drives, empty where nothing measures it.
     """
 
     q_rad: tuple[float, ...]
     q_sd_rad: tuple[float, ...]
     current_A: tuple[float, ...]
     direction: tuple[int, ...]
+    temperature_C: tuple[float, ...] = ()
 
 
 class ArmPort(Protocol):
@@ -40,6 +41,13 @@ class ArmPort(Protocol):
 
     def average(self, duration_s: float) -> Sample:
         """Mean of encoders and currents over the next duration_s."""
+
+
+class JogPort(ArmPort, Protocol):
+    """An arm that an operator may also jog."""
+
+    def creep_to_q(self, q_rad: Sequence[float]) -> None:
+        """Go slowly to joint angles near by and stop there."""
 
 
 class TipSeat(Protocol):
@@ -62,8 +70,11 @@ class Camera(Protocol):
         """Mean tip position [m] over duration_s, and its standard deviation per axis [m]."""
 
 
-class Inverse(Protocol):
-    """Nominal inverse kinematics; control.model.inverse provides it."""
+class Geometry(Protocol):
+    """The arm's geometry as its file says; `calib.session.geometry` has it of an arm.toml."""
+
+    def tip(self, q_rad: Sequence[float]) -> Vector:
+        """Tip [m] in the base frame."""
 
     def nearest(self, point: Vector, q_near: Sequence[float]) -> Sequence[float]:
         """Joint angles for a tip position, on the branch nearest to q_near; ArmError where there are none."""

@@ -1,20 +1,24 @@
-"""The order of a session: above a point, the hand takes the tip down and seats it, rest, average, record, up, on.
+"""An unattended walk over points: for mock arms, demos and verification, where nobody has to be asked.
 
-The drives never take the tip down to the board: an arm that is not calibrated yet does not know where that is.
+Above a point, the hand takes the tip down and seats it, rest, average, record, up, on. The drives never take the tip down to
+the board: an arm that is not calibrated yet does not know where that is.
 
-Every function here is a generator of Progress, so that whoever runs it can draw a bar and stop at any time:
-on every way out the hand lets go and the drives hold.
+Every function here is a generator of Progress, so that whoever runs it can draw a bar and stop at any time: on every way out
+the hand lets go and the drives hold. A session with an operator is `calib.session.conduct`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 
 from calib.points_writer import PointsWriter, Record
-from calib.session.ports import ArmPort, Camera, Inverse, Sample, TipSeat, Vector
-from calib.session.still import wait_for_rest
+from calib.session.plan import Target
+from calib.session.ports import ArmPort, Camera, Geometry, TipSeat, Vector
+from calib.session.take import SessionSettings, take
+from calib.session.walk import Walk
 from control.errors import ArmError
 
 
@@ -37,19 +41,6 @@ class FreePose:
     point: str
     q_rad: tuple[float, ...]
     repeat: int = 1
-
-
-@dataclass(frozen=True, slots=True)
-class SessionSettings:
-    """How a point is taken. The defaults suit encoders of some 0.03 mrad at the joint."""
-
-    approach_m: float = 0.06  # an uncalibrated arm of half a metre is some 3 cm off
-    still_limit_rad: float = 1e-4
-    still_s: float = 0.1
-    patience_s: float = 10.0
-    window_s: float = 0.02
-    average_s: float = 0.1
-    payload_kg: float = 0.0
 
 
 class Stage(Enum):
@@ -78,7 +69,7 @@ class Progress:
 
 def step_through(
     points: Sequence[BoardPoint],
-    inverse: Inverse,
+    geometry: Geometry,
     arm: ArmPort,
     seat: TipSeat,
     writer: PointsWriter,
@@ -94,39 +85,34 @@ def step_through(
     is reported and left.
     """
     how = settings or SessionSettings()
-    walk = _Walk(inverse, arm, how)
+    walk = Walk(geometry, arm, how.approach_m, how.window_s)
+    if points:
+        walk.stands_over(points[0].tip_m, points[0].normal)
     standing = ""
-    for done, target in enumerate(points, start=1):
-        if (target.setup, target.point, target.repeat) in writer.recorded:
-            yield _progress(Stage.KEPT, done, points, target)
+    for done, point in enumerate(points, start=1):
+        if (point.setup, point.point, point.repeat) in writer.recorded:
+            yield _progress(Stage.KEPT, done, points, point)
             continue
         try:
-            above = walk.plan(target)
+            above = walk.plan(point.tip_m, point.normal)
         except ArmError as error:
-            yield _progress(Stage.UNREACHABLE, done, points, target, reason=str(error))
+            yield _progress(Stage.UNREACHABLE, done, points, point, reason=str(error))
             continue
-        if target.setup != standing:
+        if point.setup != standing:
             walk.lift()
             if set_up is not None:
-                set_up(target.setup)
-            standing = target.setup
-            yield _progress(Stage.SETUP, done - 1, points, target)
-        walk.go_above(above)
-        yield _progress(Stage.ABOVE, done - 1, points, target)
-        seat.grip()
-        try:
-            arm.release()
-            seat.seat(target.tip_m)
-            arm.hold()
-            yield _progress(Stage.SEATED, done - 1, points, target)
-            record = _record(target, target.tip_m, arm, how, camera)
+                set_up(point.setup)
+            standing = point.setup
+            yield _progress(Stage.SETUP, done - 1, points, point)
+        walk.go(above)
+        yield _progress(Stage.ABOVE, done - 1, points, point)
+        walk.stands_at(point.normal)
+        with seated(point.tip_m, arm, seat):
+            yield _progress(Stage.SEATED, done - 1, points, point)
+            target = Target(point.setup, point.point, point.repeat)
+            record = take(target, point.tip_m, arm, how, camera)
             writer.append(record)
-        finally:
-            try:
-                arm.hold()
-            finally:
-                seat.let_go()
-        yield _progress(Stage.RECORDED, done, points, target, record)
+        yield _progress(Stage.RECORDED, done, points, point, record)
     walk.lift()
 
 
@@ -144,63 +130,25 @@ def take_free_poses(
             yield _progress(Stage.KEPT, done, poses, pose)
             continue
         arm.move_to_q(pose.q_rad)
-        record = _record(pose, None, arm, how, camera)
+        record = take(Target(pose.setup, pose.point, pose.repeat), None, arm, how, camera)
         writer.append(record)
         yield _progress(Stage.RECORDED, done, poses, pose, record)
 
 
-class _Walk:
-    """Moves between points: up along the board's normal, and across."""
-
-    def __init__(self, inverse: Inverse, arm: ArmPort, how: SessionSettings) -> None:
-        self._inverse, self._arm, self._how = inverse, arm, how
-        self._q_rad = arm.average(how.window_s).q_rad
-        self._above: tuple[float, ...] | None = None
-
-    def plan(self, target: BoardPoint) -> tuple[float, ...]:
-        """Angles above the point, nearest to where the arm is; ArmError if it or the one above is out of reach."""
-        x, y, z = (p + self._how.approach_m * n for p, n in zip(target.tip_m, target.normal, strict=True))
-        above = tuple(self._inverse.nearest((x, y, z), self._q_rad))
-        self._inverse.nearest(target.tip_m, above)
-        return above
-
-    def lift(self) -> None:
-        """Up from the point where the arm is, if it is at one."""
-        if self._above is not None:
-            self._arm.move_to_q(self._above)
-            self._above = None
-
-    def go_above(self, above: tuple[float, ...]) -> None:
-        """Up, and across to above the next point."""
-        self.lift()
-        self._arm.move_to_q(above)
-        self._q_rad = self._above = above
-
-
-def _record(
-    target: BoardPoint | FreePose,
-    tip_m: Vector | None,
-    arm: ArmPort,
-    how: SessionSettings,
-    camera: Camera | None,
-) -> Record:
-    """Wait for rest, average, and look with the camera if there is one."""
-    wait_for_rest(arm, how.still_limit_rad, how.still_s, how.patience_s, how.window_s)
-    t_s = arm.now_s()
-    sample: Sample = arm.average(how.average_s)
-    seen_m = camera.measure(how.average_s)[0] if camera is not None else tip_m
-    return Record(
-        target.setup,
-        target.point,
-        target.repeat,
-        sample.q_rad,
-        sample.q_sd_rad,
-        sample.direction,
-        sample.current_A,
-        t_s,
-        how.payload_kg,
-        seen_m,
-    )
+@contextmanager
+def seated(tip_m: Vector, arm: ArmPort, seat: TipSeat) -> Iterator[None]:
+    """The tip sits and the drives hold it; on every way out the drives hold and the hand is off."""
+    seat.grip()
+    try:
+        arm.release()
+        seat.seat(tip_m)
+        arm.hold()
+        yield
+    finally:
+        try:
+            arm.hold()
+        finally:
+            seat.let_go()
 
 
 def _progress(

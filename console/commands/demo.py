@@ -7,6 +7,7 @@ from pathlib import Path
 from console.commands.progress import Bar
 from console.demo import job
 from console.demo.bench import Bench, RealTimeBench, SteppedBench
+from console.scenario_file import seeded_scenario
 from control.model.description import load_arm
 
 
@@ -51,32 +52,3 @@ def free_folder(wanted: Path) -> Path:
     if folder.exists():
         folder.rmdir()
     return folder
-
-
-def seeded_scenario(name: str, seed: int | None, was_homed: bool) -> bytes:
-    """The scenario with its seed as the text of a file, kept beside the results so that the run can be repeated.
-
-    An arm whose file does not say how it homes begins with boards that know their zero (`was_homed`).
-    """
-    import msgspec
-
-    from hil_mocks.scenario import load_scenario
-
-    scenario = load_scenario(name)
-    if seed is not None:
-        scenario = msgspec.structs.replace(scenario, seed=seed)
-    if was_homed:
-        scenario = msgspec.structs.replace(
-            scenario, start=msgspec.structs.replace(scenario.start, homed=True)
-        )
-    document = msgspec.to_builtins(scenario)
-    del document["path"]
-    return msgspec.toml.encode(_without_none(document))
-
-
-def _without_none(value: object) -> object:
-    if isinstance(value, dict):
-        return {key: _without_none(item) for key, item in value.items() if item is not None}
-    if isinstance(value, list | tuple):
-        return [_without_none(item) for item in value]
-    return value

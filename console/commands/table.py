@@ -112,6 +112,54 @@ COMMANDS = (
         (ARM, SOCKET, option("--quit", action="store_true", help="end the runtime too")),
     ),
     CommandSpec(
+        "session",
+        "step through the table's points, seat the tip, record: resumable at any time",
+        (
+            ARM,
+            OUT,
+            option(
+                "--setups", metavar="S,...", help="tilts of the board, in order (default: those of the table)"
+            ),
+            option("--points", metavar="P,...", help="cavities by name: 1,2,5-9 (default: all)"),
+            option("--repeats", type=int, metavar="N", help="rounds of every point (default: 1)"),
+            option(
+                "--approaches",
+                type=int,
+                choices=(1, 2),
+                help="from how many sides a point is approached in every round (default: 1)",
+            ),
+            option(
+                "--free",
+                metavar="N|FILE",
+                help="so many free poses, or those of a file with q1_rad ...; needs --camera",
+            ),
+            option(
+                "--plan",
+                metavar="FILE",
+                help="the points to take, from `armwright plan-poses`: setup,point and for setup free q1_rad ...",
+            ),
+            option("--payload", type=float, metavar="KG", help="mass at the tip (default: 0)"),
+            option(
+                "--seat",
+                choices=("hand", "jog"),
+                help="the tip is guided by hand with the drives off, or jogged (default: hand)",
+            ),
+            option(
+                "--board",
+                choices=("known", "measured", "unknown"),
+                help="where the board stands: as the file says, seen by the camera, or unknown (default: as the file says)",
+            ),
+            option("--camera", action="store_true", default=None, help="record the tip that the camera sees"),
+            option("--mock", action="store_true", help="with a stepped mock arm, whose hand seats the tip"),
+            option("--scenario", metavar="S", help="of the mock arm: a file or a name (default: demo)"),
+            option(
+                "--replay", metavar="SCRIPT", help="answers from a file, one a line, in place of the terminal"
+            ),
+            SOCKET,
+        ),
+        "Each record is on disk before it is acknowledged. The same command resumes; docs/session.md.",
+    ),
+    CommandSpec(
         "register",
         "where the calibration board stands, from three or more markers that a camera saw",
         (

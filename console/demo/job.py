@@ -19,7 +19,9 @@ from calib.points import Points, read_points
 from calib.points_writer import PointsWriter
 from calib.report import write_report
 from calib.report_data import InputFile, ReportData, Track, input_file
-from calib.session.sequence import FreePose, SessionSettings, Stage, step_through, take_free_poses
+from calib.session.geometry import ArmGeometry
+from calib.session.sequence import FreePose, Stage, step_through, take_free_poses
+from calib.session.take import SessionSettings
 from calib.table import board_points, with_reference_tips
 from calib.verify import Comparison, compare
 from console.demo.bench import Bench
@@ -241,7 +243,7 @@ def _session(
     targets = [point for setup in SETUPS for point in board_points(setup, tables.cavities(table, setup))]
     port, seat = RuntimePort(client, bench.speed), HandPort(bench.rig.hand, bench.wait)
     with PointsWriter(file, arm.joint_count) as writer:
-        for step in step_through(targets, InverseKinematics(arm), port, seat, writer):
+        for step in step_through(targets, ArmGeometry(arm), port, seat, writer):
             if step.stage is Stage.UNREACHABLE:
                 raise ArmError(f"cavity {step.point} on the board's setup {step.setup}: {step.reason}")
             yield step.done_count / step.total_count, f"table: {step.setup} {step.point}"

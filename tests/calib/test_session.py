@@ -1,127 +1,74 @@
 """A session: order of motions, still-stand, what is recorded, what happens when something goes wrong."""
 
-import math
 from pathlib import Path
 
 import numpy as np
 import pytest
-from calib_arms import REFERENCE, REFERENCE_DH, TILTS, angles_for, board_points
+from calib_arms import REFERENCE, REFERENCE_DH, TILTS, angles_for
+from session_arm import SEED, NumericGeometry, ScriptedArm, board
 
 from calib import table
 from calib.errors import SessionError, UnusablePointsError
 from calib.points import read_points
 from calib.points_writer import PointsWriter
-from calib.session import FreePose, Sample, SessionSettings, Stage, step_through, take_free_poses
+from calib.session import FreePose, SessionSettings, Stage, step_through, take_free_poses
 from calib.session.still import StillStand, wait_for_rest
-from control.errors import ArmError
 
 
-class NumericInverse:
-    """Inverse kinematics of the reference arm; the cavity named in `far` is out of reach."""
-
-    def __init__(self, far: tuple[float, float, float] | None = None) -> None:
-        self._far = far
-
-    def nearest(self, point, q_near):
-        if self._far is not None and math.dist(point, self._far) < 1e-9:
-            raise ArmError("target is out of reach by 0.012 m")
-        return tuple(
-            angles_for(REFERENCE, REFERENCE_DH, np.array([point]), np.array([0.0, -1.0, 0.0]))[0].tolist()
-        )
-
-
-class ScriptedArm:
-    """Writes down what it is told. Encoders tremble for `settle_s` after every motion, then stand."""
-
-    def __init__(self, settle_s: float = 0.2) -> None:
-        self.log: list[str] = []
-        self.t_s, self.q_rad, self._settle_s, self._moved_s = 0.0, (0.0, -1.0, 0.0), settle_s, -10.0
-        self.seated: tuple[float, float, float] | None = None
-
-    def now_s(self) -> float:
-        return self.t_s
-
-    def move_to_q(self, q_rad) -> None:
-        self.q_rad, self._moved_s = tuple(q_rad), self.t_s + 1.0
-        self.t_s += 1.0
-        self.log.append("move")
-
-    def release(self) -> None:
-        self.log.append("release")
-
-    def hold(self) -> None:
-        self.log.append("hold")
-
-    def grip(self) -> None:
-        self.log.append("grip")
-
-    def seat(self, point_m) -> None:
-        self.seated, self._moved_s = point_m, self.t_s
-        seated = angles_for(REFERENCE, REFERENCE_DH, np.array([point_m]), np.array([0.0, -1.0, 0.0]))
-        self.q_rad = tuple(seated[0].tolist())
-        self.log.append("seat")
-
-    def let_go(self) -> None:
-        self.seated = None
-        self.log.append("let go")
-
-    def average(self, duration_s: float) -> Sample:
-        self.t_s += duration_s
-        shake = 1e-3 * math.cos(300.0 * self.t_s) if self.t_s - self._moved_s < self._settle_s else 0.0
-        return Sample(tuple(q + shake for q in self.q_rad), (1e-5,) * 3, (0.3, 1.5, 0.5), (1, -1, 1))
-
-
-class MovingArm(ScriptedArm):
-    """Keeps where the tip was sent."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.tips: list[np.ndarray] = []
-
-    def move_to_q(self, q_rad) -> None:
-        super().move_to_q(q_rad)
-        self.tips.append(REFERENCE.tips(REFERENCE_DH, np.array([q_rad]))[0])
-
-
-def board(setup: str, count: int = 4) -> tuple[table.BoardPoint, ...]:
-    tips = board_points(*TILTS[setup])
-    return table.board_points(setup, {str(k + 1): tips[k] for k in range(33)})[:count]
-
-
-def run(path: Path, arm: ScriptedArm, points, inverse=None, **others):
+def run(path: Path, arm: ScriptedArm, points, geometry=None, **others):
     with PointsWriter(path, 3) as writer:
-        return list(step_through(points, inverse or NumericInverse(), arm, arm, writer, **others))
+        return list(step_through(points, geometry or NumericGeometry(), arm, arm, writer, **others))
 
 
 def test_a_point_is_approached_from_above_seated_held_recorded_and_left_upwards(tmp_path: Path) -> None:
     arm = ScriptedArm()
     events = run(tmp_path / "points.csv", arm, board("normal", 1))
     assert [event.stage for event in events] == [Stage.SETUP, Stage.ABOVE, Stage.SEATED, Stage.RECORDED]
-    assert arm.log == ["move", "grip", "release", "seat", "hold", "hold", "let go", "move"]
+    assert arm.log == ["move", "grip", "release", "seat", "hold", "hold", "let go", "move", "move"]
     points, _ = read_points(tmp_path / "points.csv", 3)
     np.testing.assert_allclose(points.tip_m, [[0.59, 0.0, 0.0]], atol=1e-7)
     assert points.direction[0].tolist() == [1.0, -1.0, 1.0]
     assert points.current_A[0].tolist() == [0.3, 1.5, 0.5]
     assert points.extra["q1_sd_rad"] == ("0.000010000",)
+    assert [points.extra[f"temperature{j}_C"] for j in (1, 2, 3)] == [("31.0",), ("40.5",), ("29.0",)]
 
 
 def test_above_means_along_the_boards_normal(tmp_path: Path) -> None:
-    arm = MovingArm()
+    arm = ScriptedArm()
     target = board("roll", 1)[0]
     tilt = TILTS["roll"][0]
     np.testing.assert_allclose(target.normal, (0.0, -np.sin(tilt), np.cos(tilt)), atol=1e-12)
     run(tmp_path / "points.csv", arm, [target], settings=SessionSettings(approach_m=0.05))
-    moves = arm.tips
-    np.testing.assert_allclose(moves[0], np.add(target.tip_m, 0.05 * np.array(target.normal)), atol=1e-6)
-    np.testing.assert_allclose(moves[1], moves[0], atol=1e-6)
-    assert len(moves) == 2, "the drives never take the tip down to the board"
+    heights = [np.dot(np.subtract(tip, target.tip_m), target.normal) for tip in arm.tips]
+    aside = [
+        np.subtract(tip, target.tip_m) - h * np.array(target.normal)
+        for tip, h in zip(arm.tips, heights, strict=True)
+    ]
+    np.testing.assert_allclose(heights, [0.05, 0.01, 0.05], atol=1e-6)  # above; out of the cavity, up
+    np.testing.assert_allclose(aside, np.zeros((3, 3)), atol=1e-6)
+
+
+def test_an_arm_that_stands_low_over_the_board_is_lifted_straight_off_first(tmp_path: Path) -> None:
+    """As after a kill while the tip sat: the tip must not be dragged through its cavity."""
+    arm, points = ScriptedArm(), board("roll", 2)
+    arm.seat(points[0].tip_m)
+    arm.t_s = 10.0  # it rests long since
+    run(tmp_path / "points.csv", arm, points[1:])
+    up = np.subtract(arm.tips[:2], points[0].tip_m)
+    np.testing.assert_allclose(up, np.outer([0.01, 0.06], points[0].normal), atol=1e-6)
+
+
+def test_an_arm_that_stands_high_is_not_lifted(tmp_path: Path) -> None:
+    arm, points = ScriptedArm(), board("normal", 1)
+    run(tmp_path / "points.csv", arm, points)
+    np.testing.assert_allclose(arm.tips[0], np.add(points[0].tip_m, (0.0, 0.0, 0.06)), atol=1e-6)
 
 
 def test_encoders_are_averaged_only_once_the_arm_rests(tmp_path: Path) -> None:
     arm = ScriptedArm(settle_s=0.5)
     run(tmp_path / "points.csv", arm, board("normal", 1))
     points, _ = read_points(tmp_path / "points.csv", 3)
-    exact = angles_for(REFERENCE, REFERENCE_DH, np.array([[0.59, 0.0, 0.0]]), np.array([0.0, -1.0, 0.0]))
+    exact = angles_for(REFERENCE, REFERENCE_DH, np.array([[0.59, 0.0, 0.0]]), SEED)
     np.testing.assert_allclose(points.q_rad, exact, atol=2e-9)
 
 
@@ -135,7 +82,7 @@ def test_an_arm_that_never_rests_is_an_error_and_is_left_held(tmp_path: Path) ->
 def test_a_session_that_is_stopped_lets_go_holds_and_resumes(tmp_path: Path) -> None:
     arm, points = ScriptedArm(), board("normal", 4)
     with PointsWriter(tmp_path / "points.csv", 3) as writer:
-        steps = step_through(points, NumericInverse(), arm, arm, writer)
+        steps = step_through(points, NumericGeometry(), arm, arm, writer)
         for event in steps:
             if event.stage is Stage.SEATED and event.point == "3":
                 break
@@ -149,7 +96,7 @@ def test_a_session_that_is_stopped_lets_go_holds_and_resumes(tmp_path: Path) -> 
 
 def test_a_point_out_of_reach_is_reported_and_the_others_are_taken(tmp_path: Path) -> None:
     points = board("normal", 3)
-    events = run(tmp_path / "points.csv", ScriptedArm(), points, NumericInverse(far=points[1].tip_m))
+    events = run(tmp_path / "points.csv", ScriptedArm(), points, NumericGeometry(far=points[1].tip_m))
     missed = [event for event in events if event.stage is Stage.UNREACHABLE]
     assert [(event.point, event.reason) for event in missed] == [("2", "target is out of reach by 0.012 m")]
     assert read_points(tmp_path / "points.csv", 3)[0].point == ("1", "3")

@@ -1,0 +1,268 @@
+"""A session with an operator: asks, moves, records, keeps; the front end answers.
+
+`conduct` is a generator: it yields what it has to say (`calib.session.talk`) and is sent a Command for every Ask. It reads no
+keyboard and prints nothing, so that a terminal, a script and a screen run the same session. Nothing moves, and no drive lets
+go, before an Ask was answered with GO. On every way out the hand is off and the drives hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from calib.errors import RegistrationError, SessionError
+from calib.session.boards_known import Boards
+from calib.session.folder import SessionFolder
+from calib.session.jog import jogged
+from calib.session.measured import BoardSurvey
+from calib.session.plan import Target
+from calib.session.ports import Camera, Geometry, JogPort, Vector
+from calib.session.take import SessionSettings, take
+from calib.session.talk import Ask, Command, Do, Kept, Question, Saying, Told
+from calib.session.walk import Walk
+from calib.session.watch import ResidualWatch
+from calib.session.wishes import done_to
+from control.errors import ArmError
+from control.loop.client import ArmFaulted, RuntimeGone
+
+Talk = Generator[Saying, Command, None]
+Answer = Generator[Saying, Command, bool]
+
+
+class Hand(Protocol):
+    """A hand that needs no asking: the mock arm's. It knows where the board really is."""
+
+    def grip(self) -> None:
+        """Return when the hand has the arm, so that the drives may let it go."""
+
+    def seat(self, target: Target) -> None:
+        """Return when the tip sits in the cavity."""
+
+    def let_go(self) -> None:
+        """The hand is off the arm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """What a session works with. hand: None where the operator's own hand seats the tip, which is asked for.
+
+    clock_offset_s is added to the arm's clock, so that times go on where a session is resumed.
+    """
+
+    arm: JogPort
+    geometry: Geometry
+    boards: Boards
+    watch: ResidualWatch
+    hand: Hand | None = None
+    camera: Camera | None = None
+    settings: SessionSettings = field(default_factory=SessionSettings)
+    clock_offset_s: float = 0.0
+
+
+def conduct(folder: SessionFolder, station: Station) -> Talk:
+    """Take what is left of the session. Ends when the operator says so; the arm then holds.
+
+    SessionError where the arm does not come to rest, ArmError where it cannot do what it is told.
+    """
+    return _Conductor(folder, station).run()
+
+
+class _Quit(Exception):
+    """The operator has had enough."""
+
+
+class _Conductor:
+    def __init__(self, folder: SessionFolder, station: Station) -> None:
+        self._folder, self._station = folder, station
+        self._arm, self._boards = station.arm, station.boards
+        self._survey = BoardSurvey(folder, station.boards, station.watch)
+        self._standing = ""  # the setup in which the board stands now
+        self._is_released = False
+
+    def run(self) -> Talk:
+        """The whole session."""
+        try:
+            yield from self._begin()
+            while True:
+                target = self._next()
+                if target is not None:
+                    yield from self._visit(target)
+                elif (yield from self._ask(Question.DONE, None)):
+                    self._lift()
+                    return
+        except _Quit:
+            if left := len(self._folder.state.left()):
+                yield Told(f"stopped with {left} points left; the same command resumes")
+
+    def _begin(self) -> Talk:
+        """Learn from what is on the disk, and whether the tip is at a point."""
+        yield from self._survey.resume()
+        self._walk = Walk(
+            self._station.geometry,
+            self._arm,
+            self._station.settings.approach_m,
+            self._station.settings.window_s,
+        )
+        if setup := self._folder.is_at_point:
+            self._walk.stands_at(self._boards.normal(setup))
+        else:
+            for setup in self._boards.poses:
+                self._walk.stands_over(self._boards.origin_m(setup), self._boards.normal(setup))
+        if self._walk.is_at_point:
+            yield Told("the tip may be at a point: the arm will first lift it straight off")
+
+    def _next(self) -> Target | None:
+        target = self._folder.state.next(self._standing or self._folder.standing)
+        if target is None or target.is_free or not self._boards.needs_seeing(target.setup):
+            return target
+        return self._boards.best_to_see(self._folder.state.left(), self._folder.points(), target.setup)
+
+    def _visit(self, target: Target) -> Talk:
+        """Take one target, or as much of it as the operator lets happen."""
+        if target.q_rad is not None:
+            if (yield from self._ask(Question.NEXT, target)):
+                self._go(target.q_rad)
+                yield from self._record(target)
+            return
+        if target.setup != self._standing and not (yield from self._set_up(target)):
+            return
+        if self._boards.is_placed(target.setup) and not (yield from self._send(target)):
+            return
+        if self._station.hand is not None:
+            yield from self._seated_by(self._station.hand, target)
+        elif self._folder.plan.seat == "jog":
+            yield from self._jogged_in(target)
+        else:
+            yield from self._guided_in(target)
+
+    def _set_up(self, target: Target) -> Answer:
+        """Away from the board, and wait until it stands as this target wants it."""
+        if self._walk.is_at_point:
+            if not (yield from self._ask(Question.NEXT, target)):
+                return False
+            self._lift()
+        if not (yield from self._ask(Question.BOARD, target)):
+            return False
+        self._standing = target.setup
+        return True
+
+    def _send(self, target: Target) -> Answer:
+        """The arm to above the point; a point out of reach is skipped."""
+        normal = self._boards.normal(target.setup)
+        try:
+            above = self._walk.plan(
+                self._boards.tip_m(target), normal, target.approach, self._folder.plan.approaches
+            )
+        except ArmError as error:
+            self._folder.skip(target.key, str(error))
+            yield Told(f"{target.name} is skipped: {error}", is_warning=True)
+            return False
+        if not (yield from self._ask(Question.NEXT, target)):
+            return False
+        self._go(above)
+        return True
+
+    def _seated_by(self, hand: Hand, target: Target) -> Talk:
+        """The mock hand seats the tip; where the arm was not moved before, the operator is asked first."""
+        if not self._boards.is_placed(target.setup) and not (yield from self._ask(Question.TAKE, target)):
+            return
+        hand.grip()
+        try:
+            with self._at_point(target):
+                hand.seat(target)
+                self._hold()
+                yield from self._record(target)
+        finally:
+            hand.let_go()
+
+    def _guided_in(self, target: Target) -> Talk:
+        """The operator takes the tip, the drives let go, the operator says when it sits."""
+        if not (yield from self._ask(Question.TAKE, target)):
+            return
+        with self._at_point(target):
+            if (yield from self._ask(Question.SEATED, target)):
+                self._hold()
+                yield from self._record(target)
+
+    def _jogged_in(self, target: Target) -> Talk:
+        """The operator jogs the tip down; the drives hold it all the time."""
+        self._arrive(target)
+        if (yield from self._ask(Question.SEATED, target)):
+            yield from self._record(target)
+
+    @contextmanager
+    def _at_point(self, target: Target) -> Iterator[None]:
+        """The drives let go, and hold again on every way out."""
+        self._arrive(target)
+        self._is_released = True
+        try:
+            self._arm.release()
+            yield
+        finally:
+            self._hold()
+
+    def _hold(self) -> None:
+        self._arm.hold()
+        self._is_released = False
+
+    def _arrive(self, target: Target) -> None:
+        """Before the tip goes down: whoever resumes after a kill must know."""
+        self._folder.at_point(target.key)
+        self._walk.stands_at(self._boards.normal(target.setup))
+
+    def _lift(self) -> None:
+        if self._walk.lift():
+            self._folder.lifted(self._standing or self._folder.standing)
+
+    def _go(self, q_rad: tuple[float, ...]) -> None:
+        self._lift()
+        self._walk.go(q_rad)
+
+    def _record(self, target: Target) -> Talk:
+        """Measure, judge, keep; then say so."""
+        station = self._station
+        cavity: Vector | None = None
+        if not target.is_free and self._boards.kind == "known":
+            cavity = self._boards.tip_m(target)
+        record = take(target, cavity, self._arm, station.settings, station.camera, station.clock_offset_s)
+        sighting = self._survey.sighting(record)
+        verdict = station.watch.judge(sighting)
+        kept = self._folder.record(record)
+        station.watch.add(kept.key, sighting)
+        yield Kept(kept, verdict)
+        if not target.is_free:
+            yield from self._survey.place(target.setup)
+
+    def _ask(self, question: Question, target: Target | None) -> Answer:
+        """Ask until the answer is GO (True), or something else has become due (False)."""
+        while True:
+            command = yield Ask(question, target)
+            if command.do is Do.GO:
+                return True
+            if command.do is Do.QUIT:
+                raise _Quit
+            try:
+                yield from self._obey(command, target)
+            except (ArmFaulted, RuntimeGone):
+                raise
+            except (SessionError, RegistrationError, ArmError) as refusal:
+                yield Told(str(refusal), is_warning=True)
+            if self._next() != target:
+                return False
+
+    def _obey(self, command: Command, target: Target | None) -> Talk:
+        if command.do is Do.NOTE:
+            self._folder.note(command.text, target.key if target else None)
+            yield Told("noted")
+        elif command.jog is not None:
+            if self._is_released:
+                raise SessionError("the drives are off: the hand moves the arm, not jog")
+            self._arm.creep_to_q(jogged(command.jog, self._arm, self._station.geometry))
+        else:
+            changed = done_to(self._folder, command, target, self._standing)
+            for key in changed:
+                self._station.watch.forget(key)
+            names = ", ".join(self._folder.state.targets[key].name for key in changed)
+            yield Told(f"{command.do.value}: {names}")

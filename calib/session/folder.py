@@ -1,0 +1,183 @@
+"""A session's folder: what is on the disk is the session.
+
+    session.json   the plan (calib.session.plan)
+    points.csv     the records that count, as the interchange format says
+    journal.jsonl  skipped, redone and bad points, notes; withdrawn records with their line of points.csv
+
+A record is in points.csv, and an event in the journal, before the call returns. A record that is withdrawn is written to the
+journal first and then taken out of points.csv; where a kill comes in between, opening the folder finishes it. Records of one
+point are told apart by `take`, so that nothing is withdrawn twice.
+"""
+
+from __future__ import annotations
+
+import csv
+import datetime
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from calib.errors import SessionError
+from calib.points import Points, read_points
+from calib.points_writer import Key, PointsWriter, Record, replace_file
+from calib.session.journal import Entry, Journal
+from calib.session.plan import SessionPlan, from_json, require_same, to_json
+from calib.session.state import Event, Mark, SessionState
+
+PLAN, POINTS, JOURNAL = "session.json", "points.csv", "journal.jsonl"
+AT_POINT, LIFTED = "at point", "lifted"  # journal events
+
+
+class SessionFolder:
+    """A session that is begun or resumed; use it as a context manager, or close it."""
+
+    def __init__(self, folder: Path, wanted: SessionPlan | None = None) -> None:
+        """Begin the session `wanted` in a new folder, or resume the one that is there.
+
+        SessionError where there is nothing to resume, where `wanted` is another session than the one in the folder,
+        and where another process has it open.
+        """
+        self.path = folder
+        self.is_resumed = (folder / PLAN).exists()
+        if self.is_resumed:
+            self.plan, self.started = _kept(folder, wanted)
+        else:
+            self.plan, self.started = _begun(folder, wanted), _now()
+        self._journal = Journal(folder / JOURNAL)
+        try:
+            if not self.is_resumed:
+                replace_file(folder / PLAN, to_json(self.plan, self.started).encode())
+            self._writer = PointsWriter(folder / POINTS, self.plan.joint_count)
+            self._withdrawn: Counter[Key] = Counter()
+            self.state = self._restored()
+        except BaseException:
+            self._journal.close()
+            raise
+        self.warnings = self._writer.warnings
+        if self.is_resumed:
+            self._note("resumed")
+
+    @property
+    def is_at_point(self) -> str:
+        """The setup at whose board the arm was left with its tip at a point, else ""."""
+        for entry in reversed(self._journal.entries):
+            if entry["event"] in (AT_POINT, LIFTED):
+                return str(entry["setup"]) if entry["event"] == AT_POINT else ""
+        return ""
+
+    @property
+    def standing(self) -> str:
+        """The setup in which the board stood last, else ""."""
+        stood = (str(e["setup"]) for e in reversed(self._journal.entries) if e["event"] in (AT_POINT, LIFTED))
+        return next(stood, "")
+
+    def points(self) -> Points | None:
+        """The records that count; None where there is none yet."""
+        return read_points(self.path / POINTS, self.plan.joint_count)[0] if self._writer.recorded else None
+
+    def record(self, record: Record) -> Record:
+        """Keep a record of a target that is left; returns it as it is kept, with its take."""
+        after = self.state.after(Event.RECORDED, record.key)
+        kept = replace(record, take=1 + self._withdrawn[record.key])
+        self._writer.append(kept)
+        self.state = after
+        return kept
+
+    def skip(self, key: Key, reason: str = "") -> None:
+        """Leave a target out."""
+        self.happen(Event.SKIP, key, reason)
+
+    def happen(self, event: Event, key: Key, reason: str = "") -> None:
+        """SKIP, REDO or BAD: a record that the target has is withdrawn and stays in the journal."""
+        after = self.state.after(event, key)
+        details = {"reason": reason} if reason else {}
+        if key in self._writer.recorded:
+            details["record"] = self._writer.line(key)
+        self._note(event.value, **_named(key), **details)
+        if key in self._writer.recorded:
+            self._writer.withdraw(key)
+            self._withdrawn[key] += 1
+        self.state = after
+
+    def note(self, text: str, key: Key | None = None) -> None:
+        """What the operator wants to be kept, with the target that it is about."""
+        self._note("note", text=text, **(_named(key) if key else {}))
+
+    def at_point(self, key: Key) -> None:
+        """The tip is about to be taken down to a point."""
+        self._note(AT_POINT, **_named(key))
+
+    def lifted(self, setup: str) -> None:
+        """The tip is clear of the board."""
+        self._note(LIFTED, setup=setup)
+
+    def close(self) -> None:
+        """Close the files."""
+        self._writer.close()
+        self._journal.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _note(self, event: str, **details: object) -> None:
+        self._journal.append({"at": _now(), "event": event, **details})
+
+    def _restored(self) -> SessionState:
+        """The state that the files say, after finishing withdrawals that a kill left half done."""
+        state = SessionState.begun(self.plan.targets)
+        for entry in self._journal.entries:
+            state = self._replayed(state, entry)
+        for key in self._writer.recorded:
+            state = state.marked(key, Mark.DONE)
+        return state
+
+    def _replayed(self, state: SessionState, entry: Entry) -> SessionState:
+        marks = {Event.SKIP.value: Mark.SKIPPED, Event.REDO.value: Mark.LEFT, Event.BAD.value: Mark.BAD}
+        if entry["event"] not in marks:
+            return state
+        key = (str(entry["setup"]), str(entry["point"]), int(entry["repeat"]))
+        if "record" in entry:
+            self._withdrawn[key] += 1
+            if key in self._writer.recorded and _take(self._writer.line(key)) == _take(entry["record"]):
+                self._writer.withdraw(key)
+        return state.marked(key, marks[entry["event"]])
+
+
+def _begun(folder: Path, wanted: SessionPlan | None) -> SessionPlan:
+    if wanted is None:
+        raise SessionError(f"{folder}: no session to resume: {PLAN} is not there")
+    for name in (POINTS, JOURNAL):
+        file = folder / name
+        if file.exists() and file.stat().st_size:
+            raise SessionError(f"{file} is there, but no {PLAN}: not a session's folder; name another --out")
+    wanted.require_sound()
+    folder.mkdir(parents=True, exist_ok=True)
+    return wanted
+
+
+def _kept(folder: Path, wanted: SessionPlan | None) -> tuple[SessionPlan, str]:
+    file = folder / PLAN
+    plan, started = from_json(file.read_text(encoding="utf-8"), file)
+    if wanted is not None:
+        require_same(plan, wanted, folder)
+    return plan, started
+
+
+def _named(key: Key) -> dict[str, object]:
+    return {"setup": key[0], "point": key[1], "repeat": key[2]}
+
+
+def _take(line: str) -> str:
+    """The take of a record's line: its last value."""
+    return next(csv.reader([line]))[-1]
+
+
+def _now() -> str:
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

@@ -1,0 +1,59 @@
+"""journal.jsonl: what happened in a session besides records, one JSON object a line, on the disk before `append` returns."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from calib.errors import SessionError
+
+Entry = dict[str, Any]
+
+
+class Journal:
+    """Appends entries; a last line that a killed process left torn is dropped when it is opened again.
+
+    While it is open no other session can open it (SessionError).
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file = path.open("a+b", buffering=0)
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self._file.close()
+            raise SessionError(f"{path.parent}: another session is running in this folder") from error
+        self.entries: tuple[Entry, ...] = self._mended()
+
+    def append(self, entry: Mapping[str, Any]) -> None:
+        """Write one entry and wait for the disk."""
+        self._file.write(json.dumps(entry).encode() + b"\n")
+        os.fsync(self._file.fileno())
+        self.entries += (dict(entry),)
+
+    def close(self) -> None:
+        """Close the file and let others open it."""
+        self._file.close()
+
+    def _mended(self) -> tuple[Entry, ...]:
+        content = self._path.read_bytes()
+        whole = content[: content.rfind(b"\n") + 1]
+        if len(whole) < len(content):
+            self._file.truncate(len(whole))
+            os.fsync(self._file.fileno())
+        return tuple(self._entry(line, number) for number, line in enumerate(whole.splitlines(), start=1))
+
+    def _entry(self, line: bytes, number: int) -> Entry:
+        with contextlib.suppress(ValueError):
+            entry = json.loads(line)
+            if isinstance(entry, dict) and isinstance(entry.get("event"), str):
+                return entry
+        raise SessionError(
+            f"{self._path}, line {number}: not an entry of a session's journal: was it edited by hand?"
+        )

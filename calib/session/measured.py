@@ -1,0 +1,97 @@
+"""What the records so far say about where the boards stand, and about the next record."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Generator
+from importlib.metadata import version
+
+from calib.arrays import norms
+from calib.boards import write_boards
+from calib.errors import RegistrationError
+from calib.markers import markers_text
+from calib.points import Points
+from calib.points_writer import Record, replace_file
+from calib.registration import Registration
+from calib.session.boards_known import Boards, markers_of
+from calib.session.folder import SessionFolder
+from calib.session.plan import FREE
+from calib.session.ports import Vector
+from calib.session.talk import Command, Saying, Told
+from calib.session.watch import ResidualWatch, Sighting
+
+MARKERS, BOARDS = "markers.csv", "boards.json"
+
+
+class BoardSurvey:
+    """Registers boards that the camera measures, and feeds the watch."""
+
+    def __init__(self, folder: SessionFolder, boards: Boards, watch: ResidualWatch) -> None:
+        self._folder, self._boards, self._watch = folder, boards, watch
+        self._found: dict[str, Registration] = {}
+
+    def resume(self) -> Generator[Saying, Command, None]:
+        """Take in what a session that is resumed has recorded."""
+        points = self._folder.points()
+        if points is None:
+            return
+        for key, sighting in _sightings(points, self._boards):
+            self._watch.add(key, sighting)
+        for setup in dict.fromkeys(points.setup):
+            yield from self.place(setup)
+
+    def sighting(self, record: Record) -> Sighting:
+        """A record as the watch sees it."""
+        if record.tip_m is not None:
+            return Sighting(record.setup, record.q_rad, record.tip_m)
+        return Sighting(record.setup, record.q_rad, self._boards.cavities_m[record.point], True)
+
+    def place(self, setup: str) -> Generator[Saying, Command, None]:
+        """Register a board that the camera measures, and write what was found."""
+        points = self._folder.points()
+        if self._boards.kind != "measured" or setup == FREE or points is None:
+            return
+        replace_file(self._folder.path / MARKERS, markers_text(markers_of(points)).encode())
+        is_last = not any(target.setup == setup for target in self._folder.state.left())
+        try:
+            found = self._boards.register(points, setup, is_last)
+        except RegistrationError as error:
+            yield Told(str(error), is_warning=True)
+            return
+        if found is None:
+            return
+        before = self._found.get(setup)
+        self._found[setup] = found
+        self._write()
+        if before is None or before.outliers != found.outliers:
+            yield Told(_described(setup, found), is_warning=bool(found.outliers))
+
+    def _write(self) -> None:
+        date = datetime.datetime.now(datetime.UTC).date().isoformat()
+        arm = self._folder.plan.arm
+        program = f"armwright {version('armwright')}"
+        write_boards(self._folder.path / BOARDS, arm, self._found, {}, date, program)
+
+
+def _sightings(points: Points, boards: Boards) -> list[tuple[object, Sighting]]:
+    """The records of a file, by key, in order."""
+    found: list[tuple[object, Sighting]] = []
+    for k in range(len(points)):
+        setup, point, repeat = points.setup[k], points.point[k], points.repeat[k]
+        x, y, z = points.tip_m[k].tolist()
+        is_unknown = x != x
+        place: Vector = boards.cavities_m[point] if is_unknown else (x, y, z)
+        sighting = Sighting(setup, tuple(points.q_rad[k].tolist()), place, is_unknown)
+        found.append(((setup, point, repeat), sighting))
+    return found
+
+
+def _described(setup: str, found: Registration) -> str:
+    worst = max(zip(norms(found.residual_m), found.names, strict=True))
+    text = (
+        f"board {setup}: placed by {len(found.names)} cavities, {1e3 * found.noise_m:.2f} mm per axis,"
+        f" worst {worst[1]} with {1e3 * float(worst[0]):.2f} mm"
+    )
+    if found.outliers:
+        text += f"; not used: {', '.join(found.outliers)} (`redo` them)"
+    return "; ".join((text, *found.notes))

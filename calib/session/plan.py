@@ -1,0 +1,230 @@
+"""What a session is to take: targets in order, with everything that must be the same when it is resumed.
+
+No I/O here except text: `to_json` and `from_json` are session.json.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
+
+from calib.errors import SessionError
+from calib.points_writer import Key
+from control.model.arm import Arm, Camera
+
+FORMAT = "session/1"
+FREE = "free"
+Board = Literal["known", "measured", "unknown"]
+Seating = Literal["hand", "jog"]
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """One record to take: a cavity of a setup, or with q_rad a free pose. `approach` from 1: from which side."""
+
+    setup: str
+    point: str
+    repeat: int = 1
+    approach: int = 1
+    q_rad: tuple[float, ...] | None = None
+
+    @property
+    def key(self) -> Key:
+        """What tells records apart."""
+        return self.setup, self.point, self.repeat
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it is a pose away from the board."""
+        return self.q_rad is not None
+
+    @property
+    def name(self) -> str:
+        """As an operator reads it: `normal 3`, or `normal 3 (repeat 2)`."""
+        return f"{self.setup} {self.point}" + (f" (repeat {self.repeat})" if self.repeat > 1 else "")
+
+
+@dataclass(frozen=True, slots=True)
+class SessionPlan:
+    """The whole of a session, before it begins and whenever it is resumed.
+
+    board: where it stands is known, measured with the camera, or unknown; seat: how the tip gets into a cavity;
+    has_camera: whether the tip is measured; arm_sha256: of what the arm's file says (`fingerprint`).
+    """
+
+    arm: str
+    arm_sha256: str
+    joint_count: int
+    targets: tuple[Target, ...]
+    board: Board = "known"
+    seat: Seating = "hand"
+    has_camera: bool = False
+    payload_kg: float = 0.0
+
+    @property
+    def approaches(self) -> int:
+        """How many sides points are approached from."""
+        return max((target.approach for target in self.targets), default=1)
+
+    def require_sound(self) -> None:
+        """SessionError where no session can be made of it."""
+        if not self.targets:
+            raise SessionError("the session has no points: check --setups, --points, --plan and --free")
+        for target in self.targets:
+            if not (target.setup.strip() and target.point.strip()) or len(target.name.splitlines()) > 1:
+                raise SessionError(f"names of setups and points are one line of text, got {target.name!r}")
+        keys = [target.key for target in self.targets]
+        if len(set(keys)) < len(keys):
+            twice = next(key for k, key in enumerate(keys) if key in keys[:k])
+            raise SessionError(f"{' '.join(map(str, twice))} is planned twice: use --repeats")
+        if self.board == "measured" and not self.has_camera:
+            raise SessionError("a board that the camera is to measure takes --camera")
+        if self.seat == "jog" and self.board != "known":
+            raise SessionError(
+                f"--seat jog takes a board whose place is known, not {self.board}: guide the tip by hand"
+            )
+        if any(t.is_free for t in self.targets) and not self.has_camera:
+            raise SessionError("free poses are worth nothing unless the camera sees the tip: add --camera")
+
+
+def board_targets(
+    setups: Sequence[str], points: Sequence[str], repeats: int = 1, approaches: int = 1
+) -> tuple[Target, ...]:
+    """Setup after setup; in each, round after round: every point once per approach and repeat.
+
+    Records are numbered through: with two approaches the odd ones come from the first side, the even from the second.
+    """
+    return tuple(
+        Target(setup, point, (turn - 1) * approaches + side, side)
+        for setup in setups
+        for turn in range(1, repeats + 1)
+        for side in range(1, approaches + 1)
+        for point in points
+    )
+
+
+def free_targets(poses: Mapping[str, Sequence[float]], repeats: int = 1) -> tuple[Target, ...]:
+    """Free poses by name, round after round."""
+    return tuple(
+        Target(FREE, name, turn, 1, tuple(float(q) for q in q_rad))
+        for turn in range(1, repeats + 1)
+        for name, q_rad in poses.items()
+    )
+
+
+def fingerprint(arm: Arm) -> str:
+    """SHA-256 of what an arm's file says, but for comments, order and the ports that it is plugged into."""
+    ports = tuple(replace(board, port="") for board in arm.encoder_boards)
+    camera = replace(arm.camera, udp_port=Camera().udp_port) if arm.camera else None
+    bare = replace(arm, encoder_boards=ports, can=None, camera=camera, path=None)
+    return hashlib.sha256(repr(bare).encode()).hexdigest()
+
+
+def to_json(plan: SessionPlan, started: str) -> str:
+    """The text of session.json; `started` is the date and time in ISO 8601."""
+    content = {
+        "format": FORMAT,
+        "started": started,
+        "arm": plan.arm,
+        "arm_sha256": plan.arm_sha256,
+        "joint_count": plan.joint_count,
+        "board": plan.board,
+        "seat": plan.seat,
+        "camera": plan.has_camera,
+        "payload_kg": plan.payload_kg,
+        "targets": [_target_json(target) for target in plan.targets],
+    }
+    return json.dumps(content, indent=1) + "\n"
+
+
+def from_json(text: str, path: Path) -> tuple[SessionPlan, str]:
+    """The plan of a session.json and when it was begun; SessionError names file and key."""
+    try:
+        content = json.loads(text)
+        if content["format"] != FORMAT:
+            raise SessionError(f'{path}, format: expected "{FORMAT}", got "{content["format"]}"')
+        _require_one_of(path, "board", content["board"], get_args(Board))
+        _require_one_of(path, "seat", content["seat"], get_args(Seating))
+        plan = SessionPlan(
+            str(content["arm"]),
+            str(content["arm_sha256"]),
+            int(content["joint_count"]),
+            tuple(_target(entry) for entry in content["targets"]),
+            content["board"],
+            content["seat"],
+            bool(content["camera"]),
+            float(content["payload_kg"]),
+        )
+        return plan, str(content["started"])
+    except KeyError as error:
+        raise SessionError(f"{path}: key {error} is missing: not a whole session.json") from error
+    except (ValueError, TypeError, AttributeError) as error:
+        raise SessionError(f"{path}: not a session.json ({error})") from error
+
+
+def require_same(begun: SessionPlan, wanted: SessionPlan, where: Path) -> None:
+    """SessionError that says what differs where a session is resumed with another plan."""
+    if begun.arm_sha256 != wanted.arm_sha256:
+        raise SessionError(
+            f"{where} is a session of arm {begun.arm!r} as its file was then ({begun.arm_sha256[:12]}); now it is"
+            f" {wanted.arm!r} ({wanted.arm_sha256[:12]}): name the same arm, or another --out for a new session"
+        )
+    for what, before, now in (
+        ("board", begun.board, wanted.board),
+        ("seat", begun.seat, wanted.seat),
+        ("camera", begun.has_camera, wanted.has_camera),
+        ("payload in kg", begun.payload_kg, wanted.payload_kg),
+    ):
+        if before != now:
+            raise SessionError(f"{where} was begun with {what} {before}, now it is {now}: {_REMEDY}")
+    if begun.targets != wanted.targets:
+        raise SessionError(f"{where} was begun with another plan: {_difference(begun, wanted)}: {_REMEDY}")
+
+
+_REMEDY = "leave the options away to resume it, or name another --out"
+
+
+def _difference(begun: SessionPlan, wanted: SessionPlan) -> str:
+    before, now = set(begun.targets), set(wanted.targets)
+    gone, new = _first(begun.targets, before - now), _first(wanted.targets, now - before)
+    if not gone and not new:
+        return "the same points in another order"
+    return " and ".join(
+        text
+        for text in (f"{gone} is not in the new one" if gone else "", f"{new} is new" if new else "")
+        if text
+    )
+
+
+def _first(targets: Iterable[Target], among: set[Target]) -> str:
+    return next((target.name for target in targets if target in among), "")
+
+
+def _target_json(target: Target) -> dict[str, object]:
+    entry: dict[str, object] = {"setup": target.setup, "point": target.point, "repeat": target.repeat}
+    if target.approach != 1:
+        entry["approach"] = target.approach
+    if target.q_rad is not None:
+        entry["q_rad"] = list(target.q_rad)
+    return entry
+
+
+def _target(entry: Mapping[str, object]) -> Target:
+    q_rad = entry.get("q_rad")
+    angles = tuple(float(q) for q in q_rad) if isinstance(q_rad, list) else None
+    return Target(
+        str(entry["setup"]),
+        str(entry["point"]),
+        int(str(entry["repeat"])),
+        int(str(entry.get("approach", 1))),
+        angles,
+    )
+
+
+def _require_one_of(path: Path, key: str, value: object, choices: Sequence[str]) -> None:
+    if value not in choices:
+        raise SessionError(f"{path}, {key}: expected one of {', '.join(choices)}, got {value!r}")

@@ -1,0 +1,122 @@
+"""Where a session stands: which targets are left, done, skipped or bad, and which is next. No I/O, nothing moves.
+
+What happens to a target, and what each event makes of it:
+
+| is | recorded | skip | redo | bad |
+| --- | --- | --- | --- | --- |
+| left | done | skipped | - | - |
+| done | - | - | left | bad |
+| skipped | - | - | left | - |
+| bad | - | - | left | - |
+
+`-` is refused with a SessionError that says what to do, and changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+from types import MappingProxyType
+
+from calib.errors import SessionError
+from calib.points_writer import Key
+from calib.session.plan import Target
+
+
+class Mark(Enum):
+    """What became of a target."""
+
+    LEFT = "left"
+    DONE = "done"
+    SKIPPED = "skipped"
+    BAD = "bad"
+
+
+class Event(Enum):
+    """What happens to a target."""
+
+    RECORDED = "recorded"
+    SKIP = "skip"
+    REDO = "redo"
+    BAD = "bad"
+
+
+AFTER: Mapping[tuple[Mark, Event], Mark] = MappingProxyType(
+    {
+        (Mark.LEFT, Event.RECORDED): Mark.DONE,
+        (Mark.LEFT, Event.SKIP): Mark.SKIPPED,
+        (Mark.DONE, Event.REDO): Mark.LEFT,
+        (Mark.DONE, Event.BAD): Mark.BAD,
+        (Mark.SKIPPED, Event.REDO): Mark.LEFT,
+        (Mark.BAD, Event.REDO): Mark.LEFT,
+    }
+)
+_ADVICE = {
+    (Mark.LEFT, Event.REDO): "it is still to be taken",
+    (Mark.LEFT, Event.BAD): "it is not recorded; `skip` leaves it out",
+    (Mark.DONE, Event.RECORDED): "`redo` it first",
+    (Mark.DONE, Event.SKIP): "it is recorded; `bad` takes its record out",
+    (Mark.SKIPPED, Event.SKIP): "it is skipped already",
+    (Mark.BAD, Event.BAD): "it is marked already",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SessionState:
+    """Marks by key, in the plan's order, and the record that was taken last."""
+
+    targets: Mapping[Key, Target]
+    marks: Mapping[Key, Mark]
+    last: Key | None = None
+
+    @classmethod
+    def begun(cls, targets: tuple[Target, ...]) -> SessionState:
+        """Everything is left."""
+        return cls(
+            MappingProxyType({target.key: target for target in targets}),
+            MappingProxyType({target.key: Mark.LEFT for target in targets}),
+        )
+
+    def after(self, event: Event, key: Key) -> SessionState:
+        """The state after an event; SessionError where it makes no sense."""
+        self.require_planned(key)
+        now = self.marks[key]
+        if (now, event) not in AFTER:
+            advice = _ADVICE.get((now, event), "`redo` it first")
+            raise SessionError(f"{self.targets[key].name} is {now.value}, so not {event.value}: {advice}")
+        return self.marked(key, AFTER[now, event], is_last=event is Event.RECORDED)
+
+    def marked(self, key: Key, mark: Mark, is_last: bool = False) -> SessionState:
+        """The state with a target marked, as a file that is read back says."""
+        self.require_planned(key)
+        marks = MappingProxyType({**self.marks, key: mark})
+        last = key if is_last else (None if self.last == key and mark is not Mark.DONE else self.last)
+        return replace(self, marks=marks, last=last)
+
+    def next(self, standing: str = "") -> Target | None:
+        """The first target that is left, of the setup that stands if it has any; None when nothing is left."""
+        left = self.left()
+        return next((target for target in left if target.setup == standing), left[0] if left else None)
+
+    def left(self) -> list[Target]:
+        """Targets still to be taken, in order."""
+        return [target for key, target in self.targets.items() if self.marks[key] is Mark.LEFT]
+
+    def count(self, mark: Mark) -> int:
+        """How many targets have a mark."""
+        return sum(one is mark for one in self.marks.values())
+
+    def named(self, setup: str, point: str, repeat: int | None = None) -> list[Key]:
+        """Keys of a point: of one repeat or of all. SessionError where the plan has none."""
+        keys = [key for key in self.targets if key[:2] == (setup, point) and repeat in (None, key[2])]
+        if not keys:
+            wanted = " ".join((setup, point, *([] if repeat is None else [str(repeat)])))
+            setups = ", ".join(dict.fromkeys(key[0] for key in self.targets))
+            raise SessionError(f"the session has no point {wanted}; its setups are {setups}")
+        return keys
+
+    def require_planned(self, key: Key) -> None:
+        """SessionError where the plan has no such target."""
+        if key not in self.targets:
+            raise SessionError(f"{' '.join(map(str, key))} is not in the session's plan")

@@ -1,0 +1,54 @@
+"""One record: wait until the arm rests, average, look with the camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from calib.points_writer import Record
+from calib.session.plan import Target
+from calib.session.ports import ArmPort, Camera, Vector
+from calib.session.still import wait_for_rest
+
+
+@dataclass(frozen=True, slots=True)
+class SessionSettings:
+    """How a point is taken. The defaults suit encoders of some 0.03 mrad at the joint."""
+
+    approach_m: float = 0.06  # an uncalibrated arm of half a metre is some 3 cm off
+    still_limit_rad: float = 1e-4
+    still_s: float = 0.1
+    patience_s: float = 10.0
+    window_s: float = 0.02
+    average_s: float = 0.1
+    payload_kg: float = 0.0
+
+
+def take(
+    target: Target,
+    tip_m: Vector | None,
+    arm: ArmPort,
+    how: SessionSettings,
+    camera: Camera | None,
+    clock_offset_s: float = 0.0,
+) -> Record:
+    """The record of a target at which the arm stands; its tip is what the camera sees, else tip_m.
+
+    SessionError if the arm does not come to rest.
+    """
+    wait_for_rest(arm, how.still_limit_rad, how.still_s, how.patience_s, how.window_s)
+    t_s = arm.now_s() + clock_offset_s
+    sample = arm.average(how.average_s)
+    return Record(
+        target.setup,
+        target.point,
+        target.repeat,
+        sample.q_rad,
+        sample.q_sd_rad,
+        sample.direction,
+        sample.current_A,
+        t_s,
+        how.payload_kg,
+        camera.measure(how.average_s)[0] if camera is not None else tip_m,
+        sample.temperature_C,
+        target.approach,
+    )

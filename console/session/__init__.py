@@ -1,0 +1,1 @@
+"""The operator's side of a calibration session: commands in, text out."""
