@@ -6,9 +6,11 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.arrays import Array
 from calib.identify.identification import Identification
+from calib.page import Section
+from calib.tracks import TrackPair
 from calib.verify import Comparison
+from control.model.arm import Arm
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,18 +23,12 @@ class InputFile:
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
-    """One run along a path: time_s (k,), planned_m and measured_m (k, 3) of the tip, base frame; NaN where not seen."""
-
-    name: str
-    time_s: Array
-    planned_m: Array
-    measured_m: Array
-
-
-@dataclass(frozen=True, slots=True)
 class ReportData:
-    """Everything that stands in report.html. Absent parts are left out of it."""
+    """Everything that stands in report.html. Absent parts are left out of it.
+
+    `verdict`: sentences ahead of everything. `paths`: trajectories by the nominal and the calibrated model. `arms`: nominal
+    and calibrated, for the table of their DH parameters. `sections`: more of them, after the comparisons.
+    """
 
     title: str
     arm: str
@@ -40,11 +36,14 @@ class ReportData:
     program_version: str
     steps: tuple[str, ...]
     inputs: tuple[InputFile, ...] = ()
-    tracks: tuple[Track, ...] = ()
+    paths: tuple[TrackPair, ...] = ()
     identification: Identification | None = None
     calibration: Comparison | None = None
     verification: Comparison | None = None
+    arms: tuple[Arm, Arm] | None = None
     notes: tuple[str, ...] = ()
+    verdict: tuple[str, ...] = ()
+    sections: tuple[Section, ...] = ()
 
 
 def input_file(path: Path, what: str) -> InputFile:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,28 +10,27 @@ import numpy as np
 
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
-from calib.identify.arm_model import ArmModel
 from calib.points import Points
+from calib.statistics import Difference, ErrorSummary, difference, mean_half_width, summarise
+from control.model.arm import Arm
+from control.model.kinematics import Kinematics
 
-CONFIDENCE = 0.95
+__all__ = [
+    "ALL",
+    "Comparison",
+    "ErrorSummary",
+    "SetupComparison",
+    "aligned",
+    "compare",
+    "compare_arms",
+    "compare_repeated",
+    "comparison_text",
+    "findings",
+    "improvement_percent",
+    "summarise",
+]
+
 ALL = "all"
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorSummary:
-    """Distances between wanted and measured tips: how many, mean, root mean square, largest, standard
-    deviation.
-
-    `mean_half_width_m` is half the 95 % confidence interval of the mean (Student's t); NaN for fewer than two
-    points.
-    """
-
-    count: int
-    mean_m: float
-    rms_m: float
-    max_m: float
-    sd_m: float
-    mean_half_width_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,18 +40,20 @@ class SetupComparison:
     setup: str
     before: ErrorSummary
     after: ErrorSummary
+    difference: Difference
 
     @property
     def improvement_percent(self) -> float:
         """100 (before - after) / before of the means; negative if worse, 0 if there was no error."""
-        return 100.0 * (1.0 - self.after.mean_m / self.before.mean_m) if self.before.mean_m > 0.0 else 0.0
+        return improvement_percent(self.before.mean_m, self.after.mean_m)
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """Points with their error vectors (measured minus wanted, base frame) before and after calibration.
 
-    setup, point: m names; tip_m, before_m, after_m: (m, 3).
+    setup, point: m names; tip_m, before_m, after_m: (m, 3). Half widths (m,): of the 95 % interval of each point's
+    distance, from repeats at the point; NaN where there were none.
     """
 
     setup: tuple[str, ...]
@@ -59,6 +61,8 @@ class Comparison:
     tip_m: Array
     before_m: Array
     after_m: Array
+    before_half_width_m: Array
+    after_half_width_m: Array
 
     @property
     def setups(self) -> tuple[str, ...]:
@@ -68,9 +72,8 @@ class Comparison:
     def of(self, setup: str) -> SetupComparison:
         """One setup, or `all` for every point."""
         rows = [k for k, name in enumerate(self.setup) if setup in (name, ALL)]
-        return SetupComparison(
-            setup, summarise(norms(self.before_m[rows])), summarise(norms(self.after_m[rows]))
-        )
+        before_m, after_m = norms(self.before_m[rows]), norms(self.after_m[rows])
+        return SetupComparison(setup, summarise(before_m), summarise(after_m), difference(before_m, after_m))
 
     def by_setup(self) -> tuple[SetupComparison, ...]:
         """Each setup, then all points together if there are several setups."""
@@ -78,8 +81,19 @@ class Comparison:
         return tuple(self.of(name) for name in names)
 
 
+def improvement_percent(before_m: float, after_m: float) -> float:
+    """100 (before - after) / before; 0 where there was no error before."""
+    return 100.0 * (1.0 - after_m / before_m) if before_m > 0.0 else 0.0
+
+
 def compare(
-    setup: Sequence[str], point: Sequence[str], tip_m: Array, before_m: Array, after_m: Array
+    setup: Sequence[str],
+    point: Sequence[str],
+    tip_m: Array,
+    before_m: Array,
+    after_m: Array,
+    before_half_width_m: Array | None = None,
+    after_half_width_m: Array | None = None,
 ) -> Comparison:
     """A Comparison; CalibrationError where the arrays do not belong together or hold no numbers."""
     shapes = {np.shape(tip_m), np.shape(before_m), np.shape(after_m), (len(setup), 3), (len(point), 3)}
@@ -89,38 +103,58 @@ def compare(
         raise CalibrationError(
             "a tip or an error is not a finite number: leave points out that were not measured"
         )
-    return Comparison(tuple(setup), tuple(point), frozen(tip_m), frozen(before_m), frozen(after_m))
-
-
-def compare_points(model: ArmModel, nominal_dh: Array, dh: Array, points: Points) -> Comparison:
-    """Measured tips against those that the DH table predicts from the encoders, before and after calibration.
-
-    Points without a measured tip are left out.
-    """
-    seen = points.chosen(np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)))
-    before_m, after_m = (seen.tip_m - model.tips(np.asarray(table), seen.q_rad) for table in (nominal_dh, dh))
-    return compare(seen.setup, seen.point, seen.tip_m, before_m, after_m)
-
-
-def summarise(errors_m: Array) -> ErrorSummary:
-    """Figures of distances (m,)."""
-    m = len(errors_m)
-    sd_m = float(np.std(errors_m, ddof=1)) if m > 1 else float("nan")
-    return ErrorSummary(
-        count=m,
-        mean_m=float(np.mean(errors_m)),
-        rms_m=float(np.sqrt(np.mean(errors_m**2))),
-        max_m=float(np.max(errors_m)),
-        sd_m=sd_m,
-        mean_half_width_m=_student_t(m - 1) * sd_m / float(np.sqrt(m)) if m > 1 else float("nan"),
+    unknown = np.full(len(setup), np.nan)
+    return Comparison(
+        tuple(setup),
+        tuple(point),
+        frozen(tip_m),
+        frozen(before_m),
+        frozen(after_m),
+        frozen(unknown if before_half_width_m is None else before_half_width_m),
+        frozen(unknown if after_half_width_m is None else after_half_width_m),
     )
 
 
-def _student_t(freedom: int) -> float:
-    """Two-sided 95 % quantile of Student's t."""
-    from scipy.special import stdtrit
+def compare_repeated(
+    setup: Sequence[str], point: Sequence[str], tip_m: Array, before_m: Array, after_m: Array
+) -> Comparison:
+    """As `compare`, with several rows a point: its error is the mean vector of its repeats.
 
-    return float(stdtrit(freedom, 0.5 + 0.5 * CONFIDENCE))
+    The interval of a point's distance is that of the repeats' parts along the mean error: t s / sqrt(k).
+    """
+    rows: dict[tuple[str, str], list[int]] = {}
+    for row, name in enumerate(zip(setup, point, strict=True)):
+        rows.setdefault(name, []).append(row)
+    before = [_of_repeats(before_m[k]) for k in rows.values()]
+    after = [_of_repeats(after_m[k]) for k in rows.values()]
+    return compare(
+        [name for name, _ in rows],
+        [name for _, name in rows],
+        np.array([tip_m[k].mean(axis=0) for k in rows.values()]),
+        np.array([mean for mean, _ in before]),
+        np.array([mean for mean, _ in after]),
+        np.array([half for _, half in before]),
+        np.array([half for _, half in after]),
+    )
+
+
+def _of_repeats(errors_m: Array) -> tuple[Array, float]:
+    """Mean of error vectors (k, 3), and half the 95 % interval of its length."""
+    mean = errors_m.mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    return mean, mean_half_width(errors_m @ (mean / length)) if length > 0.0 else math.nan
+
+
+def compare_arms(nominal: Arm, calibrated: Arm, points: Points) -> Comparison:
+    """Measured tips against those that two models predict from the encoders; rows of the same name are repeats.
+
+    Points without a measured tip are left out; CalibrationError if none has one.
+    """
+    seen = points.chosen(np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)))
+    if not len(seen):
+        raise CalibrationError("no point has a measured tip: x_m, y_m, z_m are empty everywhere")
+    before_m, after_m = (seen.tip_m - Kinematics(arm).tips(seen.q_rad) for arm in (nominal, calibrated))
+    return compare_repeated(seen.setup, seen.point, seen.tip_m, before_m, after_m)
 
 
 def comparison_text(comparison: Comparison) -> str:
@@ -134,17 +168,6 @@ def comparison_text(comparison: Comparison) -> str:
     return aligned(rows)
 
 
-def points_text(comparison: Comparison) -> str:
-    """Error before and after at every point, in mm."""
-    before, after = norms(comparison.before_m), norms(comparison.after_m)
-    rows = [("setup", "point", "before [mm]", "after [mm]")]
-    rows += [
-        (setup, point, f"{1e3 * b:.3f}", f"{1e3 * a:.3f}")
-        for setup, point, b, a in zip(comparison.setup, comparison.point, before, after, strict=True)
-    ]
-    return aligned(rows)
-
-
 def _figures(summary: ErrorSummary) -> tuple[str, ...]:
     """Mean, interval, RMS, largest, standard deviation, in mm."""
     low, high = summary.mean_m - summary.mean_half_width_m, summary.mean_m + summary.mean_half_width_m
@@ -155,6 +178,11 @@ def _figures(summary: ErrorSummary) -> tuple[str, ...]:
         f"{1e3 * summary.max_m:.3f}",
         f"{1e3 * summary.sd_m:.3f}",
     )
+
+
+def findings(comparison: Comparison) -> tuple[str, ...]:
+    """Of each setup, and of all together, whether the difference is more than chance."""
+    return tuple(f"{entry.setup}: {entry.difference.in_words()}" for entry in comparison.by_setup())
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:

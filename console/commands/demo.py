@@ -7,6 +7,7 @@ from pathlib import Path
 from console.commands.progress import Bar
 from console.demo import job
 from console.demo.bench import Bench, RealTimeBench, SteppedBench
+from console.folders import free_folder
 from console.scenario_file import seeded_scenario
 from control.model.description import load_arm
 
@@ -41,14 +42,3 @@ def run(given: argparse.Namespace) -> int:
     )
     (out / "verification.txt").write_text(comparison_text(outcome.verification) + "\n", encoding="utf-8")
     return 0
-
-
-def free_folder(wanted: Path) -> Path:
-    """`wanted`, or the first of `wanted-2`, `wanted-3`, ... that is not there: results are never overwritten."""
-    folder, number = wanted, 1
-    while folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        number += 1
-        folder = wanted.with_name(f"{wanted.name}-{number}")
-    if folder.exists():
-        folder.rmdir()
-    return folder

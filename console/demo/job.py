@@ -4,12 +4,10 @@ The arm that is told to move is never told what is hidden in it: what comes out 
 """
 
 import datetime
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-
-import numpy as np
 
 from calib.arrays import norms
 from calib.identify.assembly import problem_of
@@ -18,29 +16,21 @@ from calib.outcome import write_calibrated_arm, write_calibration_json
 from calib.points import Points, read_points
 from calib.points_writer import PointsWriter
 from calib.report import write_report
-from calib.report_data import InputFile, ReportData, Track, input_file
+from calib.report_data import InputFile, ReportData, input_file
 from calib.session.geometry import ArmGeometry
-from calib.session.sequence import FreePose, Stage, step_through, take_free_poses
-from calib.session.take import SessionSettings
+from calib.session.sequence import Stage, step_through
 from calib.table import board_points, with_reference_tips
+from calib.tracks import TrackPair
 from calib.verify import Comparison, compare
 from console.demo.bench import Bench
-from console.demo.tracks import track_of
 from console.ports import HandPort, RuntimePort
+from console.verify.models import Model
+from console.verify.places import SETUPS, places, ways
+from console.verify.survey import Programme, Survey, compared, paired
 from control.errors import ArmError
 from control.loop.client import ArmClient
 from control.model import table as tables
 from control.model.arm import Arm, Table
-from control.model.inverse import InverseKinematics
-from control.motion.plan import plan_path
-from control.motion.waypoints import Waypoints, circle, line
-
-SETUPS = ("normal", "roll", "pitch")
-HEIGHT_m = 0.05  # of paths and verification points above the board: an uncalibrated arm is some 3 cm off
-PATH_SPEED_m_s = 0.15
-VERIFY_RADIUS_m = 0.06
-VERIFY_POINTS = 6
-VERIFY_AVERAGE_S = 0.2  # 20 camera frames
 
 Advance = Callable[[str, float], None]
 """Called with what is being done and how much of the whole is done, 0 to 1."""
@@ -53,19 +43,9 @@ class Outcome:
     verification: Comparison
     calibration: Comparison
     found: Identification
-    tracks: tuple[Track, ...]
+    paths: tuple[TrackPair, ...]
     report: Path
     calibrated_arm: Path
-
-
-@dataclass(frozen=True, slots=True)
-class Visit:
-    """What one model of the arm did: verification points with wanted and measured tips (m, 3), and named runs along paths."""
-
-    poses: tuple[FreePose, ...]
-    wanted_m: np.ndarray
-    measured_m: np.ndarray
-    runs: tuple[tuple[str, int], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,12 +69,14 @@ class Calibrated:
 def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     """Do the whole job on the bench's arm and leave the results in the folder `out`."""
     table = tables.table_of(arm)
+    programme = programme_of(table)
+    before = _survey(arm, programme, out / "verification_before.csv")
     advance("homing", 0.0)
     client = bench.start(arm)
     client.enable()
     client.home()
     advance("verification, before", 0.05)
-    before = _visit(arm, table, bench, client, out / "verification_before.csv")
+    _drive(before, bench, client)
     for done, what in _session(arm, table, bench, client, out / "points.csv"):
         advance(what, 0.15 + 0.6 * done)
     recording_before = _put_away(arm, bench, client)
@@ -105,23 +87,34 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     advance("verification, after", 0.8)
     client = bench.start(calibrated.arm)
     client.enable()
-    after = _visit(calibrated.arm, table, bench, client, out / "verification_after.csv")
+    after = _survey(calibrated.arm, programme, out / "verification_after.csv")
+    _drive(after, bench, client)
     recording_after = _put_away(calibrated.arm, bench, client)
 
     advance("report", 0.94)
-    tracks = (
-        *_tracks(recording_before, arm, before, "before calibration"),
-        *_tracks(recording_after, calibrated.arm, after, "after calibration"),
-    )
-    outcome = _report(arm, calibrated, before, after, tracks, out)
+    verification = compared(programme, before.points(), after.points())
+    paths = paired(programme, before.tracks(recording_before), after.tracks(recording_after))
+    outcome = _report(arm, calibrated, verification, paths, out)
     advance("done", 1.0)
     return outcome
 
 
-def _visit(arm: Arm, table: Table, bench: Bench, client: ArmClient, file: Path) -> Visit:
-    """The verification points, the circle and the line, by `arm`'s model."""
-    poses, wanted_m, measured_m = _verify(arm, table, bench, client, file)
-    return Visit(poses, wanted_m, measured_m, tuple(_run_paths(arm, table, bench, client)))
+def programme_of(table: Table) -> Programme:
+    """Points above every tilt of the board, paths above the level one: what `armwright verify` does in brief."""
+    return Programme(places(table, SETUPS), ways(table, ("normal",)))
+
+
+def _survey(arm: Arm, programme: Programme, file: Path) -> Survey:
+    near = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
+    return Survey(Model(arm), programme, near, file)
+
+
+def _drive(survey: Survey, bench: Bench, client: ArmClient) -> None:
+    """The survey's points and paths, on a runtime that believes in the same model."""
+    for _ in survey.tour(1, client, bench.speed):
+        pass
+    for _ in survey.run_ways(survey.model, client, bench.speed):
+        pass
 
 
 def _calibrate(arm: Arm, table: Table, out: Path) -> Calibrated:
@@ -136,22 +129,11 @@ def _calibrate(arm: Arm, table: Table, out: Path) -> Calibrated:
     return Calibrated(calibrated, file, points, found, inputs, date, program)
 
 
-def _tracks(recording: Path, arm: Arm, visit: Visit, when: str) -> tuple[Track, ...]:
-    return tuple(track_of(recording, arm, number, f"{name}, {when}") for name, number in visit.runs)
-
-
 def _report(
-    arm: Arm, made: Calibrated, before: Visit, after: Visit, tracks: tuple[Track, ...], out: Path
+    arm: Arm, made: Calibrated, verification: Comparison, paths: tuple[TrackPair, ...], out: Path
 ) -> Outcome:
-    """Compare before and after, and write calibration.json and report.html."""
+    """Write calibration.json and report.html."""
     points, found = made.points, made.found
-    verification = compare(
-        [pose.setup for pose in before.poses],
-        [pose.point for pose in before.poses],
-        before.wanted_m,
-        before.measured_m - before.wanted_m,
-        after.measured_m - after.wanted_m,
-    )
     calibration = compare(points.setup, points.point, points.tip_m, found.error_before_m, found.error_after_m)
     write_calibration_json(
         out / "calibration.json", arm.name, found, made.hashes, made.date, made.program, verification
@@ -164,69 +146,16 @@ def _report(
             arm=arm.name,
             date=made.date,
             program_version=made.program,
-            steps=_steps(len(points), len(before.poses)),
+            steps=_steps(len(points), len(verification.point)),
             inputs=made.inputs,
-            tracks=tracks,
+            paths=paths,
             identification=found,
             calibration=calibration,
             verification=verification,
             notes=_notes(verification),
         ),
     )
-    return Outcome(verification, calibration, found, tracks, report, made.file)
-
-
-def verification_targets(table: Table) -> Iterator[tuple[str, str, tuple[float, float, float]]]:
-    """Setup, name and place of the verification points: above each tilt of the board, between the cavities."""
-    for setup in SETUPS:
-        for number in range(VERIFY_POINTS):
-            angle = 2.0 * np.pi * (number + 0.5) / VERIFY_POINTS
-            x, y = VERIFY_RADIUS_m * float(np.cos(angle)), VERIFY_RADIUS_m * float(np.sin(angle))
-            yield setup, f"v{number + 1}", tables.to_base(table, setup, (x, y, HEIGHT_m))
-
-
-def _verify(
-    arm: Arm, table: Table, bench: Bench, client: ArmClient, file: Path
-) -> tuple[tuple[FreePose, ...], np.ndarray, np.ndarray]:
-    """Send the tip to the verification points by `arm`'s model, and look with the camera where it went."""
-    inverse = InverseKinematics(arm)
-    q_rad: Sequence[float] = client.status()["q_rad"]
-    poses, wanted = [], []
-    for setup, name, target in verification_targets(table):
-        q_rad = inverse.nearest(target, q_rad)
-        poses.append(FreePose(setup, name, tuple(q_rad)))
-        wanted.append(target)
-    port = RuntimePort(client, bench.speed)
-    with PointsWriter(file, arm.joint_count) as writer:
-        records = [
-            step.record
-            for step in take_free_poses(
-                poses, port, port, writer, SessionSettings(average_s=VERIFY_AVERAGE_S)
-            )
-            if step.record is not None and step.record.tip_m is not None
-        ]
-    return tuple(poses), np.array(wanted), np.array([record.tip_m for record in records])
-
-
-def _run_paths(arm: Arm, table: Table, bench: Bench, client: ArmClient) -> list[tuple[str, int]]:
-    """Run the circle and the line in Cartesian space; returns their names and run numbers."""
-    runs = []
-    for name, waypoints in (
-        ("circle", circle(table, height_m=HEIGHT_m)),
-        ("line", line(table, height_m=HEIGHT_m)),
-    ):
-        runs.append((name, run_waypoints(arm, waypoints, PATH_SPEED_m_s, client, bench.speed)))
-    return runs
-
-
-def run_waypoints(
-    arm: Arm, waypoints: Waypoints, speed_m_s: float | None, client: ArmClient, approach_speed: float = 1.0
-) -> int:
-    """Plan, approach the first point, run; returns the number of the run."""
-    path = plan_path(arm, waypoints, speed_m_s, q_near_rad=client.status()["q_rad"])
-    client.move_joints(path.q_start_rad, approach_speed)
-    client.run_path(path.to_message())
-    return int(client.status()["run"])
+    return Outcome(verification, calibration, found, paths, report, made.file)
 
 
 def _put_away(arm: Arm, bench: Bench, client: ArmClient) -> Path:

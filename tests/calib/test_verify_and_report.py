@@ -3,6 +3,7 @@
 import json
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,15 @@ from calib_arms import REFERENCE, REFERENCE_DH, board_session, identified
 from calib.errors import CalibrationError
 from calib.identify import ArmModel
 from calib.outcome import write_calibrated_arm, write_calibration_json
-from calib.pictures import thinned
+from calib.page import list_section, text_section
+from calib.path_pictures import SAMPLES_DRAWN, thinned
 from calib.points import make_points
 from calib.report import report_html, write_report
-from calib.report_data import ReportData, Track, input_file
-from calib.verify import compare, compare_points, comparison_text, points_text, summarise
+from calib.report_data import ReportData, input_file
+from calib.report_sections import parameters_section
+from calib.statistics import Finding, difference, student_t
+from calib.tracks import PARTS, Track, TrackPair, compare_tracks, parts_of
+from calib.verify import compare, compare_arms, compare_repeated, comparison_text, findings, summarise
 from control.errors import ArmError
 from control.model.description import load_arm
 
@@ -57,11 +62,100 @@ def test_predictions_are_compared_where_the_tip_was_seen() -> None:
     true, q, tips, setups = board_session(np.random.default_rng(4), ("roll",), noise_m=0.0)
     tips[3] = np.nan
     points = make_points(setups, [str(k) for k in range(33)], [1] * 33, q, tips)
-    found = compare_points(REFERENCE, REFERENCE_DH, true, points)
+    nominal = load_arm("right")
+    found = compare_arms(nominal, nominal.with_dh(true), points)
     assert len(found.point) == 32
     assert "3" not in found.point
     assert found.of("roll").before.mean_m > 0.005
     assert found.of("roll").after.max_m < 1e-9
+    unseen = make_points(setups, points.point, [1] * 33, q, np.full((33, 3), np.nan))
+    with pytest.raises(CalibrationError, match="no point has a measured tip"):
+        compare_arms(nominal, nominal, unseen)
+
+
+def test_a_paired_difference_is_that_of_a_worked_example() -> None:
+    """Differences 1, 2, 3 mm: mean 2, sd 1, t(2; 0.975) = 4.30265, so 2 +- 2.48414 mm: not more than chance."""
+    found = difference(np.array([0.011, 0.012, 0.013]), np.array([0.010, 0.010, 0.010]))
+    assert found.mean_m == pytest.approx(0.002)
+    assert found.half_width_m == pytest.approx(0.00248414, rel=1e-5)
+    assert found.finding is Finding.NOTHING
+    assert found.in_words() == "no difference that these points show: 2.0 mm [-0.5, 4.5] (95 %)"
+
+
+def test_a_finding_needs_the_whole_interval() -> None:
+    before = np.array([0.0201, 0.0203, 0.0205, 0.0207])
+    better = difference(before, before - 0.0123 + np.array([0.0, 1e-4, -1e-4, 0.0]))
+    assert better.finding is Finding.BETTER
+    assert better.in_words() == "better by 12.30 mm [12.17, 12.43] (95 %)"
+    worse = difference(before, before + 0.0123 + np.array([0.0, 1e-4, -1e-4, 0.0]))
+    assert worse.finding is Finding.WORSE
+    assert worse.in_words() == "worse by 12.30 mm [12.17, 12.43] (95 %)"
+    alone = difference(before[:1], before[:1] - 0.01)
+    assert alone.finding is Finding.NOTHING
+    assert "too few for an interval" in alone.in_words()
+    same = difference(before, before)
+    assert same.finding is Finding.NOTHING
+    assert same.in_words().startswith("no difference")
+
+
+def test_intervals_hold_what_they_promise() -> None:
+    """6 points a setup, as in the paper: 95 % intervals of paired differences cover the truth 94 to 96 times in 100."""
+    rng = np.random.default_rng(8)
+    points = rng.normal(0.02, 0.003, (20_000, 6))
+    changes = 0.004 + rng.normal(0.0, 0.001, (20_000, 6))
+    found = [difference(b, b - c) for b, c in zip(points, changes, strict=True)]
+    covered = np.mean([d.lower_m <= 0.004 <= d.upper_m for d in found])
+    assert 0.94 < covered < 0.96
+
+
+def test_repeats_at_a_point_become_its_mean_and_interval() -> None:
+    """Along the mean error (0, 3, 4) / 5 the repeats are 4, 5, 6 mm: 5 +- 2.484 mm; across it they do not count."""
+    along = np.array([0.0, 0.6, 0.8])
+    across = np.array([1.0, 0.0, 0.0])
+    errors = 1e-3 * np.array([4 * along + across, 5 * along - 2 * across, 6 * along + across])
+    tips = np.tile([0.5, 0.1, 0.0], (3, 1))
+    found = compare_repeated(["n"] * 3, ["1"] * 3, tips, errors, 0.1 * errors)
+    assert found.point == ("1",)
+    np.testing.assert_allclose(found.before_m, [5e-3 * along], atol=1e-12)
+    assert found.before_half_width_m[0] == pytest.approx(student_t(2) * 1e-3 / np.sqrt(3.0))
+    assert found.after_half_width_m[0] == pytest.approx(0.1 * found.before_half_width_m[0])
+    single = compare_repeated(["n"], ["1"], tips[:1], errors[:1], errors[:1])
+    assert np.isnan(single.before_half_width_m[0])
+
+
+def circle_track(name: str, offset_m: float, count: int = 5000) -> Track:
+    turn = np.linspace(0.0, 2 * np.pi, count)
+    planned = np.column_stack((0.5 + 0.09 * np.cos(turn), 0.09 * np.sin(turn), 0 * turn))
+    measured = planned + offset_m
+    measured[::4] = np.nan
+    return Track(name, turn, planned, measured)
+
+
+def test_a_path_counts_as_its_parts_not_as_its_frames() -> None:
+    pair = TrackPair("circle", "normal", circle_track("circle", 0.004), circle_track("circle", 0.0004, 3000))
+    found = compare_tracks([pair])
+    assert found is not None
+    assert len(found.point) == PARTS
+    assert found.point[0] == f"circle, part 1 of {PARTS}"
+    np.testing.assert_allclose(found.before_m, 0.004)
+    np.testing.assert_allclose(found.after_m, 0.0004)
+    assert compare_tracks([]) is None
+    planned, _ = parts_of(pair.before)
+    middles = (np.arange(PARTS) + 0.5) * 2 * np.pi / PARTS
+    np.testing.assert_allclose(
+        np.arctan2(planned[:, 1], planned[:, 0] - 0.5) % (2 * np.pi), middles, atol=2e-3
+    )
+
+
+def test_parts_where_the_tip_was_hidden_are_left_out() -> None:
+    hidden = circle_track("circle", 0.004)
+    measured = hidden.measured_m.copy()
+    measured[:1000] = np.nan  # a fifth of the circle: parts 1 and 2 whole, part 3 in part
+    pair = TrackPair("circle", "roll", Track("circle", hidden.time_s, hidden.planned_m, measured), hidden)
+    found = compare_tracks([pair])
+    assert found is not None
+    assert found.point[0] == f"circle, part 3 of {PARTS}"
+    assert len(found.point) == PARTS - 2
 
 
 def test_the_text_tables_name_setups_and_units() -> None:
@@ -70,7 +164,7 @@ def test_the_text_tables_name_setups_and_units() -> None:
     assert "[mm]" in text
     assert "86.4 %" in text
     assert len({len(line) for line in text.splitlines()}) == 1
-    assert "12.000" in points_text(found)
+    assert findings(found) == ("normal: better by 9.5 mm [3.1, 15.9] (95 %)",)
 
 
 def test_what_does_not_belong_together_is_refused() -> None:
@@ -91,10 +185,8 @@ def result():
 def full_report(result, tmp_path: Path) -> ReportData:
     found, comparison = result
     (tmp_path / "points.csv").write_text("x")
-    turn = np.linspace(0.0, 2 * np.pi, 5000)
-    planned = np.column_stack((0.5 + 0.09 * np.cos(turn), 0.09 * np.sin(turn), 0 * turn))
-    measured = planned + 0.0004
-    measured[::4] = np.nan
+    pair = TrackPair("circle", "normal", circle_track("circle", 0.02), circle_track("circle", 0.0004))
+    nominal = load_arm("right")
     return ReportData(
         title="Report <of> a test",
         arm="right & left",
@@ -102,11 +194,14 @@ def full_report(result, tmp_path: Path) -> ReportData:
         program_version="0.1.0",
         steps=("moved", "measured"),
         inputs=(input_file(tmp_path / "points.csv", "table session"),),
-        tracks=(Track("circle", turn, planned, measured),),
+        paths=(pair,),
         identification=found,
         calibration=comparison,
         verification=comparison,
+        arms=(nominal, nominal.with_dh(found.dh)),
         notes=("nothing",),
+        verdict=("a <good> one",),
+        sections=(text_section("Held out", "1 & 2"), list_section("Outliers", ["point <7>"])),
     )
 
 
@@ -132,6 +227,10 @@ def test_the_report_says_what_was_found(written_page: str) -> None:
     assert "right &amp; left" in page
     assert "2d711642b726b04401627ca9fbac32f5c8530fb1903cc4db02258717921a4881" in page  # SHA-256 of "x"
     assert "determine 10 of 16 parameters" in page
+    assert "a &lt;good&gt; one" in page
+    assert "<h2>Held out</h2><p>1 &amp; 2</p>" in page
+    assert "point &lt;7&gt;" in page
+    assert "better by" in page
     for name in ("d1", "theta2", "L3", "alpha4"):
         assert f"<td>{name}</td>" in page
 
@@ -146,10 +245,29 @@ def test_a_report_with_nothing_but_steps_is_a_page() -> None:
     assert "<svg" not in page
 
 
+def test_parameters_of_any_unit_and_bound_have_a_row(result) -> None:
+    """What an identification may free besides DH: frames without bounds, ratios without unit."""
+    found, _ = result
+    one = found.estimates[0]
+    others = [
+        replace(one, parameter=replace(one.parameter, name=name, unit=unit, bound=bound))
+        for name, unit, bound in (
+            ("base_rx", "rad", np.inf),
+            ("tool_x_m", "m", 0.005),
+            ("encoder_scale_2", "", 0.01),
+        )
+    ]
+    html = parameters_section(replace(found, estimates=tuple(others))).html
+    assert "<td>base_rx</td><td>deg</td>" in html
+    assert "<td>none</td>" in html
+    assert "<td>tool_x_m</td><td>mm</td>" in html
+    assert "<td>encoder_scale_2</td><td></td>" in html
+
+
 def test_a_track_is_drawn_where_the_tip_was_seen() -> None:
     time_s, path = np.arange(9000.0), np.zeros((9000, 3))
     seen = np.where(np.arange(9000)[:, None] % 2, np.nan, path)
-    assert len(thinned(Track("t", time_s, path, seen)).time_s) == 1500
+    assert 0.5 * SAMPLES_DRAWN < len(thinned(Track("t", time_s, path, seen)).time_s) <= SAMPLES_DRAWN
     with pytest.raises(CalibrationError, match="measured at no time"):
         thinned(Track("t", time_s, path, np.full_like(path, np.nan)))
 

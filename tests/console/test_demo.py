@@ -12,7 +12,10 @@ from calib.arrays import norms
 from console.commands import demo as demo_command
 from console.demo.job import Outcome, run
 from console.main import main
+from console.verify.places import places, ways
+from console.verify.survey import Programme
 from control.loop import stillness
+from control.model.arm import Table
 from control.model.description import load_arm
 from control.model.kinematics import Kinematics
 
@@ -35,6 +38,12 @@ def is_self_contained(html: str) -> bool:
     return all(reference.startswith(("data:", "#")) for reference in loaded)
 
 
+def small_programme(table: Table, has_paths: bool) -> Programme:
+    """Three points above each of two tilts, and the paths faster."""
+    chosen = places(table, ("normal", "roll"))[::2]
+    return Programme(chosen, ways(table, ("normal",)) if has_paths else (), path_speed_m_s=0.4)
+
+
 @pytest.mark.parametrize(("seed", "is_drawn"), [(1, True), (12, False)])
 def test_what_is_hidden_is_found_and_corrected(
     arm_file: Path,
@@ -52,13 +61,11 @@ def test_what_is_hidden_is_found_and_corrected(
 
     monkeypatch.setattr(demo_command.job, "run", kept)
     if not is_drawn:  # paths and pictures take seconds, and the first seed has had them
-        monkeypatch.setattr(demo_command.job, "_run_paths", lambda *arguments: [])
         monkeypatch.setattr(
             demo_command.job, "write_report", lambda path, shown: path.write_text("", "utf-8")
         )
     monkeypatch.setattr(demo_command.job, "SETUPS", ("normal", "roll"))
-    monkeypatch.setattr(demo_command.job, "VERIFY_POINTS", 3)
-    monkeypatch.setattr(demo_command.job, "PATH_SPEED_m_s", 0.4)
+    monkeypatch.setattr(demo_command.job, "programme_of", lambda table: small_programme(table, is_drawn))
     monkeypatch.setattr(stillness, "SINK_LIMIT_S", 0.6)  # nobody stands below the mock
     out = tmp_path / "demo"
     assert main(["demo", "--arm", str(arm_file), "--seed", str(seed), "--out", str(out)]) == 0

@@ -1,0 +1,129 @@
+"""One HTML page without any outside resource, made of sections; every text in it is escaped here."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+STYLE = """
+:root { --ink: #1d2430; --soft: #5b6470; --line: #dfe4ea; --blue: #0072B2; --orange: #D55E00; }
+* { box-sizing: border-box; }
+body { margin: 0; background: #f3f5f8; color: var(--ink); font: 15px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; }
+main { max-width: 1080px; margin: 0 auto; padding: 28px 20px 60px; }
+h1 { font-size: 26px; margin: 0 0 2px; } h2 { font-size: 18px; margin: 0 0 10px; } h3 { font-size: 15px; margin: 18px 0 6px; }
+.soft { color: var(--soft); } .small { font-size: 13px; }
+section { background: #fff; border: 1px solid var(--line); border-radius: 10px; padding: 18px 22px; margin-top: 18px; }
+.tiles { display: flex; flex-wrap: wrap; gap: 14px; margin-top: 18px; }
+.tile { flex: 1 1 200px; background: #fff; border: 1px solid var(--line); border-radius: 10px; padding: 12px 16px; }
+.tile b { display: block; font-size: 25px; line-height: 1.25; }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; font-size: 14px; }
+th, td { padding: 4px 10px; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
+th { color: var(--soft); font-weight: 600; border-bottom: 2px solid var(--line); }
+th:first-child, td:first-child, .text, .inputs th { text-align: left; }
+td.text { white-space: normal; }
+.verdict { border-left: 5px solid var(--blue); } .verdict p { margin: 4px 0; font-size: 16px; }
+tr.group td { border-top: 2px solid var(--line); }
+.before { color: #A84A00; } .after { color: #005A8C; font-weight: 600; }
+.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(340px, 1fr)); gap: 12px; }
+svg { width: 100%; height: auto; display: block; }
+code { font: 12px ui-monospace, "DejaVu Sans Mono", monospace; overflow-wrap: anywhere; }
+td code { white-space: normal; }
+ul, ol { margin: 6px 0; padding-left: 22px; }
+@media print { body { background: #fff; } section, .tile { break-inside: avoid; } }
+"""
+
+Cell = str | tuple[str, str]
+"""Text, or (class, text)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A box of the page: a title, and its content as HTML that is escaped already."""
+
+    title: str
+    html: str
+
+
+def page(title: str, arm: str, about: str, parts: Iterable[Section | str]) -> str:
+    """The whole page: a heading, then sections and other HTML as they come."""
+    body = "".join(part if isinstance(part, str) else _box(part) for part in parts)
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{said(title)}: {said(arm)}</title><style>{STYLE}</style></head>\n"
+        f"<body><main><h1>{said(title)}</h1>"
+        f'<p class="soft">arm <b>{said(arm)}</b> · {said(about)}</p>{body}</main></body></html>\n'
+    )
+
+
+def _box(section: Section) -> str:
+    return f"<section><h2>{said(section.title)}</h2>{section.html}</section>\n"
+
+
+def text_section(title: str, *paragraphs: str) -> Section:
+    """A section of plain text."""
+    return Section(title, "".join(paragraph(text) for text in paragraphs))
+
+
+def list_section(title: str, lines: Iterable[str]) -> Section:
+    """A section of plain sentences, one bullet each."""
+    return Section(title, bullets(lines))
+
+
+def said(text: str) -> str:
+    """Text as HTML."""
+    return html.escape(text)
+
+
+def paragraph(text: str, kind: str = "") -> str:
+    """One paragraph; `kind` is a class of the style."""
+    return f'<p class="{kind}">{said(text)}</p>' if kind else f"<p>{said(text)}</p>"
+
+
+def heading(text: str) -> str:
+    """A heading within a section."""
+    return f"<h3>{said(text)}</h3>"
+
+
+def bullets(lines: Iterable[str], kind: str = "ul") -> str:
+    """A list, `ul` or `ol`."""
+    return f"<{kind}>{''.join(f'<li>{said(line)}</li>' for line in lines)}</{kind}>"
+
+
+def folded(title: str, content: str, is_open: bool = False) -> str:
+    """HTML behind a line to click."""
+    return f'<details{" open" if is_open else ""}><summary class="soft">{said(title)}</summary>{content}</details>'
+
+
+def pair(left: str, right: str) -> str:
+    """Two pieces of HTML side by side where there is room."""
+    return f'<div class="pair">{left}{right}</div>'
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
+    """A table; a cell is text, or (class, text)."""
+    head = "".join(f"<th>{said(name)}</th>" for name in header)
+    body = "".join(f"<tr>{''.join(_cell(cell) for cell in row)}</tr>" for row in rows)
+    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def tiles(figures: Iterable[tuple[str, str, str]]) -> str:
+    """Results as large figures: class, figure, what it is."""
+    boxes = "".join(
+        f'<div class="tile"><b class="{kind}">{said(figure)}</b><span class="soft small">{said(what)}</span></div>'
+        for kind, figure, what in figures
+    )
+    return f'<div class="tiles">{boxes}</div>\n'
+
+
+def verdict(sentences: Iterable[str]) -> str:
+    """What came out, in words, ahead of everything."""
+    return f'<section class="verdict">{"".join(paragraph(text) for text in sentences)}</section>\n'
+
+
+def _cell(cell: Cell) -> str:
+    if isinstance(cell, str):
+        return f"<td>{said(cell)}</td>"
+    return f'<td class="{cell[0]}">{said(cell[1])}</td>'

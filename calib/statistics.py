@@ -1,0 +1,119 @@
+"""Figures of distances, and whether a difference is more than chance: Student's t, 95 %, two-sided."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from calib.arrays import Array
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorSummary:
+    """Distances between wanted and measured tips: how many, mean, root mean square, largest, standard
+    deviation.
+
+    `mean_half_width_m` is half the 95 % confidence interval of the mean (Student's t); NaN for fewer than two
+    points.
+    """
+
+    count: int
+    mean_m: float
+    rms_m: float
+    max_m: float
+    sd_m: float
+    mean_half_width_m: float
+
+
+class Finding(Enum):
+    """What a paired difference shows."""
+
+    BETTER = "better"
+    WORSE = "worse"
+    NOTHING = "no difference that these points show"
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Distances before minus after at the same points: mean, and half its 95 % interval (NaN for one point)."""
+
+    count: int
+    mean_m: float
+    half_width_m: float
+
+    @property
+    def lower_m(self) -> float:
+        """Lower end of the 95 % interval."""
+        return self.mean_m - self.half_width_m
+
+    @property
+    def upper_m(self) -> float:
+        """Upper end of the 95 % interval."""
+        return self.mean_m + self.half_width_m
+
+    @property
+    def finding(self) -> Finding:
+        """Better or worse only if the whole interval is; one point shows nothing."""
+        if self.lower_m > 0.0:
+            return Finding.BETTER
+        return Finding.WORSE if self.upper_m < 0.0 else Finding.NOTHING
+
+    def in_words(self) -> str:
+        """As `better by 12.3 mm [11.9, 12.7] (95 %)`; the digits are those that the interval supports."""
+        if math.isnan(self.half_width_m):
+            return f"one point, {1e3 * self.mean_m:+.3f} mm: too few for an interval"
+        digits = digits_mm(self.half_width_m)
+        if self.finding is Finding.NOTHING:
+            return f"{self.finding.value}: {self._spelled(1.0, digits)}"
+        sign = 1.0 if self.finding is Finding.BETTER else -1.0
+        return f"{self.finding.value} by {self._spelled(sign, digits)}"
+
+    def _spelled(self, sign: float, digits: int) -> str:
+        low, high = sorted((sign * self.lower_m, sign * self.upper_m))
+        mean = sign * self.mean_m
+        return f"{1e3 * mean:.{digits}f} mm [{1e3 * low:.{digits}f}, {1e3 * high:.{digits}f}] (95 %)"
+
+
+def digits_mm(uncertainty_m: float) -> int:
+    """Decimals of a length in mm, two significant digits of its uncertainty, 1 to 4."""
+    if not uncertainty_m > 0.0:
+        return 3
+    return min(4, max(1, 1 - math.floor(math.log10(1e3 * uncertainty_m))))
+
+
+def summarise(errors_m: Array) -> ErrorSummary:
+    """Figures of distances (m,)."""
+    return ErrorSummary(
+        count=len(errors_m),
+        mean_m=float(np.mean(errors_m)),
+        rms_m=float(np.sqrt(np.mean(errors_m**2))),
+        max_m=float(np.max(errors_m)),
+        sd_m=float(np.std(errors_m, ddof=1)) if len(errors_m) > 1 else math.nan,
+        mean_half_width_m=mean_half_width(errors_m),
+    )
+
+
+def difference(before_m: Array, after_m: Array) -> Difference:
+    """Paired: distances (m,) at the same points; what the points have in common drops out."""
+    each = before_m - after_m
+    return Difference(len(each), float(np.mean(each)), mean_half_width(each))
+
+
+def mean_half_width(values: Array) -> float:
+    """Half the 95 % interval of the mean of values (m,): t s / sqrt(m); NaN for fewer than two."""
+    m = len(values)
+    if m < 2:
+        return math.nan
+    return student_t(m - 1) * float(np.std(values, ddof=1)) / math.sqrt(m)
+
+
+def student_t(freedom: int) -> float:
+    """Two-sided 95 % quantile of Student's t."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.5 + 0.5 * CONFIDENCE))

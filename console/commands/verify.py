@@ -1,0 +1,131 @@
+"""`armwright verify`: is the calibrated arm better than the nominal one, where calibration has never been?"""
+
+import argparse
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.errors import CalibrationError
+from calib.verification import Verification
+from calib.verify import comparison_text
+from console.commands.connection import connected
+from console.commands.progress import Bar
+from console.demo.bench import SteppedBench
+from console.folders import free_folder
+from console.scenario_file import seeded_scenario
+from console.verify.models import Model, Pair, believed_by, nominal_of
+from console.verify.places import places, ways
+from console.verify.procedure import Drive, driven, on_recorded, write
+from console.verify.survey import Programme
+from console.verify.tracks import wait_until_recorded
+from control.errors import ArmError
+from control.loop.client import ArmClient
+from control.model import table as tables
+from control.model.arm import Arm
+from control.model.description import load_arm
+
+REAL_SPEED = 0.5  # of a real arm's joint limits
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """An arm that holds and is homed: what its runtime believes in, and what ends the use of it (returns the recording)."""
+
+    client: ArmClient
+    believed: Model
+    speed: float
+    end: Callable[[], Path]
+
+
+def run(given: argparse.Namespace) -> int:
+    """Verify; exit status 1 where the calibrated arm is worse by more than chance, or the arm could not go on."""
+    calibrated = load_arm(given.arm)
+    pair = Pair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
+    if given.points is not None:
+        return _finish(on_recorded(pair, Path(given.points)), free_folder(Path(given.out)))
+    programme, notes = _programme(given, calibrated)
+    out = free_folder(Path(given.out))
+    drive = Drive.planned(pair, programme, _near(calibrated), out)
+    with ExitStack() as stack:
+        bench = _mock(given, pair, out, stack) if given.mock else _real(given, pair)
+        out.mkdir(parents=True, exist_ok=True)
+        try:
+            with Bar("verify") as bar:
+                drive.run(bench.believed, bench.client, bench.speed, bar.advance)
+            recording = bench.end()
+            verification = driven(pair, drive, *drive.results(recording, out), notes)
+        except (
+            ArmError,
+            CalibrationError,
+        ) as error:  # something has moved: not the exit status 2 of wrong input
+            sys.stderr.write(f"armwright: {error}\n  what was measured is in {out}\n")
+            return 1
+    return _finish(verification, out)
+
+
+def _programme(given: argparse.Namespace, arm: Arm) -> tuple[Programme, tuple[str, ...]]:
+    """Where to go, and what of it this arm cannot do."""
+    table = tables.table_of(arm)
+    setups = tuple(dict.fromkeys(given.setups))
+    if given.repeats < 1:
+        raise ArmError(f"--repeats: expected 1 or more, got {given.repeats}")
+    has_paths = arm.joint_count == 3
+    notes = () if has_paths else ("no trajectories: Cartesian paths need an arm of 3 joints",)
+    wanted = ways(table, setups, given.height) if has_paths else ()
+    return Programme(places(table, setups, given.height), wanted, given.repeats, given.path_speed), notes
+
+
+def _near(arm: Arm) -> tuple[float, ...]:
+    """Where to look for joint angles first: the branch of the rest pose."""
+    return arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
+
+
+def _real(given: argparse.Namespace, pair: Pair) -> Bench:
+    """The runtime of the arm that serves, holding and homed. ArmError where it is not ready; nothing moves."""
+    client = connected(given)
+    status = client.status()
+    if status["mode"] != "HOLDING":
+        raise ArmError(f"the arm is {status['mode']}: `armwright enable` and `armwright home` first")
+    believed = believed_by(status, pair)
+    if status["camera_m"] is None:
+        raise ArmError("the camera does not see the tip: a verification is nothing without (docs/camera.md)")
+    recording = Path(status["recording"])
+    if not recording.is_file():
+        raise ArmError(
+            f"{recording}: not to be found from here; start this where `armwright serve` was started"
+        )
+
+    def end() -> Path:
+        wait_until_recorded(recording, float(client.status()["t_s"]), client.wait)
+        return recording
+
+    return Bench(client, believed, REAL_SPEED, end)
+
+
+def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) -> Bench:
+    """A stepped mock of the nominal arm with what the scenario hides, homed, its runtime believing in the calibrated one."""
+    nominal = pair.nominal.arm
+    can_home = all(drive.home is not None for drive in nominal.drives)
+    text = seeded_scenario(given.scenario, None, was_homed=not can_home)
+    out.mkdir(parents=True)
+    scenario = out / "scenario.toml"
+    scenario.write_bytes(text)
+    bench = SteppedBench(nominal, scenario, out / "log")
+    stack.callback(bench.close)
+    client = bench.start(pair.calibrated.arm)
+    client.enable()
+    client.home()
+    return Bench(client, pair.calibrated, bench.speed, bench.stop)
+
+
+def _finish(verification: Verification, out: Path) -> int:
+    write(verification, out)
+    warnings = "".join(f"note: {line}\n" for line in verification.warnings)
+    verdict = "\n".join(verification.verdict)
+    sys.stdout.write(
+        f"{comparison_text(verification.comparison)}\n\n{verdict}\n{warnings}\n"
+        f"  report   {out / 'report.html'}\n  figures  {out / 'verify.json'}\n"
+    )
+    return 1 if verification.is_worse else 0
