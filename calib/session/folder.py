@@ -50,10 +50,14 @@ class SessionFolder:
             if not self.is_resumed:
                 replace_file(folder / PLAN, to_json(self.plan, self.started).encode())
             self._writer = PointsWriter(folder / POINTS, self.plan.joint_count)
-            self._withdrawn: Counter[Key] = Counter()
-            self.state = self._restored()
         except BaseException:
             self._journal.close()
+            raise
+        self._withdrawn: Counter[Key] = Counter()
+        try:
+            self.state = self._restored()
+        except BaseException:
+            self.close()
             raise
         self.warnings = self._writer.warnings
         if self.is_resumed:

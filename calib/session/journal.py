@@ -29,7 +29,11 @@ class Journal:
         except OSError as error:
             self._file.close()
             raise SessionError(f"{path.parent}: another session is running in this folder") from error
-        self.entries: tuple[Entry, ...] = self._mended()
+        try:
+            self.entries: tuple[Entry, ...] = self._mended()
+        except SessionError:
+            self._file.close()
+            raise
 
     def append(self, entry: Mapping[str, Any]) -> None:
         """Write one entry and wait for the disk."""
