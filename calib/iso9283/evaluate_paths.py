@@ -56,9 +56,9 @@ def settling_criteria(runs: Runs, bands: Bands | None) -> tuple[Criterion, Crite
                 needs.append(f"run {run.number} by the {source}: {error}")
         if cycles:
             t, ov = settling.mean_of_cycles([c.time_s for c in cycles]), max(c.overshoot_m for c in cycles)
-            is_main = source == (CAMERA if is_seen else ENCODERS)
-            times.append(Figure("t", t, "s", f"P1, {source}", len(cycles), is_main, remark))
-            peaks.append(Figure("OV", ov, "m", f"P1, {source}", len(cycles), is_main, remark))
+            by = "" if source == CAMERA else f" ({ENCODERS})"
+            times.append(Figure(f"t{by}", t, "s", f"P1, {source}", len(cycles), True, remark))
+            peaks.append(Figure(f"OV{by}", ov, "m", f"P1, {source}", len(cycles), True, remark))
             traces.append(cycles[0].trace)
     return criterion(4, times, needs), criterion(5, peaks, needs), traces
 

@@ -32,7 +32,7 @@ def pose_criterion(groups: Groups) -> Criterion:
     """1: AP and RP of every pose, and of the orientation where it was measured."""
     figures: list[Figure] = []
     needs: list[str] = []
-    chosen = [group for group in groups if is_pose_setup(group.setup)]
+    chosen = sorted((g for g in groups if is_pose_setup(g.setup)), key=lambda g: (g.setup, g.point))
     for group in chosen:
         figures += _pose_figures(group, needs)
     if not chosen:

@@ -10,7 +10,7 @@ from calib.iso9283.result import Criterion, Evaluation, Figure
 from calib.page import Cell, Section, bullets, page, table
 from calib.report_data import InputFile
 
-SHOWN = {"m": (1e3, "mm", 3), "m/s": (1.0, "m/s", 4), "m/N": (1e6, "mm/kN", 3), "rad": (1e3, "mrad", 3)}
+SHOWN = {"m": (1e3, "mm", 3), "m/s": (1.0, "m/s", 4), "m/N": (1e6, "µm/N", 3), "rad": (1e3, "mrad", 3)}
 
 
 def write_page(
@@ -56,7 +56,7 @@ def _summary(criteria: Sequence[Criterion]) -> str:
         values = "; ".join(f"{f.symbol} = {shown(f.value, f.unit)} ({f.where})" for f in c.headlines)
         texts = (c.name, c.clause, values or "–", "; ".join(c.needs))
         rows.append((str(c.number), *(("text", cell) for cell in texts)))
-    return table(("", "criterion", "clause", "largest value", "still needs"), rows)
+    return _left(table(("", "criterion", "clause", "largest value", "still needs"), rows))
 
 
 def _figures(criteria: Sequence[Criterion]) -> str:
@@ -71,7 +71,12 @@ def _figures(criteria: Sequence[Criterion]) -> str:
         for c in criteria
         for f in c.figures
     ]
-    return table(("criterion, symbol", "value", "where", "cycles", "remark"), rows)
+    return _left(table(("criterion, symbol", "value", "where", "cycles", "remark"), rows))
+
+
+def _left(content: str) -> str:
+    """A table whose headings stand over text."""
+    return f'<div class="inputs">{content}</div>'
 
 
 def summary_text(criteria: Sequence[Criterion]) -> str:

@@ -19,13 +19,12 @@ if TYPE_CHECKING:
 STYLES = (
     ("#0072B2", "-"), ("#D55E00", "--"), ("#009E73", "-."), ("#CC79A7", ":"), ("#000000", "-"), ("#E69F00", "--"),
 )  # fmt: skip
-LARGEST_CLOUDS = 5
-DRAWN = 3.0  # how many repeatabilities a cloud's picture reaches
+MOST_CLOUDS = 5
 
 
 def cloud_picture(clouds: Mapping[str, Array]) -> str:
     """Attained positions about their barycentre at each pose, from above and from the side, with RP as a circle."""
-    shown = dict(list(clouds.items())[:LARGEST_CLOUDS])
+    shown = dict(sorted(clouds.items())[:MOST_CLOUDS])
     return svg((2.3 * max(len(shown), 2), 4.6), lambda figure: _draw_clouds(figure, shown))
 
 
@@ -102,9 +101,12 @@ def _draw_in_plane(axes: Axes, trace: PathTrace) -> None:
     for k, attained in enumerate(trace.attained_m):
         seen = 1e3 * (attained - centre) @ plane.T
         axes.plot(*seen.T, "-", color=STYLES[0][0], lw=0.9, label="attained" if k == 0 else None)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set(xlabel="in the path's plane [mm]", ylabel="[mm]")
-    axes.set_title(f"{trace.name}, {len(trace.attained_m)} cycles", loc="left")
+    is_line = np.ptp(commanded[:, 1]) < 1e-3
+    if not is_line:
+        axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel="along the path [mm]" if is_line else "in the path's plane [mm]", ylabel="[mm]")
+    scales = "  (scales differ)" if is_line else ""
+    axes.set_title(f"{trace.name}, {len(trace.attained_m)} cycles{scales}", loc="left")
 
 
 def _draw_settling(axes: Axes, traces: Sequence[SettlingTrace]) -> None:

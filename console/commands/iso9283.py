@@ -1,0 +1,192 @@
+"""`armwright iso9283`: the fourteen criteria of ISO 9283 from recorded data, from the arm, or from a mock arm."""
+
+import argparse
+import contextlib
+import sys
+from pathlib import Path
+
+from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.cube import TestCube
+from calib.iso9283.page import summary_text
+from calib.iso9283.programme import PROGRAMMES, Extent
+from calib.iso9283.workspace import largest_cube
+from console.commands.connection import connected
+from console.commands.progress import Bar
+from console.iso9283 import recording
+from console.iso9283.evaluating import evaluate_files
+from control.errors import ArmError
+from control.loop.client import ArmClient
+from control.model.arm import Arm
+from control.model.description import load_arm
+
+FULL = Extent()
+QUICK = Extent(repeats=5, path_cycles=3, speed_shares=(0.5, 1.0), drift_s=30.0, drift_sets=2)
+MOCK_LOAD_kg = 1.0
+REAL_SPEED, MOCK_SPEED = 0.5, 1.0
+CAMERA_LOOK_S = 0.5
+
+
+def run(given: argparse.Namespace) -> int:
+    """Record if that is wanted, evaluate, and print what came out."""
+    arm = load_arm(given.arm)
+    ways = [name for name in ("points", "record", "mock") if getattr(given, name)]
+    if len(ways) != 1:
+        raise Iso9283Error(
+            f"give one of --points FILE, --record and --mock; got {' and '.join('--' + w for w in ways) or 'none'}"
+        )
+    if given.points:
+        points, logs = Path(given.points), [Path(log) for log in given.log or ()]
+        return _evaluate(given, arm, points, logs, _programme(given, points), ())
+    _require_within(given.speed, "--speed", 1.0, "a fraction of the joints' limits")
+    _require_within(given.rated_speed, "--rated-speed", arm.limits.tip_speed_m_s, "a rated path speed in m/s")
+    is_real = given.record and not given.plan_only
+    with contextlib.closing(connected(given)) if is_real else contextlib.nullcontext() as client:
+        return _record_and_evaluate(given, arm, client)
+
+
+def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient | None) -> int:
+    """Plan, say it, record on `client`'s arm or on a mock, evaluate."""
+    out = Path(given.out)
+    extent, cube = _extent(given, arm), _cube(given, arm)
+    rated_m_s = given.rated_speed or recording.rated_speed_m_s(arm, cube)
+    planned = recording.plan(arm, cube, extent, rated_m_s)
+    sys.stdout.write(_described(arm, cube, planned, rated_m_s))
+    sys.stdout.flush()
+    if given.plan_only:
+        return 0
+    try:
+        if client is None:
+            _record_mock(given, arm, planned, out)
+        else:
+            _record_real(given, arm, client, planned, out)
+    except BaseException:
+        if (out / "points.csv").exists():
+            sys.stderr.write(
+                f"\narmwright: what was recorded is in {out}; the same command goes on with it, and"
+                f" `armwright iso9283 --points {out / 'points.csv'} --log {out / 'log.csv'} --out {out}` evaluates it\n"
+            )
+        raise
+    notes = _notes(extent, cube)
+    return _evaluate(given, arm, out / "points.csv", [out / "log.csv"], out / "programme.json", notes)
+
+
+def _evaluate(
+    given: argparse.Namespace,
+    arm: Arm,
+    points: Path,
+    logs: list[Path],
+    programme: Path | None,
+    notes: tuple[str, ...],
+) -> int:
+    out = Path(given.out)
+    has_runs = [log for log in logs if not _is_only_header(log)]
+    others = [Path(other) for other in given.other or ()]
+    found, warnings = evaluate_files(arm, points, has_runs, others, programme, given.band_m, out, notes)
+    for warning in warnings:
+        sys.stderr.write(f"armwright: {warning}\n")
+    sys.stdout.write(
+        f"{summary_text(found.criteria)}\n\n  report  {out / 'iso9283.html'}\n  figures {out / 'iso9283.json'}\n"
+    )
+    return 0
+
+
+def _require_within(value: float | None, option: str, upper: float, what: str) -> None:
+    if value is not None and not 0.0 < value <= upper:
+        raise Iso9283Error(f"{option}: expected {what} above 0 and up to {upper:g}, got {value:g}")
+
+
+def _is_only_header(log: Path) -> bool:
+    """Whether our own log.csv holds no run yet, because no programme with runs was wanted."""
+    if log.suffix == ".gz":
+        return False
+    with log.open("rb") as file:
+        return file.readline().startswith(b"run,t_s,programme") and not file.readline()
+
+
+def _programme(given: argparse.Namespace, points: Path) -> Path | None:
+    """Programme.json that was named, or that lies beside the points."""
+    if given.programme:
+        return Path(given.programme)
+    beside = points.with_name("programme.json")
+    return beside if beside.exists() else None
+
+
+def _extent(given: argparse.Namespace, arm: Arm) -> Extent:
+    base = QUICK if given.quick else FULL
+    load_kg = given.rated_load_kg if given.rated_load_kg is not None else MOCK_LOAD_kg * bool(given.mock)
+    programmes = tuple(given.programmes or PROGRAMMES)
+    if arm.joint_count != 3:
+        programmes = tuple(p for p in programmes if p not in ("path", "cornering", "weaving"))
+    return Extent(
+        given.repeats if given.repeats is not None else base.repeats,
+        given.path_cycles if given.path_cycles is not None else base.path_cycles,
+        tuple(given.speeds or base.speed_shares),
+        given.drift_s if given.drift_s is not None else base.drift_s,
+        base.drift_sets,
+        load_kg,
+        programmes,
+    )
+
+
+def _cube(given: argparse.Namespace, arm: Arm) -> TestCube:
+    if (given.cube_centre is None) != (given.cube_edge is None):
+        raise Iso9283Error("a test cube takes both --cube-centre X Y Z and --cube-edge M, or neither")
+    if given.cube_edge is None:
+        return largest_cube(arm)
+    x, y, z = given.cube_centre
+    return TestCube((x, y, z), given.cube_edge)
+
+
+def _record_mock(given: argparse.Namespace, arm: Arm, planned: recording.Planned, out: Path) -> None:
+    """On a mock arm in this process; only this needs the simulation."""
+    from console.iso9283.mock import record_on_mock
+
+    with Bar("iso9283") as bar:
+        speed = given.speed or MOCK_SPEED
+        record_on_mock(arm, given.scenario, given.seed, planned, out, speed, bar.advance)
+
+
+def _record_real(
+    given: argparse.Namespace, arm: Arm, client: ArmClient, planned: recording.Planned, out: Path
+) -> None:
+    """On the connected arm, which is homed and holds, and whose tip a camera sees."""
+    status = client.status()
+    if status["mode"] != "HOLDING" or not status["is_homed"]:
+        raise ArmError(
+            f"the arm is {status['mode']}{'' if status['is_homed'] else ' and not homed'}: a test takes an arm that"
+            " holds and is homed (`armwright enable`, `armwright home`)"
+        )
+    if not client.average(CAMERA_LOOK_S).camera_frames:
+        raise ArmError(
+            f"no camera frame came within {CAMERA_LOOK_S:g} s: the criteria need a measured tip (docs/camera.md)"
+        )
+    hang = _ask_for_load if sys.stdin.isatty() else None
+    if hang is None and any(getattr(step, "payload_kg", 0.0) for step in planned.steps):
+        raise Iso9283Error("loads are hung by hand: run this on a terminal, or leave out --rated-load-kg")
+    with Bar("iso9283") as bar:
+        bench = recording.Bench(arm, client, Path(status["recording"]), hang, given.speed or REAL_SPEED)
+        recording.record(bench, planned, out, bar.advance)
+
+
+def _ask_for_load(mass_kg: float) -> None:
+    sys.stderr.write(f"\nhang {mass_kg:.3f} kg at the tip, then press Enter: ")
+    sys.stderr.flush()
+    sys.stdin.readline()
+
+
+def _described(arm: Arm, cube: TestCube, planned: recording.Planned, rated_m_s: float) -> str:
+    x, y, z = cube.centre_m
+    return (
+        f"arm {arm.name}: test cube of {cube.edge_m:.3f} m about ({x:.3f}, {y:.3f}, {z:.3f}) m, rated path speed"
+        f" {rated_m_s:.3g} m/s, {len(planned.steps)} visits and runs; all of it is within reach\n"
+    )
+
+
+def _notes(extent: Extent, cube: TestCube) -> tuple[str, ...]:
+    shares = ", ".join(f"{100.0 * share:.0f} %" for share in extent.speed_shares)
+    return (
+        f"{extent.repeats} visits of each pose (the standard: {FULL.repeats}), {extent.path_cycles} cycles of each path (the"
+        f" standard: {FULL.path_cycles}), at {shares} of the rated path speed; drift over {extent.drift_s:.0f} s (the standard:"
+        " eight hours)",
+        f"test cube of {cube.edge_m:.3f} m, plane C1-C2-C7-C8",
+    )
