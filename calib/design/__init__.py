@@ -1,0 +1,27 @@
+"""Design of the measurement: which points, tilts and free poses to take next, and what each would bring."""
+
+from calib.design.boards import OTHER_TILTS
+from calib.design.candidates import View
+from calib.design.criteria import CRITERIA
+from calib.design.files import plan_json, write_plan
+from calib.design.information import Standing
+from calib.design.observability import Indices, indices_of
+from calib.design.planning import Alternative, Plan, PlannedPose, Request, plan_poses
+from calib.design.words import in_words
+
+__all__ = [
+    "CRITERIA",
+    "OTHER_TILTS",
+    "Alternative",
+    "Indices",
+    "Plan",
+    "PlannedPose",
+    "Request",
+    "Standing",
+    "View",
+    "in_words",
+    "indices_of",
+    "plan_json",
+    "plan_poses",
+    "write_plan",
+]

@@ -1,0 +1,146 @@
+"""Where the calibration board stands in each setup, as far as it takes to plan on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array, frozen
+from calib.errors import CalibrationError
+from calib.identify.arm_model import ArmModel
+from calib.identify.frames import Frame, fitted_pose
+from calib.points import Points
+from control.model.arm import Arm, Table
+from control.model.table import SETUPS, board_cavities, board_rotation
+
+OTHER_TILTS = ("roll-", "pitch-", "roll+pitch")  # the board tilted the other way, and both ways at once
+FLAT = 5e-3  # spread of cavities across their best line, as a share of that along it
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedBoard:
+    """The board of one setup: base_R_board (3, 3), origin_m (3,), cavities [m] in its own frame.
+
+    `is_known`: the place is known (or measured) and not identified with the rest. `has_plane`: how the board lies is
+    known at least about; not where only cavities in a line were taken.
+    """
+
+    setup: str
+    rotation: Array
+    origin_m: Array
+    cavities_m: Mapping[str, tuple[float, float, float]]
+    is_known: bool
+    has_plane: bool = True
+
+    @property
+    def names(self) -> list[str]:
+        """The cavities' names."""
+        return list(self.cavities_m)
+
+    @property
+    def positions_m(self) -> Array:
+        """The cavities in the base frame, (c, 3)."""
+        local = np.array(list(self.cavities_m.values())).reshape(-1, 3)
+        return np.asarray(local @ self.rotation.T + self.origin_m)
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the outermost cavity from the board's origin, in its plane."""
+        return max((math.hypot(x, y) for x, y, _ in self.cavities_m.values()), default=0.0)
+
+    @property
+    def frame(self) -> Frame:
+        """As the identification wants it."""
+        return Frame(f"table_{self.setup}", frozen(self.rotation), frozen(self.origin_m))
+
+
+def usual_setups(arm: Arm, points: Points | None, measured: Mapping[str, Frame]) -> list[str]:
+    """The setups to plan for unless others are asked for: the table's own, those measured, those of the points."""
+    if arm.table is None:
+        return []
+    own = ["normal"] if arm.table.origin_m is not None else []
+    own += ["roll"] if own and arm.table.roll_tilt_rad else []
+    own += ["pitch"] if own and arm.table.pitch_tilt_rad else []
+    seated = (
+        []
+        if points is None
+        else [s for s, p in zip(points.setup, points.point, strict=True) if p in _all(arm)]
+    )
+    return list(dict.fromkeys([*own, *measured, *(setup for setup in seated if setup != "free")]))
+
+
+def placed_boards(
+    arm: Arm, setups: Sequence[str], points: Points | None, measured: Mapping[str, Frame]
+) -> dict[str, PlacedBoard]:
+    """The board in each of the setups. CalibrationError for a setup that nobody can place.
+
+    What was measured goes before what the arm's [table] says, that before where the points of the setup were taken.
+    """
+    if setups and arm.table is None:
+        raise CalibrationError(
+            f"setup {setups[0]}: arm {arm.name} has no [table]; add one, or plan free poses only (--only free)"
+        )
+    return {setup: _placed(arm, setup, points, measured) for setup in setups}
+
+
+def _placed(arm: Arm, setup: str, points: Points | None, measured: Mapping[str, Frame]) -> PlacedBoard:
+    table = arm.table or Table()
+    if setup in measured:
+        return PlacedBoard(
+            setup, measured[setup].rotation, measured[setup].origin_m, _all(arm), is_known=True
+        )
+    fitted = None if table.known_pose else _fitted(arm, setup, points)
+    if fitted is not None:
+        return fitted
+    if setup not in (*SETUPS, *OTHER_TILTS):
+        raise CalibrationError(
+            f"setup: expected some of {', '.join((*SETUPS, *OTHER_TILTS))}, or one with a measured board or with"
+            f' points of its own; got "{setup}"'
+        )
+    if table.origin_m is None:
+        raise CalibrationError(
+            f"setup {setup}: where the board stands is not known, not even about: take three cavities first and"
+            " give them with --points, or register the board, or write about where it is as origin_m in [table]"
+        )
+    return PlacedBoard(
+        setup, tilted(table, setup), np.array(table.origin_m), _all(arm), is_known=table.known_pose
+    )
+
+
+def tilted(table: Table, setup: str) -> Array:
+    """base_R_board (3, 3) of one of the table's setups or of OTHER_TILTS."""
+    if setup in SETUPS:
+        return np.array(board_rotation(table, setup))
+    roll = {"roll-": -1.0, "roll+pitch": 1.0}.get(setup, 0.0) * table.roll_tilt_rad
+    pitch = {"pitch-": -1.0, "roll+pitch": 1.0}.get(setup, 0.0) * table.pitch_tilt_rad
+    c, s = math.cos(roll), math.sin(roll)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    c, s = math.cos(pitch), math.sin(pitch)
+    return np.asarray(np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ about_x)
+
+
+def _fitted(arm: Arm, setup: str, points: Points | None) -> PlacedBoard | None:
+    """The board where the nominal arm says that its cavities were; with cavities in a line only those, once seen."""
+    known = _all(arm)
+    rows = (
+        []
+        if points is None
+        else [k for k, s in enumerate(points.setup) if s == setup and points.point[k] in known]
+    )
+    if points is None or not rows:
+        return None
+    model = ArmModel(arm)
+    local = np.array([known[points.point[k]] for k in rows])
+    rotation, origin = fitted_pose(local, model.tips(model.nominal_dh, points.q_rad[rows]))
+    spread = np.linalg.svd(local - local.mean(axis=0), compute_uv=False)
+    seen = {points.point[k] for k in rows}
+    is_whole = len(spread) > 1 and spread[1] > FLAT * spread[0] > 0.0
+    cavities = {name: place for name, place in known.items() if is_whole or name in seen}
+    return PlacedBoard(setup, rotation, origin, cavities, is_known=False, has_plane=is_whole)
+
+
+def _all(arm: Arm) -> dict[str, tuple[float, float, float]]:
+    return {} if arm.table is None else board_cavities(arm.table)

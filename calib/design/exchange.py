@@ -1,0 +1,97 @@
+"""Choosing poses: the best one after the other, then exchanges until none helps.
+
+Fedorov, Theory of Optimal Experiments, 1972; Mitchell, Technometrics 16 (1974) 203 (DETMAX, of which this is the case
+without excursions: one out, the best one in).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.design.criteria import Criterion
+from calib.design.information import Experiment
+from calib.design.reach import Rows
+from calib.errors import CalibrationError
+
+SWEEPS_LIMIT = 20
+BETTER = 1e-9  # an exchange must gain more than this share
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """So many of these poses (rows of the experiment); `name` for what is said when there are too few."""
+
+    name: str
+    rows: Rows
+    count: int
+
+
+def select(experiment: Experiment, criterion: Criterion, taken: Rows, groups: Sequence[Group]) -> list[int]:
+    """Rows of the poses that are best to add to those taken, as many of each group as it says.
+
+    In the order of their worth: each is the best of the chosen ones to add to those before it. CalibrationError where a
+    group has too few.
+    """
+    for group in groups:
+        if group.count > len(group.rows):
+            raise CalibrationError(
+                f"{group.count} {group.name} are wanted and there are {len(group.rows)} to choose from: ask for fewer"
+            )
+    chosen = _greedy(experiment, criterion, taken, groups)
+    _exchange(experiment, criterion, taken, groups, chosen)
+    rows = np.array([row for row, _ in chosen], dtype=np.intp)
+    ordered = _greedy(experiment, criterion, taken, [Group("poses", rows, len(rows))])
+    return [row for row, _ in ordered]
+
+
+def _greedy(
+    experiment: Experiment, criterion: Criterion, taken: Rows, groups: Sequence[Group]
+) -> list[tuple[int, int]]:
+    """(row, group) of each choice: the best of all groups that are not full yet."""
+    information = experiment.information(taken)
+    left = [np.array(group.rows) for group in groups]
+    open_count = [group.count for group in groups]
+    chosen: list[tuple[int, int]] = []
+    while any(open_count):
+        places = [(k, rows) for k, rows in enumerate(left) if open_count[k]]
+        rows = np.concatenate([rows for _, rows in places])
+        owner = np.concatenate([np.full(len(rows), k) for k, rows in places])
+        best = int(np.argmax(criterion(experiment, information, experiment.rows[rows])))
+        row, group = int(rows[best]), int(owner[best])
+        chosen.append((row, group))
+        open_count[group] -= 1
+        left = [rows[rows != row] for rows in left]
+        information = information + _told(experiment, row)
+    return chosen
+
+
+def _exchange(
+    experiment: Experiment,
+    criterion: Criterion,
+    taken: Rows,
+    groups: Sequence[Group],
+    chosen: list[tuple[int, int]],
+) -> None:
+    """Replace each choice by the best of its group, again and again, until nothing changes."""
+    for _ in range(SWEEPS_LIMIT):
+        is_changed = False
+        for place, (row, group) in enumerate(chosen):
+            others = [other for other, _ in chosen if other != row]
+            information = experiment.information(np.array([*taken, *others], dtype=np.intp))
+            rows = groups[group].rows[~np.isin(groups[group].rows, others)]
+            scores = criterion(experiment, information, experiment.rows[rows])
+            best, own = int(np.argmax(scores)), float(scores[np.flatnonzero(rows == row)[0]])
+            if scores[best] > own + BETTER * abs(own):
+                chosen[place] = (int(rows[best]), group)
+                is_changed = True
+        if not is_changed:
+            return
+
+
+def _told(experiment: Experiment, row: int) -> Array:
+    """J'J of one pose."""
+    return np.asarray(experiment.rows[row].T @ experiment.rows[row])

@@ -1,0 +1,186 @@
+"""What each pose tells about the parameters, and what is known once some of them are measured.
+
+Linear theory at the nominal arm: a pose with Jacobian J (3, k), in scaled unknowns and standard deviations of the
+noise, adds J'J to the information M. M begins with 1 per unknown, a weak prior: each deviation is somewhere within its
+bound. Unknown places of boards and of the base are identified too, but nobody wants to know them for their own sake:
+what counts is what is left for the arm when they are eliminated (the Schur complement; Ds-optimality, Atkinson and
+Donev, Optimum Experimental Designs, 1992).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array, frozen
+from calib.design.observability import Indices, indices_of
+from calib.design.reach import Mask, Rows
+from calib.identify.assembly import Choice, problem_of
+from calib.identify.determinability import RANK_TOLERANCE
+from calib.identify.frames import cross_matrix
+from calib.identify.parameters import Parameter, dh_names
+from calib.identify.problem import TOOL_NAMES, ArmProblem
+from calib.points import Points
+from control.model.arm import Arm
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """Every pose that is taken or could be, as information; arrays are read-only.
+
+    `rows` (p, 3, r + s): derivatives of the tips by r combinations of the arm's scaled parameters and s unknowns of
+    boards and base, in standard deviations of the noise. `basis` (k, r) holds the combinations: those that move a tip
+    anywhere in the workspace, or that some pose shows. `visible` (r, v): those of them that the poses can determine
+    together. `workspace` (w, 3, r) [m]: derivatives of tips all over the workspace by the combinations; where nothing
+    ties the base to a known place, but for moves of the whole (`is_tied`).
+    """
+
+    parameters: tuple[Parameter, ...]
+    basis: Array
+    visible: Array
+    rows: Array
+    workspace: Array
+    is_tied: bool
+
+    @property
+    def rank(self) -> int:
+        """The number of combinations, r."""
+        return int(self.basis.shape[1])
+
+    @property
+    def workspace_weight(self) -> Array:
+        """Mean of J'J over the workspace, (r, r) [m^2]: its trace with a covariance is the tip's mean square error."""
+        return np.asarray(np.einsum("wik,wil->kl", self.workspace, self.workspace) / len(self.workspace))
+
+    def information(self, chosen: Rows | list[int]) -> Array:
+        """M (r + s, r + s) of the poses chosen, and the prior."""
+        flat = self.rows[chosen].reshape(-1, self.rows.shape[2])
+        return np.asarray(np.eye(self.rows.shape[2]) + flat.T @ flat)
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What is known after some poses.
+
+    log_det: natural logarithm by which the parameters' uncertain volume has shrunk, squared. tip_m: root mean square
+    of the tip's predicted error over the workspace, in space; tip_worst_m: the same at the worst pose there.
+    least_known: the parameter whose standard deviation is the largest share of its bound, with that deviation in its
+    unit.
+    """
+
+    points_count: int
+    log_det: float
+    indices: Indices
+    tip_m: float
+    tip_worst_m: float
+    least_known: str
+    least_known_sd: float
+    least_known_unit: str
+    rank: int
+
+
+def experiment_of(arm: Arm, poses: Points, workspace_q: Array, noise_m: float, choice: Choice) -> Experiment:
+    """All poses (taken and candidates) of an arm as information; `choice` as for the identification."""
+    problem = problem_of(arm, poses, choice)
+    _, jacobian = problem.residuals_and_jacobian(np.zeros(len(problem.parameters)))
+    rows = np.array(jacobian) / noise_m
+    is_place = _is_place(problem)
+    tied = ~np.array([frame.is_free for frame in problem.observed.frames])[problem.observed.frame]
+    parameters = tuple(p for p, place in zip(problem.parameters, is_place, strict=True) if not place)
+    workspace = _workspace_rows(problem, parameters, workspace_q, bool(tied.any()))
+    shown, scale = _arm_information(rows, is_place), np.array([p.has_bound for p in parameters])
+    everything = shown + np.einsum("wik,wil->kl", workspace, workspace) / noise_m**2
+    basis = _seen(everything, float(np.linalg.norm(everything[np.ix_(scale, scale)], 2)))
+    visible = _seen(basis.T @ shown @ basis, float(np.linalg.norm(shown[np.ix_(scale, scale)], 2)))
+    return Experiment(
+        parameters=parameters,
+        basis=frozen(basis),
+        visible=frozen(visible),
+        rows=frozen(np.concatenate((rows[:, :, ~is_place] @ basis, rows[:, :, is_place]), axis=2)),
+        workspace=frozen(workspace @ basis),
+        is_tied=bool(tied.any()),
+    )
+
+
+def standing(experiment: Experiment, chosen: Rows | list[int]) -> Standing:
+    """What is known after the poses chosen."""
+    r = experiment.rank
+    information = experiment.information(chosen)
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)[:r, :r]
+    squares = np.einsum("wik,kl,wil->w", experiment.workspace, covariance, experiment.workspace)
+    shown = _without_places(information - np.eye(len(information)), r)
+    values = np.linalg.eigvalsh(experiment.visible.T @ shown @ experiment.visible)
+    singular = np.sqrt(np.where(values > RANK_TOLERANCE**2 * _yardstick(experiment, shown), values, 0.0))
+    name, sd, unit = _least_known(experiment, covariance)
+    return Standing(
+        points_count=len(chosen),
+        log_det=-float(np.linalg.slogdet(covariance)[1]),
+        indices=indices_of(singular, len(chosen)),
+        tip_m=float(np.sqrt(np.mean(squares))),
+        tip_worst_m=float(np.sqrt(np.max(squares))),
+        least_known=name,
+        least_known_sd=sd,
+        least_known_unit=unit,
+        rank=int(np.sum(singular > 0.0)),
+    )
+
+
+def _is_place(problem: ArmProblem) -> Mask:
+    """Which unknowns say where a board or the base is."""
+    places = {name for frame in problem.free_frames for name in frame.parameter_names}
+    return np.array([parameter.name in places for parameter in problem.parameters])
+
+
+def _arm_information(rows: Array, is_place: Mask) -> Array:
+    """Information on the arm's parameters from all poses, the places of boards eliminated."""
+    ordered = np.concatenate((rows[:, :, ~is_place], rows[:, :, is_place]), axis=2).reshape(-1, rows.shape[2])
+    return _without_places(ordered.T @ ordered, int((~is_place).sum()))
+
+
+def _without_places(information: Array, r: int) -> Array:
+    """Schur complement of everything beyond the first r unknowns; the prior keeps what nothing says about those."""
+    own, mixed, places = information[:r, :r], information[:r, r:], information[r:, r:]
+    return np.asarray(own - mixed @ np.linalg.solve(places + np.eye(len(places)), mixed.T))
+
+
+def _seen(information: Array, yardstick: float) -> Array:
+    """Orthonormal combinations that the information says something about; as calib.identify.determinability."""
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray(vectors[:, values > RANK_TOLERANCE**2 * yardstick])
+
+
+def _yardstick(experiment: Experiment, shown: Array) -> float:
+    """Information on the best determined combination of bounded parameters; at least that of the prior."""
+    bounded = experiment.basis[[parameter.has_bound for parameter in experiment.parameters]]
+    return max(1.0, float(np.linalg.norm(bounded @ shown @ bounded.T, 2)))
+
+
+def _workspace_rows(
+    problem: ArmProblem, parameters: tuple[Parameter, ...], q_rad: Array, is_tied: bool
+) -> Array:
+    """Derivatives of tips (w, 3, k) [m per scaled unknown] by the arm's parameters at poses (w, n)."""
+    model, tool_m = problem.model, problem.solution(np.zeros(len(problem.parameters))).tool_m
+    slopes = model.slopes(model.nominal_dh, q_rad, tool_m)
+    columns = np.concatenate((slopes.by_dh, slopes.by_tool), axis=2)
+    places = {name: k for k, name in enumerate((*dh_names(len(model.nominal_dh)), *TOOL_NAMES))}
+    kept = [places[parameter.name] for parameter in parameters]
+    rows = columns[:, :, kept] * [parameter.scale for parameter in parameters]
+    return rows if is_tied else _without_moves(rows, slopes.tips)
+
+
+def _without_moves(rows: Array, tips_m: Array) -> Array:
+    """The same derivatives without what a move or turn of the whole workspace would undo."""
+    centred = tips_m - tips_m.mean(axis=0)
+    moves = np.array([np.hstack((np.eye(3), cross_matrix(tip))) for tip in centred]).reshape(-1, 6)
+    flat = rows.reshape(-1, rows.shape[2])
+    fitted, *_ = np.linalg.lstsq(moves, flat)
+    return np.asarray((flat - moves @ fitted).reshape(rows.shape))
+
+
+def _least_known(experiment: Experiment, covariance: Array) -> tuple[str, float, str]:
+    """Name, standard deviation and unit of the parameter known least, measured by its bound."""
+    sd = np.sqrt(np.einsum("kr,rs,ks->k", experiment.basis, covariance, experiment.basis))
+    k = int(np.argmax(sd))
+    parameter = experiment.parameters[k]
+    return parameter.name, float(sd[k] * parameter.scale), parameter.unit

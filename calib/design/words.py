@@ -1,0 +1,110 @@
+"""What a plan means, in sentences for the operator."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.design.boards import OTHER_TILTS
+from calib.design.candidates import FREE
+from calib.design.information import Standing
+from calib.design.planning import Alternative, Plan
+
+NOTICEABLE = 0.03  # two uncertainties that differ by less than this share are the same
+
+
+def in_words(plan: Plan) -> tuple[str, ...]:
+    """What the plan brings, what else would, what stays open, what to mind."""
+    return (_gain(plan), *_alternatives(plan), *_open(plan), *_to_mind(plan))
+
+
+def length(metres: float) -> str:
+    """As 0.153 mm, three figures."""
+    return f"{1e3 * metres:#.3g}".rstrip(".") + " mm"
+
+
+def known_to(state: Standing) -> str:
+    """The parameter known least, as `theta3 to 0.042 deg`."""
+    sd = state.least_known_sd
+    if state.least_known_unit == "m":
+        return f"{state.least_known} to {length(sd)}"
+    return f"{state.least_known} to {np.degrees(sd):.2g} deg"
+
+
+def kind(setup: str, count: int) -> str:
+    """As `12 free poses` or `9 cavities on roll`."""
+    if setup == FREE:
+        return f"{count} free pose{'s' if count > 1 else ''}"
+    return f"{count} cavit{'ies' if count > 1 else 'y'} on {setup}"
+
+
+def _gain(plan: Plan) -> str:
+    before, after = plan.before, plan.after
+    start = (
+        length(before.tip_m) if before.points_count else f"{length(before.tip_m)} (nothing but the bounds)"
+    )
+    return (
+        f"These {len(plan.poses)} poses take the tip's uncertainty over the workspace from {start} to"
+        f" {length(after.tip_m)}, at its worst pose from {length(before.tip_worst_m)} to {length(after.tip_worst_m)};"
+        f" known least, standard deviation: {known_to(before)} before, {known_to(after)} after."
+    )
+
+
+def _alternatives(plan: Plan) -> list[str]:
+    """Kinds against each other, and roll against pitch."""
+    said = []
+    if len(plan.alternatives) > 1:
+        parts = ", ".join(
+            f"{kind(one.setup, one.count)} {length(one.after.tip_m)}" for one in plan.alternatives
+        )
+        said.append(f"One kind alone would leave: {parts}.")
+    free = next((one for one in plan.alternatives if one.setup == FREE), None)
+    is_enough = free is not None and free.after.tip_m <= (1.0 + NOTICEABLE) * plan.after.tip_m
+    if free is not None and is_enough and free.count <= len(plan.poses) and set(plan.points.setup) != {FREE}:
+        said.append(
+            f"{kind(FREE, free.count)} alone would do as well, without setting up the board (--only free)."
+        )
+    by_setup = {one.setup: one for one in plan.alternatives}
+    if "roll" in by_setup and "pitch" in by_setup:
+        said.append(_compared(by_setup["roll"], by_setup["pitch"]))
+    return said
+
+
+def _compared(one: Alternative, other: Alternative) -> str:
+    first, second = sorted((one, other), key=lambda a: a.after.tip_m)
+    if first.after.tip_m > (1.0 - NOTICEABLE) * second.after.tip_m:
+        return f"A {first.setup} tilt brings as much as a {second.setup} tilt."
+    return (
+        f"A {first.setup} tilt brings more than a {second.setup} tilt: {length(first.after.tip_m)} against"
+        f" {length(second.after.tip_m)}."
+    )
+
+
+def _open(plan: Plan) -> list[str]:
+    """What even the whole plan leaves undetermined."""
+    rank, total = plan.after.rank, plan.combinations_count
+    if rank >= total:
+        return []
+    return [
+        f"With these poses {rank} of the {total} combinations of parameters that move the tip are determined; the"
+        " others keep their bounds as uncertainty."
+    ]
+
+
+def _to_mind(plan: Plan) -> list[str]:
+    said = []
+    if not plan.is_tied:
+        said.append(
+            "Nothing ties the arm's base to a known place: the uncertainty is that of the tip but for a move and"
+            " turn of the whole workspace."
+        )
+    new = [setup for setup in OTHER_TILTS if setup in plan.points.setup]
+    if new:
+        said.append(
+            f"Of the board in {', '.join(new)} the identification must be told where it stands: `armwright"
+            " register`, or known_pose = false in [table]."
+        )
+    for before, after in plan.blocked:
+        said.append(
+            f"Between free poses {before} and {after} a straight joint move goes through floor or board: go round."
+        )
+    return said

@@ -1,0 +1,123 @@
+"""`armwright plan-poses`: which points, tilts and free poses to take next, and what each would bring."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from calib.boards import read_boards
+from calib.design import Plan, Request, Standing, View, in_words, plan_json, plan_poses, write_plan
+from calib.design.observability import NAMES
+from calib.design.words import known_to
+from calib.errors import CalibrationError
+from calib.identify.assembly import Choice
+from calib.identify.frames import Frame
+from calib.points import Points, read_points
+from control.model.arm import Arm
+from control.model.description import load_arm
+
+USUAL_COUNT = 12
+HEAD = "  {:<12}{:<9}{:>5}{:>9}{:>10}{:>10}{:>8}{:>9}{:>9}{:>9}{:>8}  {}\n"
+
+
+def run(given: argparse.Namespace) -> int:
+    """Plan, say what it brings, write plan.csv and plan.json."""
+    arm = load_arm(given.arm)
+    taken = _points(given, arm)
+    choice = Choice(boards=_boards(given))
+    plan = plan_poses(arm, taken, request_of(given), choice)
+    if given.json:
+        sys.stdout.write(json.dumps(plan_json(plan, arm.name), indent=2, allow_nan=False) + "\n")
+    else:
+        sys.stdout.write(described(plan, arm.name))
+    if given.out:
+        for path in write_plan(Path(given.out), plan, arm.name):
+            (sys.stderr if given.json else sys.stdout).write(f"written: {path}\n")
+    return 0
+
+
+def request_of(given: argparse.Namespace) -> Request:
+    """What the options ask for; `--free N` alone asks for N free poses and nothing else."""
+    count = given.count
+    if count is None:
+        count = USUAL_COUNT if given.free is None else given.free
+    if given.free is not None and given.only == "table":
+        raise CalibrationError("--free and --only table contradict each other: give one of them")
+    return Request(
+        count=count,
+        free_count=given.free,
+        setups=_setups(given.setups),
+        only=given.only,
+        criterion=given.criterion,
+        noise_m=given.noise,
+        view=_view(given.view),
+    )
+
+
+def _setups(text: str | None) -> tuple[str, ...] | None:
+    if text is None:
+        return None
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not names:
+        raise CalibrationError(f'--setups: expected names with commas between, as normal,roll; got "{text}"')
+    return names
+
+
+def _view(corners_m: list[float] | None) -> View | None:
+    if corners_m is None:
+        return None
+    x, y, z = (tuple(corners_m[k : k + 2]) for k in (0, 2, 4))
+    for axis, (lower, upper) in zip("xyz", (x, y, z), strict=True):
+        if not lower < upper:
+            raise CalibrationError(f"--view: expected {axis} from smaller to larger, got {lower:g} {upper:g}")
+    return View((x[0], y[0], z[0]), (x[1], y[1], z[1]))
+
+
+def _points(given: argparse.Namespace, arm: Arm) -> Points | None:
+    if given.points is None:
+        return None
+    points, warnings = read_points(Path(given.points), arm.joint_count)
+    for warning in warnings:
+        sys.stderr.write(f"armwright: warning: {warning}\n")
+    return points
+
+
+def _boards(given: argparse.Namespace) -> dict[str, Frame]:
+    if given.boards is None:
+        return {}
+    poses = read_boards(Path(given.boards))
+    return {setup: Frame(f"table_{setup}", pose.rotation, pose.origin_m) for setup, pose in poses.items()}
+
+
+def described(plan: Plan, arm: str) -> str:
+    """The plan for people: candidates, what each pose brings, alternatives, sentences."""
+    candidates = ", ".join(f"{count} {setup}" for setup, count in plan.candidates.items())
+    lines = [
+        f"arm {arm}: {plan.before.points_count} points taken; to choose from: {candidates}; noise"
+        f" {1e3 * plan.noise_m:.3g} mm per axis; criterion {plan.criterion}\n\n",
+        "  The poses in the order of their worth, and what is known after each:\n",
+        HEAD.format("setup", "point", "visit", "log det", "tip mm", "worst mm", *NAMES, "known least"),
+        HEAD.format("", "", "", "", *_figures(plan.before)),
+    ]
+    for pose in plan.poses:
+        gain = f"+{pose.gain:.2f}"
+        lines.append(HEAD.format(pose.setup, pose.point, pose.visit, gain, *_figures(pose.after)))
+    lines.append("\n  The best of one kind alone:\n")
+    for one in plan.alternatives:
+        figures = _figures(one.after)
+        lines.append(HEAD.format(one.setup, f"{one.count}", "", f"+{one.gain:.2f}", *figures))
+    return "".join([*lines, "\n", *(f"{sentence}\n" for sentence in in_words(plan))])
+
+
+def _figures(state: Standing) -> tuple[str, ...]:
+    found = state.indices.as_dict()
+    return (
+        f"{1e3 * state.tip_m:.3f}",
+        f"{1e3 * state.tip_worst_m:.3f}",
+        f"{found['O1']:.1f}",
+        f"{found['O2']:.4f}",
+        f"{found['O3']:.2f}",
+        f"{found['O4']:.3f}",
+        f"{found['O5']:.2f}",
+        known_to(state),
+    )
