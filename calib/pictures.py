@@ -57,32 +57,24 @@ def _draw_vectors(figure: Figure, comparison: Comparison) -> None:
 def _draw_arrows(
     axes: Axes, comparison: Comparison, errors: Array, plane: tuple[int, int], colour: str
 ) -> None:
-    """Points, arrows, and limits that hold both."""
+    """Points, arrows, a scale, and limits that hold them."""
     i, j = plane
     tips, shown = 1e3 * comparison.tip_m, 1e3 * errors
     typical, magnified = _magnification(tips, shown)
     _mark_setups(axes, comparison, tips[:, i], tips[:, j])
+    reach = magnified * shown
     arrows = axes.quiver(
-        tips[:, i],
-        tips[:, j],
-        magnified * shown[:, i],
-        magnified * shown[:, j],
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        color=colour,
-        width=0.0042,
-        zorder=3,
-    )
+        tips[:, i], tips[:, j], reach[:, i], reach[:, j],
+        angles="xy", scale_units="xy", scale=1.0, color=colour, width=0.0042, zorder=3,
+    )  # fmt: skip
     axes.set_aspect("equal", adjustable="datalim")
-    axes.update_datalim(np.vstack((tips, tips + magnified * shown))[:, plane])
+    axes.update_datalim(np.vstack((tips, tips + reach))[:, plane])
     axes.margins(0.06)
     axes.autoscale_view()
     length_mm = _round_length(typical)
     words = f"{length_mm:g} mm, drawn {magnified:.3g} times"
-    axes.quiverkey(
-        arrows, 0.58, 1.05, magnified * length_mm, words, labelpos="E", coordinates="axes", fontproperties={"size": 8}
-    )  # fmt: skip
+    place = {"labelpos": "E", "coordinates": "axes", "fontproperties": {"size": 8}}
+    axes.quiverkey(arrows, 0.58, 1.05, magnified * length_mm, words, **place)
 
 
 def _magnification(tips: Array, errors: Array) -> tuple[float, float]:

@@ -36,9 +36,11 @@ def track_of(recording: Path, model: Model, run: int, name: str) -> Track:
     seen = ~np.isnan(seen_m).any(axis=1)
     if not seen.any():
         raise ArmError(f"{recording}: no camera frame in run {run}: was the camera on?")
-    delay_s = _camera_delay_s(time_s, planned_m, time_s[seen], seen_m[seen])
-    at_s = time_s[seen] - delay_s
-    return Track(name, frozen(at_s - time_s[0]), frozen(_at(at_s, time_s, planned_m)), frozen(seen_m[seen]))
+    taken_s = time_s[seen] - _camera_delay_s(time_s, planned_m, time_s[seen], seen_m[seen])
+    within = taken_s >= time_s[0]  # the first frames to arrive were taken before the run
+    at_s = taken_s[within]
+    planned_at_m = _at(at_s, time_s, planned_m)
+    return Track(name, frozen(at_s - time_s[0]), frozen(planned_at_m), frozen(seen_m[seen][within]))
 
 
 def recorded(recording: Path) -> np.ndarray:
