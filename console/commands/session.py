@@ -12,18 +12,20 @@ from calib.session.boards_known import Boards
 from calib.session.conduct import Hand, Station, conduct
 from calib.session.folder import POINTS, SessionFolder
 from calib.session.geometry import ArmGeometry
+from calib.session.plan import SessionPlan, fingerprint
 from calib.session.state import Mark
 from calib.session.take import SessionSettings
 from calib.session.watch import ResidualWatch
 from console.commands.connection import connected
 from console.ports import RuntimePort
-from console.session.mock_session import MockSession, mock_session
+from console.session.mock_session import SCENARIO, MockSession, mock_session
 from console.session.operator import Operator
 from console.session.planning import wanted_plan
 from control.errors import ArmError
-from control.loop.client import ArmClient, ArmFaulted, fault_text
+from control.loop.client import ArmClient, ArmFaulted, Message, fault_text
 from control.model.arm import Arm
 from control.model.description import load_arm
+from hil_mocks.scenario import load_scenario
 
 SPEED = 0.5  # of the joints' limits, for moves near people
 
@@ -32,22 +34,41 @@ def run(given: argparse.Namespace) -> int:
     """Begin or resume, and carry on until the operator or the points end."""
     arm = load_arm(given.arm)
     lines = _replayed(Path(given.replay)) if given.replay else _typed()
-    with SessionFolder(Path(given.out), wanted_plan(given, arm)) as folder:
-        boards = Boards(arm, folder.plan)
-        _require_same_arm(folder, arm)
-        _introduce(folder)
-        if given.mock:
-            with mock_session(arm, folder, boards, given.scenario) as mock:
-                _carry_on(arm, folder, boards, lines, _mock_station(arm, folder, boards, mock))
-        else:
-            _require_real(folder)
-            client = connected(given)
-            try:
-                station = _real_station(arm, folder, boards, client)
-                _carry_on(arm, folder, boards, lines, station)
-            finally:
-                client.close()
+    wanted = wanted_plan(given, arm)
+    if wanted is not None:
+        wanted.require_sound()  # what is wrong with it is said before there is a folder, or a connection
+        Boards(arm, wanted)
+    if given.mock:
+        _with_mock(given, arm, wanted, lines)
+    else:
+        _with_arm(given, arm, wanted, lines)
     return 0
+
+
+def _with_mock(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, lines: Iterator[str]) -> None:
+    if given.scenario is not None:
+        load_scenario(given.scenario)
+    with SessionFolder(Path(given.out), wanted) as folder:
+        _require_same_arm(folder, arm)
+        boards = Boards(arm, folder.plan)
+        _introduce(folder)
+        with mock_session(arm, folder, boards, given.scenario) as mock:
+            _carry_on(arm, folder, boards, lines, _mock_station(arm, folder, boards, mock))
+
+
+def _with_arm(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, lines: Iterator[str]) -> None:
+    if (Path(given.out) / SCENARIO).exists():
+        raise SessionError(f"{given.out} is the session of a mock arm: add --mock")
+    client = connected(given)
+    try:
+        status = _ready(client)
+        with SessionFolder(Path(given.out), wanted) as folder:
+            _require_same_arm(folder, arm)
+            boards = Boards(arm, folder.plan)
+            _introduce(folder)
+            _carry_on(arm, folder, boards, lines, _real_station(arm, folder, boards, client, status))
+    finally:
+        client.close()
 
 
 def _carry_on(
@@ -90,17 +111,26 @@ def _mock_station(arm: Arm, folder: SessionFolder, boards: Boards, mock: MockSes
     return _station(arm, folder, boards, mock.client, mock.speed, last_s, hand)
 
 
-def _real_station(arm: Arm, folder: SessionFolder, boards: Boards, client: ArmClient) -> Station:
-    """Times count from when the session was begun, by the host's calendar."""
+def _ready(client: ArmClient) -> Message:
+    """Status of an arm that holds and knows its joint angles. ArmFaulted or ArmError say what is missing."""
     status = client.status()
     if status["mode"] == "FAULT":
         raise ArmFaulted(fault_text(status))
-    if status["mode"] in ("GUIDING", "BRAKED"):
+    if not status["is_homed"]:
+        raise ArmError(
+            "the arm does not know its joint angles yet: `armwright enable`, then `armwright home`"
+        )
+    if status["mode"] in ("GUIDING", "BRAKED"):  # a session that was killed while the hand had the arm
         client.hold()
     elif status["mode"] != "HOLDING":
-        raise ArmError(f"the arm is {status['mode']}: `armwright enable`, then `armwright home`")
-    if not status["is_homed"]:
-        raise ArmError("the arm does not know its joint angles yet: `armwright home`")
+        raise ArmError(f"the arm is {status['mode']}, expected HOLDING: `armwright enable`")
+    return status
+
+
+def _real_station(
+    arm: Arm, folder: SessionFolder, boards: Boards, client: ArmClient, status: Message
+) -> Station:
+    """Times count from when the session was begun, by the host's calendar."""
     elapsed_s = time.time() - datetime.fromisoformat(folder.started).timestamp()
     return _station(arm, folder, boards, client, SPEED, elapsed_s - float(status["t_s"]), None)
 
@@ -118,19 +148,10 @@ def _introduce(folder: SessionFolder) -> None:
 
 def _require_same_arm(folder: SessionFolder, arm: Arm) -> None:
     """Also where no other option was given."""
-    from calib.session.plan import fingerprint
-
     if folder.plan.arm_sha256 != fingerprint(arm):
         raise SessionError(
             f"{folder.path} is a session of arm {folder.plan.arm!r} as its file was then; --arm says another"
         )
-
-
-def _require_real(folder: SessionFolder) -> None:
-    from console.session.mock_session import SCENARIO
-
-    if (folder.path / SCENARIO).exists():
-        raise SessionError(f"{folder.path} is the session of a mock arm: add --mock")
 
 
 def _typed() -> Iterator[str]:

@@ -1,0 +1,140 @@
+"""The operator's side of a session: what is understood, what is drawn, which free poses are chosen."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.errors import SessionError
+from calib.session.free_poses import chosen_free_poses, read_free_poses
+from calib.session.plan import board_targets, free_targets
+from calib.session.state import Mark, SessionState
+from calib.session.talk import Command, Do, Jog
+from console.session.dialogue import HELP, Auto, NotUnderstood, View, understood
+from console.session.drawing import board_text, status_text
+from control.model.description import load_arm
+from control.model.kinematics import Kinematics
+from control.model.table import board_cavities, table_of
+
+RIGHT = load_arm("right")
+CAVITIES = board_cavities(table_of(RIGHT))
+
+
+@pytest.mark.parametrize(
+    ("line", "meant"),
+    [
+        ("", Command(Do.GO)),
+        ("  \n", Command(Do.GO)),
+        ("redo", Command(Do.REDO)),
+        ("Redo 7", Command(Do.REDO, point="7")),
+        ("bad roll 7", Command(Do.BAD, "roll", "7")),
+        ("skip roll 7 2", Command(Do.SKIP, "roll", "7", 2)),
+        ('redo "tilt a" "x 1"', Command(Do.REDO, "tilt a", "x 1")),
+        ("note tip wobbled at 7", Command(Do.NOTE, text="tip wobbled at 7")),
+        ("jog z -5", Command(Do.JOG, jog=Jog("z", -0.005))),
+        ("jog j2 +90", Command(Do.JOG, jog=Jog("j2", math.pi / 2))),
+        ("quit", Command(Do.QUIT)),
+        ("help", View.HELP),
+        ("?", View.HELP),
+        ("status", View.STATUS),
+        ("board", View.BOARD),
+        ("auto", Auto(None)),
+        ("auto 3", Auto(3)),
+    ],
+)
+def test_every_command_is_understood(line: str, meant: object) -> None:
+    assert understood(line) == meant
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "yes",
+        "jog",
+        "jog z",
+        "jog z much",
+        "jog z nan",
+        "note",
+        "redo a b c d",
+        "redo a b zero",
+        "auto -1",
+        "quit now",
+        'bad "7',
+    ],
+)
+def test_what_is_no_command_is_refused_and_does_nothing(line: str) -> None:
+    with pytest.raises(NotUnderstood):
+        understood(line)
+
+
+def test_help_names_every_command() -> None:
+    assert all(f"  {do.value}" in HELP for do in Do if do is not Do.GO)
+    assert all(view.value in HELP for view in View if view is not View.HELP)
+
+
+def test_the_board_is_drawn_with_what_became_of_every_cavity() -> None:
+    targets = board_targets(["normal"], list(CAVITIES))
+    state = SessionState.begun(targets)
+    for point, mark in (("1", Mark.DONE), ("2", Mark.DONE), ("3", Mark.BAD), ("4", Mark.SKIPPED)):
+        state = state.marked(("normal", point, 1), mark)
+    drawn = board_text(state, CAVITIES, "normal", targets[4]).splitlines()
+    grid = "\n".join(drawn[1:-1])
+    assert [grid.count(sign) for sign in "#x-O."] == [2, 1, 1, 1, 28]
+    rows = [row for row in drawn[1:-1] if "#" in row]
+    assert rows[-1].rstrip().endswith("#"), "cavity 1 is the rightmost of the middle row"
+    assert all(len(row) <= 70 for row in drawn)
+
+
+def test_a_cavity_with_some_repeats_done_is_drawn_so() -> None:
+    state = SessionState.begun(board_targets(["normal"], ["1", "9"], repeats=2)).marked(
+        ("normal", "1", 1), Mark.DONE
+    )
+    assert "+" in "".join(board_text(state, CAVITIES, "normal", None).splitlines()[:-1])
+    assert "no cavities" in board_text(state, CAVITIES, "roll", None)
+
+
+def test_the_status_counts_and_names_what_is_not_done() -> None:
+    state = SessionState.begun((*board_targets(["roll"], ["1", "2", "3"], 2), *free_targets({"f1": (0.0,)})))
+    for key, mark in (
+        (("roll", "1", 1), Mark.DONE),
+        (("roll", "2", 2), Mark.BAD),
+        (("roll", "3", 1), Mark.SKIPPED),
+    ):
+        state = state.marked(key, mark)
+    assert status_text(state) == (
+        "  setup roll: 3 left, 1 done, 1 skipped, 1 bad (skipped: 3; bad: 2 (repeat 2))\n  free poses: 1 left\n"
+    )
+
+
+def test_free_poses_are_spread_clear_of_the_table_and_always_the_same() -> None:
+    poses = chosen_free_poses(RIGHT, 12)
+    assert list(poses) == [f"f{k}" for k in range(1, 13)]
+    assert poses == chosen_free_poses(RIGHT, 12)
+    q_rad = np.array(list(poses.values()))
+    limits = np.array(RIGHT.limits_rad)
+    assert ((q_rad > limits[:, 0]) & (q_rad < limits[:, 1])).all()
+    ways = np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(q_rad)])
+    kinematics = Kinematics(RIGHT)
+    assert kinematics.tips(q_rad)[:, 2].min() > 0.119
+    assert kinematics.tips(ways)[:, 2].min() > 0.05, "on the way from one to the next, too"
+    apart = np.linalg.norm(q_rad[:, None] - q_rad[None], axis=2) + 9.0 * np.eye(12)
+    assert apart.min() > 0.8
+
+
+def test_free_poses_of_a_file_are_read_strictly(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    path.write_text("point,q1_rad,q2_rad\na,0.1,0.2\n,0.3,0.4\n")
+    assert read_free_poses(path, 2) == {"a": (0.1, 0.2), "f2": (0.3, 0.4)}
+    for text, said in (
+        ("point,q1_rad\n", "required column q2_rad is missing"),
+        ("q1_rad,q2_rad\n0.1,x\n", "line 2, column q2_rad: got 'x'"),
+        ("q1_rad,q2_rad\n0.1,45\n", "expected an angle in radians"),
+        ("point,q1_rad,q2_rad\na,1,1\na,1,1\n", "pose a is there twice"),
+    ):
+        path.write_text(text)
+        with pytest.raises(SessionError, match=said):
+            read_free_poses(path, 2)
