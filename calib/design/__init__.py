@@ -6,7 +6,8 @@ from calib.design.criteria import CRITERIA
 from calib.design.files import plan_json, write_plan
 from calib.design.information import Standing
 from calib.design.observability import Indices, indices_of
-from calib.design.planning import Alternative, Plan, PlannedPose, Request, plan_poses
+from calib.design.plan import Alternative, Plan, PlannedPose, Request
+from calib.design.planning import plan_poses
 from calib.design.words import in_words
 
 __all__ = [

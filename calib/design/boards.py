@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -84,6 +85,17 @@ def placed_boards(
             f"setup {setups[0]}: arm {arm.name} has no [table]; add one, or plan free poses only (--only free)"
         )
     return {setup: _placed(arm, setup, points, measured) for setup in setups}
+
+
+def boards_in_the_way(
+    arm: Arm, taken: Points | None, measured: Mapping[str, Frame], planned: Mapping[str, PlacedBoard]
+) -> tuple[PlacedBoard, ...]:
+    """The board as it may stand while free poses are taken: in every setup that can be placed."""
+    found = dict(planned)
+    for setup in usual_setups(arm, taken, measured):
+        with contextlib.suppress(CalibrationError):
+            found.setdefault(setup, _placed(arm, setup, taken, measured))
+    return tuple(found.values())
 
 
 def _placed(arm: Arm, setup: str, points: Points | None, measured: Mapping[str, Frame]) -> PlacedBoard:

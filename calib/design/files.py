@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.design.information import Standing
-from calib.design.planning import Plan
+from calib.design.plan import Plan
 from calib.design.words import in_words
 from calib.points import make_points
 from calib.points_writer import replace_file, write_points

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 
-from calib.design.boards import OTHER_TILTS, PlacedBoard, placed_boards, usual_setups
+from calib.design.boards import OTHER_TILTS, PlacedBoard, boards_in_the_way, placed_boards, usual_setups
 from calib.design.candidates import (
     FREE,
-    View,
     free_candidates,
     joined,
     named,
@@ -21,8 +19,9 @@ from calib.design.candidates import (
 )
 from calib.design.criteria import criterion_of
 from calib.design.exchange import Group, select
-from calib.design.information import Experiment, Standing, experiment_of, standing
+from calib.design.information import Experiment, experiment_of, standing
 from calib.design.order import clear_ways, visiting_order
+from calib.design.plan import Alternative, Plan, PlannedPose, Request
 from calib.design.reach import Rows
 from calib.errors import CalibrationError
 from calib.identify.assembly import Choice
@@ -32,81 +31,16 @@ from control.model.table import SETUPS
 
 WORKSPACE_POSES_COUNT = 400
 ALTERNATIVE_COUNT = 12  # poses that alternatives are compared by
-USUAL_COUNT = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
-    """What is wanted: `count` poses, `free_count` of them free poses (None: as the criterion chooses).
-
-    setups: those to plan in (None: the table's own); only: nothing but free poses, or nothing but the table's; noise_m:
-    standard deviation of a coordinate of the tip (None: the camera's); view: the box that the camera sees (None: all).
-    """
-
-    count: int = USUAL_COUNT
-    free_count: int | None = None
-    setups: tuple[str, ...] | None = None
-    only: Literal["free", "table"] | None = None
-    criterion: str = "D"
-    noise_m: float | None = None
-    view: View | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class PlannedPose:
-    """One pose of the plan: q_rad is where the nominal arm would have its joints; `visit` from 1.
-
-    gain: by how much it raises log det when taken after those before it in the plan; `after`: what is known then.
-    """
-
-    setup: str
-    point: str
-    repeat: int
-    q_rad: tuple[float, ...]
-    visit: int
-    gain: float
-    after: Standing
-
-
-@dataclass(frozen=True, slots=True)
-class Alternative:
-    """What the best `count` poses of one kind alone would bring: cavities of one setup, or free poses."""
-
-    setup: str
-    count: int
-    gain: float
-    after: Standing
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What to take next. `poses` in the order of their worth, `points` in that of the visit."""
-
-    criterion: str
-    noise_m: float
-    poses: tuple[PlannedPose, ...]
-    points: Points
-    before: Standing
-    alternatives: tuple[Alternative, ...]
-    candidates: Mapping[str, int]
-    combinations_count: int
-    is_tied: bool
-    blocked: tuple[tuple[str, str], ...]
-
-    @property
-    def after(self) -> Standing:
-        """What is known with the whole plan."""
-        return self.poses[-1].after
-
-
-@dataclass(frozen=True, slots=True)
-class _Field:
+class _Offer:
     """All poses as one experiment: those taken first, then the candidates by setup."""
 
     experiment: Experiment
     poses: Points
     taken: Rows
-    by_setup: dict[str, Rows] = field(default_factory=dict)
+    by_setup: dict[str, Rows]
 
 
 def plan_poses(arm: Arm, taken: Points | None, request: Request, choice: Choice | None = None) -> Plan:
@@ -121,26 +55,23 @@ def plan_poses(arm: Arm, taken: Points | None, request: Request, choice: Choice 
     setups = _setups(arm, taken, request, wanted)
     boards = placed_boards(arm, setups, taken, wanted.boards)
     others = _other_tilts(arm, setups, request)
-    field = _field_of(arm, taken, request, wanted, {**boards, **others}, noise_m)
-    chosen = select(field.experiment, criterion, field.taken, _groups(field, setups, request))
-    alternatives = tuple(
-        _alternative(field, request.criterion, setup)
-        for setup in field.by_setup
-        if len(field.by_setup[setup])
-    )
-    order = visiting_order(arm, field.poses.chosen(chosen), setups, boards.values())
-    points = named(field.poses.chosen([chosen[k] for k in order]), taken)
+    in_the_way = boards_in_the_way(arm, taken, wanted.boards, boards)
+    offer = _offer_of(arm, taken, request, wanted, {**boards, **others}, in_the_way, noise_m)
+    chosen = select(offer.experiment, criterion, offer.taken, _groups(offer, setups, request))
+    alternatives = [one for setup in offer.by_setup for one in _alternatives(offer, request.criterion, setup)]
+    order = visiting_order(arm, offer.poses.chosen(chosen), setups, in_the_way)
+    points = named(offer.poses.chosen([chosen[k] for k in order]), taken)
     return Plan(
         criterion=request.criterion,
         noise_m=noise_m,
-        poses=_planned_poses(field, chosen, points, order),
+        poses=_planned_poses(offer, chosen, points, order),
         points=points,
-        before=standing(field.experiment, field.taken),
+        before=standing(offer.experiment, offer.taken),
         alternatives=tuple(sorted(alternatives, key=lambda one: one.after.tip_m)),
-        candidates={setup: len(rows) for setup, rows in field.by_setup.items() if setup not in others},
-        combinations_count=field.experiment.rank,
-        is_tied=field.experiment.is_tied,
-        blocked=_blocked(arm, points, boards),
+        candidates={setup: len(rows) for setup, rows in offer.by_setup.items() if setup not in others},
+        combinations_count=offer.experiment.rank,
+        is_tied=offer.experiment.is_tied,
+        blocked=_blocked(arm, points, in_the_way),
     )
 
 
@@ -178,29 +109,30 @@ def _other_tilts(arm: Arm, setups: list[str], request: Request) -> dict[str, Pla
     return placed_boards(arm, more, None, {})
 
 
-def _field_of(
+def _offer_of(
     arm: Arm,
     taken: Points | None,
     request: Request,
     choice: Choice,
     boards: Mapping[str, PlacedBoard],
+    in_the_way: tuple[PlacedBoard, ...],
     noise_m: float,
-) -> _Field:
+) -> _Offer:
     """Candidates of every kind, and all as one experiment."""
     sees_tip = taken is not None and any(
         setup != FREE and np.isfinite(tip).all() for setup, tip in zip(taken.setup, taken.tip_m, strict=True)
     )
     parts = {setup: table_candidates(arm, board, taken, sees_tip) for setup, board in boards.items()}
     if arm.camera is not None and request.only != "table":
-        parts[FREE] = free_candidates(arm, boards.values(), request.view)
+        parts[FREE] = free_candidates(arm, in_the_way, request.view)
     if not any(len(part) for part in parts.values()):
         raise CalibrationError(_nothing_to_plan(arm, request))
     poses = joined([*([] if taken is None else [taken]), *parts.values()])
     unseen = {s: board.frame for s, board in boards.items() if board.is_known and s not in choice.boards}
     known = dataclasses.replace(choice, boards={**choice.boards, **unseen})
-    workspace = workspace_poses(arm, boards.values(), 2 * WORKSPACE_POSES_COUNT)[:WORKSPACE_POSES_COUNT]
+    workspace = workspace_poses(arm, in_the_way, 2 * WORKSPACE_POSES_COUNT)[:WORKSPACE_POSES_COUNT]
     starts = np.cumsum([0 if taken is None else len(taken), *(len(part) for part in parts.values())])
-    return _Field(
+    return _Offer(
         experiment_of(arm, poses, workspace, noise_m, known),
         poses,
         np.arange(starts[0]),
@@ -223,10 +155,10 @@ def _nothing_to_plan(arm: Arm, request: Request) -> str:
     )
 
 
-def _groups(field: _Field, setups: list[str], request: Request) -> list[Group]:
+def _groups(offer: _Offer, setups: list[str], request: Request) -> list[Group]:
     """How many of which candidates to choose."""
-    free = field.by_setup.get(FREE, np.zeros(0, dtype=np.intp))
-    table = np.concatenate([np.zeros(0, dtype=np.intp), *(field.by_setup[setup] for setup in setups)])
+    free = offer.by_setup.get(FREE, np.zeros(0, dtype=np.intp))
+    table = np.concatenate([np.zeros(0, dtype=np.intp), *(offer.by_setup[setup] for setup in setups)])
     if request.count < 1:
         raise CalibrationError(f"number of poses: expected one or more, got {request.count}")
     if request.free_count is None:
@@ -241,27 +173,33 @@ def _groups(field: _Field, setups: list[str], request: Request) -> list[Group]:
     ]
 
 
-def _alternative(field: _Field, criterion: str, setup: str) -> Alternative:
-    """The best few poses of one kind.
+def _alternatives(offer: _Offer, criterion: str, setup: str) -> list[Alternative]:
+    """The best few poses of one kind, and all cavities of a setup.
 
     Chosen for D or tip: where one kind alone leaves something undetermined, the indices O2 to O4 mean nothing.
     """
-    rows = field.by_setup[setup]
+    rows = offer.by_setup[setup]
     count = min(ALTERNATIVE_COUNT, len(rows))
     score = criterion_of("tip" if criterion == "tip" else "D")
-    best = select(field.experiment, score, field.taken, [Group(setup, rows, count)])
-    before, after = standing(field.experiment, field.taken), standing(field.experiment, [*field.taken, *best])
-    return Alternative(setup, count, after.log_det - before.log_det, after)
+    choices = [select(offer.experiment, score, offer.taken, [Group(setup, rows, count)])] if count else []
+    if setup != FREE and len(rows) > count:
+        choices.append(rows.tolist())
+    before = standing(offer.experiment, offer.taken)
+    found = []
+    for chosen in choices:
+        after = standing(offer.experiment, [*offer.taken, *chosen])
+        found.append(Alternative(setup, len(chosen), after.log_det - before.log_det, after))
+    return found
 
 
 def _planned_poses(
-    field: _Field, chosen: list[int], points: Points, order: list[int]
+    offer: _Offer, chosen: list[int], points: Points, order: list[int]
 ) -> tuple[PlannedPose, ...]:
     """What each brings when taken after those before it; `points` are in the order of the visit."""
     found = []
-    before = standing(field.experiment, field.taken)
+    before = standing(offer.experiment, offer.taken)
     for k in range(len(chosen)):
-        after, at = standing(field.experiment, [*field.taken, *chosen[: k + 1]]), order.index(k)
+        after, at = standing(offer.experiment, [*offer.taken, *chosen[: k + 1]]), order.index(k)
         found.append(
             PlannedPose(
                 points.setup[at],
@@ -277,12 +215,12 @@ def _planned_poses(
     return tuple(found)
 
 
-def _blocked(arm: Arm, visited: Points, boards: Mapping[str, PlacedBoard]) -> tuple[tuple[str, str], ...]:
+def _blocked(arm: Arm, visited: Points, boards: tuple[PlacedBoard, ...]) -> tuple[tuple[str, str], ...]:
     """Neighbouring free poses between which a straight joint move would go through floor or board."""
     rows = [k for k, setup in enumerate(visited.setup) if setup == FREE]
     if len(rows) < 2:
         return ()
-    clear = clear_ways(arm, visited.q_rad[rows], boards.values())
+    clear = clear_ways(arm, visited.q_rad[rows], boards)
     return tuple(
         (visited.point[rows[k]], visited.point[rows[k + 1]])
         for k in range(len(rows) - 1)

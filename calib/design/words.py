@@ -7,7 +7,7 @@ import numpy as np
 from calib.design.boards import OTHER_TILTS
 from calib.design.candidates import FREE
 from calib.design.information import Standing
-from calib.design.planning import Alternative, Plan
+from calib.design.plan import Alternative, Plan
 
 NOTICEABLE = 0.03  # two uncertainties that differ by less than this share are the same
 
@@ -50,23 +50,26 @@ def _gain(plan: Plan) -> str:
 
 
 def _alternatives(plan: Plan) -> list[str]:
-    """Kinds against each other, and roll against pitch."""
+    """Kinds against each other, and roll against pitch: a few poses of each."""
+    few = {one.setup: one for one in sorted(plan.alternatives, key=lambda one: -one.count)}
+    ranked = sorted(few.values(), key=lambda one: one.after.tip_m)
     said = []
-    if len(plan.alternatives) > 1:
-        parts = ", ".join(
-            f"{kind(one.setup, one.count)} {length(one.after.tip_m)}" for one in plan.alternatives
-        )
+    if len(ranked) > 1:
+        parts = ", ".join(f"{kind(one.setup, one.count)} {length(one.after.tip_m)}" for one in ranked)
         said.append(f"One kind alone would leave: {parts}.")
-    free = next((one for one in plan.alternatives if one.setup == FREE), None)
-    is_enough = free is not None and free.after.tip_m <= (1.0 + NOTICEABLE) * plan.after.tip_m
-    if free is not None and is_enough and free.count <= len(plan.poses) and set(plan.points.setup) != {FREE}:
-        said.append(
-            f"{kind(FREE, free.count)} alone would do as well, without setting up the board (--only free)."
-        )
-    by_setup = {one.setup: one for one in plan.alternatives}
-    if "roll" in by_setup and "pitch" in by_setup:
-        said.append(_compared(by_setup["roll"], by_setup["pitch"]))
+    if FREE in few and set(plan.points.setup) != {FREE}:
+        said += _free_alone(plan, few[FREE])
+    if "roll" in few and "pitch" in few:
+        said.append(_compared(few["roll"], few["pitch"]))
     return said
+
+
+def _free_alone(plan: Plan, free: Alternative) -> list[str]:
+    """Whether the board need not be set up at all."""
+    is_enough = free.after.tip_m <= (1.0 + NOTICEABLE) * plan.after.tip_m
+    if not is_enough or free.count > len(plan.poses):
+        return []
+    return [f"{kind(FREE, free.count)} alone would do as well, without setting up the board (--only free)."]
 
 
 def _compared(one: Alternative, other: Alternative) -> str:

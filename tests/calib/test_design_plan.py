@@ -18,7 +18,8 @@ from design_trial import (
 )
 
 from calib.design import Request, View, in_words, plan_json, plan_poses, write_plan
-from calib.design.candidates import workspace_poses
+from calib.design.boards import boards_in_the_way
+from calib.design.candidates import free_candidates, workspace_poses
 from calib.design.information import experiment_of, standing
 from calib.errors import CalibrationError
 from calib.identify import LeastSquares, SumOfDistances
@@ -114,6 +115,15 @@ def test_setups_asked_for_are_the_only_ones_planned():
     assert set(plan.points.setup) <= {"pitch", "roll-"}
     assert set(plan.candidates) == {"pitch", "roll-"}
     assert any("register" in sentence for sentence in in_words(plan)) == ("roll-" in plan.points.setup)
+
+
+def test_free_poses_keep_off_the_tilted_board_though_no_cavity_is_planned():
+    points = plan_poses(ARM, None, Request(count=4, only="free")).points
+    pool = free_candidates(ARM, boards_in_the_way(ARM, None, {}, {}))
+    assert {tuple(q) for q in points.q_rad} <= {tuple(q) for q in pool.q_rad}
+    assert [board.setup for board in boards_in_the_way(ARM, None, {}, {})] == ["normal", "roll", "pitch"]
+    nowhere = dataclasses.replace(ARM.table, known_pose=False, origin_m=None)
+    assert boards_in_the_way(dataclasses.replace(ARM, table=nowhere), None, {}, {}) == ()
 
 
 def test_view_keeps_free_poses_where_the_camera_sees_them():
