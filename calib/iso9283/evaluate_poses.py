@@ -16,6 +16,7 @@ from calib.iso9283.result import Criterion, Figure, criterion, with_headlines
 SAME_POSE_m = 1e-4  # two commanded positions nearer than this are the same pose
 OWN_SETUPS = ("from_x", "from_y", "from_z", "distance", "load", "posing")
 AXES = "xyz"
+NAMES_SAID = 5
 Groups = Sequence[PoseGroup]
 ORIENTATION = (
     "for the orientation (AP_a, AP_b, AP_c, RP_a, RP_b, RP_c) a measured orientation of the tip: points.csv with"
@@ -30,42 +31,40 @@ def is_pose_setup(name: str) -> bool:
 
 def pose_criterion(groups: Groups) -> Criterion:
     """1: AP and RP of every pose, and of the orientation where it was measured."""
-    figures: list[Figure] = []
-    needs: list[str] = []
     chosen = sorted((g for g in groups if is_pose_setup(g.setup)), key=lambda g: (g.setup, g.point))
-    for group in chosen:
-        figures += _pose_figures(group, needs)
+    figures = [figure for group in chosen for figure in _pose_figures(group)]
+    needs = _unseen(chosen)
     if not chosen:
         needs.append("repeated visits of poses (P1 to P5, thirty times each) in points.csv")
+    if once := [_named(group) for group in chosen if len(group.attained_m) == 1]:
+        needs.append(f"for the repeatability a second visit of {_listed(once)}")
     if not any(group.angle_rad is not None for group in chosen):
         needs.append(ORIENTATION)
     return criterion(1, with_headlines(figures), needs)
 
 
-def _pose_figures(group: PoseGroup, needs: list[str]) -> list[Figure]:
+def _pose_figures(group: PoseGroup) -> list[Figure]:
     n, where = len(group.attained_m), _named(group)
-    if group.unseen:
-        needs.append(_unseen(group))
     figures = []
     if n:
-        figures.append(
-            Figure("AP_p", pose.pose_accuracy(group.commanded_m, group.attained_m).total_m, "m", where, n)
-        )
+        accuracy = pose.pose_accuracy(group.commanded_m, group.attained_m)
+        figures.append(Figure("AP_p", accuracy.total_m, "m", where, n))
     if n >= 2:
         figures.append(Figure("RP_l", pose.pose_repeatability(group.attained_m).total_m, "m", where, n))
-    elif n:
-        needs.append(f"for the repeatability at {where} a second visit; there is one")
     if group.angle_rad is not None and group.angle_set_rad is not None:
-        accuracy = pose.orientation_accuracy(group.angle_set_rad, group.angle_rad)
-        figures += [
-            Figure(f"AP_{a}", float(v), "rad", where, n) for a, v in zip("abc", accuracy, strict=True)
-        ]
-        if len(group.angle_rad) >= 2:
-            scatter = pose.orientation_repeatability(group.angle_rad)
-            figures += [
-                Figure(f"RP_{a}", float(v), "rad", where, n) for a, v in zip("abc", scatter, strict=True)
-            ]
+        figures += _orientation_figures(group.angle_set_rad, group.angle_rad, where)
     return figures
+
+
+def _orientation_figures(commanded_rad: Array, attained_rad: Array, where: str) -> list[Figure]:
+    n, found = len(attained_rad), {"AP": pose.orientation_accuracy(commanded_rad, attained_rad)}
+    if n >= 2:
+        found["RP"] = pose.orientation_repeatability(attained_rad)
+    return [
+        Figure(f"{symbol}_{letter}", float(value), "rad", where, n)
+        for symbol, values in found.items()
+        for letter, value in zip("abc", values, strict=True)
+    ]
 
 
 def direction_criterion(groups: Groups) -> Criterion:
@@ -104,8 +103,8 @@ def distance_criterion(groups: Groups) -> Criterion:
     first, second = whole[0]
     n = min(len(first.attained_m), len(second.attained_m))
     if not n:
-        return criterion(3, (), (_unseen(first),))
-    needs = [_unseen(g) for g in (first, second) if g.unseen]
+        return criterion(3, (), _unseen((first, second)))
+    needs = _unseen((first, second))
     attained = first.attained_m[:n], second.attained_m[:n]
     where = f"P2 to P4 ({first.setup})"
     accuracy = pose.distance_accuracy(first.commanded_m, second.commanded_m, *attained)
@@ -232,8 +231,17 @@ def _named(group: PoseGroup) -> str:
     return group.point if group.setup == "pose" else f"{group.point} ({group.setup})"
 
 
-def _unseen(group: PoseGroup) -> str:
-    return (
-        f"a measured tip (x_m, y_m, z_m, by a camera) in {group.unseen} of {group.unseen + len(group.attained_m)} visits"
-        f" of {_named(group)}"
-    )
+def _unseen(groups: Groups) -> list[str]:
+    """One sentence about visits without a measured tip, if there are any."""
+    missing = sum(group.unseen for group in groups)
+    if not missing:
+        return []
+    visits = missing + sum(len(group.attained_m) for group in groups)
+    where = _listed([_named(group) for group in groups if group.unseen])
+    return [f"a measured tip (x_m, y_m, z_m, by a camera) in {missing} of {visits} visits: of {where}"]
+
+
+def _listed(names: Sequence[str]) -> str:
+    """The first names, and how many more there are."""
+    more = len(names) - NAMES_SAID
+    return ", ".join(names[:NAMES_SAID]) + (f" and {more} more" if more > 0 else "")

@@ -60,7 +60,7 @@ def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient 
         else:
             _record_real(given, arm, client, planned, out)
     except BaseException:
-        if (out / "points.csv").exists():
+        if _holds_records(out):
             sys.stderr.write(
                 f"\narmwright: what was recorded is in {out}; the same command goes on with it, and"
                 f" `armwright iso9283 --points {out / 'points.csv'} --log {out / 'log.csv'} --out {out}` evaluates it\n"
@@ -93,6 +93,10 @@ def _evaluate(
 def _require_within(value: float | None, option: str, upper: float, what: str) -> None:
     if value is not None and not 0.0 < value <= upper:
         raise Iso9283Error(f"{option}: expected {what} above 0 and up to {upper:g}, got {value:g}")
+
+
+def _holds_records(out: Path) -> bool:
+    return (out / "points.csv").exists() and (out / "points.csv").read_bytes().count(b"\n") > 1
 
 
 def _is_only_header(log: Path) -> bool:

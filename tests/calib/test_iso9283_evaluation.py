@@ -99,13 +99,23 @@ def test_visits_without_a_measured_tip_are_said_and_not_counted(arm: Arm) -> Non
     tip = np.array(whole.tip_m)
     tip[0] = np.nan
     of = found(arm, make_points(whole.setup, whole.point, whole.repeat, whole.q_rad, tip))
-    assert any("in 1 of 10 visits of P1" in need for need in of[1].needs)
+    assert any("in 1 of 30 visits: of P1" in need for need in of[1].needs)
     assert {f.count for f in of[1].figures if f.where == "P1"} == {9}
     nothing = found(
         arm, make_points(whole.setup, whole.point, whole.repeat, whole.q_rad, np.full_like(tip, np.nan))
     )
     assert not nothing[1].figures
     assert any("by a camera" in need for need in nothing[1].needs)
+
+
+def test_a_table_full_of_points_is_one_sentence_each_not_ninety(arm: Arm) -> None:
+    names = [f"{k}" for k in range(90)]
+    q = np.tile((0.0, -0.2, -0.3), (90, 1))
+    tip = Kinematics(arm).tips(q)
+    tip[::2] = np.nan
+    needs = found(arm, make_points(["roll"] * 90, names, [1] * 90, q, tip))[1].needs
+    assert len(needs) == 3
+    assert any("45 of 90 visits: of 0 (roll), 10 (roll)" in need and "and 40 more" in need for need in needs)
 
 
 def test_commanded_positions_are_the_columns_else_the_angles_through_the_arm(arm: Arm) -> None:
@@ -159,6 +169,9 @@ def test_directions_drift_and_loads_are_known_by_their_setups(arm: Arm) -> None:
     assert of[13].headlines[0].value == pytest.approx(1e-4, rel=0.1)
     assert "x and y" in of[13].needs[0]
     assert not of[1].figures  # none of these is a plain visit
+    free = found(arm, visits(arm, ("free",), ("P1",)))
+    assert free[1].figures
+    assert not free[2].figures
 
 
 def test_exchangeability_compares_arms_at_the_same_commanded_pose(arm: Arm) -> None:
