@@ -19,10 +19,10 @@ SHOWN = 24  # points at most that are listed without being asked for
 SUMMARY = ("mean [mm]", "95 % of the mean [mm]", "RMS [mm]", "max [mm]", "sd [mm]")
 
 
-def verification_section(comparison: Comparison) -> Section:
-    """Points that calibration did not use: SpringerPlus 5:1771, Table 4."""
+def verification_section(comparison: Comparison, where: str) -> Section:
+    """Errors at points, `where` says which: SpringerPlus 5:1771, Table 4."""
     return Section(
-        "Error before and after, at points that calibration did not use",
+        f"Error before and after, {where}",
         comparison_table(comparison)
         + bullets(findings(comparison))
         + vector_picture(comparison)

@@ -33,7 +33,7 @@ def _parts(report: ReportData) -> Iterator[Section | str]:
     yield tiles(_results(report))
     yield done_section(report.steps, report.notes)
     if report.verification is not None:
-        yield verification_section(report.verification)
+        yield verification_section(report.verification, report.verified_at)
     if report.paths:
         yield paths_section(report.paths)
     yield from report.sections
@@ -52,7 +52,7 @@ def _results(report: ReportData) -> Iterator[tuple[str, str, str]]:
     judged = report.verification or report.calibration
     if judged is not None:
         entry = judged.of("all")
-        where = "at points not used" if report.verification is not None else "at the calibration points"
+        where = report.verified_at if report.verification is not None else "at the calibration points"
         yield "before", f"{1e3 * entry.before.mean_m:.2f} mm", f"mean error before, {where}"
         yield "after", f"{1e3 * entry.after.mean_m:.2f} mm", f"mean error after, {where}"
         yield "", f"{entry.improvement_percent:.1f} %", f"smaller mean error, {where}"

@@ -12,6 +12,8 @@ from calib.tracks import TrackPair
 from calib.verify import Comparison
 from control.model.arm import Arm
 
+UNUSED = "at points that calibration did not use"
+
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
@@ -27,7 +29,8 @@ class ReportData:
     """Everything that stands in report.html. Absent parts are left out of it.
 
     `verdict`: sentences ahead of everything. `paths`: trajectories by the nominal and the calibrated model. `arms`: nominal
-    and calibrated, for the table of their DH parameters. `sections`: more of them, after the comparisons.
+    and calibrated, for the table of their DH parameters. `sections`: more of them, after the comparisons. `verified_at`: where
+    the verification was.
     """
 
     title: str
@@ -44,6 +47,7 @@ class ReportData:
     notes: tuple[str, ...] = ()
     verdict: tuple[str, ...] = ()
     sections: tuple[Section, ...] = ()
+    verified_at: str = UNUSED
 
 
 def input_file(path: Path, what: str) -> InputFile:

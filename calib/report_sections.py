@@ -12,7 +12,8 @@ from calib.report_data import InputFile
 from control.model.arm import Arm
 
 NO_EFFECT = 0.999  # share of a parameter that the data leave open, from which on it is said to have no effect
-UNITS = {"m": ("mm", 1e3, 3), "rad": ("deg", math.degrees(1.0), 4)}
+# How a parameter of each unit is shown: unit, scale, format.
+UNITS = {"m": ("mm", 1e3, ".3f"), "rad": ("deg", math.degrees(1.0), ".4f"), "1": ("", 1.0, ".6f")}
 
 
 def done_section(steps: Iterable[str], notes: Sequence[str] = ()) -> Section:
@@ -50,16 +51,16 @@ def parameters_section(found: Identification) -> Section:
 
 def _parameter_row(estimate: Estimate) -> Sequence[Cell]:
     parameter = estimate.parameter
-    unit, scale, digits = UNITS.get(parameter.unit, (parameter.unit, 1.0, 6))
+    unit, scale, form = UNITS.get(parameter.unit, (parameter.unit, 1.0, ".5g"))
     is_open = estimate.undetermined_share > NO_EFFECT
-    sd = "" if math.isnan(estimate.sd) or is_open else f"{scale * estimate.sd:.{digits}f}"
-    bound = f"± {scale * parameter.bound:.{digits}g}" if math.isfinite(parameter.bound) else "none"
+    sd = "" if math.isnan(estimate.sd) or is_open else f"{scale * estimate.sd:{form}}"
+    bound = f"± {scale * parameter.bound:.4g}" if math.isfinite(parameter.bound) else "none"
     return (
         parameter.name,
         unit,
-        f"{scale * parameter.nominal:.{digits}f}",
-        ("after", f"{scale * estimate.value:.{digits}f}"),
-        f"{scale * estimate.deviation + 0.0:+.{digits}f}",
+        f"{scale * parameter.nominal:{form}}",
+        ("after", f"{scale * estimate.value:{form}}"),
+        f"{scale * estimate.deviation + 0.0:+{form}}",
         sd,
         bound,
         ("text", _remark(estimate)),
@@ -96,7 +97,7 @@ def dh_section(nominal: Arm, calibrated: Arm) -> Section:
 
 def _spelled(values: Sequence[float], units: Sequence[str], sign: str = "") -> list[str]:
     return [
-        f"{UNITS[unit][1] * value + 0.0:{sign}.{UNITS[unit][2]}f}"
+        f"{UNITS[unit][1] * value + 0.0:{sign}{UNITS[unit][2]}}"
         for value, unit in zip(values, units, strict=True)
     ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,28 +16,43 @@ from control.model.arm import Arm
 SAME_POSE_rad = 0.002  # every joint as near as this: about a millimetre at the tip, no new place
 
 
-def already_used(calibrated: Arm, q_rad: Array, sha256: str = "") -> tuple[str, ...]:
-    """Warnings, none if all is well: poses (m, n), and the hash of the file that they come from if they do.
+@dataclass(frozen=True, slots=True)
+class Used:
+    """How many of the poses the calibration had seen, as far as is known, and what to say about it."""
+
+    count: int
+    warnings: tuple[str, ...]
+
+
+def already_used(calibrated: Arm, q_rad: Array, sha256: str = "") -> Used:
+    """Whether poses (m, n) were used; with the hash of the file that they come from, if they do.
 
     The files that the calibration names are looked for beside the calibrated arm; what is not there cannot be compared.
     """
     made = calibrated.calibration
     if made is None:
-        return (
-            f"arm {calibrated.name} does not say what it was calibrated with: whether these points were used for it"
-            " is not known",
+        return Used(
+            0,
+            (
+                f"arm {calibrated.name} does not say what it was calibrated with: whether these points were used for it"
+                " is not known",
+            ),
         )
     name = next((name for name, digest in made.inputs.items() if sha256 and digest == sha256), None)
     if name is not None:
-        return (
-            f"these points are {name}, from which the arm was calibrated: they flatter it, and verify nothing",
+        return Used(
+            len(q_rad),
+            (
+                f"these points are {name}, from which the arm was calibrated: they flatter it, and verify nothing",
+            ),
         )
-    said, missing = [], []
+    said, missing, total = [], [], 0
     for name, digest in made.inputs.items():
         used = _poses_of(calibrated, name, digest)
         if used is None:
             missing.append(name)
         elif count := _same_count(q_rad, used):
+            total = max(total, count)
             said.append(
                 f"{count} of {len(q_rad)} poses are within {SAME_POSE_rad:g} rad of a pose of {name}, from which the arm was"
                 " calibrated"
@@ -46,7 +62,7 @@ def already_used(calibrated: Arm, q_rad: Array, sha256: str = "") -> tuple[str, 
             f"not beside the calibrated arm, or changed since: {', '.join(missing)}; whether its poses were used again is not"
             " known"
         )
-    return tuple(said)
+    return Used(total, tuple(said))
 
 
 def _poses_of(calibrated: Arm, name: str, digest: str) -> Array | None:

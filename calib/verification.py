@@ -10,7 +10,7 @@ from pathlib import Path
 
 from calib.arrays import Array, norms
 from calib.report import write_report
-from calib.report_data import InputFile, ReportData
+from calib.report_data import UNUSED, InputFile, ReportData
 from calib.statistics import Difference, ErrorSummary, Finding
 from calib.tracks import TrackPair, compare_tracks
 from calib.verify import ALL, Comparison, SetupComparison, findings
@@ -21,7 +21,10 @@ FORMAT = "verify/1"
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What was compared, how, and by whom. `how` and `warnings` are sentences; `is_driven`: the arm was sent to the points."""
+    """What was compared, how, and by whom. `how` and `warnings` are sentences; `is_driven`: the arm was sent to the points.
+
+    `used_count`: poses that the calibration had seen before.
+    """
 
     nominal: Arm
     calibrated: Arm
@@ -33,6 +36,7 @@ class Verification:
     is_driven: bool
     date: str
     program_version: str
+    used_count: int = 0
 
     @property
     def is_worse(self) -> bool:
@@ -54,6 +58,10 @@ class Verification:
         along = compare_tracks(self.paths)
         if along is not None:
             said.append(f"Along trajectories: {along.of(ALL).difference.in_words()}.")
+        if self.used_count:
+            said.append(
+                f"The calibration had seen {self.used_count} of the poses: this flatters it, and is no verification."
+            )
         return tuple(said)
 
     def _worse_alone(self) -> list[SetupComparison]:
@@ -85,6 +93,7 @@ def write_verification_report(path: Path, verification: Verification) -> None:
             arms=(verification.nominal, of),
             notes=verification.warnings,
             verdict=verification.verdict,
+            verified_at=UNUSED if verification.used_count == 0 else "at the points given",
         ),
     )
 
@@ -102,6 +111,7 @@ def write_verification_json(path: Path, verification: Verification) -> None:
         "verdict": {
             "finding": compared.of(ALL).difference.finding.name.lower(),
             "is_worse": verification.is_worse,
+            "used_poses": verification.used_count,
             "in_words": list(verification.verdict),
             "by_setup": list(findings(compared)),
         },

@@ -10,10 +10,7 @@ import numpy as np
 
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
-from calib.points import Points
 from calib.statistics import Difference, ErrorSummary, difference, mean_half_width, summarise
-from control.model.arm import Arm
-from control.model.kinematics import Kinematics
 
 __all__ = [
     "ALL",
@@ -22,7 +19,6 @@ __all__ = [
     "SetupComparison",
     "aligned",
     "compare",
-    "compare_arms",
     "compare_repeated",
     "comparison_text",
     "findings",
@@ -143,18 +139,6 @@ def _of_repeats(errors_m: Array) -> tuple[Array, float]:
     mean = errors_m.mean(axis=0)
     length = float(np.linalg.norm(mean))
     return mean, mean_half_width(errors_m @ (mean / length)) if length > 0.0 else math.nan
-
-
-def compare_arms(nominal: Arm, calibrated: Arm, points: Points) -> Comparison:
-    """Measured tips against those that two models predict from the encoders; rows of the same name are repeats.
-
-    Points without a measured tip are left out; CalibrationError if none has one.
-    """
-    seen = points.chosen(np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)))
-    if not len(seen):
-        raise CalibrationError("no point has a measured tip: x_m, y_m, z_m are empty everywhere")
-    before_m, after_m = (seen.tip_m - Kinematics(arm).tips(seen.q_rad) for arm in (nominal, calibrated))
-    return compare_repeated(seen.setup, seen.point, seen.tip_m, before_m, after_m)
 
 
 def comparison_text(comparison: Comparison) -> str:

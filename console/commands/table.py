@@ -8,7 +8,16 @@ COMMANDS = (
         "the whole job on a mock arm: home, move, record the table, calibrate, verify, report",
         (
             option(
-                "--out", default="out/demo", metavar="DIR", help="where the results go (default: out/demo)"
+                "what",
+                nargs="?",
+                choices=("job", "paper"),
+                default="job",
+                help="the whole job (default), or the paper's experiment beside its published figures",
+            ),
+            option(
+                "--out",
+                metavar="DIR",
+                help="where the results go (default: out/demo, or out/demo-paper)",
             ),
             option(
                 "--realtime",
@@ -22,9 +31,8 @@ COMMANDS = (
             ),
             option(
                 "--scenario",
-                default="demo",
                 metavar="S",
-                help="a scenario file or the name of one that ships",
+                help="a scenario file or the name of one that ships (default: demo, or paper)",
             ),
             ARM,
         ),
@@ -234,7 +242,7 @@ COMMANDS = (
     ),
     CommandSpec(
         "verify",
-        "is a calibrated arm better than the nominal one, where calibration has never been?",
+        "whether a calibrated arm is better than the nominal one, where calibration has never been",
         (
             ARM,
             SOCKET,

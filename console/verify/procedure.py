@@ -8,14 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.identify.joint_laws import LAWS
 from calib.points import Points, read_points
 from calib.points_writer import write_points
 from calib.report_data import InputFile, input_file
 from calib.table import with_reference_tips
 from calib.tracks import TrackPair
-from calib.used_points import already_used
+from calib.used_points import Used, already_used
 from calib.verification import Verification, write_verification_json, write_verification_report
-from calib.verify import Comparison, compare_arms
+from calib.verify import Comparison
+from calib.verify_recorded import compare_arms
 from console.verify.models import Model, Pair
 from console.verify.survey import Programme, Survey, compared, paired, raw_points
 from control.loop.client import ArmClient
@@ -95,7 +97,7 @@ def driven(
             " way."
         )
     used = already_used(pair.calibrated.arm, np.concatenate((drive.before.q_rad, drive.after.q_rad)))
-    return _verification(pair, comparison, paths, tuple(how), (*used, *notes), is_driven=True)
+    return _verification(pair, comparison, paths, tuple(how), used, notes, is_driven=True)
 
 
 def on_recorded(pair: Pair, file: Path) -> Verification:
@@ -109,7 +111,7 @@ def on_recorded(pair: Pair, file: Path) -> Verification:
         " model predict from the encoders. Nothing moved.",
     )
     used = already_used(calibrated, points.q_rad, used_file.sha256)
-    return _verification(pair, comparison, (), how, (*used, *warnings), is_driven=False, more=(used_file,))
+    return _verification(pair, comparison, (), how, used, warnings, is_driven=False, more=(used_file,))
 
 
 def _with_tips(arm: Arm, points: Points) -> Points:
@@ -125,7 +127,8 @@ def _verification(
     comparison: Comparison,
     paths: tuple[TrackPair, ...],
     how: tuple[str, ...],
-    warnings: tuple[str, ...],
+    used: Used,
+    notes: tuple[str, ...],
     is_driven: bool,
     more: tuple[InputFile, ...] = (),
 ) -> Verification:
@@ -137,10 +140,11 @@ def _verification(
         paths,
         (*_arm_files(nominal, calibrated), *more),
         how,
-        (*warnings, *_left_out(calibrated)),
+        (*used.warnings, *notes, *_left_out(calibrated, is_driven)),
         is_driven,
         datetime.datetime.now(datetime.UTC).date().isoformat(),
         f"armwright {version('armwright')}",
+        used.count,
     )
 
 
@@ -152,16 +156,15 @@ def _arm_files(nominal: Arm, calibrated: Arm) -> tuple[InputFile, ...]:
     )
 
 
-def _left_out(calibrated: Arm) -> tuple[str, ...]:
-    """Effects of the calibrated arm that inverse kinematics does not know."""
+def _left_out(calibrated: Arm, is_driven: bool) -> tuple[str, ...]:
+    """Effects of the calibrated arm that play no part: inverse kinematics knows none, predictions know the static ones."""
+    known = {"base_frame"} if is_driven else {"base_frame", *LAWS}
     names = [
         f"{effect.effect} of {effect.joint}" if effect.joint else effect.effect
         for effect in calibrated.effects
-        if effect.effect != "base_frame"
+        if effect.effect not in known
     ]
-    if not names:
-        return ()
-    return (f"the models are compared by geometry alone, without {', '.join(names)}",)
+    return (f"effects of the calibrated arm that play no part here: {', '.join(names)}",) if names else ()
 
 
 def write(verification: Verification, out: Path) -> None:

@@ -15,13 +15,12 @@ from calib.identify import ArmModel
 from calib.outcome import write_calibrated_arm, write_calibration_json
 from calib.page import list_section, text_section
 from calib.path_pictures import SAMPLES_DRAWN, thinned
-from calib.points import make_points
 from calib.report import report_html, write_report
 from calib.report_data import ReportData, input_file
 from calib.report_sections import parameters_section
 from calib.statistics import Finding, difference, student_t
 from calib.tracks import PARTS, Track, TrackPair, compare_tracks, parts_of
-from calib.verify import compare, compare_arms, compare_repeated, comparison_text, findings, summarise
+from calib.verify import compare, compare_repeated, comparison_text, findings, summarise
 from control.errors import ArmError
 from control.model.description import load_arm
 
@@ -56,21 +55,6 @@ def test_improvement_is_of_the_means_per_setup() -> None:
     assert found.of("pitch").improvement_percent == pytest.approx(17.292, abs=0.01)
     assert [entry.setup for entry in found.by_setup()] == ["normal", "pitch", "all"]
     assert found.of("all").before.count == 4
-
-
-def test_predictions_are_compared_where_the_tip_was_seen() -> None:
-    true, q, tips, setups = board_session(np.random.default_rng(4), ("roll",), noise_m=0.0)
-    tips[3] = np.nan
-    points = make_points(setups, [str(k) for k in range(33)], [1] * 33, q, tips)
-    nominal = load_arm("right")
-    found = compare_arms(nominal, nominal.with_dh(true), points)
-    assert len(found.point) == 32
-    assert "3" not in found.point
-    assert found.of("roll").before.mean_m > 0.005
-    assert found.of("roll").after.max_m < 1e-9
-    unseen = make_points(setups, points.point, [1] * 33, q, np.full((33, 3), np.nan))
-    with pytest.raises(CalibrationError, match="no point has a measured tip"):
-        compare_arms(nominal, nominal, unseen)
 
 
 def test_a_paired_difference_is_that_of_a_worked_example() -> None:
@@ -254,14 +238,16 @@ def test_parameters_of_any_unit_and_bound_have_a_row(result) -> None:
         for name, unit, bound in (
             ("base_rx", "rad", np.inf),
             ("tool_x_m", "m", 0.005),
-            ("encoder_scale_2", "", 0.01),
+            ("encoder_scale2", "1", 0.01),
+            ("compliance2", "rad/Nm", np.inf),
         )
     ]
     html = parameters_section(replace(found, estimates=tuple(others))).html
     assert "<td>base_rx</td><td>deg</td>" in html
     assert "<td>none</td>" in html
     assert "<td>tool_x_m</td><td>mm</td>" in html
-    assert "<td>encoder_scale_2</td><td></td>" in html
+    assert "<td>encoder_scale2</td><td></td>" in html
+    assert "<td>compliance2</td><td>rad/Nm</td>" in html
 
 
 def test_a_track_is_drawn_where_the_tip_was_seen() -> None:

@@ -13,7 +13,7 @@ import pytest
 from calib.points import Points, make_points
 from calib.points_writer import write_points
 from calib.tracks import Track, TrackPair
-from calib.used_points import SAME_POSE_rad, already_used
+from calib.used_points import SAME_POSE_rad, Used, already_used
 from calib.verification import Verification, write_verification_json, write_verification_report
 from calib.verify import compare
 from control.model.arm import Arm, Calibration
@@ -108,8 +108,9 @@ def calibrated(tmp_path: Path) -> Arm:
 def test_the_file_that_the_arm_was_calibrated_with_is_recognised_by_its_hash(calibrated: Arm) -> None:
     assert calibrated.calibration is not None
     digest = calibrated.calibration.inputs["points.csv"]
-    (warning,) = already_used(calibrated, np.zeros((2, 3)), digest)
-    assert "these points are points.csv" in warning
+    found = already_used(calibrated, np.zeros((2, 3)), digest)
+    assert found.count == 2
+    assert "these points are points.csv" in found.warnings[0]
 
 
 def test_a_used_pose_is_recognised_in_another_file(calibrated: Arm) -> None:
@@ -117,15 +118,23 @@ def test_a_used_pose_is_recognised_in_another_file(calibrated: Arm) -> None:
     poses = np.vstack(
         (used[1] + 0.9 * SAME_POSE_rad, used[2] + 1.1 * SAME_POSE_rad, used[3] + [0.0, 0.1, 0.0])
     )
-    (warning,) = already_used(calibrated, poses, "0" * 64)
-    assert "1 of 3 poses" in warning
-    assert already_used(calibrated, poses[1:]) == ()
+    found = already_used(calibrated, poses, "0" * 64)
+    assert found.count == 1
+    assert "1 of 3 poses" in found.warnings[0]
+    assert already_used(calibrated, poses[1:]) == Used(0, ())
 
 
 def test_what_cannot_be_compared_is_said(calibrated: Arm, tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text("changed")
-    (warning,) = already_used(calibrated, np.zeros((2, 3)))
+    (warning,) = already_used(calibrated, np.zeros((2, 3))).warnings
     assert "points.csv" in warning
     assert "changed since" in warning
-    (warning,) = already_used(RIGHT, np.zeros((2, 3)))
+    (warning,) = already_used(RIGHT, np.zeros((2, 3))).warnings
     assert "does not say what it was calibrated with" in warning
+
+
+def test_a_report_on_used_points_does_not_call_them_unused(tmp_path: Path) -> None:
+    made = verification({"normal": 20.0}, {"normal": 1.0}, used_count=6)
+    assert "had seen 6 of the poses" in made.verdict[-1]
+    write_verification_report(tmp_path / "report.html", made)
+    assert "did not use" not in (tmp_path / "report.html").read_text("utf-8")
