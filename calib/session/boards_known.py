@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calib.boards import BoardPose
+from calib.design.boards import OTHER_TILTS, tilted
 from calib.errors import RegistrationError, SessionError
 from calib.outlying import FEWEST_TO_NAME
 from calib.points import Points
@@ -36,7 +37,8 @@ class Boards:
         if self.kind == "known":
             origin = np.array(tables.board_origin(table))
             for setup in setups:
-                self.poses[setup] = BoardPose(np.array(tables.board_rotation(table, setup)), origin)
+                _require_tilt(setup)
+                self.poses[setup] = BoardPose(tilted(table, setup), origin)
 
     def is_placed(self, setup: str) -> bool:
         """Whether the arm can be sent to the cavities of this setup."""
@@ -99,6 +101,14 @@ def markers_of(points: Points) -> Markers:
     rows = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1) & (np.array(points.setup) != "free"))
     chosen = points.chosen(rows)
     return Markers(chosen.setup, chosen.point, chosen.tip_m)
+
+
+def _require_tilt(setup: str) -> None:
+    tilts = (*tables.SETUPS, *OTHER_TILTS)
+    if setup not in tilts:
+        raise SessionError(
+            f'setup of a board whose place is known: expected one of {", ".join(tilts)}, got "{setup}"'
+        )
 
 
 def _require_cavities(targets: Sequence[Target], cavities_m: Mapping[str, Vector]) -> None:

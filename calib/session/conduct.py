@@ -23,6 +23,7 @@ from calib.session.take import SessionSettings, take
 from calib.session.talk import Ask, Command, Do, Kept, Question, Saying, Told
 from calib.session.walk import Walk
 from calib.session.watch import ResidualWatch
+from calib.session.ways import NoClearWay, Ways
 from calib.session.wishes import done_to
 from control.errors import ArmError
 from control.loop.client import ArmFaulted, RuntimeGone
@@ -57,6 +58,7 @@ class Station:
     watch: ResidualWatch
     hand: Hand | None = None
     camera: Camera | None = None
+    ways: Ways | None = None
     settings: SessionSettings = field(default_factory=SessionSettings)
     clock_offset_s: float = 0.0
 
@@ -104,6 +106,7 @@ class _Conductor:
             self._arm,
             self._station.settings.approach_m,
             self._station.settings.window_s,
+            self._station.ways,
         )
         if setup := self._folder.is_at_point:
             self._walk.stands_at(self._boards.normal(setup))
@@ -121,9 +124,8 @@ class _Conductor:
 
     def _visit(self, target: Target) -> Talk:
         """Take one target, or as much of it as the operator lets happen."""
-        if target.q_rad is not None:
-            if (yield from self._ask(Question.NEXT, target)):
-                self._go(target.q_rad)
+        if target.is_free and target.q_rad is not None:
+            if (yield from self._ask(Question.NEXT, target)) and (yield from self._go(target, target.q_rad)):
                 yield from self._record(target)
             return
         if target.setup != self._standing and not (yield from self._set_up(target)):
@@ -153,16 +155,15 @@ class _Conductor:
         normal = self._boards.normal(target.setup)
         try:
             above = self._walk.plan(
-                self._boards.tip_m(target), normal, target.approach, self._folder.plan.approaches
+                self._boards.tip_m(target),
+                normal,
+                target.approach,
+                self._folder.plan.approaches,
+                target.q_rad,
             )
         except ArmError as error:
-            self._folder.skip(target.key, str(error))
-            yield Told(f"{target.name} is skipped: {error}", is_warning=True)
-            return False
-        if not (yield from self._ask(Question.NEXT, target)):
-            return False
-        self._go(above)
-        return True
+            return (yield from self._skip(target, error))
+        return (yield from self._ask(Question.NEXT, target)) and (yield from self._go(target, above))
 
     def _seated_by(self, hand: Hand, target: Target) -> Talk:
         """The mock hand seats the tip; where the arm was not moved before, the operator is asked first."""
@@ -216,9 +217,20 @@ class _Conductor:
         if self._walk.lift():
             self._folder.lifted(self._standing or self._folder.standing)
 
-    def _go(self, q_rad: tuple[float, ...]) -> None:
+    def _go(self, target: Target, q_rad: tuple[float, ...]) -> Answer:
+        """Whether there was a clear way; a target without one is skipped."""
         self._lift()
-        self._walk.go(q_rad)
+        board = self._boards.poses.get(self._standing or self._folder.standing)
+        try:
+            self._walk.go(q_rad, board)
+        except NoClearWay as error:
+            return (yield from self._skip(target, error))
+        return True
+
+    def _skip(self, target: Target, reason: ArmError) -> Answer:
+        self._folder.skip(target.key, str(reason))
+        yield Told(f"{target.name} is skipped: {reason}", is_warning=True)
+        return False
 
     def _record(self, target: Target) -> Talk:
         """Measure, judge, keep; then say so."""

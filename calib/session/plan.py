@@ -24,7 +24,10 @@ Seating = Literal["hand", "jog"]
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """One record to take: a cavity of a setup, or with q_rad a free pose. `approach` from 1: from which side."""
+    """One record to take: a cavity of a setup, or in the setup `free` a pose. `approach` from 1: from which side.
+
+    q_rad: of a free pose where the arm goes, of a cavity the posture to take it in, None for the nearest.
+    """
 
     setup: str
     point: str
@@ -40,7 +43,7 @@ class Target:
     @property
     def is_free(self) -> bool:
         """Whether it is a pose away from the board."""
-        return self.q_rad is not None
+        return self.setup == FREE
 
     @property
     def name(self) -> str:
@@ -75,6 +78,8 @@ class SessionPlan:
         if not self.targets:
             raise SessionError("the session has no points: check --setups, --points, --plan and --free")
         for target in self.targets:
+            if target.is_free and target.q_rad is None:
+                raise SessionError(f"{target.name}: a free pose takes joint angles")
             if not (target.setup.strip() and target.point.strip()) or len(target.name.splitlines()) > 1:
                 raise SessionError(f"names of setups and points are one line of text, got {target.name!r}")
         keys = [target.key for target in self.targets]

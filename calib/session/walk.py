@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from calib.boards import BoardPose
 from calib.session.approach import above_points
 from calib.session.ports import ArmPort, Geometry, Vector
+from calib.session.ways import Ways
 
 FIRST_LIFT_m = (
     0.01  # out of the cavity first: over a short way a joint move is straight to a tenth of a millimetre
@@ -16,8 +18,11 @@ NEAR = 0.9  # of the height above: lower than this the arm lifts before it goes 
 class Walk:
     """Takes the arm from above one point to above the next."""
 
-    def __init__(self, geometry: Geometry, arm: ArmPort, approach_m: float, window_s: float) -> None:
-        self._geometry, self._arm = geometry, arm
+    def __init__(
+        self, geometry: Geometry, arm: ArmPort, approach_m: float, window_s: float, ways: Ways | None = None
+    ) -> None:
+        """`ways`: finds ways round the board; without it every way is taken to be clear."""
+        self._geometry, self._arm, self._ways = geometry, arm, ways
         self._approach_m, self._window_s = approach_m, window_s
         self._q_rad = tuple(arm.average(window_s).q_rad)
         self._normal: Vector | None = None  # of the board at which the arm stands, None where it stands free
@@ -40,11 +45,19 @@ class Walk:
             self._normal = normal
 
     def plan(
-        self, tip_m: Vector, normal: Vector, approach: int = 1, approaches: int = 1
+        self,
+        tip_m: Vector,
+        normal: Vector,
+        approach: int = 1,
+        approaches: int = 1,
+        posture_rad: Sequence[float] | None = None,
     ) -> tuple[float, ...]:
-        """Angles above a point, nearest to where the arm is; ArmError if it or the point is out of reach."""
-        starts = above_points(self._geometry, tip_m, normal, self._approach_m, self._q_rad, approaches)
-        above = tuple(self._geometry.nearest(starts[approach - 1], self._q_rad))
+        """Angles above a point, nearest to the posture, or to where the arm is; ArmError if it or the point is out
+        of reach.
+        """
+        near = self._q_rad if posture_rad is None else posture_rad
+        starts = above_points(self._geometry, tip_m, normal, self._approach_m, near, approaches)
+        above = tuple(self._geometry.nearest(starts[approach - 1], near))
         self._geometry.nearest(tip_m, above)
         return above
 
@@ -64,8 +77,10 @@ class Walk:
         self._q_rad, self._normal = tuple(q_rad), None
         return True
 
-    def go(self, q_rad: Sequence[float]) -> None:
-        """Up, and across to these angles."""
+    def go(self, q_rad: Sequence[float], board: BoardPose | None = None) -> None:
+        """Up, and across to these angles, clear of the board. ArmError, after the lift, where there is no clear way."""
         self.lift()
-        self._arm.move_to_q(q_rad)
-        self._q_rad = tuple(q_rad)
+        stops = [tuple(q_rad)] if self._ways is None else self._ways.stops(self._q_rad, q_rad, board)
+        for stop in stops:
+            self._arm.move_to_q(stop)
+            self._q_rad = stop

@@ -16,6 +16,7 @@ from calib.session.plan import SessionPlan, fingerprint
 from calib.session.state import Mark
 from calib.session.take import SessionSettings
 from calib.session.watch import ResidualWatch
+from calib.session.ways import Ways
 from console.commands.connection import connected
 from console.ports import RuntimePort
 from console.session.mock_session import SCENARIO, MockSession, mock_session
@@ -89,15 +90,16 @@ def _station(
     offset_s: float,
     hand: Hand | None,
 ) -> Station:
-    port = RuntimePort(client, speed)
+    port, geometry = RuntimePort(client, speed), ArmGeometry(arm)
     client.ask("payload", mass_kg=folder.plan.payload_kg)
     return Station(
         arm=port,
-        geometry=ArmGeometry(arm),
+        geometry=geometry,
         boards=boards,
         watch=ResidualWatch(arm),
         hand=hand,
         camera=port if folder.plan.has_camera else None,
+        ways=Ways(arm, geometry),
         settings=SessionSettings(payload_kg=folder.plan.payload_kg),
         clock_offset_s=offset_s,
     )

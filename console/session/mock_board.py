@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.design.boards import OTHER_TILTS, tilted
 from calib.session.plan import Target
 from calib.session.ports import Vector
 from control.model import table as tables
@@ -32,9 +33,9 @@ def hidden_place(table: Table, seed: int) -> Callable[[Target], Vector]:
         ax, ay, az = (draw.uniform(-TURN_rad, TURN_rad) for _ in range(3))
         skew = np.array([[0.0, -az, ay], [az, 0.0, -ax], [-ay, ax, 0.0]])
         turn = np.linalg.solve(np.eye(3) - 0.5 * skew, np.eye(3) + 0.5 * skew)  # Cayley: a rotation
-        setup = target.setup if target.setup in tables.SETUPS else "normal"
-        tilted = np.array(tables.board_rotation(known, setup)) @ np.array(cavities[target.point])
-        x, y, z = (turn @ tilted + np.array(known.origin_m) + shift).tolist()
+        setup = target.setup if target.setup in (*tables.SETUPS, *OTHER_TILTS) else "normal"
+        place = tilted(known, setup) @ np.array(cavities[target.point])
+        x, y, z = (turn @ place + np.array(known.origin_m) + shift).tolist()
         return x, y, z
 
     return place

@@ -74,43 +74,53 @@ def _free(given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
         poses = chosen_free_poses(arm, count)
     else:
         poses = read_free_poses(Path(given.free), arm.joint_count)
+        for name, q_rad in poses.items():
+            _require_inside(f"{given.free}, pose {name}", arm, q_rad)
     return free_targets(poses, _positive(given.repeats, "--repeats"))
 
 
 def _from_file(path: Path, given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
-    """Rows of setup and point are cavities, in the file's order by setup; rows with q1_rad ... are free poses."""
-    for name in ("setups", "points", "free"):
+    """Rows of setup and point, in the file's order; q1_rad ... where a free pose goes, or the posture for a cavity."""
+    for name in ("setups", "points", "free", "repeats", "approaches"):
         if getattr(given, name) is not None:
-            raise SessionError(f"--plan says which points: leave --{name} away")
+            raise SessionError(f"--plan says which points and repeats: leave --{name} away")
     angles = [f"q{j}_rad" for j in range(1, arm.joint_count + 1)]
-    cavities: dict[str, list[str]] = {}
-    poses: dict[str, tuple[float, ...]] = {}
+    targets = []
     with opened_text(path) as file:
         reader = csv.DictReader(file)
         if not {"setup", "point"} <= set(reader.fieldnames or ()):
             raise SessionError(f"{path}, line 1: expected the columns setup and point")
         for row in reader:
+            where = f"{path}, line {reader.line_num}"
             setup, point = (row["setup"] or "").strip(), (row["point"] or "").strip()
-            if setup == FREE:
-                poses[point] = _angles(path, reader.line_num, [row.get(name) for name in angles])
-            else:
-                cavities.setdefault(setup, []).append(point)
-    repeats, approaches = _positive(given.repeats, "--repeats"), _positive(given.approaches, "--approaches")
-    boards = (
-        target
-        for setup, points in cavities.items()
-        for target in board_targets([setup], list(dict.fromkeys(points)), repeats, approaches)
-    )
-    return (*boards, *free_targets(poses, repeats))
+            repeat = (row.get("repeat") or "").strip() or "1"
+            if not repeat.isdecimal():
+                raise SessionError(f"{where}, column repeat: got {repeat!r}, expected a whole number")
+            q_rad = _posture(where, arm, [row.get(name) or "" for name in angles])
+            if setup == FREE and q_rad is None:
+                raise SessionError(f"{where}: a free pose takes q1_rad to q{arm.joint_count}_rad")
+            targets.append(Target(setup, point, int(repeat), 1, q_rad))
+    return tuple(targets)
 
 
-def _angles(path: Path, line: int, texts: Sequence[str | None]) -> tuple[float, ...]:
+def _posture(where: str, arm: Arm, texts: Sequence[str]) -> tuple[float, ...] | None:
+    """Joint angles within the arm's limits, None where the cells are empty."""
+    if not any(text.strip() for text in texts):
+        return None
     try:
-        return tuple(float(text or "") for text in texts)
+        q_rad = tuple(float(text) for text in texts)
     except ValueError:
-        raise SessionError(
-            f"{path}, line {line}: a free pose takes q1_rad to q{len(texts)}_rad, got {texts}"
-        ) from None
+        raise SessionError(f"{where}: expected {len(texts)} joint angles, got {', '.join(texts)}") from None
+    _require_inside(where, arm, q_rad)
+    return q_rad
+
+
+def _require_inside(where: str, arm: Arm, q_rad: Sequence[float]) -> None:
+    for joint, (q, (lower, upper)) in enumerate(zip(q_rad, arm.limits_rad, strict=True), start=1):
+        if not lower <= q <= upper:
+            raise SessionError(
+                f"{where}: joint {joint} at {q:g} rad is outside of its range, {lower:g} to {upper:g} rad"
+            )
 
 
 def _setups_of(table: Table) -> list[str]:

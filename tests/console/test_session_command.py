@@ -150,7 +150,10 @@ def refused(files: Path, capsys: pytest.CaptureFixture[str], *options: str) -> s
     [
         (("--points", "1,9"), "the table has no cavity 9; it has 1, 2"),
         (("--points", "4-1"), "4-1 runs backwards"),
-        (("--setups", "tilted"), 'expected one of normal, roll, pitch, got "tilted"'),
+        (
+            ("--setups", "tilted"),
+            'expected one of normal, roll, pitch, roll-, pitch-, roll+pitch, got "tilted"',
+        ),
         (("--setups", ""), "the session has no points"),
         (("--repeats", "0"), "--repeats: expected 1 to 100, got 0"),
         (("--payload", "-1"), "expected 0 to 100 kg"),
@@ -192,7 +195,9 @@ def test_a_plan_file_says_which_cavities_and_free_poses(
     files: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan = files / "plan.csv"
-    plan.write_text("setup,point,q1_rad,q2_rad,q3_rad\nroll,2,,,\nfree,a,0.1,-0.5,0.4\nroll,5,,,\n")
+    plan.write_text(
+        "setup,point,repeat,q1_rad,q2_rad,q3_rad\nroll-,2,1,,,\nfree,a,1,0.1,-0.5,0.4\nroll-,5,2,0.05,-1.1,0.2\n"
+    )
     assert (
         session(
             files,
@@ -207,10 +212,14 @@ def test_a_plan_file_says_which_cavities_and_free_poses(
         == 0
     )
     targets = json.loads((files / "s" / "session.json").read_text())["targets"]
-    assert [(t["setup"], t["point"], t.get("q_rad")) for t in targets] == [
-        ("roll", "2", None), ("roll", "5", None), ("free", "a", [0.1, -0.5, 0.4]),
+    assert [(t["setup"], t["point"], t["repeat"], t.get("q_rad")) for t in targets] == [
+        ("roll-", "2", 1, None), ("free", "a", 1, [0.1, -0.5, 0.4]), ("roll-", "5", 2, [0.05, -1.1, 0.2]),
     ]  # fmt: skip
     plan.write_text("setup,point\nfree,a\n")
     assert "line 2: a free pose takes q1_rad to q3_rad" in refused(
+        files, capsys, "--plan", str(plan), "--camera"
+    )
+    plan.write_text("setup,point,q1_rad,q2_rad,q3_rad\nfree,a,9,0,0\n")
+    assert "line 2: joint 1 at 9 rad is outside of its range" in refused(
         files, capsys, "--plan", str(plan), "--camera"
     )
