@@ -1,104 +1,23 @@
-"""Criteria 4, 5, 8 to 12 and 14 of recorded runs: settling, paths, corners, speeds, posing times, weaving."""
+"""Criteria 8 to 11 and 14 of recorded runs: paths, corners, speeds, weaving."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Array, frozen, norms
-from calib.iso9283 import cornering, path, settling, velocity, weaving
+from calib.iso9283 import cornering, path, velocity, weaving
 from calib.iso9283.checks import Iso9283Error
-from calib.iso9283.recorded import Run
-from calib.iso9283.result import Criterion, Figure, PathTrace, SettlingTrace, criterion, with_headlines
+from calib.iso9283.recorded import CAMERA, NO_LOG, Run
+from calib.iso9283.result import Criterion, Figure, PathTrace, criterion, with_headlines
 
 POINTS_ON_PATH = 100
 PATH_MARGIN = 0.05  # of the length, at either end, where the arm starts and stops
-REST_s = 0.3  # at the end of an approach, of which the attained pose is the mean
-NOISE_SIGMAS = 4.5  # per axis: of a thousand positions at rest less than one is farther away
 SPEED_WINDOW_s = 0.2
 CENTRAL = 0.5  # of a path's time: where the speed is judged
-CAMERA, ENCODERS = "camera", "encoders"
-NO_LOG = "a recording of runs (--log with log.csv): "
+STEADY = 0.05  # of the speed: set-points that vary less are a straight run at constant speed
 Runs = Sequence[Run]
-
-
-@dataclass(frozen=True, slots=True)
-class Bands:
-    """Limit bands in m: wanted (the pose repeatability, or the user's)."""
-
-    wanted_m: float
-    source: str
-
-
-def settling_criteria(runs: Runs, bands: Bands | None) -> tuple[Criterion, Criterion, list[SettlingTrace]]:
-    """4 and 5: stabilization time and overshoot of the approaches to P1, by the camera and by the encoders."""
-    approaches = [run for run in runs if run.programme == "approach"]
-    if not approaches or bands is None:
-        need = NO_LOG + "approaches to P1 until the arm rests (programme approach)"
-        if approaches:
-            need = "a limit band: --band-m, or repeated visits of P1, whose repeatability it is"
-        return criterion(4, (), (need,)), criterion(5, (), (need,)), []
-    times, peaks, traces, needs = [], [], [], []
-    is_seen = all(len(run.seen_m) > 2 for run in approaches)
-    if not is_seen:
-        needs.append(
-            "for the tip itself a measured position (x_m, y_m, z_m, by a camera); the encoders do not see it"
-        )
-    for source in (CAMERA, ENCODERS) if is_seen else (ENCODERS,):
-        band_m, remark = _band(approaches, source, bands)
-        cycles = []
-        for run in approaches:
-            try:
-                cycles.append(_settled(run, source, band_m))
-            except Iso9283Error as error:
-                needs.append(f"run {run.number} by the {source}: {error}")
-        if cycles:
-            t, ov = settling.mean_of_cycles([c.time_s for c in cycles]), max(c.overshoot_m for c in cycles)
-            by = "" if source == CAMERA else f" ({ENCODERS})"
-            times.append(Figure(f"t{by}", t, "s", f"P1, {source}", len(cycles), True, remark))
-            peaks.append(Figure(f"OV{by}", ov, "m", f"P1, {source}", len(cycles), True, remark))
-            traces.append(cycles[0].trace)
-    return criterion(4, times, needs), criterion(5, peaks, needs), traces
-
-
-@dataclass(frozen=True, slots=True)
-class _Settled:
-    time_s: float
-    overshoot_m: float
-    trace: SettlingTrace
-
-
-def _settled(run: Run, source: str, band_m: float) -> _Settled:
-    time_s, tip_m = _measured(run, source)
-    rest_m = settling.rest_position(time_s, tip_m, REST_s)
-    distance = norms(tip_m - rest_m)
-    arguments = (time_s, tip_m, rest_m, band_m)
-    trace = SettlingTrace(f"P1, {source}", frozen(time_s - run.moving_s[0]), frozen(distance), band_m)
-    return _Settled(settling.stabilization_time(*arguments), settling.overshoot(*arguments), trace)
-
-
-def _band(runs: Runs, source: str, bands: Bands) -> tuple[float, str]:
-    """The limit band: at least what single measurements scatter at rest, or nothing would ever be at rest."""
-    noise_m = NOISE_SIGMAS * _scatter_at_rest_m(runs, source)
-    if noise_m <= bands.wanted_m:
-        return bands.wanted_m, f"limit band {1e3 * bands.wanted_m:.3f} mm ({bands.source})"
-    return noise_m, (
-        f"limit band {1e3 * noise_m:.3f} mm: single measurements scatter that much at rest;"
-        f" {bands.source} is {1e3 * bands.wanted_m:.3f} mm"
-    )
-
-
-def _scatter_at_rest_m(runs: Runs, source: str) -> float:
-    """Standard deviation per axis of what is measured at the ends of runs."""
-    squares, freedom = 0.0, 0
-    for run in runs:
-        time_s, tip_m = _measured(run, source)
-        at_rest = tip_m[time_s >= time_s[-1] - REST_s]
-        squares += float(((at_rest - at_rest.mean(axis=0)) ** 2).sum())
-        freedom += 3 * (len(at_rest) - 1)
-    return float(np.sqrt(squares / freedom)) if freedom else 0.0
 
 
 def path_criteria(runs: Runs) -> tuple[Criterion, list[PathTrace]]:
@@ -175,7 +94,9 @@ def cornering_criterion(runs: Runs, corners: Sequence[Array] | None) -> Criterio
 
 def velocity_criterion(runs: Runs) -> Criterion:
     """11: AV, RV and FV on the middle half of the straight line."""
-    groups = _path_groups(runs, lambda run: run.programme in ("line", ""))
+    groups = _path_groups(
+        runs, lambda run: run.programme == "line" or (not run.programme and _is_steady(run))
+    )
     figures: list[Figure] = []
     needs: list[str] = []
     for name, cycles in groups.items():
@@ -197,45 +118,18 @@ def velocity_criterion(runs: Runs) -> Criterion:
 def _velocity(cycles: Runs) -> tuple[velocity.PathVelocity, float, str]:
     measured, commanded = [], []
     for run in cycles:
-        began, ended = run.moving_s
-        middle, half = 0.5 * (began + ended), 0.5 * CENTRAL * (ended - began)
-        window_s = min(SPEED_WINDOW_s, 0.5 * half)
-        at, speed = velocity.speeds(*_measured(run, CAMERA), window_s)
-        measured.append(speed[np.abs(at - middle) <= half])
+        first, last = _middle(run)
+        window_s = min(SPEED_WINDOW_s, 0.25 * (last - first))
+        at, speed = velocity.speeds(*run.measured(CAMERA), window_s)
+        measured.append(speed[(first <= at) & (at <= last)])
         at, speed = velocity.speeds(run.time_s, run.set_m, window_s)
-        commanded.append(float(speed[np.abs(at - middle) <= half].mean()))
+        commanded.append(float(speed[(first <= at) & (at <= last)].mean()))
     wanted = float(np.mean(commanded))
     remark = f"speeds by the camera over {window_s:.2f} s, on the middle half of the time"
     asked = cycles[0].speed_m_s
     if np.isfinite(asked) and wanted < 0.98 * asked:
         remark += f"; {asked:.3f} m/s were asked for, and the planner slowed the path to the arm's limits"
     return velocity.path_velocity(wanted, measured), wanted, remark
-
-
-def posing_criterion(runs: Runs, bands: Bands | None) -> Criterion:
-    """12: time from departure until the arm stays within the limit band, by the distance moved."""
-    moves = [run for run in runs if run.programme == "posing"]
-    if not moves or bands is None:
-        need = NO_LOG + "moves between poses over several distances (programme posing)"
-        return criterion(12, (), (need if not moves else "a limit band: --band-m, or repeated visits of P1",))
-    source = CAMERA if all(len(run.seen_m) > 2 for run in moves) else ENCODERS
-    band_m, remark = _band(moves, source, bands)
-    by_distance: dict[int, list[float]] = {}
-    needs = []
-    for run in moves:
-        distance = round(1e3 * float(np.linalg.norm(run.set_m[-1] - run.set_m[0])))
-        try:
-            time_s, tip_m = _measured(run, source)
-            rest_m = settling.rest_position(time_s, tip_m, REST_s)
-            value = settling.posing_time(time_s, tip_m, run.moving_s[0], rest_m, band_m)
-            by_distance.setdefault(distance, []).append(value)
-        except Iso9283Error as error:
-            needs.append(f"run {run.number}: {error}")
-    figures = [
-        Figure("t", float(np.mean(values)), "s", f"{distance} mm", len(values), remark=f"{source}, {remark}")
-        for distance, values in sorted(by_distance.items())
-    ]
-    return criterion(12, with_headlines(figures), needs)
 
 
 def weaving_criterion(runs: Runs) -> Criterion:
@@ -248,7 +142,7 @@ def weaving_criterion(runs: Runs) -> Criterion:
         try:
             began, ended = run.moving_s
             across = _across(run.set_m)
-            time_s, tip_m = _measured(run, CAMERA)
+            time_s, tip_m = run.measured(CAMERA)
             moving = (time_s >= began) & (time_s <= ended)
             commanded_rows = (run.time_s >= began) & (run.time_s <= ended)
             commanded = weaving.weave_of(run.time_s[commanded_rows], run.set_m[commanded_rows], across)
@@ -276,35 +170,47 @@ def _across(set_m: Array) -> Array:
     return np.asarray(np.linalg.svd(off - off.mean(axis=0), full_matrices=False)[2][0])
 
 
-def _measured(run: Run, source: str) -> tuple[Array, Array]:
-    if source == ENCODERS:
-        return run.time_s, run.encoder_m
-    if len(run.seen_m) < 3:
-        raise Iso9283Error("a measured tip (x_m, y_m, z_m, by a camera)")
-    return run.seen_s, run.seen_m
-
-
 def _attained(cycles: Runs) -> tuple[Array, Array]:
     """Calculation points of a commanded path (m, 3) and where the cycles' measured paths cross them (n, m, 3)."""
     points, tangents = path.calculation_points(cycles[0].set_m, POINTS_ON_PATH, PATH_MARGIN)
-    attained = [path.crossings(points, tangents, _measured(run, CAMERA)[1]) for run in cycles]
+    attained = [path.crossings(points, tangents, run.measured(CAMERA)[1]) for run in cycles]
     return points, np.stack(attained)
 
 
 def _path_groups(runs: Runs, is_wanted: Callable[[Run], bool]) -> dict[str, list[Run]]:
-    """Repeats of the same path at the same speed, by name; runs that are not named are compared by set-points."""
+    """Repeats of the same path at the same speed, by name.
+
+    Runs that the log does not name are compared by their set-points; one that was made once is no test's.
+    """
     groups: dict[str, list[Run]] = {}
-    for run in filter(is_wanted, runs):
+    for run in runs:
+        if not is_wanted(run) or not run.is_moving:
+            continue
         if run.programme:
             speed = f" at {run.speed_m_s:.3g} m/s" if np.isfinite(run.speed_m_s) else ""
             groups.setdefault(f"{run.programme}{speed}", []).append(run)
             continue
-        same = (
-            name for name, others in groups.items() if not others[0].programme and _is_repeat(run, others[0])
-        )
-        name = next(same, f"path of run {run.number}")
-        groups.setdefault(name, []).append(run)
-    return groups
+        same = (n for n, others in groups.items() if not others[0].programme and _is_repeat(run, others[0]))
+        groups.setdefault(next(same, f"path of run {run.number}"), []).append(run)
+    return {name: cycles for name, cycles in groups.items() if cycles[0].programme or len(cycles) > 1}
+
+
+def _middle(run: Run) -> tuple[float, float]:
+    """When the middle part of a run begins and ends, where a speed can be constant."""
+    began, ended = run.moving_s
+    half = 0.5 * CENTRAL * (ended - began)
+    return 0.5 * (began + ended) - half, 0.5 * (began + ended) + half
+
+
+def _is_steady(run: Run) -> bool:
+    """Whether the set-point runs straight on at constant speed in the middle of a run."""
+    first, last = _middle(run) if run.is_moving else (0.0, 0.0)
+    chosen = (run.time_s >= first) & (run.time_s <= last)
+    if chosen.sum() < 3:
+        return False
+    velocity_m_s = np.diff(run.set_m[chosen], axis=0) / np.diff(run.time_s[chosen])[:, None]
+    mean = velocity_m_s.mean(axis=0)
+    return bool(norms(velocity_m_s - mean).max() < STEADY * np.linalg.norm(mean))
 
 
 def _is_repeat(run: Run, other: Run) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from calib.arrays import Array
 from calib.iso9283 import evaluate_paths as of_paths
 from calib.iso9283 import evaluate_poses as of_poses
+from calib.iso9283 import evaluate_settling as of_settling
 from calib.iso9283.checks import above_zero
 from calib.iso9283.recorded import PoseGroup, Run
 from calib.iso9283.result import Criterion, Evaluation
@@ -28,7 +29,7 @@ def evaluate(
     """
     first = of_poses.pose_criterion(groups)
     bands = _bands(first, band_m)
-    stabilization, overshoot, settled = of_paths.settling_criteria(runs, bands)
+    stabilization, overshoot, settled = of_settling.settling_criteria(runs, bands)
     along, traces = of_paths.path_criteria(runs)
     return Evaluation(
         (
@@ -43,7 +44,7 @@ def evaluate(
             of_paths.reorientation_criterion(runs, joint_count),
             of_paths.cornering_criterion(runs, corners),
             of_paths.velocity_criterion(runs),
-            of_paths.posing_criterion(runs, bands),
+            of_settling.posing_criterion(runs, bands),
             of_poses.load_criterion(groups),
             of_paths.weaving_criterion(runs),
         ),
@@ -54,12 +55,12 @@ def evaluate(
     )
 
 
-def _bands(first: Criterion, band_m: float | None) -> of_paths.Bands | None:
+def _bands(first: Criterion, band_m: float | None) -> of_settling.Bands | None:
     if band_m is not None:
-        return of_paths.Bands(above_zero(band_m, "limit band"), "what was asked for")
+        return of_settling.Bands(above_zero(band_m, "limit band"), "what was asked for")
     found = [f for f in first.figures if f.symbol == "RP_l" and f.where.startswith("P1")]
     return (
-        of_paths.Bands(found[0].value, "the repeatability RP_l of P1")
+        of_settling.Bands(found[0].value, "the repeatability RP_l of P1")
         if found and found[0].value > 0.0
         else None
     )

@@ -6,11 +6,14 @@ import csv
 import gzip
 import json
 import math
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.arrays import Array, frozen
 from calib.iso9283.checks import Iso9283Error
@@ -24,6 +27,10 @@ ANGLES, ANGLES_SET, FORCE = (
     ("a_set_rad", "b_set_rad", "c_set_rad"),
     ("fx_N", "fy_N", "fz_N"),
 )
+
+CAMERA, ENCODERS = "camera", "encoders"
+NO_LOG = "a recording of runs (--log with log.csv): "
+STILL_m = 1e-9  # between two rows: a set-point that moves less stands
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +70,26 @@ class Run:
     seen_m: Array
 
     @property
+    def is_moving(self) -> bool:
+        """Whether the set-point moves at all."""
+        return bool(self._moving.any())
+
+    @property
+    def _moving(self) -> npt.NDArray[np.bool_]:
+        return np.asarray(np.linalg.norm(np.diff(self.set_m, axis=0), axis=1) >= STILL_m)
+
+    def measured(self, source: str) -> tuple[Array, Array]:
+        """Times (k,) and positions (k, 3) by CAMERA or ENCODERS; Iso9283Error where a camera saw too little."""
+        if source == ENCODERS:
+            return self.time_s, self.encoder_m
+        if len(self.seen_m) < 3:
+            raise Iso9283Error("a measured tip (x_m, y_m, z_m, by a camera)")
+        return self.seen_s, self.seen_m
+
+    @property
     def moving_s(self) -> tuple[float, float]:
         """When the set-point begins to move, and when it stops."""
-        still = np.linalg.norm(np.diff(self.set_m, axis=0), axis=1) < 1e-9
-        moving = np.flatnonzero(~still)
+        moving = np.flatnonzero(self._moving)
         if not len(moving):
             raise Iso9283Error(f"run {self.number}: the set-point does not move")
         return float(self.time_s[moving[0]]), float(self.time_s[moving[-1] + 1])
@@ -140,56 +163,74 @@ def _number(path: str, line: int, name: str, value: str) -> float:
 
 
 def read_runs(path: Path, arm: Arm) -> list[Run]:
-    """Every run of a log.csv or log.csv.gz; Iso9283Error names file, line and column."""
+    """Every run of a log.csv or log.csv.gz; Iso9283Error names file, line and column.
+
+    Rows without a set-point, such as those of an arm that is guided, are left out.
+    """
     n, kinematics = arm.joint_count, Kinematics(arm)
-    q, q_set = ([f.format(j) for j in range(1, n + 1)] for f in ("q{}_rad", "q{}_set_rad"))
-    rows: dict[str, list[dict[str, str]]] = {}
-    for row in _rows(path, ("run", "t_s", *q, *q_set)):
-        rows.setdefault(row["run"], []).append(row)
-    if not rows:
-        raise Iso9283Error(f"{path}: a header and no rows: expected recorded runs")
-    return [_run(path, name, lines, q, q_set, kinematics) for name, lines in rows.items()]
+    names = ["t_s", *(form.format(j) for form in ("q{}_rad", "q{}_set_rad") for j in range(1, n + 1))]
+    runs: dict[str, _Rows] = {}
+    for row in _rows(path, ("run", *names)):
+        if row["run"] not in runs:
+            runs[row["run"]] = _Rows(path, row, names, n)
+        runs[row["run"]].add(row)
+    whole = [rows.run(kinematics) for rows in runs.values() if rows.count > 1]
+    if not whole:
+        raise Iso9283Error(f"{path}: expected recorded runs of two rows or more with set-points, got none")
+    return whole
 
 
-def _run(
-    path: Path, name: str, lines: list[dict[str, str]], q: list[str], q_set: list[str], kinematics: Kinematics
-) -> Run:
-    def column(key: str) -> Array:
-        return np.array([_cell(path, line, key) for line in lines])
+class _Rows:
+    """The rows of one run as they are read: numbers in one compact array, so that long recordings stay small."""
 
-    time_s = column("t_s")
-    order = np.argsort(time_s, kind="stable")
-    order = order[np.concatenate(([True], np.diff(time_s[order]) > 0.0))]
-    angles, wanted = (np.column_stack([column(key) for key in keys])[order] for keys in (q, q_set))
-    if not (np.isfinite(angles).all() and np.isfinite(wanted).all() and np.isfinite(time_s).all()):
-        raise Iso9283Error(f"{path}, run {name}: a time, angle or set-point is empty")
-    has_tip = all(key in lines[0] for key in TIP)
-    tip = (
-        np.column_stack([column(key) for key in TIP])[order] if has_tip else np.full((len(order), 3), np.nan)
-    )
-    seen = np.isfinite(tip).all(axis=1)
-    first = lines[0]
-    return Run(
-        int(float(name)),
-        first.get("programme", ""),
-        int(float(first.get("cycle") or 0)),
-        float(first.get("speed_m_s") or "nan"),
-        frozen(time_s[order]),
-        frozen(kinematics.tips(wanted)),
-        frozen(kinematics.tips(angles)),
-        frozen(time_s[order][seen]),
-        frozen(tip[seen]),
-    )
+    def __init__(self, path: Path, first: Mapping[str, str], names: Sequence[str], n: int) -> None:
+        self._path, self._n, self._first = path, n, dict(first)
+        self._required = 1 + n  # time and angles; set-points and the tip may be empty
+        self._names = [*names, *(TIP if all(name in first for name in TIP) else ())]
+        self._numbers = array("d")
+
+    @property
+    def count(self) -> int:
+        return len(self._numbers) // len(self._names)
+
+    def add(self, row: Mapping[str, str]) -> None:
+        """One line, unless it has no set-point."""
+        numbers = [_cell(self._path, row, name) for name in self._names]
+        for name, value in zip(self._names[: self._required], numbers, strict=False):
+            if not math.isfinite(value):
+                where = f"{self._path}, line {row['']}, column {name}"
+                raise Iso9283Error(f'{where}: got "{row[name].strip()}", expected a finite number')
+        if all(map(math.isfinite, numbers[self._required : self._required + self._n])):
+            self._numbers.extend(numbers)
+
+    def run(self, kinematics: Kinematics) -> Run:
+        """The run, in the order of time."""
+        n, table = self._n, np.array(self._numbers).reshape(-1, len(self._names))
+        table = table[np.argsort(table[:, 0], kind="stable")]
+        table = table[np.concatenate(([True], np.diff(table[:, 0]) > 0.0))]
+        time_s, angles, wanted, tip = np.split(table, (1, 1 + n, 1 + 2 * n), axis=1)
+        seen = np.isfinite(tip).all(axis=1) if tip.shape[1] else np.zeros(len(table), dtype=np.bool_)
+        return Run(
+            self._whole_number("run"),
+            self._first.get("programme", "").strip(),
+            self._whole_number("cycle"),
+            _cell(self._path, self._first, "speed_m_s") if "speed_m_s" in self._first else math.nan,
+            frozen(time_s[:, 0]),
+            frozen(kinematics.tips(wanted)),
+            frozen(kinematics.tips(angles)),
+            frozen(time_s[seen, 0]),
+            frozen(tip[seen] if tip.shape[1] else np.zeros((0, 3))),
+        )
+
+    def _whole_number(self, name: str) -> int:
+        value = _cell(self._path, self._first, name) if name in self._first else 0.0
+        return int(value) if math.isfinite(value) else 0
 
 
 def _rows(path: Path, required: Sequence[str]) -> Iterator[dict[str, str]]:
     """Rows of a .csv or .csv.gz by column, with their line under an empty name."""
     try:
-        with (
-            gzip.open(path, "rt", encoding="utf-8-sig", newline="")
-            if path.suffix == ".gz"
-            else path.open(encoding="utf-8-sig", newline="") as file
-        ):
+        with _opened(path) as file:
             reader = csv.reader(file)
             header = [name.strip() for name in next(reader, [])]
             for name in required:
@@ -197,9 +238,8 @@ def _rows(path: Path, required: Sequence[str]) -> Iterator[dict[str, str]]:
                     raise Iso9283Error(f"{path}, line 1: required column {name} is missing")
             for row in reader:
                 if len(row) != len(header):
-                    raise Iso9283Error(
-                        f"{path}, line {reader.line_num}: {len(row)} values, line 1 names {len(header)}"
-                    )
+                    where = f"{path}, line {reader.line_num}"
+                    raise Iso9283Error(f"{where}: {len(row)} values, line 1 names {len(header)}")
                 yield {**dict(zip(header, row, strict=True)), "": str(reader.line_num)}
     except (UnicodeDecodeError, csv.Error, EOFError, gzip.BadGzipFile) as error:
         raise Iso9283Error(f"{path}: not comma-separated text ({error})") from error
@@ -213,6 +253,12 @@ def _cell(path: Path, row: Mapping[str, str], name: str) -> float:
         raise Iso9283Error(
             f'{path}, line {row[""]}, column {name}: got "{text}", expected a number'
         ) from None
+
+
+def _opened(path: Path) -> TextIO:
+    if path.suffix == ".gz":
+        return gzip.open(path, "rt", encoding="utf-8-sig", newline="")
+    return path.open(encoding="utf-8-sig", newline="")
 
 
 def read_rectangle(path: Path) -> tuple[Array, ...]:

@@ -27,6 +27,11 @@ def evaluate_files(
 ) -> tuple[Evaluation, tuple[str, ...]]:
     """Evaluate, write iso9283.json and iso9283.html into `out`; returns the evaluation and warnings about the files."""
     groups, said, warnings = _poses(points, arm)
+    for log in logs:
+        if log.suffix == ".armlog":
+            raise Iso9283Error(
+                f"{log}: a recording, expected log.csv: `armwright export {log} --out DIR` makes one"
+            )
     runs: list[Run] = [run for log in logs for run in read_runs(log, arm)]
     visited = {str(other): _poses(other, arm)[0] for other in others}
     corners = read_rectangle(programme) if programme is not None else None

@@ -201,10 +201,13 @@ def test_path_and_speed_of_recorded_runs(arm: Arm) -> None:
 def test_runs_that_no_column_names_are_grouped_by_their_set_points(arm: Arm) -> None:
     runs = [line_run(arm, k, "", noise_m=1e-5) for k in (1, 2)]
     reverse = replace(runs[0], number=3, set_m=runs[0].set_m[::-1], seen_m=runs[0].seen_m[::-1])
-    of = found(arm, visits(arm), [*runs, reverse])
-    groups = {(f.where.split(" at ")[0], f.count) for f in of[8].figures if f.symbol == "AT_p"}
-    assert groups == {("path of run 1", 2), ("path of run 3", 1)}
-    assert any("second run" in need for need in of[8].needs)
+    still = replace(runs[0], number=4, set_m=0.0 * runs[0].set_m)
+    wavy = [replace(r, number=5, set_m=r.set_m + 0.01 * np.sin(30.0 * r.set_m[:, :1])) for r in runs]
+    of = found(arm, visits(arm), [*runs, reverse, still, *wavy])
+    # What was run once or does not move is no test; a path that is not straight has no AV.
+    assert {(f.where, f.count) for f in of[8].figures} == {("path of run 1", 2), ("path of run 5", 2)}
+    assert all(f.where.startswith("path of run 1") for f in of[11].figures)
+    assert of[11].figures
 
 
 def test_settling_is_judged_in_a_band_that_is_no_finer_than_the_measurement(arm: Arm) -> None:
@@ -234,10 +237,11 @@ LOG = "run,t_s,q1_rad,q2_rad,q3_rad,q1_set_rad,q2_set_rad,q3_set_rad"
     ("text", "says"),
     [
         ("run,t_s,q1_rad\n", "line 1: required column q2_rad is missing"),
-        (LOG + "\n", "no rows"),
+        (LOG + "\n", "two rows or more with set-points, got none"),
         (LOG + "\n1,0,0,0,0,0,0\n", "line 2: 7 values, line 1 names 8"),
         (LOG + "\n1,0,a,0,0,0,0,0\n", 'line 2, column q1_rad: got "a", expected a number'),
-        (LOG + "\n1,0,,0,0,0,0,0\n", "run 1: a time, angle or set-point is empty"),
+        (LOG + "\n1,0,,0,0,0,0,0\n", 'line 2, column q1_rad: got "", expected a finite number'),
+        (LOG + "\n1,0,0,0,0,,0,0\n", "two rows or more with set-points, got none"),
     ],
 )
 def test_a_log_that_is_none_is_refused_with_line_and_column(

@@ -201,6 +201,7 @@ def test_the_plan_is_said_and_nothing_is_made(tmp_path: Path, capsys: pytest.Cap
         ),
         (["--mock", "--speed", "2"], "--speed: expected a fraction"),
         (["--points", "absent.csv"], "absent.csv: cannot be read"),
+        (["--points", "p.armlog"], "p.armlog: a recording, expected points.csv"),
         (["--record", "--socket", "/nonexistent.sock"], "no runtime answers"),
     ],
 )
