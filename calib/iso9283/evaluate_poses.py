@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from calib.arrays import Array
 from calib.iso9283 import pose
 from calib.iso9283.checks import Iso9283Error
-from calib.iso9283.load import static_compliance
+from calib.iso9283.load import Compliance, static_compliance
 from calib.iso9283.recorded import PoseGroup
 from calib.iso9283.result import Criterion, Figure, criterion, with_headlines
 
@@ -185,26 +185,24 @@ def load_criterion(groups: Groups) -> Criterion:
         )
     forces = np.concatenate([g.force_N for g in loaded])
     try:
-        compliance = static_compliance(forces, np.concatenate([g.attained_m for g in loaded]))
+        found = static_compliance(forces, np.concatenate([g.attained_m for g in loaded]))
     except Iso9283Error as error:
         return criterion(13, (), (str(error),))
-    figures = [
-        Figure(
-            f"displacement along {AXES[i]} per N along {AXES[k]}",
-            float(compliance[i, k]),
-            "m/N",
-            "P1",
-            len(forces),
-        )
-        for k in range(3)
-        for i in range(3)
-        if np.isfinite(compliance[i, k])
-    ]
-    for k in np.flatnonzero(np.isfinite(compliance).all(axis=0)):
-        total = float(np.linalg.norm(compliance[:, k]))
-        figures.insert(0, Figure(f"per N along {AXES[k]}", total, "m/N", "P1", len(forces), True))
-    missing = [AXES[k] for k in range(3) if not np.isfinite(compliance[:, k]).all()]
+    along = [k for k in range(3) if np.isfinite(found.m_N[:, k]).all()]
+    figures = [figure for k in along for figure in _load_figures(found, k, len(forces))]
+    missing = [AXES[k] for k in range(3) if k not in along]
     return criterion(13, figures, (needs.format(" and ".join(missing)),) if missing else ())
+
+
+def _load_figures(found: Compliance, k: int, count: int) -> Iterator[Figure]:
+    """The displacement by a load along axis k, and its components."""
+    total, along = float(np.linalg.norm(found.m_N[:, k])), AXES[k]
+    yield Figure(f"per N along {along}", total, "m/N", "P1", count, True)
+    for i in range(3):
+        sd = found.sd_m_N[i, k]
+        remark = f"standard deviation {1e6 * sd:.3f} µm/N" if np.isfinite(sd) else ""
+        symbol = f"along {AXES[i]} per N along {along}"
+        yield Figure(symbol, float(found.m_N[i, k]), "m/N", "P1", count, remark=remark)
 
 
 def clouds(groups: Groups) -> dict[str, Array]:

@@ -119,9 +119,19 @@ def test_where_the_frame_stands_changes_no_figure() -> None:
 def test_compliance_is_the_slope_of_displacement_over_force() -> None:
     forces = np.array([(0, 0, -k) for k in range(5)] + [(k, 0, 0) for k in range(5)], dtype=float)
     true = np.array([(1e-5, 0, 3e-6), (0, 0, 1e-6), (0, 0, 2e-5)])
-    found = static_compliance(forces, forces @ true.T + (0.4, 0.1, 0.2))
+    found = static_compliance(forces, forces @ true.T + (0.4, 0.1, 0.2)).m_N
     assert found[:, [0, 2]] == pytest.approx(true[:, [0, 2]], abs=1e-15)
     assert np.isnan(found[:, 1]).all()  # never loaded along y
+
+
+def test_the_standard_deviation_of_a_compliance_is_that_of_its_scatter() -> None:
+    rng, forces = np.random.default_rng(8), np.tile([(0.0, 0, k) for k in range(11)], (3, 1))
+    runs = [static_compliance(forces, rng.normal(scale=1e-5, size=forces.shape)) for _ in range(400)]
+    said = np.sqrt(np.mean([run.sd_m_N[0, 2] ** 2 for run in runs]))
+    assert np.std([run.m_N[0, 2] for run in runs]) == pytest.approx(
+        said, rel=0.15
+    )  # 400 draws: 3.5 % and margin
+    assert np.isnan(static_compliance(forces[:2], forces[:2]).sd_m_N).all()
 
 
 @pytest.mark.parametrize(
