@@ -10,12 +10,17 @@ import numpy as np
 import pytest
 
 from calib.errors import SessionError
+from calib.points_writer import Record
+from calib.session.boards_known import Boards
+from calib.session.folder import SessionFolder
 from calib.session.free_poses import chosen_free_poses, read_free_poses
-from calib.session.plan import board_targets, free_targets
+from calib.session.plan import SessionPlan, board_targets, free_targets
 from calib.session.state import Mark, SessionState
-from calib.session.talk import Command, Do, Jog
+from calib.session.talk import Ask, Command, Do, Jog, Kept, Question, Told
+from calib.session.watch import Verdict
 from console.session.dialogue import HELP, Auto, NotUnderstood, View, understood
 from console.session.drawing import board_text, status_text
+from console.session.operator import Operator
 from control.model.description import load_arm
 from control.model.kinematics import Kinematics
 from control.model.table import board_cavities, table_of
@@ -138,3 +143,48 @@ def test_free_poses_of_a_file_are_read_strictly(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(SessionError, match=said):
             read_free_poses(path, 2)
+
+
+def talked(
+    tmp_path: Path, lines: list[str], may_auto: bool, surprise: float = 1.0
+) -> tuple[list[Command], list[str]]:
+    """What an operator's lines answer to three points and the end, and what was said."""
+    plan = SessionPlan("right", "00", 3, board_targets(["normal"], ["1", "2", "3"]))
+    answers: list[Command] = []
+    said: list[str] = []
+
+    def talk():
+        for target in plan.targets:
+            answers.append((yield Ask(Question.NEXT, target)))
+            record = Record(*target.key, (0.1,) * 3, (0.0,) * 3, (0,) * 3, (0.0,) * 3, 0.0, 0.0, None)
+            yield Kept(record, Verdict(np.full(3, 0.01), 0.004, surprise if target.point == "2" else 1.0))
+        yield Told("all is well")
+        answers.append((yield Ask(Question.DONE, None)))
+
+    with SessionFolder(tmp_path, plan) as folder:
+        Operator(folder, Boards(RIGHT, plan), iter(lines), said.append, may_auto=may_auto).run(talk())
+    return answers, said
+
+
+def test_the_operator_is_asked_told_and_obeyed(tmp_path: Path) -> None:
+    answers, said = talked(tmp_path, ["what", "auto", "help", "board", "", "redo", "note x"], may_auto=False)
+    assert [command.do for command in answers] == [Do.GO, Do.REDO, Do.NOTE, Do.QUIT]
+    assert said[0] == "[1/3] normal 1: hands off; Enter moves the arm to above the cavity >"
+    assert said[1] == "! not understood: 'what'; `help` lists what is"
+    assert said[2] == "! auto: only a mock arm's session goes on by itself"
+    assert said[3] == HELP
+    assert "normal 1 recorded; the model is 17.32 mm off, 4.00 mm from what the points before say" in said
+    assert "all is well" in said
+
+
+def test_going_on_by_itself_ends_where_something_looks_wrong(tmp_path: Path) -> None:
+    answers, said = talked(tmp_path / "a", ["auto"], may_auto=True, surprise=7.0)
+    assert [command.do for command in answers] == [Do.GO, Do.GO, Do.QUIT, Do.GO]
+    assert any(text.startswith("! normal 2 recorded") and "7 standard deviations" in text for text in said)
+    assert [c.do for c in talked(tmp_path / "b", ["auto"], may_auto=True)[0]] == [Do.GO] * 4
+    assert [c.do for c in talked(tmp_path / "c", ["auto 2"], may_auto=True)[0]] == [
+        Do.GO,
+        Do.GO,
+        Do.QUIT,
+        Do.GO,
+    ]
