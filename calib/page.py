@@ -102,9 +102,9 @@ def pair(left: str, right: str) -> str:
     return f'<div class="pair">{left}{right}</div>'
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
+def table(header: Sequence[Cell], rows: Iterable[Sequence[Cell]]) -> str:
     """A table; a cell is text, or (class, text)."""
-    head = "".join(f"<th>{said(name)}</th>" for name in header)
+    head = "".join(_cell(cell, "th") for cell in header)
     body = "".join(f"<tr>{''.join(_cell(cell) for cell in row)}</tr>" for row in rows)
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
@@ -123,7 +123,7 @@ def verdict(sentences: Iterable[str]) -> str:
     return f'<section class="verdict">{"".join(paragraph(text) for text in sentences)}</section>\n'
 
 
-def _cell(cell: Cell) -> str:
+def _cell(cell: Cell, kind: str = "td") -> str:
     if isinstance(cell, str):
-        return f"<td>{said(cell)}</td>"
-    return f'<td class="{cell[0]}">{said(cell[1])}</td>'
+        return f"<{kind}>{said(cell)}</{kind}>"
+    return f'<{kind} class="{cell[0]}">{said(cell[1])}</{kind}>'

@@ -271,9 +271,9 @@ COMMANDS = (
             option(
                 "--height",
                 type=float,
-                default=0.05,
+                default=0.07,
                 metavar="M",
-                help="above the board, in m (default: 0.05)",
+                help="above the board, in m (default: 0.07)",
             ),
             option(
                 "--path-speed",
