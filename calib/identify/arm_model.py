@@ -31,6 +31,11 @@ class ArmModel:
         return tip_slopes(dh, q, self.joints, self._convention, tool.tolist())
 
     @property
+    def is_modified(self) -> bool:
+        """Whether L and alpha come before d and theta."""
+        return self._convention == "modified"
+
+    @property
     def theta_places(self) -> tuple[int, ...]:
         """Where in dh.ravel() each joint's theta stands: its column is the derivative by the joint's angle."""
         return tuple(4 * link + 1 for link, turns in enumerate(self.joints) if turns)

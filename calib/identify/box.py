@@ -8,50 +8,47 @@ import numpy.typing as npt
 from calib.arrays import Array
 
 Mask = npt.NDArray[np.bool_]
+PATIENCE = 3  # exchanges of whole blocks without progress, before variables are exchanged one by one
+ROUNDING = 1e-13  # of the largest slope: a multiplier smaller than that has no sign
 
 
 def step_in_box(hessian: Array, gradient: Array, lower: Array, upper: Array) -> Array:
     """The d with lower <= d <= upper that minimises gradient . d + d' H d / 2; H (k, k) positive definite.
 
-    Bounded-variable active set (Stark and Parker, Computational Statistics 10, 1995): solve on the free
-    variables, stop at the first bound on the way, release the bound whose multiplier has the wrong sign. 0
-    must lie in the box.
+    Block principal pivoting (Judice and Pires, Computers and Operations Research 21 (1994) 587): solve on the free
+    variables, then exchange all that are on the wrong side, bound or free, at once; where that makes no progress, only
+    the last of them, which ends for certain.
     """
+    at_lower, at_upper = (lower >= 0.0) & (gradient > 0.0), (upper <= 0.0) & (gradient < 0.0)
+    fewest, patience = len(gradient) + 1, PATIENCE
     d = np.zeros_like(gradient)
-    held = ((lower >= 0.0) & (gradient > 0.0)) | ((upper <= 0.0) & (gradient < 0.0))
-    for _ in range(20 * len(gradient)):
-        target = _free_minimum(hessian, gradient, d, held)
-        share, blocking = _way_to_bound(d, target, lower, upper, held)
-        d = d + share * (target - d)
-        if blocking >= 0:
-            d[blocking] = upper[blocking] if target[blocking] > d[blocking] else lower[blocking]
-            held[blocking] = True
-            continue
-        slope = gradient + hessian @ d
-        wrong = np.where(held, np.where(d >= upper, slope, -slope), -1.0)
-        if np.max(wrong) <= 1e-14 * (1e-300 + float(np.max(np.abs(gradient)))):
-            return d
-        held[int(np.argmax(wrong))] = False
-    return d
+    for _ in range(50 * len(gradient)):
+        d, slope = _solved(hessian, gradient, np.where(at_lower, lower, upper), at_lower | at_upper)
+        rounding = ROUNDING * float(np.max(np.abs(gradient))) + 1e-300
+        free = ~(at_lower | at_upper)
+        below, above = free & (d < lower), free & (d > upper)
+        released = (at_lower & (slope < -rounding)) | (at_upper & (slope > rounding))
+        wrong = np.flatnonzero(below | above | released)
+        if not len(wrong):
+            break
+        if len(wrong) < fewest:
+            fewest, patience = len(wrong), PATIENCE
+        elif patience:
+            patience -= 1
+        else:
+            wrong = wrong[-1:]
+        at_lower[wrong], at_upper[wrong] = below[wrong], above[wrong]
+    return np.asarray(np.clip(d, lower, upper))
 
 
-def _free_minimum(hessian: Array, gradient: Array, d: Array, held: Mask) -> Array:
-    """Minimum over the variables that are not held."""
-    target = d.copy()
-    free = np.flatnonzero(~held)
+def _solved(hessian: Array, gradient: Array, bound: Array, is_held: Mask) -> tuple[Array, Array]:
+    """The minimum over the variables that are not held at their bound, and the slope there; 0 along the free ones."""
+    if not is_held.any():
+        return np.asarray(np.linalg.solve(hessian, -gradient)), np.zeros_like(gradient)
+    d = np.where(is_held, bound, 0.0)
+    free = np.flatnonzero(~is_held)
+    slope = gradient + hessian @ d
     if len(free):
-        slope = gradient[free] + hessian[np.ix_(free, np.flatnonzero(held))] @ d[held]
-        target[free] = np.linalg.solve(hessian[np.ix_(free, free)], -slope)
-    return target
-
-
-def _way_to_bound(d: Array, target: Array, lower: Array, upper: Array, held: Mask) -> tuple[float, int]:
-    """How much of the way from d to target stays inside, and which bound ends it (-1: none)."""
-    move = target - d
-    room = np.where(move > 0.0, upper - d, lower - d)
-    outside = ~held & (np.abs(move) > np.abs(room))
-    if not outside.any():
-        return 1.0, -1
-    shares = np.where(outside, room / np.where(outside, move, 1.0), np.inf)
-    first = int(np.argmin(shares))
-    return max(0.0, float(shares[first])), first
+        d[free] = np.linalg.solve(hessian[free[:, None], free], -slope[free])
+        slope = gradient + hessian @ d
+    return d, slope

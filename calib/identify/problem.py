@@ -7,21 +7,28 @@ metre and a metre moves it one.
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
-from calib.arrays import Array, frozen
+from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
 from calib.identify.arm_model import ArmModel
+from calib.identify.expansion import Expansion
 from calib.identify.frames import AXIS_UNITS, Frame, cross_matrix, left_jacobian, rotation_of
 from calib.identify.observations import Observations
 from calib.identify.parameters import Bounds, Parameter, dh_parameters, require_known_names
 
 ALL = slice(None)
 TOOL_NAMES = ("tool_x", "tool_y", "tool_z")
+SEATING_STEPS = 3  # Newton's, from millimetres to nanometres
+SEATING_LIMIT_rad = 0.1  # of one such step
+REACHABLE = 1e-2  # share of the strongest direction of the tip that joints must have to move it
 
 
 class Problem(Protocol):
@@ -42,6 +49,12 @@ class Problem(Protocol):
 
     def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
         """(m, 3) [m] and the derivative of the residuals (m, 3, k) [m per scaled unknown]."""
+
+    def expanded(self, x: Array, rows: slice = ALL) -> Expansion:
+        """The residuals, and sums of their derivatives for Newton's steps."""
+
+    def sensitivity(self, x: Array) -> Array:
+        """(m, 3, k): the Jacobian as if the residuals were nought, for what the points determine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +139,13 @@ class ArmProblem:
         """How many poses."""
         return len(self.observed)
 
+    def of_rows(self, rows: npt.ArrayLike) -> ArmProblem:
+        """The same unknowns with the same meaning, posed by some of the poses (indices or a mask) only."""
+        some = copy.copy(self)
+        keep = np.arange(len(self))[np.asarray(rows)]
+        some.observed, some.references_m = self.observed.chosen(keep), self.references_m[keep]
+        return some
+
     def solution(self, x: Array) -> Solution:
         """What the unknowns x (k,) stand for."""
         dh, tool, moves, values = self._parts(x)
@@ -160,18 +180,54 @@ class ArmProblem:
 
     def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
         """Residuals (m, 3) and their derivative with respect to x, (m, 3, k)."""
+        found = self.expanded(x, rows)
+        chosen = found.columns[self._places]
+        chosen *= -self._scale[:, None, None]
+        return found.residuals, chosen.transpose(2, 1, 0)
+
+    def expanded(self, x: Array, rows: slice = ALL) -> Expansion:
+        """Residuals and what their first and second derivatives add up to."""
         dh, tool, moves, values = self._parts(x)
         slopes = self.model.slopes(dh, self._joint_rad(values, rows), tool)
         references, arms = self._references(moves, rows)
-        columns = np.empty((self._whole_size, 3, len(references)))
-        columns[: self._tool_at] = slopes.by_dh.transpose(2, 1, 0)
-        if self._frames_at > self._tool_at:
-            columns[self._tool_at : self._frames_at] = slopes.by_tool.transpose(2, 1, 0)
-        self._frame_columns(columns[self._frames_at : self._corrections_at], moves, arms, rows)
-        self._correction_columns(columns[self._corrections_at :], slopes.by_dh, rows)
-        chosen = columns if len(self._places) == len(columns) else columns[self._places]
-        chosen *= -self._scale[:, None, None]
-        return references - slopes.tips, chosen.transpose(2, 1, 0)
+        if self._whole_size == self._tool_at:
+            columns = slopes.by_dh.transpose(2, 1, 0)
+        else:
+            columns = np.empty((self._whole_size, 3, len(references)))
+            columns[: self._tool_at] = slopes.by_dh.transpose(2, 1, 0)
+            if self._frames_at > self._tool_at:
+                columns[self._tool_at : self._frames_at] = slopes.by_tool.transpose(2, 1, 0)
+            self._frame_columns(columns[self._frames_at : self._corrections_at], moves, arms, rows)
+            self._correction_columns(columns[self._corrections_at :], slopes.by_dh, rows)
+        return Expansion(
+            residuals=references - slopes.tips,
+            columns=columns,
+            places=self._places,
+            scale=self._scale,
+            chain_count=self._frames_at,
+            is_modified=self.model.is_modified,
+            frame_rows=tuple(np.flatnonzero(self.observed.frame[rows] == index) for index in self._free),
+            frame_turns_rad=moves[:, 3:],
+            arms=arms,
+            theta_places=self.model.theta_places,
+            corrections=tuple(correction.slope_rad[rows] for correction in self.observed.corrections),
+        )
+
+    def sensitivity(self, x: Array) -> Array:
+        """The Jacobian (m, 3, k) at poses beside the measured ones, whose tips are where their references are.
+
+        For what the points determine: turning arm and board together turns a residual r too, so that the Jacobian holds
+        w x r of it as if that turn could be seen, though no distance changes. Without residuals there is no such thing.
+        Where no board is free, none can turn, and it is the Jacobian at the measured poses.
+        """
+        seated = copy.copy(self)
+        for _ in range(SEATING_STEPS if self._free else 0):
+            found = seated.expanded(x)
+            by_joint = found.columns[list(self.model.theta_places)].transpose(2, 1, 0)
+            move = np.einsum("mnk,mk->mn", np.linalg.pinv(by_joint, rcond=REACHABLE), found.residuals)
+            move *= np.minimum(1.0, SEATING_LIMIT_rad / np.maximum(norms(move), 1e-300))[:, None]
+            seated.observed = dataclasses.replace(seated.observed, q_rad=seated.observed.q_rad + move)
+        return seated.residuals_and_jacobian(x)[1]
 
     def _references(self, moves: Array, rows: slice) -> tuple[Array, Array]:
         """Reference points (m, 3) in the base frame, and their arms (m, 3) from the centre of their free frame."""

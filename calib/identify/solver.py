@@ -1,9 +1,5 @@
-"""The minimum of a sum of distances in a box: reweighted least-squares steps, curvature corrected,
-line-searched.
-
-Each step minimises a quadratic in the box. Its Hessian first takes the curvature of rho along and across each
-residual (Newton's, which ends in a handful of steps); where a line search then gains little, the reweighted
-least-squares Hessian (IRLS, a majorant of rho, so a descent) takes over. The objective never rises.
+"""The minimum of an objective in the box of the bounds: several searches, the best of them, and of all that fit as well the
+nearest to nominal.
 
 What the data cannot determine stays at nominal: of all parameter sets that fit as well as the best (to
 COST_OF_NEARNESS), the one nearest to nominal is wanted. Once the best is known, the null space of its
@@ -12,49 +8,47 @@ Jacobian is held at nominal and the rest refitted; if that costs more, a narrowe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.arrays import Array, norms
-from calib.identify.box import step_in_box
+from calib.identify.descent import NOTHING_M, End, Goal, descend
 from calib.identify.determinability import null_space
-from calib.identify.objective import Objective
+from calib.identify.objective import Huber, LeastSquares, Objective, SumOfDistances
 from calib.identify.problem import Problem
+from calib.identify.sample import Sample
 
 COST_OF_NEARNESS = 8e-7  # share of the objective that staying near nominal may cost
-RANK_TOLERANCES = (
-    1e-4,
-    1e-5,
-    1e-6,
-    1e-7,
-    1e-9,
-)  # what counts as undetermined, tried in this order against that cost
-TRACE = 1e-8  # weight of |x|^2 / 2 per unknown, as a share of the objective, that makes every step unique
-TOLERANCE = 1e-11  # a step that promises less than this share of the objective ends the search
+# What counts as undetermined, tried in this order against that cost.
+RANK_TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-9)
 BETTER = 1e-9  # another start replaces the first only by more than this share
-BOUND_STARTS = 3
-NOTHING_M = 1e-9  # residuals below this everywhere are none: a nanometre
-STEP_LIMIT = 80
-FIRST_ORDER_STEPS = (
-    6  # residuals that stay large (bounds bind) make steps slow; then second derivatives are worth their cost
-)
-DIFFERENCE = 1e-5  # of a scaled unknown, for those
-Stages = tuple[tuple[float, float], ...]
-SMOOTH: Stages = ((0.0, TOLERANCE),)  # (smoothing as a share of the median distance, tolerance) per stage
-ROUNDED: Stages = ((1e-1, 1e-3), (1e-2, 1e-5), (1e-3, 1e-8), (1e-4, 1e-8), (1e-5, 1e-9), (1e-6, TOLERANCE))
-ROUGH_ERROR = 1e-4  # of the objective after the first three of them
-SAME = 1e-7  # two rough ends that differ by less are the same minimum
+BOUND_STARTS, MANY_STARTS = (
+    2,
+    6,
+)  # times the starts asked for: where bounds bind; where that showed several minima
+ROUGH_ERROR = 3e-3  # of the objective where a rough search ends, and of a sample of poses
+SAME = 0.03  # rough ends with the same bounds whose residuals differ by less than this share are the same minimum
+DIFFERENT = 1e-7  # objectives that differ by less are the same
+POSES_PER_UNKNOWN = 6  # enough of them to tell which starts are worth going on with
+FIT = Goal(1.0, 1.0, 1e-2, is_bent=False)  # least squares, from which the other objectives set out
+ROUGH = Goal(1e-1, 1e-2, 1e-4, step_limit=25)
+FINE = Goal(1e-2, 1e-7, 1e-9)
+REACH = 0.7  # of the box, from where starts are drawn
 
 
 @dataclass(frozen=True, slots=True)
 class Minimum:
-    """Where a search ended: unknowns x (k,), objective there, steps taken, and whether it ended by itself."""
+    """Where the search ended: unknowns x (k,), objective there, steps taken, and whether it ended by itself.
+
+    `objective` is the one asked for, a threshold settled.
+    """
 
     x: Array
     value: float
     steps_count: int
     is_converged: bool
+    objective: Objective
 
 
 def minimise(problem: Problem, objective: Objective, starts_count: int = 4, seed: int = 0) -> Minimum:
@@ -62,180 +56,112 @@ def minimise(problem: Problem, objective: Objective, starts_count: int = 4, seed
 
     Where bounds bind there are local minima, and BOUND_STARTS times as many searches are made.
     """
+    wanted = settled(problem, objective, seed)
+    return _nearest_to_nominal(problem, wanted, best_of_starts(problem, wanted, starts_count, seed))
+
+
+def settled(problem: Problem, objective: Objective, seed: int = 0) -> Objective:
+    """The objective itself, or Huber's with the threshold that the noise asks for."""
+    if not isinstance(objective, Huber) or objective.threshold_m is not None:
+        return objective
+    robust = best_of_starts(problem, SumOfDistances(), 1, seed)
+    return objective.settled_on(Sample(problem, SumOfDistances()).residuals(robust.x))
+
+
+def best_of_starts(problem: Problem, objective: Objective, starts_count: int, seed: int) -> Minimum:
+    """The best of all searches, wherever the unknowns are that do not matter."""
     k = len(problem.parameters)
     bounded = np.array([parameter.has_bound for parameter in problem.parameters])
     draw = np.random.default_rng(seed)
-    rough = _search(problem, objective, np.zeros(k), _rough(objective))
-    seen, best = [rough.value], _search(problem, objective, rough.x, _fine(objective), rough.steps_count)
+    few = Sample(problem, objective, max(1, len(problem) // (POSES_PER_UNKNOWN * k)))
+    ends = _Ends(few)
+    rough = _rough(few, np.zeros(k))
+    ends.is_new(rough.x)
+    best = _finished(problem, objective, rough)
+    limit = starts_count * (BOUND_STARTS if np.max(np.abs(best.x[bounded]), initial=0.0) >= 1.0 else 1)
     done = 1
-    while done < starts_count * (BOUND_STARTS if np.max(np.abs(best.x[bounded]), initial=0.0) >= 1.0 else 1):
+    while done < limit:
         done += 1
-        rough = _search(problem, objective, draw.uniform(-0.7, 0.7, k) * bounded, _rough(objective))
-        if (
-            rough.value > min(seen) * (1.0 + ROUGH_ERROR)
-            or np.min(np.abs(np.divide(seen, rough.value) - 1.0)) < SAME
-        ):
+        rough = _rough(few, draw.uniform(-REACH, REACH, k) * bounded)
+        if not ends.is_new(rough.x):
             continue
-        seen.append(rough.value)
-        other = _search(problem, objective, rough.x, _fine(objective), rough.steps_count)
+        other = _finished(problem, objective, rough)
+        if abs(other.value - best.value) > DIFFERENT * best.value:
+            limit = starts_count * MANY_STARTS
         if other.value < best.value * (1.0 - BETTER):
             best = other
-    return _nearest_to_nominal(problem, objective, best)
+    return best
 
 
-def _rough(objective: Objective) -> Stages:
-    return SMOOTH if objective.is_smooth else ROUNDED[:3]
+class _Ends:
+    """Ends of rough searches, to tell a new one from those that have been there."""
 
+    def __init__(self, sample: Sample) -> None:
+        self._sample = sample
+        self._limits = np.array([parameter.limit for parameter in sample.problem.parameters])
+        self._seen: list[tuple[Array, Array]] = []
+        self._lowest = np.inf
 
-def _fine(objective: Objective) -> Stages:
-    return SMOOTH if objective.is_smooth else ROUNDED[3:]
-
-
-def _search(problem: Problem, objective: Objective, x: Array, stages: Stages, steps: int = 0) -> Minimum:
-    """One search; the kink of the objective is rounded off less and less."""
-    converged = False
-    for share, tolerance in stages:
-        smoothing_m = _smoothing_m(problem, x, share)
-        x, taken, converged = _descend(
-            problem, objective, x, smoothing_m, np.zeros((len(x), len(x))), tolerance
+    def is_new(self, x: Array) -> bool:
+        """Whether a search that got here may end lower than the others: low enough, other bounds or other residuals."""
+        residuals = self._sample.residuals(x)
+        value = self._sample.value_of(residuals, 0.0)
+        at_bound = np.sign(x) * (np.abs(x) >= self._limits)
+        near = SAME * float(np.mean(norms(residuals)))
+        is_new = value <= self._lowest * (1.0 + ROUGH_ERROR) and not any(
+            np.array_equal(at_bound, bounds) and float(np.mean(norms(residuals - other))) < near
+            for bounds, other in self._seen
         )
-        steps += taken
-    return Minimum(x, objective.value(norms(problem.residuals(x)), 0.0), steps, converged)
+        if is_new:
+            self._seen.append((at_bound, residuals))
+        self._lowest = min(self._lowest, value)
+        return is_new
+
+
+def _rough(sample: Sample, start: Array) -> End:
+    """A search that ends as soon as it is clear where it leads."""
+    if isinstance(sample.objective, LeastSquares):
+        return descend(sample, start, ROUGH)
+    fitted = descend(replace(sample, objective=LeastSquares()), start, FIT)
+    found = descend(sample, fitted.x, ROUGH)
+    return replace(found, steps_count=fitted.steps_count + found.steps_count)
+
+
+def _finished(problem: Problem, objective: Objective, rough: End) -> Minimum:
+    """The same search to its end, on all poses."""
+    sample = Sample(problem, objective)
+    end = descend(sample, rough.x, _fine(problem, objective))
+    return Minimum(
+        end.x, sample.value(end.x), rough.steps_count + end.steps_count, end.is_converged, objective
+    )
+
+
+def _fine(problem: Problem, objective: Objective) -> Goal:
+    """The goal of a last search. Some k distances are zero at a minimum, each of them a smoothing too long."""
+    share = len(problem) / len(problem.parameters)
+    return replace(FINE, last_smoothing=FINE.last_smoothing * max(1.0, share))
 
 
 def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum) -> Minimum:
     """The same fit with what the data do not determine back at nominal, as far as COST_OF_NEARNESS allows."""
     residuals, jacobian = problem.residuals_and_jacobian(best.x)
-    share, tolerance = _fine(objective)[-1]
-    smoothing_m = _smoothing_m(problem, best.x, share)
-    stiffness = _stiffness(objective, residuals, jacobian, smoothing_m)
+    sample, goal = Sample(problem, objective), _fine(problem, objective)
+    stiffness = _stiffness(objective, residuals, jacobian)
+    nothing = objective.value(objective.distances(np.full(residuals.shape, NOTHING_M)), 0.0)
     tried = -1
     for rank_tolerance in RANK_TOLERANCES:
         null = null_space(jacobian, problem.parameters, rank_tolerance)
         if null.shape[1] == tried:
             continue
         tried = null.shape[1]
-        anchor = stiffness * null @ null.T
-        x, taken, converged = _descend(problem, objective, best.x, smoothing_m, anchor, tolerance)
-        value = objective.value(norms(problem.residuals(x)), 0.0)
-        nothing = objective.value(np.full(len(residuals), NOTHING_M), 0.0)
+        end = descend(sample, best.x, replace(goal, anchor=stiffness * null @ null.T))
+        value = sample.value(end.x)
         if value <= max(best.value * (1.0 + COST_OF_NEARNESS), nothing):
-            return Minimum(x, value, best.steps_count + taken, converged)
+            return Minimum(end.x, value, best.steps_count + end.steps_count, end.is_converged, objective)
     return best
 
 
-def _stiffness(objective: Objective, residuals: Array, jacobian: Array, smoothing_m: float) -> float:
+def _stiffness(objective: Objective, residuals: Array, jacobian: Array) -> float:
     """Curvature of the objective along a typical well determined unknown."""
-    across, _ = objective.weights(norms(residuals), smoothing_m)
+    across, _ = objective.weights(np.maximum(norms(residuals), float(np.mean(norms(residuals)))), 0.0)
     return float(np.einsum("i,ijk,ijk->", across, jacobian, jacobian) / jacobian.shape[2])
-
-
-def _smoothing_m(problem: Problem, x: Array, share: float) -> float:
-    """A share of the median distance; never quite 0 where there is a kink."""
-    return max(share * float(np.median(norms(problem.residuals(x)))), 1e-13) if share else 0.0
-
-
-def _descend(
-    problem: Problem, objective: Objective, x: Array, smoothing_m: float, anchor: Array, tolerance: float
-) -> tuple[Array, int, bool]:
-    """Steps at one smoothing until a step promises too little: (x, steps, converged).
-
-    `anchor` (k, k): x' anchor x / 2 is added, which holds some combinations of unknowns at nominal.
-    """
-    for taken in range(STEP_LIMIT):
-        residuals, jacobian = problem.residuals_and_jacobian(x)
-        if np.max(norms(residuals)) < NOTHING_M:
-            return x, taken, True
-        here = _Quadratic.at(objective, residuals, jacobian, x, smoothing_m, anchor)
-        if taken >= FIRST_ORDER_STEPS:
-            here = here.with_model_curvature(
-                _model_curvature(problem, objective, x, residuals, jacobian, smoothing_m)
-            )
-        x_next, promise = _step(problem, objective, here, x, smoothing_m)
-        if promise <= tolerance * here.value or np.array_equal(x_next, x):
-            return x_next, taken, True
-        x = x_next
-    return x, STEP_LIMIT, False
-
-
-@dataclass(frozen=True, slots=True)
-class _Quadratic:
-    """Objective plus x' held x / 2, around x: both Hessians, gradient and value."""
-
-    newton: Array
-    majorant: Array
-    gradient: Array
-    value: float
-    held: Array
-
-    @classmethod
-    def at(
-        cls,
-        objective: Objective,
-        residuals: Array,
-        jacobian: Array,
-        x: Array,
-        smoothing_m: float,
-        anchor: Array,
-    ) -> _Quadratic:
-        distances = norms(residuals)
-        across, along = objective.weights(distances, smoothing_m)
-        radial = np.einsum("ij,ijk->ik", residuals / np.maximum(distances, 1e-300)[:, None], jacobian)
-        rows = jacobian.reshape(-1, jacobian.shape[2])
-        majorant = rows.T @ (np.repeat(across, 3)[:, None] * rows)
-        newton = majorant + radial.T @ ((along - across)[:, None] * radial)
-        value = objective.value(distances, smoothing_m)
-        trace = TRACE * value / len(x) + 1e-15 * float(np.trace(majorant))
-        held = anchor + trace * np.eye(len(x))
-        gradient = radial.T @ (across * distances) + held @ x
-        return cls(newton + held, majorant + held, gradient, value + 0.5 * float(x @ held @ x), held)
-
-    def with_model_curvature(self, curvature: Array) -> _Quadratic:
-        """With the second derivatives of the kinematics in the Newton Hessian, positive definite again."""
-        values, vectors = np.linalg.eigh(self.newton + curvature)
-        floor = 1e-12 * float(np.max(np.abs(values)))
-        newton = (vectors * np.maximum(np.abs(values), floor)) @ vectors.T
-        return _Quadratic(newton, self.majorant, self.gradient, self.value, self.held)
-
-
-def _model_curvature(
-    problem: Problem, objective: Objective, x: Array, residuals: Array, jacobian: Array, smoothing_m: float
-) -> Array:
-    """Sum of rho'(s)/s residual . d2 residual / dx2, (k, k), from differences of the analytic Jacobian."""
-    across, _ = objective.weights(norms(residuals), smoothing_m)
-    pull = across[:, None] * residuals
-    columns = [
-        np.einsum("ij,ijk->k", pull, problem.residuals_and_jacobian(x + DIFFERENCE * unit)[1] - jacobian)
-        for unit in np.eye(len(x))
-    ]
-    curvature = np.array(columns) / DIFFERENCE
-    return np.asarray(0.5 * (curvature + curvature.T))
-
-
-def _step(
-    problem: Problem, objective: Objective, here: _Quadratic, x: Array, smoothing_m: float
-) -> tuple[Array, float]:
-    """The next x and what the quadratic promised; x itself where neither Hessian leads down."""
-
-    def merit(at: Array) -> float:
-        return objective.value(norms(problem.residuals(at)), smoothing_m) + 0.5 * float(at @ (here.held @ at))
-
-    limits = np.array([parameter.limit for parameter in problem.parameters])
-    promise = 0.0
-    best, lowest = x, here.value
-    for hessian in (here.newton, here.majorant):
-        d = step_in_box(hessian, here.gradient, -limits - x, limits - x)
-        slope = float(here.gradient @ d)
-        promise = max(promise, -0.5 * slope)
-        share = 1.0
-        while share > 1e-4:
-            candidate = np.clip(x + share * d, -limits, limits)
-            there = merit(candidate)
-            if there <= here.value + 1e-4 * share * slope:
-                break
-            share *= 0.4
-        if there < lowest:
-            best, lowest = candidate, there
-        if share > 0.3:
-            break
-    return best, promise
