@@ -1,4 +1,4 @@
-"""The array type of this package and how an array becomes read-only."""
+"""The array types of this package and how an array becomes read-only."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 
 def frozen(values: npt.ArrayLike) -> Array:

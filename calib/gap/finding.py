@@ -1,0 +1,132 @@
+"""What the gap workflow found, and gap.json (format gap/1 of the interchange formats)."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class EffectName:
+    """An effect on a joint or link (1-based; None where it has none), as formats.md names it."""
+
+    effect: str
+    joint: int | None = None
+
+    def __str__(self) -> str:
+        """As `backlash on joint 2`."""
+        return self.effect if self.joint is None else f"{self.effect} on joint {self.joint}"
+
+    def content(self) -> dict[str, object]:
+        """For gap.json."""
+        return {"effect": self.effect, "joint": self.joint}
+
+
+@dataclass(frozen=True, slots=True)
+class NamedEffect:
+    """An effect that is added to the model: parameters as (value, sd), the gap with it, and why it was accepted."""
+
+    name: EffectName
+    parameters: Mapping[str, tuple[float, float]]
+    gap_after: float
+    evidence: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Nameable:
+    """Whether this data could name an effect at all: detectability in standard deviations, and its doubles."""
+
+    name: EffectName
+    detectability: float
+    confusable_with: tuple[EffectName, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """Something is left that no effect explains: where it shows, the nearest proxy, the share that this explains."""
+
+    where: str
+    nearest: EffectName | None
+    explained: float
+
+
+@dataclass(frozen=True, slots=True)
+class GapFinding:
+    """All that gap.json holds. `noise_floor`, `before_si`, `after_si`: by channel, as tip_m, current_A, q_rad.
+
+    `gap_before` and `gap_after`: root mean square over the noise floor, on recordings that were used for nothing else.
+    """
+
+    arm: str
+    data: tuple[str, ...]
+    noise_floor: Mapping[str, float]
+    gap_before: float
+    gap_after: float
+    before_si: Mapping[str, float]
+    after_si: Mapping[str, float]
+    effects: tuple[NamedEffect, ...] = ()
+    ambiguous: tuple[tuple[EffectName, ...], ...] = ()
+    unknown: Unknown | None = None
+    nameable: tuple[Nameable, ...] = ()
+    next_experiment: str | None = None
+
+
+def write_gap_json(path: Path, found: GapFinding) -> None:
+    """Write gap.json; a number that there is not is null."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(gap_content(found), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def gap_content(found: GapFinding) -> dict[str, object]:
+    """What stands in gap.json."""
+    return {
+        "format": "gap/1",
+        "arm": found.arm,
+        "data": list(found.data),
+        "noise_floor": _numbers(found.noise_floor),
+        "gap": {
+            "before": _number(found.gap_before),
+            "after": _number(found.gap_after),
+            "before_si": _numbers(found.before_si),
+            "after_si": _numbers(found.after_si),
+        },
+        "effects": [_named(effect) for effect in found.effects],
+        "ambiguous": [[name.content() for name in names] for names in found.ambiguous],
+        "unknown": None if found.unknown is None else _unknown(found.unknown),
+        "nameable": [
+            {
+                **one.name.content(),
+                "detectability": _number(one.detectability),
+                "confusable_with": [name.content() for name in one.confusable_with],
+            }
+            for one in found.nameable
+        ],
+        "next_experiment": found.next_experiment,
+    }
+
+
+def _named(effect: NamedEffect) -> dict[str, object]:
+    return {
+        **effect.name.content(),
+        "parameters": {
+            name: {"value": value, "sd": _number(sd)} for name, (value, sd) in effect.parameters.items()
+        },
+        "gap_after": _number(effect.gap_after),
+        "evidence": _numbers(effect.evidence),
+    }
+
+
+def _unknown(unknown: Unknown) -> dict[str, object]:
+    nearest = None if unknown.nearest is None else unknown.nearest.content()
+    return {"where": unknown.where, "nearest": nearest, "explained": _number(unknown.explained)}
+
+
+def _numbers(values: Mapping[str, float]) -> dict[str, float | None]:
+    return {name: _number(value) for name, value in values.items()}
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

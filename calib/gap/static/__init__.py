@@ -1,0 +1,1 @@
+"""Static poses: which effects move the tip where the geometry says that it is not."""

@@ -1,0 +1,52 @@
+"""Whether a shape without a name would do as well as a name: then the name is a guess, however well it fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.gap.static.candidates import Candidate
+from calib.gap.static.evidence import Evidence
+from calib.gap.static.generic import Shape
+
+SAME = 0.9999  # cosine between the signatures of a shape and of an effect of the list, from which on they are one
+
+
+def doubles(
+    evidence: Evidence,
+    at: Sequence[Sequence[int]],
+    shapes_at: Sequence[Sequence[int]],
+    tried: Sequence[Candidate],
+    chosen: Sequence[int],
+    shapes: Sequence[Shape],
+) -> dict[int, Shape]:
+    """Of the chosen candidates those that a shape could replace without loss, each with the best such shape.
+
+    `evidence` holds the columns of all candidates (`at`) and shapes (`shapes_at`). A shape that is an effect of the list in
+    other words is no rival: that effect is one already.
+    """
+    found = {}
+    for k in chosen:
+        beside = [place for other in chosen if other != k for place in at[other]]
+        named = evidence.log([*beside, *at[k]])
+        rivals = [
+            (evidence.log([*beside, *places]), number)
+            for number, places in enumerate(shapes_at)
+            if not any(_is_same(evidence, places, own) for own in at)
+        ]
+        best, number = max(rivals, default=(-np.inf, 0))
+        if best >= named:
+            found[k] = shapes[number]
+    return found
+
+
+def _is_same(evidence: Evidence, shape: Sequence[int], effect: Sequence[int]) -> bool:
+    """Whether columns `effect` take up nearly all of the signature of columns `shape`, the geometry refitted."""
+    own, cross = evidence.gram[np.ix_(shape, shape)], evidence.gram[np.ix_(effect, shape)]
+    inner = evidence.gram[np.ix_(effect, effect)]
+    total = float(np.trace(own))
+    if total <= 0.0:
+        return True
+    taken = float(np.trace(cross.T @ np.linalg.lstsq(inner, cross, rcond=1e-10)[0]))
+    return taken > SAME**2 * total

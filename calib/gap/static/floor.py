@@ -1,0 +1,72 @@
+"""The noise floor of static poses: what one measurement of the tip scatters by, and who says so."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.points import Points
+from control.model.arm import Arm
+
+REPEATS_LEAST = 12  # pairs below which a scatter is worth less than the data sheet
+QUARTILE = 1.212533  # of chi-square with three degrees of freedom
+AGREE = 0.2  # share by which two estimates of the same may differ
+SHEET_WORTH = 200  # pairs that a data sheet counts for, where repeats bear it out
+
+
+@dataclass(frozen=True, slots=True)
+class Floor:
+    """Standard deviation of one axis of the tip, and where the figure comes from; NaN where nothing tells it."""
+
+    tip_m: float
+    source: str
+
+
+def noise_floor(arm: Arm, points: Points, residual_m: Array) -> Floor:
+    """From repeats: poses of one point with the same payload and approach; else from the camera's data sheet.
+
+    residual_m (m, 3) of any fitted model: what it lacks is the same for all repeats of a point, and drops out.
+    """
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for k in range(len(points)):
+        key = (
+            points.setup[k],
+            points.point[k],
+            float(points.payload_kg[k]) if math.isfinite(points.payload_kg[k]) else None,
+            *points.direction[k].tolist(),
+        )
+        groups.setdefault(key, []).append(k)
+    pairs = [pair for rows in groups.values() for pair in pairwise(rows)]
+    sheet_m = arm.camera.position_noise_m if arm.camera is not None else 0.0
+    if len(pairs) < REPEATS_LEAST:
+        if sheet_m > 0.0:
+            return Floor(sheet_m, "the camera's data sheet in arm.toml; there are too few repeats")
+        return Floor(math.nan, "nothing: too few repeats, and no camera noise in arm.toml")
+    apart = residual_m[[a for a, _ in pairs]] - residual_m[[b for _, b in pairs]]
+    return _with_sheet(_scatter_m(apart), len(pairs), sheet_m)
+
+
+def _with_sheet(scatter_m: float, pairs_count: int, sheet_m: float) -> Floor:
+    """The repeats' scatter; where the data sheet agrees with it, both, since some dozen pairs know it to 5 % only."""
+    said = f"{pairs_count} repeats"
+    if not abs(scatter_m - sheet_m) <= AGREE * sheet_m:
+        return Floor(scatter_m, said)
+    weight = pairs_count / (pairs_count + SHEET_WORTH)
+    both = math.sqrt(weight * scatter_m**2 + (1.0 - weight) * sheet_m**2)
+    return Floor(both, f"{said} and the camera's data sheet, which agree")
+
+
+def _scatter_m(apart_m: Array) -> float:
+    """Standard deviation of one axis, from differences (pairs, 3) between two measurements of the same.
+
+    Root mean square, unless the lower quartile says that most of it is not noise: a joint that slips in a session parts half
+    of the pairs and must not pass for the floor.
+    """
+    square = np.einsum("ij,ij->i", apart_m, apart_m) / 2.0
+    rms = math.sqrt(float(square.mean()) / 3.0)
+    quartile = math.sqrt(float(np.quantile(square, 0.25)) / QUARTILE)
+    return rms if rms <= (1.0 + AGREE) * quartile else quartile

@@ -1,0 +1,81 @@
+"""Whether what was decided is enough: a name is kept only if nothing is left that says that its law is another one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calib.arrays import Mask
+from calib.gap.finding import EffectName, Unknown
+from calib.gap.static.candidates import Candidate
+from calib.gap.static.model import Fitted
+from calib.gap.static.remainder import Remainder
+
+EXPLAINED_LEAST = (
+    0.9  # share of the excess over the floor below which a name beside a remainder would be a proxy
+)
+UNSTRUCTURED = 1.1  # times the floor that residuals without any structure may be before it is said
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What is kept of the accepted effects, and what is unknown."""
+
+    kept: tuple[Candidate, ...]
+    unknown: Unknown | None
+
+
+def judge(
+    accepted: Sequence[Candidate],
+    runner_up: EffectName | None,
+    bare: Fitted,
+    fit: Fitted,
+    left: Sequence[Remainder],
+    rows: Mask,
+    noise_m: float,
+) -> Judgement:
+    """`bare` has the geometry alone, `fit` the best explanation, `left` is what still pays beside it."""
+    explained = explained_share(bare, fit, rows, noise_m)
+    if not left:
+        return Judgement(tuple(accepted), _unstructured(fit, rows, noise_m, accepted, explained))
+    withdrawn = [
+        one
+        for one in accepted
+        if explained < EXPLAINED_LEAST or any(_is_same_cause(one, two) for two in left)
+    ]
+    kept = tuple(one for one in accepted if one not in withdrawn)
+    nearest = withdrawn[0].name if withdrawn else runner_up
+    return Judgement(kept, Unknown(left[0].shape.words, nearest, round(explained, 3)))
+
+
+def explained_share(bare: Fitted, fit: Fitted, rows: Mask, noise_m: float) -> float:
+    """How much of the excess of the mean square over the noise floor the effects take away."""
+    before = (bare.rms_m(rows) / noise_m) ** 2 - 1.0
+    after = max(0.0, (fit.rms_m(rows) / noise_m) ** 2 - 1.0)
+    return 1.0 - after / before if before > 0.0 else 0.0
+
+
+def _unstructured(
+    fit: Fitted, rows: Mask, noise_m: float, accepted: Sequence[Candidate], explained: float
+) -> Unknown | None:
+    """A remainder without a shape is noise that the floor does not know of."""
+    times = fit.rms_m(rows) / noise_m
+    if times <= UNSTRUCTURED:
+        return None
+    where = f"everywhere alike: without any structure, {times:.2f} times the noise floor that was given"
+    return Unknown(where, accepted[0].name if accepted else None, round(explained, 3))
+
+
+def _is_same_cause(one: Candidate, remainder: Remainder) -> bool:
+    """Whether a remainder depends on what the law of an effect depends on: then that law has the wrong form."""
+    shape = remainder.shape
+    joint = 3 if one.name.effect == "belt_coupling" else one.name.joint
+    if shape.joint != joint:
+        return False
+    if one.name.effect in ("encoder_scale", "encoder_eccentricity"):
+        return shape.variable == f"q{joint}"
+    if one.name.effect == "belt_coupling":
+        return shape.variable == "q2"
+    if one.name.effect == "thermal_drift":
+        return shape.variable == "time"
+    return shape.variable != "time"

@@ -1,0 +1,122 @@
+"""Static poses: a hidden effect is found, nothing hidden is named nothing, what is not in the list is unknown."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from static_cases import ARM, DESIGNS, FRICTION_Nm, Hidden, case, gravity_Nm
+
+from calib.gap.finding import EffectName
+from calib.gap.static.evidence import Evidence
+from calib.gap.static.find import find
+from calib.gap.static.nameable import is_nameable
+from control.model.dynamics import Dynamics
+
+HIDDEN = [
+    *(Hidden("backlash", j, 0.004) for j in (1, 2, 3)),
+    *(Hidden("joint_compliance", j, value) for j, value in ((2, 800.0), (3, 400.0))),
+    *(Hidden("encoder_scale", j, 0.006) for j in (1, 2, 3)),
+    *(Hidden("encoder_eccentricity", j, 0.005, 0.4) for j in (1, 2, 3)),
+    Hidden("belt_coupling", None, 0.012),
+    Hidden("thermal_drift", 2, 0.004, 1500.0),
+]
+FIRST = {
+    "backlash": "width_rad", "joint_compliance": "stiffness_Nm_rad", "encoder_scale": "scale",
+    "encoder_eccentricity": "amplitude_rad", "belt_coupling": "ratio", "thermal_drift": "final_rad",
+}  # fmt: skip
+
+
+def names(found) -> list[EffectName]:
+    return [effect.name for effect in found.finding.effects if effect.name.effect != "link_geometry"]
+
+
+def name_of(one: Hidden) -> EffectName:
+    return EffectName(one.effect, one.joint)
+
+
+@pytest.mark.parametrize("hidden", HIDDEN, ids=lambda one: f"{one.effect}{one.joint or ''}")
+def test_a_hidden_effect_is_found_and_its_gap_closes(hidden) -> None:
+    found = find(ARM, case(11, (hidden,)))
+    assert names(found) == [name_of(hidden)]
+    value, _ = found.finding.effects[-1].parameters[FIRST[hidden.effect]]
+    assert value == pytest.approx(hidden.value, rel=0.1)
+    assert found.finding.gap_after < 1.1
+    assert found.finding.unknown is None
+    assert found.finding.ambiguous == ()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_with_nothing_hidden_nothing_is_named(seed) -> None:
+    found = find(ARM, case(seed))
+    assert names(found) == []
+    assert found.finding.unknown is None
+    assert found.finding.gap_after < 1.1
+
+
+@pytest.mark.parametrize("hidden", HIDDEN, ids=lambda one: f"{one.effect}{one.joint or ''}")
+def test_an_effect_that_is_not_in_the_list_is_unknown_and_no_neighbour_is_named(hidden) -> None:
+    found = find(ARM, case(12, (hidden,)), without=(hidden.effect,))
+    assert names(found) == []
+    assert found.finding.unknown is not None
+
+
+@pytest.mark.parametrize(
+    ("hidden", "says"),
+    [(Hidden("slip", 3, 0.006, 0.5), "joint 3"), (Hidden("bent rail", 2, 0.004), "joint 2")],
+    ids=["slip", "bent rail"],
+)
+def test_what_no_law_describes_is_unknown_and_where_it_is_is_said(hidden, says) -> None:
+    found = find(ARM, case(13, (hidden,)))
+    assert names(found) == []
+    assert found.finding.unknown is not None
+    assert says in found.finding.unknown.where
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [
+        (Hidden("backlash", 1, 0.005), Hidden("joint_compliance", 2, 700.0)),
+        (Hidden("belt_coupling", None, 0.012), Hidden("encoder_eccentricity", 1, 0.005, 0.4)),
+    ],
+    ids=["backlash1+compliance2", "coupling+eccentricity1"],
+)
+def test_two_effects_at_once_are_both_found(pair) -> None:
+    found = find(ARM, case(14, pair))
+    assert set(names(found)) == {name_of(one) for one in pair}
+    assert found.finding.gap_after < 1.1
+
+
+def test_a_level_board_from_one_side_cannot_tell_and_says_so() -> None:
+    found = find(ARM, case(15, (Hidden("joint_compliance", 2, 780.0),), "level"))
+    assert names(found) == []
+    could = {one.name: is_nameable(one) for one in found.finding.nameable}
+    assert not could[EffectName("joint_compliance", 2)]
+    assert not could[EffectName("backlash", 2)]
+    assert "free poses away from the table" in str(found.finding.next_experiment)
+
+
+def test_the_evidence_of_a_set_is_that_of_the_textbook() -> None:
+    """Against the density of y under both models, computed outright."""
+    rng = np.random.default_rng(0)
+    base, columns, y = rng.normal(size=(40, 5)), rng.normal(size=(40, 3)), rng.normal(size=40)
+
+    def log_density(effects: np.ndarray) -> float:
+        covariance = np.eye(40) + base @ base.T + effects @ effects.T
+        return float(-0.5 * y @ np.linalg.solve(covariance, y) - 0.5 * np.linalg.slogdet(covariance)[1])
+
+    evidence = Evidence.of(base, columns, y)
+    for chosen in ([0], [2], [0, 1], [0, 1, 2]):
+        wanted = log_density(columns[:, chosen]) - log_density(columns[:, []])
+        assert evidence.log(chosen) == pytest.approx(wanted, abs=1e-9)
+    assert evidence.log([]) == 0.0
+
+
+def test_the_cases_gravity_is_that_of_the_model() -> None:
+    q = np.array([0.3, -0.8, 0.5])
+    dynamics = Dynamics(ARM, payload_kg=0.5)
+    np.testing.assert_allclose(gravity_Nm(q, 0.5), dynamics.gravity(q), atol=1e-9)
+    assert set(DESIGNS) == {"full", "half", "level"}
+    assert (FRICTION_Nm > 0).all()
