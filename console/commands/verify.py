@@ -12,9 +12,7 @@ from calib.verification import Verification
 from calib.verify import comparison_text
 from console.commands.connection import connected
 from console.commands.progress import Bar
-from console.demo.bench import SteppedBench
 from console.folders import free_folder
-from console.scenario_file import seeded_scenario
 from console.verify.models import Model, Pair, believed_by, nominal_of
 from console.verify.places import places, ways
 from console.verify.procedure import Drive, driven, on_recorded, write
@@ -106,6 +104,9 @@ def _real(given: argparse.Namespace, pair: Pair) -> Bench:
 
 def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) -> Bench:
     """A stepped mock of the nominal arm with what the scenario hides, homed, its runtime believing in the calibrated one."""
+    from console.demo.bench import SteppedBench  # brings MuJoCo, which takes a second
+    from console.scenario_file import seeded_scenario
+
     nominal = pair.nominal.arm
     can_home = all(drive.home is not None for drive in nominal.drives)
     text = seeded_scenario(given.scenario, None, was_homed=not can_home)
