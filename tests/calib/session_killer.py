@@ -5,6 +5,7 @@ so that it can fork before anything has threads.
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import signal
 import sys
@@ -101,6 +102,10 @@ def check(path: Path, acknowledged: dict[Key, str]) -> None:
             allowed = {Mark.DONE, Mark.BAD}
         if marks[key] not in allowed:
             raise SystemExit(f"{path}: {key} was acknowledged as {what} and is {marks[key]}")
+    lines = (path / "points.csv").read_text().splitlines()
+    for entry in (path / "journal.jsonl").read_text().splitlines():
+        if json.loads(entry).get("record") in lines:
+            raise SystemExit(f"{path}: a record that was withdrawn is in points.csv: {entry}")
     held = set(zip(points.setup, points.point, points.repeat, strict=True)) if points else set()
     if held != {key for key, mark in marks.items() if mark is Mark.DONE}:
         raise SystemExit(f"{path}: points.csv holds {held}, marks are {marks}")

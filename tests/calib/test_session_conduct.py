@@ -172,6 +172,15 @@ def test_skip_redo_bad_and_note_do_what_they_say(tmp_path: Path) -> None:
     assert '"windy"' in (tmp_path / "s" / "journal.jsonl").read_text()
 
 
+@pytest.mark.parametrize("wish", [REDO, BAD])
+def test_a_record_that_is_withdrawn_is_no_longer_believed(tmp_path: Path, monkeypatch, wish: Command) -> None:
+    forgotten: list = []
+    monkeypatch.setattr(ResidualWatch, "forget", lambda watch, key: forgotten.append(key))
+    session = bench(tmp_path)
+    session.run([GO, GO, wish])
+    assert forgotten == [("normal", "1", 1)]
+
+
 def test_a_redo_after_everything_is_done_opens_the_session_again(tmp_path: Path) -> None:
     session = bench(tmp_path, points=("1",))
     session.run([GO, GO, REDO, GO, GO])
