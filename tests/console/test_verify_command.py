@@ -15,6 +15,7 @@ from calib.points_writer import write_points
 from console.commands import verify as verify_command
 from console.main import main
 from console.verify import places as verify_places
+from console.verify import procedure
 from console.verify.driving import handed_over, planned, poses_at
 from console.verify.models import Model, Pair, believed_by, nominal_of
 from console.verify.places import places, ways
@@ -68,6 +69,14 @@ def measured(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures take seconds, and another test has them."""
+    monkeypatch.setattr(
+        procedure, "write_verification_report", lambda path, shown: path.write_text("", "utf-8")
+    )
+
+
 def test_recorded_points_show_that_the_calibrated_arm_is_better(
     calibrated: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -87,6 +96,7 @@ def test_recorded_points_show_that_the_calibrated_arm_is_better(
     assert not (out / "points.csv").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_arm_that_is_worse_ends_with_status_1(
     calibrated: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -95,6 +105,7 @@ def test_an_arm_that_is_worse_ends_with_status_1(
     assert "The calibrated arm is worse by" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_results_go_to_a_folder_of_their_own(calibrated: Path, measured: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "report.html").write_text("first")
@@ -132,6 +143,7 @@ def test_the_wrong_input_is_named_and_nothing_is_written(
         assert not list(tmp_path.glob("out*")), arguments
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_on_the_mock_arm_both_models_are_driven_and_measured(
     calibrated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
