@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array, norms
+from calib.errors import CalibrationError
+from calib.identify.budget import Accuracy, WithDistances
 from calib.identify.descent import NOTHING_M, End, Goal, descend
 from calib.identify.determinability import null_space
 from calib.identify.objective import Huber, LeastSquares, Objective, SumOfDistances
@@ -34,6 +36,7 @@ POSES_PER_UNKNOWN = 6  # enough of them to tell which starts are worth going on 
 FIT = Goal(1.0, 1.0, 1e-2, is_bent=False)  # least squares, from which the other objectives set out
 ROUGH = Goal(1e-1, 1e-2, 1e-4, step_limit=25)
 FINE = Goal(1e-2, 1e-7, 1e-9)
+BISECTIONS, LIMIT_REACHED = 60, 1e-7  # of lambda; share of the wanted accuracy that may be left unused
 REACH = 0.7  # of the box, from where starts are drawn
 
 
@@ -41,7 +44,8 @@ REACH = 0.7  # of the box, from where starts are drawn
 class Minimum:
     """Where the search ended: unknowns x (k,), objective there, steps taken, and whether it ended by itself.
 
-    `objective` is the one asked for, a threshold settled.
+    `objective` is the one asked for, a threshold settled; `value` is its own, whatever else was asked for. `accuracy` is None
+    where none was.
     """
 
     x: Array
@@ -49,15 +53,35 @@ class Minimum:
     steps_count: int
     is_converged: bool
     objective: Objective
+    accuracy: Accuracy | None = None
+
+    @property
+    def constraint_met(self) -> bool:
+        """Whether the mean distance is what was asked for, if anything was."""
+        return self.accuracy is None or self.accuracy.is_met
 
 
-def minimise(problem: Problem, objective: Objective, starts_count: int = 4, seed: int = 0) -> Minimum:
+def minimise(
+    problem: Problem,
+    objective: Objective,
+    starts_count: int = 4,
+    seed: int = 0,
+    accuracy_limit_m: float | None = None,
+) -> Minimum:
     """The best of several searches: from nominal, then from random points of the box.
 
-    Where bounds bind there are local minima, and BOUND_STARTS times as many searches are made.
+    Where bounds bind there are local minima, and BOUND_STARTS times as many searches are made; MANY_STARTS times if some
+    are found. With `accuracy_limit_m` the mean distance must not be larger; if no parameters within the bounds reach that,
+    the minimum is that of the sum of distances, whatever the objective, and says so. CalibrationError for a limit that
+    makes no sense.
     """
+    if accuracy_limit_m is not None and not 0.0 < accuracy_limit_m < np.inf:
+        raise CalibrationError(f"average accuracy: expected a positive length in m, got {accuracy_limit_m}")
     wanted = settled(problem, objective, seed)
-    return _nearest_to_nominal(problem, wanted, best_of_starts(problem, wanted, starts_count, seed))
+    found = _nearest_to_nominal(problem, wanted, best_of_starts(problem, wanted, starts_count, seed))
+    if accuracy_limit_m is None:
+        return found
+    return _constrained(problem, found, accuracy_limit_m, starts_count, seed)
 
 
 def settled(problem: Problem, objective: Objective, seed: int = 0) -> Objective:
@@ -66,6 +90,52 @@ def settled(problem: Problem, objective: Objective, seed: int = 0) -> Objective:
         return objective
     robust = best_of_starts(problem, SumOfDistances(), 1, seed)
     return objective.settled_on(Sample(problem, SumOfDistances()).residuals(robust.x))
+
+
+def _constrained(problem: Problem, found: Minimum, limit_m: float, starts_count: int, seed: int) -> Minimum:
+    """The minimum subject to a mean distance of at most limit_m."""
+    mean_m = _mean_m(problem, found.x)
+    is_distance = isinstance(found.objective, SumOfDistances)
+    if mean_m <= limit_m or is_distance:
+        return replace(found, accuracy=Accuracy(limit_m, mean_m, mean_m if is_distance else None))
+    closest = minimise(problem, SumOfDistances(), starts_count, seed)
+    least_m = _mean_m(problem, closest.x)
+    if least_m >= limit_m:
+        return _instead(problem, found, closest.x, Accuracy(limit_m, least_m, least_m))
+    x, multiplier = _multiplied(problem, found, closest.x, limit_m)
+    return _instead(problem, found, x, Accuracy(limit_m, _mean_m(problem, x), least_m, multiplier))
+
+
+def _multiplied(problem: Problem, found: Minimum, closest: Array, limit_m: float) -> tuple[Array, float]:
+    """The minimum of objective + lambda E2 whose mean distance is limit_m, and the lambda: bisection of its logarithm.
+
+    Of the two ends of the interval, which close in, the one that meets the constraint is given.
+    """
+    per_distance = found.value / (len(problem) * limit_m)
+    low, high, best, best_multiplier = 1e-9, 1e9, closest, np.inf
+    start = found.x
+    for _ in range(BISECTIONS):
+        middle = np.sqrt(low * high)
+        objective = WithDistances(found.objective, middle * per_distance)
+        start = descend(Sample(problem, objective), start, _fine(problem, objective)).x
+        mean_m = _mean_m(problem, start)
+        if mean_m > limit_m:
+            low = middle
+            continue
+        high, best, best_multiplier = middle, start, float(middle * per_distance)
+        if mean_m > limit_m * (1.0 - LIMIT_REACHED):
+            break
+    return best, best_multiplier
+
+
+def _instead(problem: Problem, found: Minimum, x: Array, accuracy: Accuracy) -> Minimum:
+    """Another place, judged by the same objective."""
+    return replace(found, x=x, value=Sample(problem, found.objective).value(x), accuracy=accuracy)
+
+
+def _mean_m(problem: Problem, x: Array) -> float:
+    """The mean distance."""
+    return float(np.mean(norms(Sample(problem, SumOfDistances()).residuals(x))))
 
 
 def best_of_starts(problem: Problem, objective: Objective, starts_count: int, seed: int) -> Minimum:
