@@ -35,10 +35,13 @@ format: install  ## let ruff write the format
 bench: install  ## the table of measured claims, beside peers in their own environment
 	$(BIN)/python -m benchmarks
 
+coverage-study: install  ## do 95 % intervals of the calibration cover the truth? 400 simulated sessions of each sort (an hour)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage
+
 lock: install  ## pin again what pyproject.toml names (needs uv)
 	uv pip compile --universal --generate-hashes --no-emit-index-url --no-header --extra dev -o requirements.lock pyproject.toml
 
 clean:  ## remove what make made
 	rm -rf .venv .venv-peers out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help install demo lint test format bench lock clean
+.PHONY: help install demo lint test format bench coverage-study lock clean

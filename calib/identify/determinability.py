@@ -1,164 +1,148 @@
-"""What the data determine: rank and conditioning of the scaled Jacobian; in words, what they leave open."""
+"""What the data determine: rank and conditioning of the scaled sensitivity; what they leave open and what takes it up.
+
+Unknowns without a nominal value (tool, boards, base frame: no bound) are projected out first. What is left says
+how well the points hold the parameters that have a nominal value, whatever tool and boards turn out to be; and a
+combination of these that tool or boards can make up for stays at nominal.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.arrays import Array, frozen
+from calib.identify.open_combinations import NOTICEABLE, Undetermined, described
 from calib.identify.parameters import Parameter
 
+__all__ = ["NOTICEABLE", "Determinability", "Undetermined", "determinability", "null_space"]
+
 # A combination is determined if moving it by its bound moves the tips by more than this share of what the
-# best determined one does. Between the two sorts there is a gap: on the reference board 9e-4 (last
-# determined) against 3e-6 (first that is not).
+# strongest one does. Between the two sorts there is a gap: on the reference board 9e-4 (last determined)
+# against 3e-6 (first that is not).
 RANK_TOLERANCE = 1e-4
-NOTICEABLE = 0.02  # share of a parameter, or coupling of two, that is worth naming
-
-
-@dataclass(frozen=True, slots=True)
-class Undetermined:
-    """Parameters that the data leave open together; `freedoms_count` combinations of them stay at nominal."""
-
-    names: tuple[str, ...]
-    freedoms_count: int
-    words: str
 
 
 @dataclass(frozen=True, slots=True)
 class Determinability:
-    """Singular values of the scaled Jacobian [m per bound] and what follows from them.
+    """Rank of all k unknowns; condition number and singular values [m per bound] of the bounded ones, others projected out.
 
-    `basis` (k, rank): determined combinations of scaled parameters; `undetermined_share` (k,): 0 for a
-    parameter that the data determine, 1 for one without any effect.
+    `basis` (k, rank): every change of the scaled unknowns that the data determine, as basis @ y; `spread`
+    (k, rank): basis @ R^-1 with R'R = (J basis)'(J basis), so that spread @ spread.T times the noise variance is
+    the covariance; `undetermined_share` (k,): 0 for an unknown that the data determine, 1 for one that they do not.
     """
 
     rank: int
     condition_number: float
     singular_values: Array
     basis: Array
+    spread: Array
     undetermined_share: Array
     undetermined: tuple[Undetermined, ...]
 
     def covariance(self, variance_m2: float) -> Array:
-        """Covariance of the scaled parameters inside the determined subspace, (k, k)."""
-        scaled = self.basis / self.singular_values[: self.rank]
-        return np.asarray(variance_m2 * scaled @ scaled.T)
+        """Covariance of the scaled unknowns (k, k); what is not determined is taken as known: at nominal."""
+        return np.asarray(variance_m2 * self.spread @ self.spread.T)
 
 
-def determinability(jacobian: Array, parameters: tuple[Parameter, ...]) -> Determinability:
-    """From the scaled Jacobian (m, 3, k) of the residuals."""
-    rows = jacobian.reshape(-1, jacobian.shape[2])
-    singular, right = _singular(rows)
-    rank = int(np.sum(singular > RANK_TOLERANCE * _yardstick(rows, parameters)))
-    null = right[rank:].T
-    open_share = np.sqrt(np.einsum("ij,ij->i", null, null))
+def determinability(sensitivity: Array, parameters: tuple[Parameter, ...]) -> Determinability:
+    """From the scaled sensitivity (m, 3, k) of ArmProblem."""
+    parts = _Parts.of(sensitivity, parameters)
+    held = parts.held(RANK_TOLERANCE)
+    basis = parts.basis(RANK_TOLERANCE)
+    seen = parts.singular[: basis.shape[1] - parts.free_basis.shape[1]]
     return Determinability(
-        rank=rank,
-        condition_number=float(singular[0] / singular[rank - 1]) if rank else float("inf"),
-        singular_values=frozen(singular),
-        basis=frozen(right[:rank].T),
-        undetermined_share=frozen(open_share),
-        undetermined=_groups(null @ null.T, parameters),
+        rank=basis.shape[1],
+        condition_number=float(seen[0] / seen[-1]) if len(seen) else float("inf"),
+        singular_values=frozen(parts.singular),
+        basis=frozen(basis),
+        spread=frozen(_spread(parts.rows, basis)),
+        undetermined_share=frozen(np.sqrt(np.einsum("ij,ij->i", held, held))),
+        undetermined=described(held, parts.take_up(held), parameters),
     )
 
 
-def null_space(jacobian: Array, parameters: tuple[Parameter, ...], tolerance: float) -> Array:
-    """Combinations of unknowns (k, k - rank) that the scaled Jacobian (m, 3, k) does not see."""
-    rows = jacobian.reshape(-1, jacobian.shape[2])
-    singular, right = _singular(rows)
-    return np.asarray(right[int(np.sum(singular > tolerance * _yardstick(rows, parameters))) :].T)
+def null_space(sensitivity: Array, parameters: tuple[Parameter, ...], tolerance: float) -> Array:
+    """Combinations of unknowns (k, k - rank), orthonormal, that the points leave open and that nominal decides.
+
+    Bounded ones alone, and unbounded ones alone: with these combinations at nought the points determine the rest.
+    """
+    return _Parts.of(sensitivity, parameters).held(tolerance)
 
 
-def _yardstick(rows: Array, parameters: tuple[Parameter, ...]) -> float:
-    """What the best determined combination of bounded parameters does to the tips [m per bound]."""
-    bounded = [k for k, parameter in enumerate(parameters) if parameter.has_bound]
-    return float(np.linalg.norm(rows[:, bounded or ...], 2))
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    """Bounded and free columns, and the bounded ones with the free ones projected out."""
+
+    rows: Array
+    bounded: npt.NDArray[np.intp]
+    free: npt.NDArray[np.intp]
+    free_basis: Array
+    free_open: Array
+    singular: Array
+    right: Array
+    yardstick: float
+
+    @classmethod
+    def of(cls, sensitivity: Array, parameters: tuple[Parameter, ...]) -> _Parts:
+        """Of the sensitivity (m, 3, k); where no parameter has a bound, all count as bounded."""
+        rows = _triangle(sensitivity.reshape(-1, sensitivity.shape[2]))
+        has_bound = np.array([parameter.has_bound for parameter in parameters])
+        if not has_bound.any():
+            has_bound[:] = True
+        bounded, free = np.flatnonzero(has_bound), np.flatnonzero(~has_bound)
+        left, strength, right = _decomposed(rows[:, free])
+        rank = int(np.sum(strength > RANK_TOLERANCE * strength.max(initial=0.0)))
+        own = rows[:, bounded] - left[:, :rank] @ (left[:, :rank].T @ rows[:, bounded])
+        _, singular, own_right = _decomposed(own)
+        yardstick = float(np.linalg.norm(rows[:, bounded], 2))
+        return cls(rows, bounded, free, right[:rank].T, right[rank:].T, singular, own_right, yardstick)
+
+    def rank(self, tolerance: float) -> int:
+        """Of the bounded columns."""
+        return int(np.sum(self.singular > tolerance * self.yardstick))
+
+    def held(self, tolerance: float) -> Array:
+        """(k, open): first the open combinations of bounded unknowns, then those of free ones."""
+        return self._placed(self.right[self.rank(tolerance) :].T, self.free_open)
+
+    def basis(self, tolerance: float) -> Array:
+        """(k, rank): what is orthogonal to `held`."""
+        return self._placed(self.right[: self.rank(tolerance)].T, self.free_basis)
+
+    def take_up(self, held: Array) -> Array:
+        """What the free unknowns do to make up for each open combination of bounded ones, (k, open), scaled."""
+        answer = np.zeros_like(held)
+        if len(self.free):
+            moved = self.rows[:, self.bounded] @ held[self.bounded]
+            solved, *_ = np.linalg.lstsq(self.rows[:, self.free] @ self.free_basis, -moved, rcond=None)
+            answer[self.free] = self.free_basis @ solved
+        return answer
+
+    def _placed(self, of_bounded: Array, of_free: Array) -> Array:
+        whole = np.zeros((self.rows.shape[1], of_bounded.shape[1] + of_free.shape[1]))
+        whole[self.bounded, : of_bounded.shape[1]] = of_bounded
+        whole[self.free, of_bounded.shape[1] :] = of_free
+        return whole
 
 
-def _singular(rows: Array) -> tuple[Array, Array]:
-    """Singular values (k,) and right vectors (k, k); QR first, or many points would need a large U."""
-    triangle = np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
-    _, values, right = np.linalg.svd(triangle, full_matrices=True)
+def _triangle(rows: Array) -> Array:
+    """QR first, or many points would need a large U."""
+    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
+
+
+def _decomposed(rows: Array) -> tuple[Array, Array, Array]:
+    """Left vectors, singular values (k,) and right vectors (k, k)."""
+    left, values, right = np.linalg.svd(rows, full_matrices=True)
     singular = np.zeros(rows.shape[1])
     singular[: len(values)] = values
-    return singular, right
+    return left, singular, right
 
 
-def _groups(projector: Array, parameters: tuple[Parameter, ...]) -> tuple[Undetermined, ...]:
-    """Sets of parameters that the null space couples: connected components of its projector (k, k)."""
-    unseen = [k for k in range(len(parameters)) if projector[k, k] > NOTICEABLE**2]
-    groups = []
-    while unseen:
-        group, reached = [], [unseen.pop(0)]
-        while reached:
-            k = reached.pop()
-            group.append(k)
-            near = [
-                j
-                for j in unseen
-                if abs(projector[k, j]) > NOTICEABLE * np.sqrt(projector[k, k] * projector[j, j])
-            ]
-            unseen = [j for j in unseen if j not in near]
-            reached.extend(near)
-        groups.append(_describe(sorted(group), projector, parameters))
-    return tuple(groups)
-
-
-def _describe(group: list[int], projector: Array, parameters: tuple[Parameter, ...]) -> Undetermined:
-    """One group with a sentence about it."""
-    names = tuple(parameters[k].name for k in group)
-    freedoms = max(1, round(float(np.trace(projector[np.ix_(group, group)]))))
-    if len(group) == 1:
-        return Undetermined(names, 1, f"{names[0]} has no effect on these points; it stays at nominal")
-    if freedoms == len(group):
-        return Undetermined(
-            names,
-            freedoms,
-            f"{_listed(names)} have no effect of their own on these points; they stay at nominal",
-        )
-    examples = "; ".join(
-        _trade(row, group, parameters) for row in _sparse_rows(projector[np.ix_(group, group)], freedoms)
-    )
-    left = len(group) - freedoms
-    return Undetermined(
-        names,
-        freedoms,
-        f"{_listed(names)} move together: these points determine {left} of their {len(group)} combinations. "
-        f"No tip moves when {examples}. Of all that fit, the values nearest to nominal are given",
-    )
-
-
-def _sparse_rows(projector: Array, freedoms: int) -> Array:
-    """A null space basis (freedoms, parameters), with as few parameters in a row as elimination gives."""
-    _, vectors = np.linalg.eigh(projector)
-    rows = vectors[:, -freedoms:].T.copy()
-    for i in range(freedoms):
-        pivot = int(np.argmax(np.abs(rows[i])))
-        rows[i] /= rows[i, pivot]
-        others = [j for j in range(freedoms) if j != i]
-        rows[others] -= np.outer(rows[others, pivot], rows[i])
-    return rows
-
-
-def _trade(row: Array, group: list[int], parameters: tuple[Parameter, ...]) -> str:
-    """As `d2 +1.00 mm with d3 -1.00 mm`: a change that moves no tip."""
-    parts = [
-        _change(parameters[k], share / float(np.max(np.abs(row))))
-        for k, share in zip(group, row, strict=True)
-        if abs(share) > NOTICEABLE * float(np.max(np.abs(row)))
-    ]
-    return " with ".join(parts)
-
-
-def _change(parameter: Parameter, share: float) -> str:
-    """A fifth of the bound, times share, in mm or degrees."""
-    change = 0.2 * share * parameter.bound
-    if parameter.unit == "m":
-        return f"{parameter.name} {1e3 * change:+.2f} mm"
-    return f"{parameter.name} {np.degrees(change):+.3f} deg"
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    """a, b and c."""
-    return f"{', '.join(names[:-1])} and {names[-1]}"
+def _spread(rows: Array, basis: Array) -> Array:
+    """Basis @ R^-1; columns are scaled first, since those of free unknowns are a hundred times longer."""
+    seen = rows @ basis
+    lengths = np.linalg.norm(seen, axis=0)
+    triangle = np.asarray(np.linalg.qr(seen / lengths, mode="r"))
+    return np.asarray(np.linalg.solve(triangle.T, (basis / lengths).T).T)

@@ -7,48 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array, frozen, norms
-from calib.identify.checks import require_usable
-from calib.identify.determinability import NOTICEABLE, Undetermined, determinability
-from calib.identify.objective import Objective, SumOfDistances, noise_variance, value_of
-from calib.identify.parameters import Parameter
+from calib.identify.checks import require_sound
+from calib.identify.estimates import Estimate, uncertainty
+from calib.identify.objective import Huber, Objective, SumOfDistances, value_of
+from calib.identify.open_combinations import Undetermined, open_in_words
 from calib.identify.problem import ArmProblem, Solution
-from calib.identify.solver import minimise
+from calib.identify.solver import Minimum, minimise
+from calib.identify.spread import NoiseScale
 
-AT_BOUND = 1.0 - 1e-6  # a scaled deviation beyond this rests on its bound
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """One parameter: what it was, what it is now, how well that is known. All in its unit (m or rad).
-
-    `sd` is NaN where the deviation rests on its bound. `undetermined_share`: 0 the data determine it, 1 they
-    say nothing.
-    """
-
-    parameter: Parameter
-    deviation: float
-    sd: float
-    undetermined_share: float
-
-    @property
-    def value(self) -> float:
-        """Nominal plus deviation."""
-        return self.parameter.nominal + self.deviation
-
-    @property
-    def is_determined(self) -> bool:
-        """Whether the data determine this parameter by itself."""
-        return self.undetermined_share <= NOTICEABLE
-
-    @property
-    def is_at_bound(self) -> bool:
-        """Whether the bound keeps the deviation from growing."""
-        return abs(self.deviation) >= AT_BOUND * self.parameter.bound
+__all__ = ["Estimate", "Identification", "fit", "identify"]
 
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What was found. Objectives in their unit; errors are vectors measured minus modelled, (m, 3)."""
+    """What was found. Objectives in their unit; errors are vectors measured minus modelled, (m, 3).
+
+    `x` (k,): the unknowns as the problem scales them; `noise`: what stands behind the standard deviations.
+    """
 
     objective: str
     solution: Solution
@@ -65,6 +40,8 @@ class Identification:
     undetermined: tuple[Undetermined, ...]
     steps_count: int
     is_converged: bool
+    x: Array
+    noise: NoiseScale
 
     @property
     def dh(self) -> Array:
@@ -96,9 +73,25 @@ class Identification:
         """Mean distance after identification."""
         return float(np.mean(norms(self.error_after_m)))
 
+    @property
+    def rms_after_m(self) -> float:
+        """Root mean square distance after identification."""
+        return float(np.sqrt(np.mean(norms(self.error_after_m) ** 2)))
+
     def in_words(self) -> tuple[str, ...]:
         """What the data determine and what not, one sentence each, for the operator."""
         return tuple(_sentences(self))
+
+
+def fit(
+    problem: ArmProblem, objective: Objective | None = None, starts_count: int = 4, seed: int = 0
+) -> tuple[Minimum, Objective]:
+    """The optimum alone, and the objective that was minimised: Huber's without a threshold takes it from the noise."""
+    wanted: Objective = objective or SumOfDistances()
+    if isinstance(wanted, Huber) and wanted.threshold_m is None:
+        robust = minimise(problem, SumOfDistances(), starts_count, seed)
+        wanted = wanted.settled_on(problem.residuals(robust.x))
+    return minimise(problem, wanted, starts_count, seed), wanted
 
 
 def identify(
@@ -108,46 +101,30 @@ def identify(
 
     UnusablePointsError if no calibration can be made of the points. Same inputs and seed, same result.
     """
-    wanted: Objective = objective or SumOfDistances()
-    require_usable(problem.observed.q_rad, problem.references_m)
-    best = minimise(problem, wanted, starts_count, seed)
+    require_sound(problem)
+    best, wanted = fit(problem, objective, starts_count, seed)
     before = problem.residuals(np.zeros(len(best.x)))
-    after, jacobian = problem.residuals_and_jacobian(best.x)
-    known = determinability(jacobian, problem.parameters)
-    variance = noise_variance(wanted, after, known.rank)
+    after, sensitivity = problem.residuals(best.x), problem.sensitivity(best.x)
+    found = uncertainty(problem.parameters, wanted, best.x, after, sensitivity)
     solution = problem.solution(best.x)
     return Identification(
         objective=wanted.name,
         solution=solution,
         nominal_dh=frozen(problem.model.nominal_dh),
-        estimates=_estimates(problem.parameters, best.x, jacobian, variance, known.undetermined_share),
+        estimates=found.estimates,
         objective_before=value_of(wanted, before),
         objective_after=value_of(wanted, after),
         error_before_m=frozen(before),
         error_after_m=frozen(after),
-        noise_m=float(np.sqrt(np.sum(after**2) / max(1, after.size - known.rank))),
-        rank=known.rank,
-        condition_number=known.condition_number,
-        singular_values=known.singular_values,
-        undetermined=known.undetermined,
+        noise_m=float(np.sqrt(np.sum(after**2) / max(1, after.size - found.known.rank))),
+        rank=found.known.rank,
+        condition_number=found.known.condition_number,
+        singular_values=found.known.singular_values,
+        undetermined=found.known.undetermined,
         steps_count=best.steps_count,
         is_converged=best.is_converged,
-    )
-
-
-def _estimates(
-    parameters: tuple[Parameter, ...], x: Array, jacobian: Array, variance_m2: float, open_share: Array
-) -> tuple[Estimate, ...]:
-    """Deviation and standard deviation of each; those on a bound are known by the bound, not by the data."""
-    limits = np.array([parameter.limit for parameter in parameters])
-    free = np.flatnonzero(np.abs(x) < AT_BOUND * limits)
-    sd = np.full(len(x), np.nan)
-    if len(free):
-        known = determinability(jacobian[:, :, free], tuple(parameters[k] for k in free))
-        sd[free] = np.sqrt(np.diag(known.covariance(variance_m2)))
-    return tuple(
-        Estimate(p, float(x[k] * p.scale), float(sd[k] * p.scale), float(open_share[k]))
-        for k, p in enumerate(parameters)
+        x=frozen(best.x),
+        noise=found.noise,
     )
 
 
@@ -158,7 +135,7 @@ def _sentences(result: Identification) -> list[str]:
         f"These {len(result.error_after_m)} points determine {result.rank} of {total} parameters"
         f" (condition number {result.condition_number:.0f})."
     ]
-    said += [f"{group.words}." for group in result.undetermined]
+    said += [f"{sentence}." for sentence in open_in_words(result.undetermined)]
     said += _about_bounds([estimate for estimate in result.estimates if estimate.is_at_bound])
     if not result.is_converged:
         said.append("The search did not end by itself: take the result with care and try more starts.")

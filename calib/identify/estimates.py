@@ -1,0 +1,125 @@
+"""Each parameter with its standard deviation and interval, bounds taken into account."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import Array
+from calib.identify.determinability import NOTICEABLE, Determinability, determinability
+from calib.identify.objective import Objective
+from calib.identify.parameters import Parameter
+from calib.identify.spread import NoiseScale, leverages, noise_scale
+
+AT_BOUND = 1.0 - 1e-6  # a deviation beyond this share of its bound rests on it
+LEVEL = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One parameter: what it was, what it is now, how well that is known. All in its unit (m, rad or its own).
+
+    `sd` is NaN where the deviation rests on its bound: bound and data together say where it may be, see `interval`.
+    `interval`: 95 % for the deviation, if the true one is within the bounds. `undetermined_share`: 0 the data determine
+    it, 1 they say nothing; what is not determined counts as nominal in `sd` and `interval`.
+    """
+
+    parameter: Parameter
+    deviation: float
+    sd: float
+    undetermined_share: float
+    interval: tuple[float, float] = (float("nan"), float("nan"))
+
+    @property
+    def value(self) -> float:
+        """Nominal plus deviation."""
+        return self.parameter.nominal + self.deviation
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the data determine this parameter by itself."""
+        return self.undetermined_share <= NOTICEABLE
+
+    @property
+    def is_at_bound(self) -> bool:
+        """Whether the bound keeps the deviation from growing."""
+        return abs(self.deviation) >= AT_BOUND * self.parameter.bound
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """Estimates, the noise that the residuals show, and what the points determine."""
+
+    estimates: tuple[Estimate, ...]
+    noise: NoiseScale
+    known: Determinability
+
+
+def uncertainty(
+    parameters: tuple[Parameter, ...], objective: Objective, x: Array, residuals: Array, sensitivity: Array
+) -> Uncertainty:
+    """Of the optimum x (k,) with residuals (m, 3) and sensitivity (m, 3, k)."""
+    limits = np.array([parameter.limit for parameter in parameters])
+    resting = np.abs(x) >= AT_BOUND * limits
+    known = determinability(sensitivity, parameters)
+    free = np.flatnonzero(~resting)
+    spread = np.zeros((len(x), 0))
+    if len(free):
+        part = determinability(sensitivity[:, :, free], tuple(parameters[k] for k in free))
+        spread = np.zeros((len(x), part.rank))
+        spread[free] = part.spread
+    noise = noise_scale(objective, residuals, leverages(sensitivity, spread))
+    sd = np.where(
+        resting, np.nan, np.sqrt(noise.variance_m2 * np.einsum("ij,ij->i", known.spread, known.spread))
+    )
+    lower, upper = _intervals(x, limits, resting, known, noise, objective, residuals, sensitivity)
+    scale = np.array([parameter.scale for parameter in parameters])
+    estimates = tuple(
+        Estimate(
+            parameter,
+            float(x[k] * scale[k]),
+            float(sd[k] * scale[k]),
+            float(known.undetermined_share[k]),
+            (float(lower[k] * scale[k]), float(upper[k] * scale[k])),
+        )
+        for k, parameter in enumerate(parameters)
+    )
+    return Uncertainty(estimates, noise, known)
+
+
+def _intervals(
+    x: Array,
+    limits: Array,
+    resting: npt.NDArray[np.bool_],
+    known: Determinability,
+    noise: NoiseScale,
+    objective: Objective,
+    residuals: Array,
+    sensitivity: Array,
+) -> tuple[Array, Array]:
+    """Scaled, (k,) each: around where the optimum would be without bounds, cut off at the bounds.
+
+    That optimum is one step away, against the slopes that the bounds hold up. A true value inside the bounds is
+    covered as often as without any; cutting off costs nothing then.
+    """
+    middle = x.copy()
+    if resting.any():
+        slope = _slope(objective, residuals, sensitivity[:, :, resting])
+        outward = np.where(np.sign(slope) == -np.sign(x[resting]), slope, 0.0)
+        middle -= known.spread @ (known.spread[resting].T @ outward) / noise.curvature
+    half = noise.quantile(LEVEL) * np.sqrt(
+        noise.variance_m2 * np.einsum("ij,ij->i", known.spread, known.spread)
+    )
+    return np.clip(middle - half, -limits, limits), np.clip(middle + half, -limits, limits)
+
+
+def _slope(objective: Objective, residuals: Array, sensitivity: Array) -> Array:
+    """Derivative of the objective by each unknown, (k,)."""
+    distances = objective.distances(residuals)
+    across, _ = objective.weights(distances, 0.0)
+    score = (
+        across[:, None] if len(across) == len(residuals) else across.reshape(residuals.shape)
+    ) * residuals
+    return np.asarray(np.einsum("ij,ijk->k", score, sensitivity))

@@ -1,0 +1,181 @@
+"""Points that do not belong to the others: found, named, explained where the numbers say so; never dropped.
+
+First the points that agree best are looked for (least trimmed squares with concentration steps: Rousseeuw and Van Driessen,
+Technometrics 41 (1999) 212), so that several outliers, or one that the fit leans on, do not hide. Then every point is
+held against a fit that does without it: its deleted residual, over the noise that the others show, is F distributed
+(Cook and Weisberg, Residuals and Influence in Regression, 1982). The level is shared among the points (Bonferroni), so
+that a clean session names one with a probability of FALSE_ALARM, however many points it has.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import Array, norms
+from calib.identify.linear_fit import LinearFit
+from calib.identify.outlier_stories import Story, story_of
+from calib.identify.problem import ArmProblem
+
+FALSE_ALARM = 0.02
+TRUSTED_SHARE = 0.75  # of the points: as many are taken to be right in the search
+STARTS_COUNT = 40
+CONCENTRATION_STEPS = 8
+POINTS_LIMIT = 5000  # above, the search starts from the fit alone
+ROUNDS_LIMIT = 12
+CANNOT_BE_TESTED = 0.995  # leverage: the point alone decides something, and nothing contradicts it
+RESOLUTION_m = 1e-6  # noise below this is taken for this: data without noise name nothing
+SEED = 0
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Outlier:
+    """A point that the others contradict. `row` counts from 0 in the order of the points.
+
+    `distance_m`: between its reference and where a fit to the others puts the tip; `score`: that in standard deviations.
+    `story`: what it looks like, if the numbers fit one story and no other.
+    """
+
+    row: int
+    setup: str
+    point: str
+    distance_m: float
+    score: float
+    story: Story
+
+    @property
+    def words(self) -> str:
+        """A sentence."""
+        where = f'point {self.point} of setup "{self.setup}"' if self.setup else f"point {self.point}"
+        return (
+            f"{where} (pose {self.row + 1}) is {1e3 * self.distance_m:.2f} mm from where the other points put it,"
+            f" {self.score:.0f} times the noise{self.story.words}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Sorted:
+    """Points held against each other: which agree, deleted residuals (m, 3) [m], scores (m,), noise of one axis [m]."""
+
+    agrees: Mask
+    deleted_m: Array
+    score: Array
+    noise_m: float
+
+
+def find_outliers(
+    problem: ArmProblem, x: Array, cavities: Mapping[str, Array] | None = None, extra: Array | None = None
+) -> tuple[Outlier, ...]:
+    """The outliers of a problem around its solution x (k,), the worst first.
+
+    `cavities`: where all cavities are in the board's frame, for a guess at what happened; else those of the points.
+    `extra` (m, 3, e): columns of further unknowns, such as a board that is not where the table says.
+    """
+    found = sort_points(LinearFit.around(problem, x, extra))
+    rows = np.flatnonzero(~found.agrees)
+    named = [_outlier(problem, x, int(row), found, cavities or {}) for row in rows]
+    return tuple(sorted(named, key=lambda outlier: -outlier.score))
+
+
+def sort_points(fit: LinearFit) -> Sorted:
+    """Which points agree with each other; all, where there are too few to tell."""
+    m = len(fit)
+    if 3 * m - fit.rank < 6:
+        return Sorted(np.ones(m, dtype=bool), fit.residuals, np.zeros(m), math.nan)
+    kept = _clearly_alike(fit, _most_alike(fit))
+    seen: list[bytes] = []
+    for _ in range(ROUNDS_LIMIT):
+        seen.append(kept.tobytes())
+        found = _tested(fit, kept)
+        kept = found.agrees
+        if kept.tobytes() in seen:
+            break
+    return found
+
+
+def _tested(fit: LinearFit, kept: Mask) -> Sorted:
+    """Every point against those of `kept`, without itself."""
+    from scipy.special import fdtri
+
+    weights = kept.astype(float)
+    residuals, leverage = fit.fitted(weights), fit.leverage(weights)
+    freedom = max(1, 3 * int(kept.sum()) - fit.rank)
+    sign = np.where(kept, -1.0, 1.0)[:, None, None]
+    inner = np.linalg.eigvalsh(leverage)[:, -1]
+    is_testable = ~kept | (inner < CANNOT_BE_TESTED)
+    spread = np.where(is_testable[:, None, None], np.eye(3) + sign * leverage, np.eye(3))
+    inverse = np.linalg.inv(spread)
+    squares = np.einsum("mi,mij,mj->m", residuals, inverse, residuals)
+    total = float(np.sum(residuals[kept] ** 2))
+    others = np.where(kept, freedom - 3, freedom)
+    variance = np.maximum((total - np.where(kept, squares, 0.0)) / np.maximum(others, 1), RESOLUTION_m**2)
+    ratio = np.where(is_testable, squares / 3.0 / variance, 0.0)
+    agrees = ratio <= fdtri(3, np.maximum(others, 1), 1.0 - FALSE_ALARM / len(fit))
+    deleted = np.where(kept[:, None], np.einsum("mij,mj->mi", inverse, residuals), residuals)
+    return Sorted(agrees, deleted, np.sqrt(3.0 * ratio), math.sqrt(max(total / freedom, RESOLUTION_m**2)))
+
+
+def _most_alike(fit: LinearFit) -> Array:
+    """Squared residuals (m,) of a fit to the TRUSTED_SHARE of points with the least sum of them."""
+    m, draw = len(fit), np.random.default_rng(SEED)
+    count = min(m, max(math.ceil(TRUSTED_SHARE * m), fit.rank // 3 + 2))
+    least = min(m, math.ceil(fit.rank / 3) + 2)
+    starts = [norms(fit.residuals), *[norms(fit.fitted(np.ones(m)))]]
+    if m <= POINTS_LIMIT:
+        for _ in range(STARTS_COUNT):
+            chosen = np.zeros(m)
+            chosen[draw.choice(m, least, replace=False)] = 1.0
+            starts.append(norms(fit.fitted(chosen)))
+    ends = [_concentrated(fit, start, count) for start in starts]
+    return min(ends, key=lambda squares: float(np.sort(squares)[:count].sum()))
+
+
+def _concentrated(fit: LinearFit, distances: Array, count: int) -> Array:
+    """Fit to the `count` nearest points, again and again: the sum of their squares never grows."""
+    before = math.inf
+    for _ in range(CONCENTRATION_STEPS):
+        chosen = np.zeros(len(fit))
+        chosen[np.argpartition(distances, count - 1)[:count]] = 1.0
+        distances = norms(fit.fitted(chosen))
+        value = float(np.partition(distances, count - 1)[:count] @ np.partition(distances, count - 1)[:count])
+        if value >= before * (1.0 - 1e-9):
+            break
+        before = value
+    return distances**2
+
+
+def _clearly_alike(fit: LinearFit, squares: Array) -> Mask:
+    """Points within the 99 % that the spread of the best half allows."""
+    from scipy.special import chdtri
+
+    m = len(fit)
+    count = min(m, max(math.ceil(TRUSTED_SHARE * m), fit.rank // 3 + 2))
+    share = min(1.0, max(0.1, 1.0 - fit.rank / (3.0 * count)))  # what the fit has taken out
+    middle = float(np.partition(squares, m // 2)[m // 2])
+    variance = max(middle / float(chdtri(3, 0.5)) / share, RESOLUTION_m**2)
+    kept = squares <= variance * float(chdtri(3, 0.01))
+    kept[np.argpartition(squares, count - 1)[:count]] = True
+    return np.asarray(kept)
+
+
+def _outlier(
+    problem: ArmProblem, x: Array, row: int, found: Sorted, cavities: Mapping[str, Array]
+) -> Outlier:
+    """One row, named and explained."""
+    observed = problem.observed
+    setup = observed.setup[row] if observed.setup else ""
+    point = observed.point[row] if observed.point else str(row + 1)
+    return Outlier(
+        row,
+        setup,
+        point,
+        float(np.linalg.norm(found.deleted_m[row])),
+        float(found.score[row]),
+        story_of(problem, x, row, found.deleted_m[row], found.noise_m, cavities),
+    )
