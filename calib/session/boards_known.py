@@ -9,6 +9,7 @@ import numpy as np
 from calib.boards import BoardPose
 from calib.design.boards import OTHER_TILTS, tilted
 from calib.errors import RegistrationError, SessionError
+from calib.identify.assembly import base_frame_of
 from calib.outlying import FEWEST_TO_NAME
 from calib.points import Points
 from calib.registration import Markers, Registration, register_boards
@@ -21,13 +22,19 @@ UP: Vector = (0.0, 0.0, 1.0)
 
 
 class Boards:
-    """The cavities of a session's setups. A board that is measured becomes known once enough of it was seen."""
+    """The cavities of a session's setups. A board that is measured becomes known once enough of it was seen.
+
+    `poses` are in the arm's own base frame, to move by; table and camera may call another frame base, which the arm's
+    `base_frame` effect says.
+    """
 
     def __init__(self, arm: Arm, plan: SessionPlan) -> None:
         """SessionError where the arm's table has no such cavity, MissingModel where it has no place or no table."""
         self.kind: Board = plan.board
         self.cavities_m: dict[str, Vector] = {}
         self.poses: dict[str, BoardPose] = {}
+        self._references: dict[str, BoardPose] = {}
+        self._base = base_frame_of(arm)
         setups = dict.fromkeys(target.setup for target in plan.targets if not target.is_free)
         if not setups:
             return
@@ -38,16 +45,29 @@ class Boards:
             origin = np.array(tables.board_origin(table))
             for setup in setups:
                 _require_tilt(setup)
-                self.poses[setup] = BoardPose(tilted(table, setup), origin)
+                self._place(setup, BoardPose(tilted(table, setup), origin))
 
     def is_placed(self, setup: str) -> bool:
         """Whether the arm can be sent to the cavities of this setup."""
         return setup in self.poses
 
     def tip_m(self, target: Target) -> Vector:
-        """A cavity in the base frame."""
-        x, y, z = self.poses[target.setup].to_base(np.array([self.cavities_m[target.point]]))[0].tolist()
+        """A cavity in the arm's base frame."""
+        return self._cavity_m(self.poses, target)
+
+    def reference_m(self, target: Target) -> Vector:
+        """A cavity in the frame that table and camera call base: what a record says."""
+        return self._cavity_m(self._references, target)
+
+    def _cavity_m(self, poses: Mapping[str, BoardPose], target: Target) -> Vector:
+        x, y, z = poses[target.setup].to_base(np.array([self.cavities_m[target.point]]))[0].tolist()
         return x, y, z
+
+    def _place(self, setup: str, pose: BoardPose) -> None:
+        base = self._base
+        self._references[setup] = pose
+        origin_m = base.to_base(pose.origin_m[None])[0]
+        self.poses[setup] = BoardPose(np.asarray(base.rotation @ pose.rotation), origin_m)
 
     def origin_m(self, setup: str) -> Vector:
         """The board's origin in the base frame."""
@@ -89,7 +109,7 @@ class Boards:
         found = register_boards(seen, self.cavities_m)[setup]
         if len(names) - len(found.outliers) < 3:
             raise RegistrationError(f"setup {setup}: too few markers agree")
-        self.poses[setup] = BoardPose(found.rotation, found.origin_m)
+        self._place(setup, BoardPose(found.rotation, found.origin_m))
         return found
 
     def _seen(self, points: Points, setup: str) -> Markers:

@@ -237,7 +237,7 @@ class _Conductor:
         station = self._station
         cavity: Vector | None = None
         if not target.is_free and self._boards.kind == "known":
-            cavity = self._boards.tip_m(target)
+            cavity = self._boards.reference_m(target)
         record = take(target, cavity, self._arm, station.settings, station.camera, station.clock_offset_s)
         sighting = self._survey.sighting(record)
         verdict = station.watch.judge(sighting)

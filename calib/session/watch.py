@@ -14,6 +14,8 @@ import numpy as np
 
 from calib.arrays import Array, norms
 from calib.boards import BoardPose
+from calib.identify.assembly import base_frame_of
+from calib.identify.frames import rotation_of
 from calib.rigid import best_motion, pose_jacobian
 from control.model.arm import Arm
 from control.model.chain_jacobian import tips_and_dh_jacobian
@@ -23,7 +25,7 @@ FEWEST_BEFORE = 2  # records that a verdict takes, on a board whose place is kno
 FEWEST_ON_UNKNOWN = 4  # its place takes three
 PRIOR_LENGTH_m, PRIOR_ANGLE_rad = 0.0025, 0.0175  # half of SpringerPlus 5:1771, eq. (4)
 PRIOR_POSE_m, PRIOR_POSE_rad = 1.0, 1.0  # an unknown board is anywhere
-NOISE_m, NOISE_WEIGHT = 5e-4, 6.0  # of a record before there are any; counts as this many degrees of freedom
+NOISE_m, NOISE_WEIGHT = 7e-4, 6.0  # of a record before there are any; counts as this many degrees of freedom
 FLOOR_m = 5e-5  # no tip sits better
 STEPS = 3
 CLIP = 3.0  # robust: a residual beyond this many times the noise counts no more than one at it
@@ -49,7 +51,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """One record as the watch sees it: the tip in the base frame, or where the board is unknown in the board's."""
+    """One record as the watch sees it: the tip as table or camera says, or where the board is unknown in its frame."""
 
     setup: str
     q_rad: tuple[float, ...]
@@ -61,7 +63,7 @@ class ResidualWatch:
     """Keeps sightings and judges new ones."""
 
     def __init__(self, arm: Arm) -> None:
-        self._dh = np.array(arm.dh)
+        self._dh, self._base = np.array(arm.dh), base_frame_of(arm)
         self._model = (arm.joints, arm.dh_convention, arm.tool.position_m)
         prior = [PRIOR_LENGTH_m, PRIOR_ANGLE_rad, PRIOR_LENGTH_m, PRIOR_ANGLE_rad]
         self._prior = np.array(prior * len(self._dh))
@@ -89,7 +91,8 @@ class ResidualWatch:
     def _error_m(self, new: Sighting) -> Array:
         if new.is_on_unknown_board:
             return np.full(3, np.nan)
-        return np.asarray(new.place_m - self._tips(self._dh, [new])[0][0])
+        tip_m = self._base.to_base(np.array([new.place_m]))[0]
+        return np.asarray(tip_m - self._tips(self._dh, [new])[0][0])
 
     def _predicted(self, before: list[Sighting], new: Sighting) -> tuple[Array, Array]:
         """The new record's innovation (3,) [m] and its covariance (3, 3) [m2]."""
@@ -117,7 +120,7 @@ class ResidualWatch:
         tips, by_dh = self._tips(dh, sightings)
         places = np.array([one.place_m for one in sightings])
         is_unknown = np.array([one.is_on_unknown_board for one in sightings])
-        tip_m = np.where(is_unknown[:, None], pose.to_base(places), places)
+        tip_m = np.where(is_unknown[:, None], pose.to_base(places), self._base.to_base(places))
         by_pose = -pose_jacobian(places @ pose.rotation.T) * is_unknown[:, None, None]
         return tip_m - tips, np.concatenate((by_dh, by_pose), axis=2) * scales
 
@@ -137,12 +140,9 @@ def _fitted_pose(setup: str, sightings: list[Sighting], tips_m: Array) -> BoardP
 def _moved(pose: BoardPose, scales: Array, x: Array) -> tuple[BoardPose, Array]:
     """The pose with its part of x applied, and x without it: turns stay small."""
     shift, turn = x[-6:-3] * scales[-6:-3], x[-3:] * scales[-3:]
-    angle = float(np.linalg.norm(turn))
-    k = np.cross(np.eye(3), turn / angle if angle > 0.0 else turn)
-    rotation = np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k
     kept = np.array(x)
     kept[-6:] = 0.0
-    return BoardPose(np.asarray(rotation @ pose.rotation), pose.origin_m + shift), kept
+    return BoardPose(np.asarray(rotation_of(turn) @ pose.rotation), pose.origin_m + shift), kept
 
 
 def _weights(residual_m: Array, noise_m: float) -> Array:

@@ -47,7 +47,7 @@ def mock_session(arm: Arm, folder: SessionFolder, boards: Boards, name: str | No
         hidden = None
         if boards.kind != "known" and arm.table is not None:
             hidden = hidden_place(arm.table, load_scenario(scenario).seed)
-        hand = MockHandSeat(HandPort(bench.rig.hand, bench.wait), hidden or boards.tip_m)
+        hand = MockHandSeat(HandPort(bench.rig.hand, bench.wait), hidden or boards.reference_m)
         yield MockSession(client, hand, bench.speed)
         if arm.rest is not None:
             client.move_joints(arm.rest.q_rad, bench.speed)
