@@ -29,7 +29,10 @@ FREE = "free"
 FREE_POSES_COUNT = 4000  # looked at; those that are not clear fall out
 EDGE_SHARE = 0.4
 APART_RAD = 0.15  # between free poses to choose from: the same pose twice would teach nothing about the rest of the arm
-FREE_HEIGHT_M = 0.03  # of the tip of a free pose above floor and board
+FREE_HEIGHT_M = (
+    0.10  # of a free pose's tip above floor and board: an arm that is not calibrated may be 4 cm off
+)
+WORKSPACE_HEIGHT_M = 0.03  # of the tip where its uncertainty counts
 STARTS_COUNT = (
     12  # postures are looked for from so many poses; four times as many with more than three joints
 )
@@ -70,7 +73,7 @@ def free_candidates(
     arm: Arm, boards: Iterable[PlacedBoard], view: View | None = None, count: int = FREE_POSES_COUNT
 ) -> Points:
     """Poses all over the joints' ranges, clear of the floor and of the board as it may stand, in the camera's view."""
-    q = workspace_poses(arm, boards, count, EDGE_SHARE)
+    q = workspace_poses(arm, boards, count, EDGE_SHARE, FREE_HEIGHT_M)
     tips = ArmModel(arm).tips(arm.dh, q)
     if view is not None:
         q, tips = q[view.shows(tips)], tips[view.shows(tips)]
@@ -90,15 +93,21 @@ def _apart(q: Array) -> Rows:
     return np.array(rows, dtype=np.intp)
 
 
-def workspace_poses(arm: Arm, boards: Iterable[PlacedBoard], count: int, edge_share: float = 0.0) -> Array:
-    """Clear poses (m, n), m <= count, spread over the joints' ranges."""
+def workspace_poses(
+    arm: Arm,
+    boards: Iterable[PlacedBoard],
+    count: int,
+    edge_share: float = 0.0,
+    height_m: float = WORKSPACE_HEIGHT_M,
+) -> Array:
+    """Clear poses (m, n), m <= count, spread over the joints' ranges, the tip so high above the floor and the boards."""
     q = spread_poses(joint_box(arm), count, edge_share)
     points = body_points(arm, q)
-    lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + FREE_HEIGHT_M
+    lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + height_m
     clear = is_above_floor(arm, points).all(axis=1) & (points[:, -1, 2] >= lowest_m)
     for board in boards:
         heights, is_over = heights_over_board(points, board)
-        clear &= ~(is_over & (heights < FREE_HEIGHT_M)).any(axis=1)
+        clear &= ~(is_over & (heights < height_m)).any(axis=1)
     return np.asarray(q[clear])
 
 

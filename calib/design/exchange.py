@@ -30,18 +30,27 @@ class Group:
     count: int
 
 
-def select(experiment: Experiment, criterion: Criterion, taken: Rows, groups: Sequence[Group]) -> list[int]:
+def select(
+    experiment: Experiment,
+    criterion: Criterion,
+    taken: Rows,
+    groups: Sequence[Group],
+    start: Sequence[int] | None = None,
+) -> list[int]:
     """Rows of the poses that are best to add to those taken, as many of each group as it says.
 
-    In the order of their worth: each is the best of the chosen ones to add to those before it. CalibrationError where a
-    group has too few.
+    In the order of their worth: each is the best of the chosen ones to add to those before it. `start`: a choice to
+    begin the exchanges with, in place of the greedy one. CalibrationError where a group has too few.
     """
     for group in groups:
         if group.count > len(group.rows):
             raise CalibrationError(
                 f"{group.count} {group.name} are wanted and there are {len(group.rows)} to choose from: ask for fewer"
             )
-    chosen = _greedy(experiment, criterion, taken, groups)
+    if start is None:
+        chosen = _greedy(experiment, criterion, taken, groups)
+    else:
+        chosen = [(row, next(k for k, group in enumerate(groups) if row in group.rows)) for row in start]
     _exchange(experiment, criterion, taken, groups, chosen)
     rows = np.array([row for row, _ in chosen], dtype=np.intp)
     ordered = _greedy(experiment, criterion, taken, [Group("poses", rows, len(rows))])

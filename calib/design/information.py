@@ -49,6 +49,11 @@ class Experiment:
         return int(self.basis.shape[1])
 
     @property
+    def places_count(self) -> int:
+        """Unknowns of boards and base, s."""
+        return int(self.rows.shape[2]) - self.rank
+
+    @property
     def workspace_weight(self) -> Array:
         """Mean of J'J over the workspace, (r, r) [m^2]: its trace with a covariance is the tip's mean square error."""
         return np.asarray(np.einsum("wik,wil->kl", self.workspace, self.workspace) / len(self.workspace))
@@ -115,7 +120,7 @@ def standing(experiment: Experiment, chosen: Rows | list[int]) -> Standing:
     name, sd, unit = _least_known(experiment, covariance)
     return Standing(
         points_count=len(chosen),
-        log_det=-float(np.linalg.slogdet(covariance)[1]),
+        log_det=0.0 - float(np.linalg.slogdet(covariance)[1]),
         indices=indices_of(singular, len(chosen)),
         tip_m=float(np.sqrt(np.mean(squares))),
         tip_worst_m=float(np.sqrt(np.max(squares))),

@@ -14,6 +14,7 @@ from calib.points import Points
 from control.model.arm import Arm
 
 WAY_SAMPLES = 16
+WAY_HEIGHT_M = 0.05  # of the tip above floor and boards on its way, as nominal; an arm that is not calibrated may be 4 cm off
 DETOUR_RAD = 100.0  # counted for a way that is not clear, so that any other order is better
 
 
@@ -47,10 +48,11 @@ def clear_ways(arm: Arm, q_rad: Array, boards: Iterable[PlacedBoard]) -> Mask:
     shares = np.linspace(0.0, 1.0, WAY_SAMPLES)[1:-1]
     between = q_rad[first, None] + shares[:, None] * (q_rad[second] - q_rad[first])[:, None]
     points = body_points(arm, between.reshape(-1, q_rad.shape[1]))
-    clear = is_above_floor(arm, points).all(axis=1)
+    lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + WAY_HEIGHT_M
+    clear = is_above_floor(arm, points).all(axis=1) & (points[:, -1, 2] >= lowest_m)
     for board in boards:
         heights, is_over = heights_over_board(points, board)
-        clear &= ~(is_over & (heights < 0.0)).any(axis=1)
+        clear &= ~(is_over & (heights < WAY_HEIGHT_M)).any(axis=1)
     ways = np.ones((m, m), dtype=np.bool_)
     ways[first, second] = ways[second, first] = clear.reshape(len(first), len(shares)).all(axis=1)
     return ways

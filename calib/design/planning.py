@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -50,14 +51,14 @@ def plan_poses(arm: Arm, taken: Points | None, request: Request, choice: Choice 
     a request that cannot be met.
     """
     wanted = choice or Choice()
-    criterion = criterion_of(request.criterion)
+    criterion_of(request.criterion)  # an unknown one is said before anything takes time
     noise_m = _noise_m(arm, request)
     setups = _setups(arm, taken, request, wanted)
     boards = placed_boards(arm, setups, taken, wanted.boards)
     others = _other_tilts(arm, setups, request)
     in_the_way = boards_in_the_way(arm, taken, wanted.boards, boards)
     offer = _offer_of(arm, taken, request, wanted, {**boards, **others}, in_the_way, noise_m)
-    chosen = select(offer.experiment, criterion, offer.taken, _groups(offer, setups, request))
+    chosen = _chosen(offer, request, setups)
     alternatives = [one for setup in offer.by_setup for one in _alternatives(offer, request.criterion, setup)]
     order = visiting_order(arm, offer.poses.chosen(chosen), setups, in_the_way)
     points = named(offer.poses.chosen([chosen[k] for k in order]), taken)
@@ -171,6 +172,42 @@ def _groups(offer: _Offer, setups: list[str], request: Request) -> list[Group]:
         Group("cavities", table, request.count - request.free_count),
         Group("free poses", free, request.free_count),
     ]
+
+
+def _chosen(offer: _Offer, request: Request, setups: list[str]) -> list[int]:
+    """Rows of the best poses, from several starts where boards are unknown.
+
+    There the first three cavities of a board only tell where it stands: poses chosen one by one never leave the first
+    board, though two boards may be far better than one. So pairs of setups and all of them, in equal shares, are tried.
+    """
+    criterion, groups = criterion_of(request.criterion), _groups(offer, setups, request)
+    best = select(offer.experiment, criterion, offer.taken, groups)
+    if not offer.experiment.places_count:
+        return best
+    for some in dict.fromkeys([*itertools.combinations(setups, 2), tuple(setups)]):
+        shares = _equal_shares(offer, some, groups[0].count)
+        if shares is None:
+            continue
+        start = select(offer.experiment, criterion, offer.taken, [*shares, *groups[1:]])
+        other = select(offer.experiment, criterion, offer.taken, groups, start)
+        best = max(best, other, key=lambda rows: _worth(offer, request.criterion, rows))
+    return best
+
+
+def _equal_shares(offer: _Offer, setups: tuple[str, ...], count: int) -> list[Group] | None:
+    """So many cavities of each setup; None where one has too few."""
+    shares = [
+        Group(setup, offer.by_setup[setup], count // len(setups) + (k < count % len(setups)))
+        for k, setup in enumerate(setups)
+    ]
+    return shares if len(setups) > 1 and all(share.count <= len(share.rows) for share in shares) else None
+
+
+def _worth(offer: _Offer, criterion: str, rows: list[int]) -> tuple[float, float]:
+    """How good a choice is: by the criterion, then by log det."""
+    after = standing(offer.experiment, [*offer.taken, *rows])
+    by_name = {"D": after.log_det, "tip": -after.tip_m, **after.indices.as_dict()}
+    return by_name[criterion], after.log_det
 
 
 def _alternatives(offer: _Offer, criterion: str, setup: str) -> list[Alternative]:

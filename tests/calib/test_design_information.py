@@ -80,6 +80,13 @@ def test_place_of_a_board_is_nothing_to_gain_by_itself():
     assert 0.0 < standing(unknown, [0, 8, 16]).log_det < 0.7 * standing(known, [0, 8, 16]).log_det
 
 
+def test_what_no_board_at_an_unknown_place_can_show_is_no_uncertainty_of_the_arms_shape():
+    """The height d1 and the zero theta1 of the base move the whole workspace: two combinations fewer count."""
+    unknown, poses = experiment(UNKNOWN, free_count=0)
+    assert unknown.rank == unknown.visible.shape[1] == 8
+    assert standing(unknown, np.arange(len(poses))).tip_m < 0.005
+
+
 def test_without_any_pose_parameters_are_known_by_their_bounds():
     one, _ = experiment()
     nothing = standing(one, [])

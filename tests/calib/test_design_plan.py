@@ -147,6 +147,14 @@ def test_unknown_board_is_planned_on_and_is_said_not_to_tie_the_base():
     assert plan_poses(UNKNOWN, None, Request(count=20, only="table"), Choice(boards=seen)).is_tied
 
 
+def test_boards_at_unknown_places_are_planned_in_more_than_one_tilt():
+    """One by one no cavity of a second board is worth anything: its first three only tell where it stands."""
+    plan = plan_poses(UNKNOWN, None, Request(count=18, only="table"))
+    level = plan_poses(UNKNOWN, None, Request(count=18, only="table", setups=("normal",)))
+    assert len(set(plan.points.setup)) > 1
+    assert plan.after.tip_m < 0.5 * level.after.tip_m
+
+
 def test_board_whose_tips_were_measured_will_be_measured_again():
     """A camera that saw the tip in the cavities ties them to the base, unknown board or not."""
     _, table = table_points(np.random.default_rng(1), ("normal",))
