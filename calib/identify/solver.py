@@ -9,6 +9,7 @@ Jacobian is held at nominal and the rest refitted; if that costs more, a narrowe
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -219,8 +220,9 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum) -
     stiffness = _stiffness(objective, residuals, jacobian)
     nothing = objective.value(objective.distances(np.full(residuals.shape, NOTHING_M)), 0.0)
     tried = -1
-    for rank_tolerance in RANK_TOLERANCES:
-        null = null_space(jacobian, problem.parameters, rank_tolerance)
+    # Turns of arm and board together cost nothing but where the objective has axes of its own (absolute coordinates).
+    for derivative, rank_tolerance in product((problem.sensitivity(best.x), jacobian), RANK_TOLERANCES):
+        null = null_space(derivative, problem.parameters, rank_tolerance)
         if null.shape[1] == tried:
             continue
         tried = null.shape[1]
