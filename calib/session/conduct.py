@@ -96,7 +96,9 @@ class _Conductor:
                     return
         except _Quit:
             if left := len(self._folder.state.left()):
-                yield Told(f"stopped with {left} points left; the same command resumes")
+                yield Told(
+                    f"stopped; left: {left} of {len(self._folder.plan.targets)}; the same command resumes"
+                )
 
     def _begin(self) -> Talk:
         """Learn from what is on the disk, and whether the tip is at a point."""
@@ -273,7 +275,7 @@ class _Conductor:
                 raise SessionError("the drives are off: the hand moves the arm, not jog")
             self._arm.creep_to_q(jogged(command.jog, self._arm, self._station.geometry))
         else:
-            changed = done_to(self._folder, command, target, self._standing)
+            changed = done_to(self._folder, command, target, self._standing or self._folder.standing)
             for key in changed:
                 self._station.watch.forget(key)
             names = ", ".join(self._folder.state.targets[key].name for key in changed)

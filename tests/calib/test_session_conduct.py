@@ -184,8 +184,11 @@ def test_a_record_that_is_withdrawn_is_no_longer_believed(tmp_path: Path, monkey
 def test_a_redo_after_everything_is_done_opens_the_session_again(tmp_path: Path) -> None:
     session = bench(tmp_path, points=("1",))
     session.run([GO, GO, REDO, GO, GO])
-    assert session.arm.log.count("done") == 2
-    assert read_points(tmp_path / "s" / "points.csv", 3)[0].extra["take"] == ("2",)
+    session.run([Command(Do.REDO, point="1")])  # resumed: the setup is that in which the board stood last
+    assert session.marks == {("normal", "1"): Mark.LEFT}
+    session.run([GO] * 3)
+    assert session.arm.log.count("done") == 4
+    assert read_points(tmp_path / "s" / "points.csv", 3)[0].extra["take"] == ("3",)
 
 
 def test_a_point_out_of_reach_is_skipped_with_the_reason(tmp_path: Path) -> None:
