@@ -177,30 +177,28 @@ def _groups(offer: _Offer, setups: list[str], request: Request) -> list[Group]:
 def _chosen(offer: _Offer, request: Request, setups: list[str]) -> list[int]:
     """Rows of the best poses, from several starts where boards are unknown.
 
-    There the first three cavities of a board only tell where it stands: poses chosen one by one never leave the first
-    board, though two boards may be far better than one. So pairs of setups and all of them, in equal shares, are tried.
+    There the first poses in a frame only tell where that is: chosen one by one, poses never leave the first board,
+    though others may be far better. So each kind alone, pairs of kinds and all of them, in equal shares, are tried.
     """
     criterion, groups = criterion_of(request.criterion), _groups(offer, setups, request)
     best = select(offer.experiment, criterion, offer.taken, groups)
-    if not offer.experiment.places_count:
-        return best
-    for some in dict.fromkeys([*itertools.combinations(setups, 2), tuple(setups)]):
+    kinds = [*setups, *([FREE] if request.free_count is None and FREE in offer.by_setup else [])]
+    if not offer.experiment.places_count or set(kinds) <= set(offer.poses.setup[: len(offer.taken)]):
+        return best  # no frame is unknown, or points taken say already where each is
+    singles, pairs = itertools.combinations(kinds, 1), itertools.combinations(kinds, 2)
+    for some in dict.fromkeys([*singles, *pairs, tuple(kinds)]):
         shares = _equal_shares(offer, some, groups[0].count)
-        if shares is None:
-            continue
-        start = select(offer.experiment, criterion, offer.taken, [*shares, *groups[1:]])
-        other = select(offer.experiment, criterion, offer.taken, groups, start)
-        best = max(best, other, key=lambda rows: _worth(offer, request.criterion, rows))
+        if all(share.count <= len(share.rows) for share in shares):
+            start = select(offer.experiment, criterion, offer.taken, [*shares, *groups[1:]])
+            other = select(offer.experiment, criterion, offer.taken, groups, start)
+            best = max(best, other, key=lambda rows: _worth(offer, request.criterion, rows))
     return best
 
 
-def _equal_shares(offer: _Offer, setups: tuple[str, ...], count: int) -> list[Group] | None:
-    """So many cavities of each setup; None where one has too few."""
-    shares = [
-        Group(setup, offer.by_setup[setup], count // len(setups) + (k < count % len(setups)))
-        for k, setup in enumerate(setups)
-    ]
-    return shares if len(setups) > 1 and all(share.count <= len(share.rows) for share in shares) else None
+def _equal_shares(offer: _Offer, kinds: tuple[str, ...], count: int) -> list[Group]:
+    """So many poses of each kind."""
+    shares = [count // len(kinds) + (k < count % len(kinds)) for k in range(len(kinds))]
+    return [Group(kind, offer.by_setup[kind], share) for kind, share in zip(kinds, shares, strict=True)]
 
 
 def _worth(offer: _Offer, criterion: str, rows: list[int]) -> tuple[float, float]:

@@ -155,6 +155,12 @@ def test_boards_at_unknown_places_are_planned_in_more_than_one_tilt():
     assert plan.after.tip_m < 0.5 * level.after.tip_m
 
 
+def test_where_all_frames_are_unknown_free_poses_are_still_found_to_be_best():
+    """Each frame takes six unknowns: two tilts would cost twelve, and the camera's base frame alone six."""
+    loose = Choice(freed=("base", "table", "tool"))
+    assert set(plan_poses(ARM, None, Request(count=8), loose).points.setup) == {"free"}
+
+
 def test_board_whose_tips_were_measured_will_be_measured_again():
     """A camera that saw the tip in the cavities ties them to the base, unknown board or not."""
     _, table = table_points(np.random.default_rng(1), ("normal",))
