@@ -11,6 +11,7 @@ from pathlib import Path
 from calib.identify.assembly import BASE_FRAME
 from calib.identify.frames import Frame, rotation_vector
 from calib.identify.identification import Estimate, Identification
+from calib.identify.joint_effects import with_effects
 from calib.verify import Comparison, ErrorSummary
 from control.model.arm import Arm, Calibration, Effect
 from control.model.description import save_arm
@@ -40,22 +41,24 @@ def write_calibrated_arm(
 
 
 def calibrated_arm(nominal: Arm, found: Identification) -> Arm:
-    """The arm with what was identified: DH table, tool, base frame."""
+    """The arm with what was identified: DH table, tool, base frame, effects."""
     x, y, z = found.solution.tool_m.tolist()
     tool = nominal.tool
     if any(estimate.parameter.name.startswith("tool_") for estimate in found.estimates):
         tool = dataclasses.replace(tool, position_m=(x, y, z), known=True)
-    return dataclasses.replace(nominal.with_dh(found.dh), tool=tool, effects=_effects(nominal, found))
+    framed = _with_base_frame(nominal.with_dh(found.dh), found)
+    return with_effects(dataclasses.replace(framed, tool=tool), found.solution.corrections)
 
 
-def _effects(nominal: Arm, found: Identification) -> tuple[Effect, ...]:
-    """The arm's effects, with the base frame that was identified."""
+def _with_base_frame(arm: Arm, found: Identification) -> Arm:
+    """The arm with the base frame that was identified, if one was."""
     base = found.solution.frames[0]
     if not base.is_free:
-        return nominal.effects
+        return arm
     vector = [*base.origin_m.tolist(), *rotation_vector(base.rotation).tolist()]
     effect = Effect("base_frame", None, dict(zip(BASE_FRAME, vector, strict=True)))
-    return (*(e for e in nominal.effects if e.effect != "base_frame"), effect)
+    kept = (e for e in arm.effects if e.effect != "base_frame")
+    return dataclasses.replace(arm, effects=(*kept, effect))
 
 
 def write_calibration_json(

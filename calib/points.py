@@ -108,6 +108,24 @@ def make_points(
     )
 
 
+def joined(parts: Sequence[Points]) -> Points:
+    """The poses of several files, one after the other; columns beyond the format stay where every file has them."""
+    first, *others = parts
+    shared = [name for name in first.extra if all(name in part.extra for part in others)]
+    return make_points(
+        [name for part in parts for name in part.setup],
+        [name for part in parts for name in part.point],
+        [number for part in parts for number in part.repeat],
+        np.concatenate([part.q_rad for part in parts]),
+        np.concatenate([part.tip_m for part in parts]),
+        np.concatenate([part.direction for part in parts]),
+        np.concatenate([part.current_A for part in parts]),
+        np.concatenate([part.t_s for part in parts]),
+        np.concatenate([part.payload_kg for part in parts]),
+        {name: tuple(cell for part in parts for cell in part.extra[name]) for name in shared},
+    )
+
+
 def read_points(path: Path, joint_count: int | None = None) -> tuple[Points, tuple[str, ...]]:
     """The points of a file and warnings about it. PointsFileError names file, line and column."""
     with opened_text(path) as file:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from calib.identify.estimates import Estimate
+from calib.identify.frames import rotation_vector
 from calib.identify.identification import Identification
 from calib.page import Cell, Section, bullets, heading, paragraph, said, table
 from calib.report_data import InputFile
@@ -40,12 +41,37 @@ def parameters_section(found: Identification) -> Section:
         f": {1e3 * found.noise_m:.3f} mm per axis (standard deviation).</p>"
         + heading("What the data determine, and what they do not")
         + bullets(found.in_words())
-        + table(header, [_parameter_row(estimate) for estimate in found.estimates])
+        + table(header, [_parameter_row(estimate) for estimate in of_the_arm(found)])
         + paragraph(
             "sd: standard deviation of what the data determine of this parameter. Where parameters move together, only"
             " their combination has a meaning; the values given are those nearest to nominal.",
             "soft small",
         ),
+    )
+
+
+def of_the_arm(found: Identification) -> tuple[Estimate, ...]:
+    """The estimates without those of boards and base, of which only the frame as a whole has a meaning."""
+    of_frames = {name for frame in found.solution.frames for name in frame.parameter_names}
+    return tuple(one for one in found.estimates if one.parameter.name not in of_frames)
+
+
+def frames_section(found: Identification) -> Section:
+    """Where boards and base stood that were identified too."""
+    rows = [
+        (
+            frame.name,
+            *(f"{1e3 * value:.3f}" for value in frame.origin_m.tolist()),
+            *(f"{math.degrees(value):.3f}" for value in rotation_vector(frame.rotation).tolist()),
+        )
+        for frame in found.solution.frames
+        if frame.is_free
+    ]
+    header = ("frame", "x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
+    return Section(
+        "Where boards and base stood",
+        paragraph("Identified with the rest; origin and rotation vector in the arm's base frame.")
+        + table(header, rows),
     )
 
 
@@ -58,9 +84,9 @@ def _parameter_row(estimate: Estimate) -> Sequence[Cell]:
     return (
         parameter.name,
         unit,
-        f"{scale * parameter.nominal:{form}}",
+        f"{scale * parameter.nominal:{form}}" if parameter.has_bound else "unknown",
         ("after", f"{scale * estimate.value:{form}}"),
-        f"{scale * estimate.deviation + 0.0:+{form}}",
+        f"{scale * estimate.deviation + 0.0:+{form}}" if parameter.has_bound else "",
         sd,
         bound,
         ("text", _remark(estimate)),

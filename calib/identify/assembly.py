@@ -11,6 +11,7 @@ from calib.arrays import Array, frozen
 from calib.errors import CalibrationError, UnusablePointsError
 from calib.identify.arm_model import ArmModel
 from calib.identify.frames import Frame, rotation_of
+from calib.identify.joint_effects import corrections, known_corrections
 from calib.identify.observations import Correction, Observations
 from calib.identify.parameters import Bounds
 from calib.identify.problem import ArmProblem
@@ -34,13 +35,15 @@ BASE_FRAME = (
 class Choice:
     """What is identified, beside the DH parameters: `freed` of base, table, tool; `fixed` single parameters by name.
 
-    `boards` says where a setup's board stands, as measured; they go before what the arm's [table] says.
+    `boards` says where a setup's board stands, as measured; they go before what the arm's [table] says. `effects`: static ones
+    behind the encoders that are identified too, as "backlash:2"; `corrections`: any others.
     """
 
     bounds: Bounds = field(default_factory=Bounds)
     fixed: Collection[str] = ()
     freed: Collection[str] = ()
     boards: Mapping[str, Frame] = field(default_factory=dict)
+    effects: tuple[str, ...] = ()
     corrections: tuple[Correction, ...] = ()
 
     def __post_init__(self) -> None:
@@ -71,7 +74,10 @@ def problem_of(arm: Arm, points: Points, choice: Choice | None = None) -> ArmPro
 
 
 def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
-    """Each pose with its reference: the measured tip in the base frame, or the cavity in its board's frame."""
+    """Each pose with its reference: the measured tip in the base frame, or the cavity in its board's frame.
+
+    Joint angles are the encoders' with the static effects that the arm has already.
+    """
     frames = [base_frame_of(arm, "base" in choice.freed)]
     position, which = np.array(points.tip_m), np.zeros(len(points), dtype=np.intp)
     unmeasured = np.flatnonzero(np.isnan(points.tip_m).any(axis=1)).tolist()
@@ -86,7 +92,13 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
             position[rows] = cavities
             frames.append(frame)
     return Observations(
-        points.q_rad, frozen(position), which, tuple(frames), points.setup, points.point, choice.corrections
+        frozen(points.q_rad + known_corrections(arm, points, choice.effects)),
+        frozen(position),
+        which,
+        tuple(frames),
+        points.setup,
+        points.point,
+        (*corrections(arm, points, choice.effects), *choice.corrections),
     )
 
 

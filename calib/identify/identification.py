@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array, frozen, norms
+from calib.identify.budget import Accuracy
 from calib.identify.checks import require_sound
 from calib.identify.estimates import Estimate, uncertainty
-from calib.identify.objective import Huber, Objective, SumOfDistances, value_of
+from calib.identify.objective import Objective, SumOfDistances, value_of
 from calib.identify.open_combinations import Undetermined, open_in_words
 from calib.identify.problem import ArmProblem, Solution
 from calib.identify.solver import Minimum, minimise
@@ -42,6 +43,7 @@ class Identification:
     is_converged: bool
     x: Array
     noise: NoiseScale
+    accuracy: Accuracy | None = None
 
     @property
     def dh(self) -> Array:
@@ -87,22 +89,26 @@ def fit(
     problem: ArmProblem, objective: Objective | None = None, starts_count: int = 4, seed: int = 0
 ) -> tuple[Minimum, Objective]:
     """The optimum alone, and the objective that was minimised: Huber's without a threshold takes it from the noise."""
-    wanted: Objective = objective or SumOfDistances()
-    if isinstance(wanted, Huber) and wanted.threshold_m is None:
-        robust = minimise(problem, SumOfDistances(), starts_count, seed)
-        wanted = wanted.settled_on(problem.residuals(robust.x))
-    return minimise(problem, wanted, starts_count, seed), wanted
+    best = minimise(problem, objective or SumOfDistances(), starts_count, seed)
+    return best, best.objective
 
 
 def identify(
-    problem: ArmProblem, *, objective: Objective | None = None, starts_count: int = 4, seed: int = 0
+    problem: ArmProblem,
+    *,
+    objective: Objective | None = None,
+    starts_count: int = 4,
+    seed: int = 0,
+    accuracy_limit_m: float | None = None,
 ) -> Identification:
     """The deviations within their bounds that explain the measured tips best.
 
+    `accuracy_limit_m` is the a of E <= k a (SpringerPlus 5:1771, eq. 4): `accuracy` of the result says whether it is met.
     UnusablePointsError if no calibration can be made of the points. Same inputs and seed, same result.
     """
     require_sound(problem)
-    best, wanted = fit(problem, objective, starts_count, seed)
+    best = minimise(problem, objective or SumOfDistances(), starts_count, seed, accuracy_limit_m)
+    wanted = best.objective
     before = problem.residuals(np.zeros(len(best.x)))
     after, sensitivity = problem.residuals(best.x), problem.sensitivity(best.x)
     found = uncertainty(problem.parameters, wanted, best.x, after, sensitivity)
@@ -125,6 +131,7 @@ def identify(
         is_converged=best.is_converged,
         x=frozen(best.x),
         noise=found.noise,
+        accuracy=best.accuracy,
     )
 
 

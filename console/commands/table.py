@@ -232,6 +232,84 @@ COMMANDS = (
         "Nothing moves. plan.csv is in visiting order, for `armwright session --plan`.",
     ),
     CommandSpec(
+        "calibrate",
+        "identify the arm's parameters from recorded points, and say what the result is worth",
+        (
+            ARM,
+            option(
+                "--points",
+                metavar="P",
+                action="append",
+                required=True,
+                help="points.csv or .csv.gz; may be given several times",
+            ),
+            OUT,
+            option(
+                "--objective",
+                default="e2",
+                metavar="NAME",
+                help="e2: sum of distances, the paper's (default); e1: sum of absolute coordinates; lsq: least squares; huber",
+            ),
+            option(
+                "--huber-threshold",
+                metavar="LENGTH",
+                help="distance from which huber counts linearly, e.g. 0.3mm (default: from the noise)",
+            ),
+            option(
+                "--bound",
+                metavar="NAME=VALUE",
+                action="append",
+                help="largest deviation: lengths=5mm, angles=2deg (these are the defaults), or one parameter, e.g. L2=8mm",
+            ),
+            option(
+                "--fix",
+                metavar="NAMES",
+                action="append",
+                help="parameters that keep their value: theta4,tool_x",
+            ),
+            option(
+                "--free",
+                metavar="FRAMES",
+                action="append",
+                help="frames that are identified too: base, table, tool (boards of unknown place always are)",
+            ),
+            option(
+                "--effect",
+                metavar="EFFECT",
+                action="append",
+                help="a static effect that is identified too: backlash:2, joint_compliance:2, encoder_scale:1, belt_coupling",
+            ),
+            option(
+                "--boards", metavar="FILE", help="boards.json of `armwright register`: where the boards stood"
+            ),
+            option(
+                "--accuracy",
+                metavar="LENGTH",
+                help="the mean distance that is wanted (a in E <= k a); said if it cannot be met",
+            ),
+            option(
+                "--without",
+                metavar="POSE",
+                action="append",
+                help="leave out SETUP, SETUP:POINT or SETUP:POINT:REPEAT; may be given several times",
+            ),
+            option(
+                "--leave-out",
+                metavar="WHAT",
+                help="for the held-out error: setups, or k for every k-th point (default: setups where there are several)",
+            ),
+            option("--export", metavar="FORMS", action="append", help="urdf, mjcf, json: for other tools"),
+            option(
+                "--starts", type=int, default=4, metavar="N", help="searches from other places (default: 4)"
+            ),
+            option(
+                "--seed", type=int, default=0, metavar="N", help="of the places where they start (default: 0)"
+            ),
+            JSON,
+        ),
+        "Writes arm.toml, calibration.json and report.html to the folder; nothing is overwritten.",
+    ),
+    CommandSpec(
         "export",
         "turn a recording into log.csv.gz and MCAP",
         (

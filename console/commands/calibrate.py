@@ -1,0 +1,204 @@
+"""`armwright calibrate`: from recorded points to a calibrated arm, and what it is worth."""
+
+import argparse
+import datetime
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+from calib.boards import read_boards
+from calib.calibration import Calibrated, CalibrationPlan, LeaveOut, calibrate
+from calib.calibration_report import calibration_report
+from calib.calibration_text import judgement_json, summary_text
+from calib.errors import CalibrationError
+from calib.export import FORMS, export
+from calib.identify.assembly import Choice
+from calib.identify.frames import Frame
+from calib.identify.objective import objective_named
+from calib.identify.parameters import Bounds
+from calib.outcome import write_calibrated_arm, write_calibration_json
+from calib.points import Points, joined, read_points
+from calib.report import write_report
+from calib.report_data import InputFile, input_file
+from console.commands.progress import Bar
+from console.quantities import quantity, unit_of
+from control.errors import ArmError
+from control.model.arm import Arm
+from control.model.description import load_arm
+
+ENDINGS = {"urdf": "urdf", "mjcf": "xml", "json": "json"}
+RESULTS = ("arm.toml", "calibration.json", "report.html")
+
+
+def run(given: argparse.Namespace) -> int:
+    """Read, identify, judge, write. Nothing is written before everything is read and found usable."""
+    arm, out, forms = load_arm(given.arm), Path(given.out), _forms(given.export or [])
+    _require_no_results(out, forms)
+    plan = _plan(given)
+    points, warnings = _read(given, arm)
+    with Bar("calibrate") as bar:
+        made = calibrate(arm, points, plan, bar.advance)
+    for warning in (*warnings, *made.warnings):
+        sys.stderr.write(f"armwright: warning: {warning}\n")
+    files = _write(given, made, out, forms)
+    if given.json:
+        sys.stdout.write((out / "calibration.json").read_text(encoding="utf-8"))
+    else:
+        sys.stdout.write(summary_text(made))
+        sys.stdout.write("\n" + "".join(f"{what:<16}{file}\n" for what, file in files.items()))
+    return 0
+
+
+def _forms(texts: list[str]) -> list[str]:
+    """The export forms that are asked for; CalibrationError for one that there is not."""
+    forms = _names(texts)
+    for form in forms:
+        if form not in FORMS:
+            raise CalibrationError(f'--export: expected some of {", ".join(FORMS)}, got "{form}"')
+    return forms
+
+
+def _require_no_results(out: Path, forms: list[str]) -> None:
+    """A result is never overwritten: the old one may be the only record of how an arm was calibrated."""
+    for name in (*RESULTS, *(f"arm.{ENDINGS[form]}" for form in forms)):
+        if (out / name).exists():
+            raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
+
+
+def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, list[str]]:
+    """The points of every file, without those that the operator leaves out."""
+    parts: list[Points] = []
+    warnings: list[str] = []
+    for name in given.points:
+        part, said = read_points(Path(name), arm.joint_count)
+        parts.append(part)
+        warnings += said
+    points = joined(parts)
+    left_out = _rows_of(points, given.without or [])
+    return points.chosen([k for k in range(len(points)) if k not in left_out]), warnings
+
+
+def _rows_of(points: Points, names: list[str]) -> set[int]:
+    """Rows named as SETUP, SETUP:POINT or SETUP:POINT:REPEAT; CalibrationError if there are none."""
+    found: set[int] = set()
+    for name in names:
+        wanted = name.split(":")
+        rows = {
+            k
+            for k, row in enumerate(zip(points.setup, points.point, map(str, points.repeat), strict=True))
+            if list(row[: len(wanted)]) == wanted
+        }
+        if not rows or len(wanted) > 3:
+            raise CalibrationError(
+                f'--without "{name}": no such pose; expected SETUP, SETUP:POINT or SETUP:POINT:REPEAT, with a setup'
+                f" of {', '.join(dict.fromkeys(points.setup))}"
+            )
+        found |= rows
+    return found
+
+
+def _plan(given: argparse.Namespace) -> CalibrationPlan:
+    """What the options ask for."""
+    threshold_m = quantity(given.huber_threshold, "m", "--huber-threshold") if given.huber_threshold else None
+    accuracy_m = quantity(given.accuracy, "m", "--accuracy") if given.accuracy else None
+    if accuracy_m is not None and accuracy_m <= 0.0:
+        raise CalibrationError(f"--accuracy: expected a length above 0, got {given.accuracy}")
+    choice = Choice(
+        bounds=_bounds(given.bound or []),
+        fixed=_names(given.fix or []),
+        freed=_names(given.free or []),
+        boards=_boards(given.boards),
+        effects=tuple(_names(given.effect or [])),
+    )
+    return CalibrationPlan(
+        choice,
+        objective_named(given.objective, threshold_m),
+        accuracy_m,
+        _leave_out(given.leave_out),
+        given.starts,
+        given.seed,
+    )
+
+
+def _names(texts: list[str]) -> list[str]:
+    return [name.strip() for text in texts for name in text.split(",") if name.strip()]
+
+
+def _bounds(texts: list[str]) -> Bounds:
+    """`lengths=5mm`, `angles=2deg`, or a parameter by name."""
+    general: dict[str, float] = {}
+    own: dict[str, float] = {}
+    for text in _names(texts):
+        name, _, value = text.partition("=")
+        if not value:
+            raise CalibrationError(
+                f'--bound: expected NAME=VALUE such as L2=8mm or angles=3deg, got "{text}"'
+            )
+        if name in ("lengths", "angles"):
+            unit = "m" if name == "lengths" else "rad"
+            general["length_m" if name == "lengths" else "angle_rad"] = quantity(
+                value, unit, f"--bound {name}"
+            )
+        else:
+            own[name] = quantity(value, unit_of(name), f"--bound {name}")
+    return Bounds(own=own, **general)
+
+
+def _boards(file: str | None) -> dict[str, Frame]:
+    """Boards as `armwright register` measured them."""
+    if file is None:
+        return {}
+    return {
+        setup: Frame(f"table_{setup}", board.rotation, board.origin_m)
+        for setup, board in read_boards(Path(file)).items()
+    }
+
+
+def _leave_out(text: str | None) -> LeaveOut:
+    if text is None:
+        return None
+    if text == "setups":
+        return "setup"
+    if text.isdigit() and int(text) >= 2:
+        return int(text)
+    raise CalibrationError(
+        f'--leave-out: expected "setups", or k from 2 on for every k-th point, got "{text}"'
+    )
+
+
+def _write(given: argparse.Namespace, made: Calibrated, out: Path, forms: list[str]) -> dict[str, Path]:
+    """The calibrated arm, calibration.json, report.html and the exports; returns what was written, by kind."""
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    program = f"armwright {version('armwright')}"
+    inputs = _inputs(given, made.nominal)
+    hashes = {entry.name: entry.sha256 for entry in inputs}
+    files = {"calibrated arm": out / "arm.toml", "for programs": out / "calibration.json"}
+    write_calibrated_arm(files["calibrated arm"], made.nominal, made.found, hashes, date, program)
+    write_calibration_json(
+        files["for programs"],
+        made.nominal.name,
+        made.found,
+        hashes,
+        date,
+        program,
+        more=judgement_json(made),
+    )
+    files["report"] = out / "report.html"
+    write_report(files["report"], calibration_report(made, inputs, date, program))
+    for form in forms:
+        files[form] = out / f"arm.{ENDINGS[form]}"
+        for sentence in export(made.arm, form, files[form]):
+            sys.stderr.write(f"armwright: note: {sentence}\n")
+    return files
+
+
+def _inputs(given: argparse.Namespace, arm: Arm) -> tuple[InputFile, ...]:
+    """Every file that the result depends on."""
+    found = [
+        input_file(Path(name), "points: joint angles and what is known of the tip") for name in given.points
+    ]
+    if arm.path is not None:
+        found.append(input_file(arm.path, "the nominal arm"))
+    if given.boards is not None:
+        found.append(input_file(Path(given.boards), "where the boards stood, as measured"))
+    return tuple(found)
