@@ -22,11 +22,10 @@ from calib.identify.starts import started_tool, with_started_frames
 from control.model.arm import Arm
 
 ODD_m = 0.01  # a median distance at nominal below which nothing is suspected
-NEARER = 4.0  # times that another reading must bring the arm to its points
-# A reading may also be what is left of the paper's 27 mm; worst cases of all bounds at once add up to some 0.1 m.
-FAR_TIMES = 1.5  # the reach of all bounds together, beyond which no deviation explains the distance
+NEARER = 4.0  # times nearer to its points that another reading must bring the arm
+FAR_TIMES = 1.5  # the reach of all bounds together (some 0.1 m), beyond which no deviation explains the distance
 WHOLE_PERMUTATIONS_JOINTS = 4  # up to here every order of the joints is tried, beyond only swapped pairs
-AS_GOOD = 1.2  # readings this near to the best cannot be told apart from it
+AS_GOOD = 1.5  # readings this near to the best cannot be told apart: a mirrored arm has mirrored deviations
 TOLD_LIMIT = 3
 ROWS_LIMIT = 300  # as many rows tell
 

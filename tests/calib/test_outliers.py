@@ -142,3 +142,10 @@ def test_too_few_points_accuse_nobody() -> None:
     rng = np.random.default_rng(11)
     noise, columns = linear(rng, 5, 10)
     assert sort_points(LinearFit.of(noise, columns)).agrees.all()
+
+
+def test_scores_allow_for_what_the_fit_has_taken_out_of_each_residual() -> None:
+    rng = np.random.default_rng(12)
+    squares = [sort_points(LinearFit.of(*linear(rng, 30, 30))).score ** 2 for _ in range(10)]
+    # Three times F(3, 57): 3 * 57 / 55 = 3.1; with a third of the squares taken out and not put back it would be 2.
+    assert np.mean(squares) == pytest.approx(3.1, rel=0.15)
