@@ -102,27 +102,31 @@ def commands(arm: Arm, targets: Sequence[Target], start_rad: Sequence[float]) ->
     Where the arm knows its play, the angles are corrected for the flank that the gear will lie on; a joint whose flank nobody
     could tell is approached from the side where gravity and friction agree.
     """
-    inverse, before, found = InverseKinematics(arm), np.array(start_rad), []
-    has_play = any(effect.effect == "backlash" for effect in arm.effects)
-    for setup, point, tip_m in targets:
-        joint_rad = np.array(inverse.nearest(tip_m, before.tolist()))
-        direction = np.where(joint_rad >= before, 1.0, -1.0)
-        if has_play:
-            direction = _clear(arm, joint_rad, direction)
-        encoder_rad = joint_rad - _ahead(arm, joint_rad, direction)
-        found.append(Pose(setup, point, tuple(encoder_rad.tolist()), tuple(map(int, direction))))
-        before = encoder_rad
-    return tuple(found)
+    inverse, way = InverseKinematics(arm), [np.array(start_rad)]
+    for _, _, tip_m in targets:
+        way.append(np.array(inverse.nearest(tip_m, way[-1].tolist())))
+    joint_rad = np.array(way[1:])
+    direction = np.where(np.diff(way, axis=0) >= 0.0, 1.0, -1.0)
+    if any(effect.effect == "backlash" for effect in arm.effects):
+        direction = _clear(arm, joint_rad, direction)
+    encoder_rad = joint_rad - _ahead(arm, joint_rad, direction)
+    return tuple(
+        Pose(setup, point, tuple(q.tolist()), tuple(int(d) for d in signs))
+        for (setup, point, _), q, signs in zip(targets, encoder_rad, direction, strict=True)
+    )
 
 
 def _clear(arm: Arm, joint_rad: Array, direction: Array) -> Array:
-    """Directions (n,) that leave no doubt about the flank."""
-    rest = resting(arm, joint_rad[None], direction[None])
-    with_gravity = np.where(rest.gravity_Nm[0] >= 0.0, 1.0, -1.0)
-    return np.where(rest.flank[0] == 0.0, with_gravity, direction)
+    """Directions (m, n) that leave no doubt about the flank."""
+    rest = resting(arm, joint_rad, direction)
+    with_gravity = np.where(rest.gravity_Nm >= 0.0, 1.0, -1.0)
+    return np.where(rest.flank == 0.0, with_gravity, direction)
 
 
 def _ahead(arm: Arm, joint_rad: Array, direction: Array) -> Array:
-    """How far the joints (n,) will be ahead of their encoders, by the arm's own static effects."""
-    here = make_points(["pose"], ["1"], [1], joint_rad[None], np.full((1, 3), np.nan), direction[None])
-    return np.asarray(known_corrections(arm, here)[0])
+    """How far the joints (m, n) will be ahead of their encoders, by the arm's own static effects."""
+    m = len(joint_rad)
+    there = make_points(
+        [""] * m, [str(k) for k in range(m)], [1] * m, joint_rad, np.full((m, 3), np.nan), direction
+    )
+    return known_corrections(arm, there)
