@@ -66,9 +66,11 @@ def test_degrees_within_three_turns_are_recognised() -> None:
 
 
 def test_two_readings_that_fit_alike_are_both_named() -> None:
-    rng = np.random.default_rng(4)
+    dh = RIGHT.dh.copy()
+    dh[2, 0] = 0.0  # without its offset the arm is its own mirror image
+    points = turned(lambda q: q * [-1, 1, 1])(board_points(np.random.default_rng(4), dh))
     with pytest.raises(UnusablePointsError, match=r"q1_rad looks .* or y_m looks"):
-        checked(turned(lambda q: q * [-1, 1, 1])(board_points(rng, true_dh(rng, size=0.0))))
+        checked(points, RIGHT.with_dh(dh))
 
 
 def test_points_of_another_arm_are_refused() -> None:
