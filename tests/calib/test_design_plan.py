@@ -140,25 +140,28 @@ def test_noise_scales_what_is_left():
 
 
 def test_unknown_board_is_planned_on_and_is_said_not_to_tie_the_base():
-    plan = plan_poses(UNKNOWN, None, Request(count=20, only="table"))
+    request = Request(count=6, only="table", setups=("normal",))
+    plan = plan_poses(UNKNOWN, None, request)
     assert not plan.is_tied
     assert any("Nothing ties" in sentence for sentence in in_words(plan))
     seen = {"normal": Frame("table_normal", np.eye(3), np.array([0.5, 0.0, 0.0]))}
-    assert plan_poses(UNKNOWN, None, Request(count=20, only="table"), Choice(boards=seen)).is_tied
+    assert plan_poses(UNKNOWN, None, request, Choice(boards=seen)).is_tied
 
 
 def test_boards_at_unknown_places_are_planned_in_more_than_one_tilt():
     """One by one no cavity of a second board is worth anything: its first three only tell where it stands."""
-    plan = plan_poses(UNKNOWN, None, Request(count=18, only="table"))
-    level = plan_poses(UNKNOWN, None, Request(count=18, only="table", setups=("normal",)))
+    plan = plan_poses(UNKNOWN, None, Request(count=12, only="table"))
+    level = plan_poses(UNKNOWN, None, Request(count=12, only="table", setups=("normal",)))
     assert len(set(plan.points.setup)) > 1
     assert plan.after.tip_m < 0.5 * level.after.tip_m
 
 
 def test_where_all_frames_are_unknown_free_poses_are_still_found_to_be_best():
     """Each frame takes six unknowns: two tilts would cost twelve, and the camera's base frame alone six."""
-    loose = Choice(freed=("base", "table", "tool"))
-    assert set(plan_poses(ARM, None, Request(count=8), loose).points.setup) == {"free"}
+    loose, view = Choice(freed=("base", "table", "tool")), View((0.0, -1.0, 0.0), (1.0, 0.0, 1.0))
+    assert set(
+        plan_poses(ARM, None, Request(count=6, setups=("roll", "pitch"), view=view), loose).points.setup
+    ) == {"free"}
 
 
 def test_board_whose_tips_were_measured_will_be_measured_again():
