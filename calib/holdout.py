@@ -7,8 +7,8 @@ their mean is taken, as all of them were seated in the same place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -83,6 +83,18 @@ class HeldOut:
         """100 (before - after) / before of the means; negative if worse."""
         before = float(np.mean(self.before_m))
         return 100.0 * (1.0 - float(np.mean(self.after_m)) / before) if before > 0.0 else 0.0
+
+    def without(self, rows: Collection[int]) -> HeldOut | None:
+        """The same folds, judged at other points than these; None if nothing is left."""
+        folds = []
+        for fold in self.folds:
+            kept = [k for k, row in enumerate(fold.rows) if row not in rows]
+            if kept:
+                names = tuple(fold.rows[k] for k in kept)
+                folds.append(
+                    replace(fold, rows=names, before_m=fold.before_m[kept], after_m=fold.after_m[kept])
+                )
+        return HeldOut(self.by, tuple(folds)) if folds else None
 
     @property
     def is_scatter(self) -> bool:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 MARKERS = "o^sDvP"
 ARROW_SHARE = 0.16  # of the points' extent, that a typical arrow is long
+ARROW_LIMIT = 3.0  # times a typical error that an arrow is drawn long
 
 
 def vector_picture(comparison: Comparison) -> str:
@@ -62,7 +63,7 @@ def _draw_arrows(
     tips, shown = 1e3 * comparison.tip_m, 1e3 * errors
     typical, magnified = _magnification(tips, shown)
     _mark_setups(axes, comparison, tips[:, i], tips[:, j])
-    reach = magnified * shown
+    reach = magnified * _cut(shown, ARROW_LIMIT * typical)
     arrows = axes.quiver(
         tips[:, i], tips[:, j], reach[:, i], reach[:, j],
         angles="xy", scale_units="xy", scale=1.0, color=colour, width=0.0042, zorder=3,
@@ -72,9 +73,15 @@ def _draw_arrows(
     axes.margins(0.06)
     axes.autoscale_view()
     length_mm = _round_length(typical)
-    words = f"{length_mm:g} mm, drawn {magnified:.3g} times"
+    is_cut = float(norms(shown).max()) > ARROW_LIMIT * typical
+    words = f"{length_mm:g} mm, drawn {magnified:.3g} times{', the longest cut' if is_cut else ''}"
     place = {"labelpos": "E", "coordinates": "axes", "fontproperties": {"size": 8}}
     axes.quiverkey(arrows, 0.58, 1.05, magnified * length_mm, words, **place)
+
+
+def _cut(errors: Array, limit: float) -> Array:
+    """Errors (m, 3) no longer than a limit: one tip in the wrong cavity must not shrink all others to dots."""
+    return np.asarray(errors * np.minimum(1.0, limit / np.maximum(norms(errors), 1e-12))[:, None])
 
 
 def _magnification(tips: Array, errors: Array) -> tuple[float, float]:

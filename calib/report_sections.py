@@ -52,7 +52,8 @@ def parameters_section(found: Identification) -> Section:
 
 def of_the_arm(found: Identification) -> tuple[Estimate, ...]:
     """The estimates without those of boards and base, of which only the frame as a whole has a meaning."""
-    of_frames = {name for frame in found.solution.frames for name in frame.parameter_names}
+    free = [frame for frame in found.solution.frames if frame.is_free]
+    of_frames = {name for frame in free for name in frame.parameter_names}
     return tuple(one for one in found.estimates if one.parameter.name not in of_frames)
 
 

@@ -14,7 +14,7 @@ The grades are tried in this order, and the first that fits is given:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -124,10 +124,12 @@ def verdict(
     setups: Sequence[str] = (),
 ) -> Verdict:
     """What a calibration is worth; `setups` names that of each point, for the advice."""
-    grade = _grade(found, held, floor)
+    slips = _slips(suspects)
+    held = held.without(slips) if held is not None else None
+    grade = _grade(found, held, floor, slips)
     said = [_answer(grade)]
     if held is not None:
-        said += _on_held_out(held, floor)
+        said += _on_held_out(held, floor, len(slips))
     if grade == "over-fitted" and held is not None:
         said.append(
             f"The points of the fit are {1e3 * found.mean_after_m:.3f} mm off in the mean, those left out"
@@ -140,20 +142,31 @@ def verdict(
     return Verdict(grade, tuple(said), steps)
 
 
-def _grade(found: Identification, held: HeldOut | None, floor: NoiseFloor | None) -> Grade:
+def _slips(suspects: Suspects | None) -> frozenset[int]:
+    """Rows of single points that are told to be wrong: they say nothing about the arm."""
+    if suspects is None or suspects.is_systematic:
+        return frozenset()
+    return frozenset(one.row for one in suspects.outliers)
+
+
+def _grade(
+    found: Identification, held: HeldOut | None, floor: NoiseFloor | None, slips: Collection[int] = ()
+) -> Grade:
     if 3 * len(found.error_after_m) - found.rank < FREEDOM_MINIMUM or held is None:
         return "too few points"
     if held.improvement_percent <= WORSE_PERCENT:
         return "worse"
-    if _over_fit(found, held) > OVER_FITTED:
+    if _over_fit(found, held, slips) > OVER_FITTED:
         return "over-fitted"
     return "good" if _over_floor(found, held, floor) <= GOOD else "not at the floor"
 
 
-def _over_fit(found: Identification, held: HeldOut) -> float:
+def _over_fit(found: Identification, held: HeldOut, slips: Collection[int] = ()) -> float:
     """How many times farther off points left out are than noise alone would have them, given the fit."""
     share = found.rank / (3.0 * len(found.error_after_m))
-    expected = found.rms_after_m * math.sqrt((1.0 + share) / max(1.0 - share, 0.05))
+    fitted = np.delete(found.error_after_m, sorted(slips), axis=0)
+    rms_m = float(np.sqrt(np.mean(np.sum(fitted**2, axis=1))))
+    expected = rms_m * math.sqrt((1.0 + share) / max(1.0 - share, 0.05))
     return float(np.sqrt(np.mean(held.after_m**2))) / max(expected, 1e-12)
 
 
@@ -173,13 +186,15 @@ def _answer(grade: Grade) -> str:
     }[grade]
 
 
-def _on_held_out(held: HeldOut, floor: NoiseFloor | None) -> list[str]:
+def _on_held_out(held: HeldOut, floor: NoiseFloor | None, slips_count: int = 0) -> list[str]:
     """Improvement on points not used, against the floor, against the paper."""
     before, after = 1e3 * float(np.mean(held.before_m)), 1e3 * float(np.mean(held.after_m))
     what = "scatter of each cavity's predicted tips" if held.is_scatter else "error"
     change = "better" if held.improvement_percent >= 0.0 else "worse"
+    how = "setup by setup" if held.by == "setup" else held.by
+    but = f", but for the {slips_count} that the others contradict" if slips_count else ""
     said = [
-        f"On points not used ({held.by}), the mean {what} went from {before:.3f} to {after:.3f} mm:"
+        f"On points not used (left out {how}{but}), the mean {what} went from {before:.3f} to {after:.3f} mm:"
         f" {abs(held.improvement_percent):.1f} % {change}."
     ]
     if floor is not None:
