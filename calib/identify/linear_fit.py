@@ -5,21 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.arrays import Array
 from calib.identify.determinability import determinability
 from calib.identify.estimates import AT_BOUND
 from calib.identify.problem import ArmProblem
 
+Mask = npt.NDArray[np.bool_]
+
 
 @dataclass(frozen=True, slots=True)
 class LinearFit:
-    """Residuals r + A y of points, r (m, 3) [m], A (m, 3, rank): y are the combinations that the points determine."""
+    """Residuals r + A y of points, r (m, 3) [m], A (m, 3, rank): y are the combinations that the points determine.
+
+    Over all points A'A is one.
+    """
 
     residuals: Array
     columns: Array
-    grams: Array
-    pulls: Array
 
     @classmethod
     def around(cls, problem: ArmProblem, x: Array, extra: Array | None = None) -> LinearFit:
@@ -41,8 +45,7 @@ class LinearFit:
         left, singular, _ = np.linalg.svd(rows, full_matrices=False)
         left = left[:, singular > 1e-6 * singular.max(initial=0.0)]
         independent = np.ascontiguousarray(left).reshape(*whole.shape[:2], -1)
-        grams = independent.transpose(0, 2, 1) @ independent
-        return cls(residuals, independent, grams, np.einsum("mij,mi->mj", independent, residuals))
+        return cls(residuals, independent)
 
     @property
     def rank(self) -> int:
@@ -53,22 +56,23 @@ class LinearFit:
         """How many points."""
         return len(self.residuals)
 
-    def fitted(self, kept: Array) -> Array:
-        """Residuals (m, 3) of all points after least squares over the points with weight `kept` (m,)."""
+    def fitted(self, kept: Mask) -> Array:
+        """Residuals (m, 3) of all points after least squares over those of `kept` (m,)."""
         gram = self._gram(kept)
         gram[np.diag_indices_from(gram)] += 1e-12 * max(1e-300, float(np.trace(gram)))
-        step = np.linalg.solve(gram, -(kept @ self.pulls))
+        pull = self.columns[kept].reshape(-1, self.rank).T @ self.residuals[kept].ravel()
+        step = np.linalg.solve(gram, -pull)
         return np.asarray(self.residuals + (self.columns.reshape(-1, self.rank) @ step).reshape(-1, 3))
 
-    def _gram(self, kept: Array) -> Array:
-        """A'A over the points with weight `kept`."""
-        return np.asarray((kept @ self.grams.reshape(len(kept), -1)).reshape(self.rank, self.rank))
-
-    def leverage(self, kept: Array) -> Array:
-        """A_i (A'A)^-1 A_i' of each point (m, 3, 3), A'A over the points with weight `kept`."""
+    def leverage(self, kept: Mask) -> Array:
+        """A_i (A'A)^-1 A_i' of each point (m, 3, 3), A'A over the points of `kept` (m,)."""
         inverse = np.linalg.pinv(self._gram(kept), rcond=1e-12, hermitian=True)
         return np.asarray(self.columns @ inverse @ self.columns.transpose(0, 2, 1))
 
-    def rows(self, chosen: Array) -> LinearFit:
-        """Of some points."""
-        return LinearFit(self.residuals[chosen], self.columns[chosen], self.grams[chosen], self.pulls[chosen])
+    def _gram(self, kept: Mask) -> Array:
+        """A'A over the points of `kept`."""
+        if 2 * int(kept.sum()) > len(kept):
+            rest = self.columns[~kept].reshape(-1, self.rank)
+            return np.asarray(np.eye(self.rank) - rest.T @ rest)
+        rows = self.columns[kept].reshape(-1, self.rank)
+        return np.asarray(rows.T @ rows)

@@ -14,10 +14,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from calib.arrays import Array, norms
-from calib.identify.linear_fit import LinearFit
+from calib.identify.linear_fit import LinearFit, Mask
 from calib.identify.outlier_stories import Story, story_of
 from calib.identify.problem import ArmProblem
 
@@ -30,8 +29,6 @@ ROUNDS_LIMIT = 12
 CANNOT_BE_TESTED = 0.995  # leverage: the point alone decides something, and nothing contradicts it
 RESOLUTION_m = 1e-6  # noise below this is taken for this: data without noise name nothing
 SEED = 0
-
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +100,7 @@ def _tested(fit: LinearFit, kept: Mask) -> Sorted:
     """Every point against those of `kept`, without itself."""
     from scipy.special import fdtri
 
-    weights = kept.astype(float)
-    residuals, leverage = fit.fitted(weights), fit.leverage(weights)
+    residuals, leverage = fit.fitted(kept), fit.leverage(kept)
     freedom = max(1, 3 * int(kept.sum()) - fit.rank)
     sign = np.where(kept, -1.0, 1.0)[:, None, None]
     inner = np.linalg.eigvalsh(leverage)[:, -1]
@@ -126,11 +122,11 @@ def _most_alike(fit: LinearFit) -> Array:
     m, draw = len(fit), np.random.default_rng(SEED)
     count = min(m, max(math.ceil(TRUSTED_SHARE * m), fit.rank // 3 + 2))
     least = min(m, math.ceil(fit.rank / 3) + 2)
-    starts = [norms(fit.residuals), *[norms(fit.fitted(np.ones(m)))]]
+    starts = [norms(fit.residuals), norms(fit.fitted(np.ones(m, dtype=bool)))]
     if m <= POINTS_LIMIT:
         for _ in range(STARTS_COUNT):
-            chosen = np.zeros(m)
-            chosen[draw.choice(m, least, replace=False)] = 1.0
+            chosen = np.zeros(m, dtype=bool)
+            chosen[draw.choice(m, least, replace=False)] = True
             starts.append(norms(fit.fitted(chosen)))
     ends = [_concentrated(fit, start, count) for start in starts]
     return min(ends, key=lambda squares: float(np.sort(squares)[:count].sum()))
@@ -140,8 +136,8 @@ def _concentrated(fit: LinearFit, distances: Array, count: int) -> Array:
     """Fit to the `count` nearest points, again and again: the sum of their squares never grows."""
     before = math.inf
     for _ in range(CONCENTRATION_STEPS):
-        chosen = np.zeros(len(fit))
-        chosen[np.argpartition(distances, count - 1)[:count]] = 1.0
+        chosen = np.zeros(len(fit), dtype=bool)
+        chosen[np.argpartition(distances, count - 1)[:count]] = True
         distances = norms(fit.fitted(chosen))
         value = float(np.partition(distances, count - 1)[:count] @ np.partition(distances, count - 1)[:count])
         if value >= before * (1.0 - 1e-9):

@@ -9,8 +9,8 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.identify.frames import cross_matrix
-from calib.identify.linear_fit import LinearFit
-from calib.identify.outliers import Mask, sort_points
+from calib.identify.linear_fit import LinearFit, Mask
+from calib.identify.outliers import sort_points
 from calib.identify.problem import ArmProblem
 
 FREE = "free"  # poses away from any board
