@@ -1,0 +1,171 @@
+"""From a log to what is missing in the model: the dynamic half of the gap workflow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.gap.dynamic import forms
+from calib.gap.dynamic.catalogue import candidates as all_candidates
+from calib.gap.dynamic.choose import Choice, Step
+from calib.gap.dynamic.nameable import nameable
+from calib.gap.dynamic.physics import Physics
+from calib.gap.dynamic.recording import Recording, prepare
+from calib.gap.dynamic.rows import Cell, Rows, RowTable
+from calib.gap.dynamic.split import Picked, Split, split
+from calib.gap.dynamic.terms import Term, known_terms
+from calib.gap.dynamic.verdict import Verdict, judge, terms_of
+from calib.gap.finding import GapFinding, NamedEffect
+from calib.gap.log import Log
+from control.model.arm import Arm
+
+
+@dataclass(frozen=True, slots=True)
+class DynamicOutcome:
+    """The finding, and what a report draws: residual rows over the floor before and after, what each row is,
+    which rows report, sentences about the log, and where the floor comes from.
+    """
+
+    finding: GapFinding
+    warnings: tuple[str, ...]
+    rows: RowTable
+    before: Array
+    after: Array
+    split: Split
+    run_names: tuple[str, ...]
+
+
+def find(
+    arm: Arm,
+    log: Log,
+    advance: Callable[[str, float], None] | None = None,
+    candidates: Collection[str] | None = None,
+) -> GapFinding:
+    """What is hidden in a log of this arm; `candidates`: only these effects of the list, by name.
+
+    Raises UnusableLogError where no answer is possible (another arm's log, degrees, runs that are too short).
+    """
+    return examine(arm, log, advance, candidates).finding
+
+
+def examine(
+    arm: Arm,
+    log: Log,
+    advance: Callable[[str, float], None] | None = None,
+    candidates: Collection[str] | None = None,
+) -> DynamicOutcome:
+    """`find`, with what a report shows beside the finding."""
+    told = advance or _silent
+    told("reading the runs", 0.0)
+    recording = prepare(arm, log)
+    known = known_terms(arm)
+    rows = Rows(Physics(arm, recording), known)
+    parts = split(recording, rows.table)
+    pool = all_candidates(arm, recording, candidates)
+    choice = Choice(rows, known, parts, pool, told)
+    told("what this recording could name", 0.05)
+    possible = nameable(arm, choice.screen, parts, pool)
+    steps = choice.steps()
+    verdict = judge(choice, steps, arm)
+    told("the gap on runs used for nothing else", 0.95)
+    before = rows.residual(known)
+    model = [*known, *terms_of(steps, verdict)]
+    after = rows.residual(model) if verdict.named else before
+    finding = GapFinding(
+        arm=arm.name,
+        data=log.sources,
+        noise_floor=_floors(rows.table, arm),
+        gap_before=gap(before, rows.table, parts.reporting),
+        gap_after=gap(after, rows.table, parts.reporting),
+        before_si=_in_si(before, rows.table, parts.reporting, arm),
+        after_si=_in_si(after, rows.table, parts.reporting, arm),
+        effects=_named(steps, verdict, rows, known, parts),
+        ambiguous=verdict.ambiguous,
+        unknown=verdict.unknown,
+        nameable=possible,
+        next_experiment=_next(recording, verdict),
+    )
+    told("done", 1.0)
+    names = tuple(run.name for run in recording.runs)
+    return DynamicOutcome(finding, recording.warnings, rows.table, before, after, parts, names)
+
+
+def gap(residual: Array, table: RowTable, picked: Picked) -> float:
+    """Root mean square over the floor; every cell counts the same, however many rows it has."""
+    squares = []
+    for cell in table.cells:
+        values = residual[cell.rows][picked[cell.rows]]
+        if len(values):
+            squares.append(float(np.mean(values**2)))
+    return float(np.sqrt(np.mean(squares))) if squares else float("nan")
+
+
+def _silent(what: str, share: float) -> None:
+    """No progress is shown."""
+
+
+def _floors(table: RowTable, arm: Arm) -> dict[str, float]:
+    return _by_channel(table, arm, lambda cell: cell.floor)
+
+
+def _in_si(residual: Array, table: RowTable, picked: Picked, arm: Arm) -> dict[str, float]:
+    def size(cell: Cell) -> float:
+        values = residual[cell.rows][picked[cell.rows]]
+        return float(np.sqrt(np.mean(values**2)) * cell.floor) if len(values) else float("nan")
+
+    return _by_channel(table, arm, size)
+
+
+def _by_channel(table: RowTable, arm: Arm, size: Callable[[Cell], float]) -> dict[str, float]:
+    """Root mean square over the joints of each channel, the voltage in volts."""
+    squares: dict[str, list[float]] = {}
+    for cell in table.cells:
+        is_voltage = cell.channel == "voltage_as_A"
+        factor = arm.drives[cell.joint].resistance_ohm if is_voltage else 1.0
+        squares.setdefault("voltage_V" if is_voltage else cell.channel, []).append((size(cell) * factor) ** 2)
+    return {channel: float(np.sqrt(np.mean(values))) for channel, values in squares.items()}
+
+
+def _named(
+    steps: Sequence[Step], verdict: Verdict, rows: Rows, known: Sequence[Term], parts: Split
+) -> tuple[NamedEffect, ...]:
+    if not verdict.named:
+        return ()
+    last = steps[-1].best.fitted
+    begins = np.cumsum([0, *(len(term.values) for term in last.terms)])
+    result, model = [], list(known)
+    for k in verdict.named:
+        term, own = last.terms[k], slice(int(begins[k]), int(begins[k + 1]))
+        model.append(term)
+        after = gap(rows.residual(model), rows.table, parts.reporting)
+        evidence = {
+            "held_out_log_evidence": steps[k].evidence,
+            "margin": steps[k].margin,
+            "explained": verdict.explained[k],
+        }
+        values = forms.parameters(term, last.covariance[own, own])
+        result.append(NamedEffect(steps[k].best.candidate.name, values, after, evidence))
+    return tuple(result)
+
+
+def _next(recording: Recording, verdict: Verdict) -> str | None:
+    if verdict.ambiguous:
+        names = ", ".join(str(name) for name in verdict.ambiguous[0])
+        return f"a recording that separates {names}: {_advice(recording)}"
+    if verdict.unknown is not None:
+        return f"more of where the unknown shows ({verdict.unknown.where}): {_advice(recording)}"
+    return None
+
+
+def _advice(recording: Recording) -> str:
+    if not recording.has_tip:
+        return "the same runs with the camera on the tip"
+    if not recording.has_current:
+        return "the same runs with the motor currents"
+    loads = {round(float(np.median(run.payload_kg)), 3) for run in recording.runs}
+    if len(loads) < 2:
+        return "the same runs with a known payload at the tip"
+    return "slow ramps and reversals at several speeds, each twice, with and without payload"

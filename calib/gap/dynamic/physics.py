@@ -1,0 +1,302 @@
+"""One evaluation of the model on all runs: current from motion, voltage from current and motion, tip from angles.
+
+Electrical, with the command u held over a sample from its time on (delayed by tau), i sampled just before the next:
+    L di/dt + R i = u - K speed,   K = torque constant times gear ratio (times what torque_constant says).
+Mechanical, at the motor, in joint angles:
+    K i = J speed' + transmitted + friction(speed, transmitted) - cogging(q).
+A sampled current is the end of a step of the staircase that the voltage makes; the torque is its mean, which stands
+T/2 - L/R earlier: shifting the voltage part of i by that much is what `_mean_current` does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.gap.dynamic.body import Body, Load
+from calib.gap.dynamic.laws import friction_Nm
+from calib.gap.dynamic.play import Followed, Follower, elastic, loose
+from calib.gap.dynamic.recording import Motion, Recording
+from calib.gap.dynamic.terms import Term
+from control.model.arm import Arm
+from control.model.kinematics import Kinematics
+
+SHORTEST_SPRING_rad_Nm = 1e-8
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What the model expects of one run at every sample, minus what was measured: (m, n), (m, n), (frames, 3)."""
+
+    current_A: Array
+    voltage_as_A: Array
+    tip_m: Array
+
+
+@dataclass(slots=True)
+class _Parts:
+    """Terms by where they act."""
+
+    load: Load = field(default_factory=Load)
+    scale: dict[int, float] = field(default_factory=dict)
+    delay_s: float = 0.0
+    sag: list[tuple[str, float]] = field(default_factory=list)
+    friction: list[Term] = field(default_factory=list)
+    elastic: list[Term] = field(default_factory=list)
+    angles: list[Term] = field(default_factory=list)
+    electrical: list[Term] = field(default_factory=list)
+    tip: list[Term] = field(default_factory=list)
+
+
+class Physics:
+    """Evaluates models on one recording."""
+
+    def __init__(self, arm: Arm, recording: Recording) -> None:
+        self.arm, self.recording = arm, recording
+        self.body = Body(arm, recording)
+        self._kinematics = Kinematics(arm)
+        self._K = np.array([d.torque_constant_Nm_A * d.gear_ratio for d in arm.drives])
+        self._R = np.array([d.resistance_ohm for d in arm.drives])
+        self._lag = np.array([d.inductance_H / d.resistance_ohm for d in arm.drives])
+        self._supply = np.array([d.supply_V for d in arm.drives])
+        self._gear = np.array([d.gear_ratio for d in arm.drives])
+        self._period = 1.0 / recording.filters.rate_Hz
+        self._voltage = [recording.filters.states(run.voltage_V) for run in recording.runs]
+        self._torques: dict[Load, list[Array]] = {}
+        self._follow: dict[tuple[Load, int], Follower] = {}
+        self._tips = [
+            self._kinematics.tips(run.q_raw[run.frames]) if recording.has_tip else np.zeros((0, 3))
+            for run in recording.runs
+        ]
+        self.jacobians = [
+            self._kinematics.jacobians(run.q_raw[run.frames]) if recording.has_tip else np.zeros((0, 3, 0))
+            for run in recording.runs
+        ]
+        self._dh: list[Array] | None = None
+
+    @property
+    def torque_per_A(self) -> Array:
+        """K, joint torque per ampere (n,)."""
+        return self._K
+
+    def link_torques(self, load: Load) -> list[Array]:
+        """Link torques of each run (m, n), kept for the loads seen last."""
+        if load not in self._torques:
+            if len(self._torques) > 24:
+                self._torques.clear()
+            self._torques[load] = self.body.link_torques(load)
+        return self._torques[load]
+
+    def current_roughness(self, k: int, joint: int) -> float:
+        """White noise of run k's current sensor [A]: the third difference takes off what is smooth.
+
+        What the commanded voltage drives through the winding is taken off first, as it is rough on purpose.
+        """
+        run = self.recording.runs[k]
+        current = run.current_raw_A[:, joint]
+        if self.recording.has_voltage:
+            current = current - self._held(run.voltage_V, 0.0)[:, joint] / self._R[joint]
+        return float(1.4826 * np.median(np.abs(np.diff(current, 3))) / np.sqrt(20.0))
+
+    def predict(self, model: Sequence[Term]) -> list[Prediction]:
+        """The model's residuals on every run."""
+        parts = _sorted(model)
+        torques = self.link_torques(parts.load)
+        moved = [self._follow_all(parts, torques)] if parts.elastic else []
+        result = []
+        for k, run in enumerate(self.recording.runs):
+            link, offset = torques[k], np.zeros_like(run.q)
+            if moved:
+                link, offset = moved[0][k]
+            mechanical = self._current(parts, run, k, link)
+            electrical = self._electrical(parts, run, k)
+            result.append(Prediction(mechanical, electrical, self._tip(parts, run, k, offset)))
+        return result
+
+    def _current(self, parts: _Parts, run: Motion, k: int, link: Array) -> Array:
+        """Mean current expected from the motion, less the measured one."""
+        wanted = link + self.body.rotor_kg_m2 * run.acceleration
+        for term in parts.friction:
+            j = term.index
+            wanted[:, j] += friction_Nm(term, run, j, link[:, j], float(self._gear[j]))
+        scale = np.ones(len(self._K))
+        for j, value in parts.scale.items():
+            scale[j] += value
+        return np.asarray(wanted / (self._K * scale) - self._mean_current(parts, run, k, scale))
+
+    def _mean_current(self, parts: _Parts, run: Motion, k: int, scale: Array) -> Array:
+        K = self._K * scale
+        if not self.recording.has_current:
+            value, slope, _ = self._voltage[k]
+            held = value - (0.5 * self._period + parts.delay_s + self._lag) * slope
+            current = (held - K * run.speed) / self._R
+            return np.where(run.is_off, 0.0, current)
+        if not self.recording.has_voltage:
+            return run.current_A
+        n = np.floor(parts.delay_s / self._period)
+        within = parts.delay_s - n * self._period
+        mixed = np.exp(-(self._period - within) / np.maximum(self._lag, 1e-9))
+        ahead = 0.5 * self._period - self._lag - within + mixed * self._period
+        return np.asarray(run.current_A + ahead * (run.current_slope + K * run.acceleration / self._R))
+
+    def _electrical(self, parts: _Parts, run: Motion, k: int) -> Array:
+        """Sampled current expected from voltage and speed, less the measured one."""
+        if not (self.recording.has_current and self.recording.has_voltage):
+            return np.zeros((len(run), 0))
+        scale = np.ones(len(self._K))
+        for j, value in parts.scale.items():
+            scale[j] += value
+        seen = self._held(self._voltage[k][0], parts.delay_s)
+        for form, resistance in parts.sag:
+            seen = seen * (1.0 - resistance * self._drawn(form, seen, run) / self._supply)
+        speed = run.speed - self._lag * run.acceleration
+        expected = (seen - self._K * scale * speed) / self._R
+        for term in parts.electrical:
+            j = term.index
+            if term.form == "resistance":
+                expected[:, j] -= term.values[0] * run.current_A[:, j]
+            elif term.form == "current offset":
+                expected[:, j] += term.values[0]
+            elif term.form == "inductance":
+                expected[:, j] -= term.values[0] * run.current_slope[:, j]
+        return np.asarray(expected - run.current_A)
+
+    def _held(self, voltage: Array, delay_s: float) -> Array:
+        """The voltage that a winding has settled to when its current is sampled, (m, n)."""
+        n = int(delay_s // self._period)
+        within = delay_s - n * self._period
+        lag = np.maximum(self._lag, 1e-9)
+        newest, whole = np.exp(-(self._period - within) / lag), np.exp(-self._period / lag)
+        one, two, three = (_earlier(voltage, n + back) for back in (1, 2, 3))
+        return np.asarray((1 - newest) * one + newest * (1 - whole) * two + newest * whole * three)
+
+    def _drawn(self, form: str, voltage: Array, run: Motion) -> Array:
+        if form == "supply_sag":  # a bridge draws duty times motor current
+            return np.asarray(np.sum(voltage / self._supply * run.current_A, axis=1, keepdims=True))
+        return np.asarray(np.sum(np.abs(run.current_A), axis=1, keepdims=True))
+
+    def _follow_all(self, parts: _Parts, torques: list[Array]) -> list[tuple[Array, Array]]:
+        """Link torques and angles beyond the encoders', with the motion of elastic or loose joints in them."""
+        followed = {term.index: self._followed(parts, term) for term in parts.elastic}
+        result = []
+        for k, run in enumerate(self.recording.runs):
+            q, speed, acceleration = np.array(run.q), np.array(run.speed), np.array(run.acceleration)
+            offset = np.zeros_like(q)
+            for j, found in followed.items():
+                offset[:, j] = found.delta_rad[: len(run), k]
+                q[:, j] += offset[:, j]
+                speed[:, j] += found.speed_rad_s[: len(run), k]
+                acceleration[:, j] += found.acceleration_rad_s2[: len(run), k]
+            link = self.body.moved(parts.load, run, q, speed, acceleration)
+            for j, found in followed.items():
+                link[:, j] = found.transmitted_Nm[: len(run), k]
+            result.append((link, offset))
+        return result
+
+    def _followed(self, parts: _Parts, term: Term) -> Followed:
+        of = self._follower(parts.load, term.index)
+        if term.form == "backlash":
+            return loose(of, max(term.values[0], 0.0))
+        compliance = max(term.values[0], SHORTEST_SPRING_rad_Nm)
+        return elastic(of, 1.0 / compliance, max(term.values[1], 0.0) if len(term.values) > 1 else 0.0)
+
+    def _follower(self, load: Load, j: int) -> Follower:
+        key = (load, j)
+        if key not in self._follow:
+            if len(self._follow) > 24:
+                self._follow.clear()
+            torques = [part[:, j] for part in self.link_torques(load)]
+            self._follow[key] = Follower(
+                _side_by_side(torques),
+                _side_by_side(self.body.own_inertia(load, j)),
+                _side_by_side(self.body.gravity_slope(load, j)),
+                self._period,
+            )
+        return self._follow[key]
+
+    def _tip(self, parts: _Parts, run: Motion, k: int, offset: Array) -> Array:
+        if not self.recording.has_tip:
+            return np.zeros((0, 3))
+        q = run.q_raw[run.frames]
+        turned = np.array(q)
+        turned += offset[run.frames]
+        for term in parts.angles:
+            _turn(term, q, turned, run.t_s[run.frames])
+        expected = self._tips[k] if turned is q else self._kinematics.tips(turned)
+        for term in parts.tip:
+            expected = expected + self._shift(term, k, run)
+        return np.asarray(expected - run.tip_m)
+
+    def _shift(self, term: Term, k: int, run: Motion) -> Array:
+        if term.form == "camera time":
+            return np.asarray(
+                np.einsum("mij,mj->mi", self.jacobians[k], run.speed[run.frames]) * term.values[0]
+            )
+        if term.form == "link_geometry":
+            if self._dh is None:
+                self._dh = [
+                    self._kinematics.identification_jacobian(r.q_raw[r.frames]) for r in self.recording.runs
+                ]
+            return np.asarray(self._dh[k] @ np.array(term.values))
+        shift, turn = np.array(term.values[:3]), np.array(term.values[3:])
+        return np.asarray(shift + np.cross(turn, self._tips[k]))
+
+
+def _sorted(model: Sequence[Term]) -> _Parts:
+    parts = _Parts()
+    payload, masses, inertias = 0.0, [], []
+    for term in model:
+        match term.form:
+            case "payload":
+                payload += term.values[0]
+            case "mass_kg":
+                masses.append((term.index, term.values[0]))
+            case "inertia_kg_m2":
+                inertias.append((term.index, term.values[0]))
+            case "torque_constant":
+                parts.scale[term.index] = parts.scale.get(term.index, 0.0) + term.values[0]
+            case "command_delay":
+                parts.delay_s += max(term.values[0], 0.0)
+            case "supply_sag" | "supply_sag by sum":
+                parts.sag.append((term.form, term.values[0]))
+            case "joint_compliance" | "backlash":
+                parts.elastic.append(term)
+            case "encoder_eccentricity" | "encoder_scale" | "belt_coupling" | "thermal_drift" | "zero":
+                parts.angles.append(term)
+            case "link_geometry" | "base_frame" | "camera time":
+                parts.tip.append(term)
+            case "resistance" | "current offset" | "inductance":
+                parts.electrical.append(term)
+            case _:
+                parts.friction.append(term)
+    parts.load = Load(payload, tuple(masses), tuple(inertias))
+    return parts
+
+
+def _turn(term: Term, q: Array, turned: Array, t_s: Array) -> None:
+    """How much further than its encoder says a joint has turned."""
+    match term.form:
+        case "encoder_eccentricity":
+            j = term.index
+            turned[:, j] += term.values[0] * np.sin(q[:, j]) + term.values[1] * np.cos(q[:, j])
+        case "encoder_scale":
+            turned[:, term.index] += term.values[0] * q[:, term.index]
+        case "belt_coupling":
+            turned[:, 2] += term.values[0] * q[:, 1]
+        case "zero":
+            turned[:, term.index] += term.values[0]
+        case _:
+            turned[:, term.index] += term.values[0] * (1.0 - np.exp(-t_s / term.values[1]))
+
+
+def _earlier(values: Array, samples: int) -> Array:
+    return np.vstack([np.repeat(values[:1], samples, axis=0), values[: len(values) - samples]])
+
+
+def _side_by_side(columns: list[Array]) -> Array:
+    """Runs of different lengths as one array (longest, runs); the shorter ones stay at their last value."""
+    longest = max(len(column) for column in columns)
+    return np.stack([np.pad(column, (0, longest - len(column)), mode="edge") for column in columns], axis=1)

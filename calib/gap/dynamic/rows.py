@@ -1,0 +1,184 @@
+"""Residuals as rows over their noise floor: one vector for all channels and runs, with what each row stands for.
+
+A cell is one channel of one joint: the current that the motion needs, the voltage's current, or the tip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import Array
+from calib.gap.dynamic.body import Load
+from calib.gap.dynamic.floor import Block, floors
+from calib.gap.dynamic.laws import friction_Nm
+from calib.gap.dynamic.physics import Physics, Prediction
+from calib.gap.dynamic.recording import Flags, Motion, Recording
+from calib.gap.dynamic.terms import Term
+
+SLOW_rad_s = 0.008  # below, friction of real joints is pre-sliding, and no law here speaks of that
+NOISE_SPEEDS = 4.0  # standard deviations of the measured speed that count as rest
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A channel of a joint (0-based; -1: the tip): its rows in the vector, and its noise floor in SI."""
+
+    channel: str
+    joint: int
+    rows: slice
+    floor: float
+
+    def __str__(self) -> str:
+        """As `current_A of joint 2`."""
+        return self.channel if self.joint < 0 else f"{self.channel} of joint {self.joint + 1}"
+
+
+@dataclass(frozen=True, slots=True)
+class RowTable:
+    """Which rows there are: cells, the run of each row, and the motion beside it."""
+
+    cells: tuple[Cell, ...]
+    run: npt.NDArray[np.intp]
+    t_s: Array
+    q_rad: Array
+    speed_rad_s: Array
+    load_Nm: Array
+    scale: Array  # the floor of each row
+    floor_source: str
+
+
+class Rows:
+    """Makes residual rows of models."""
+
+    def __init__(self, physics: Physics, model: Sequence[Term]) -> None:
+        self.physics = physics
+        self.recording = physics.recording
+        self._masks = [_mask(self.recording, run) for run in self.recording.runs]
+        self._electrical = [_sound_rows(self.recording, run) for run in self.recording.runs]
+        self.table = self._tabled(model)
+
+    def residual(self, model: Sequence[Term]) -> Array:
+        """Rows (k,): model less measurement over the floor."""
+        return np.asarray(self._raw(model) / self.table.scale)
+
+    def friction_slope(self, term: Term) -> Array:
+        """What a friction or cogging term of these values adds to the rows (k,), other terms apart."""
+        physics, j, result = self.physics, term.index, np.zeros(len(self.table.run))
+        gear, K = physics.arm.drives[j].gear_ratio, physics.torque_per_A[j]
+        parts = []
+        for k, run in enumerate(self.recording.runs):
+            torque = friction_Nm(term, run, j, physics.link_torques(Load())[k][:, j], gear)
+            parts.append(self.recording.filters.rows(torque)[self._masks[k][:, j]])
+        for cell in self.table.cells:
+            if cell.channel == "current_A" and cell.joint == j:
+                result[cell.rows] = np.concatenate(parts) / (K * cell.floor)
+        return result
+
+    def at_rest_slope(self, form: str, joint: int) -> Array:
+        """Tip rows of a gear (0-based) that gives way by 1 rad/(N m), or has 1 rad of play, link and motor in step."""
+        physics, result = self.physics, np.zeros(len(self.table.run))
+        parts = []
+        for k, run in enumerate(self.recording.runs):
+            torque = physics.link_torques(Load())[k][run.frames, joint]
+            turned = -torque if form == "joint_compliance" else -0.5 * np.sign(torque)
+            parts.append((physics.jacobians[k][:, :, joint] * turned[:, None]).ravel())
+        for cell in self.table.cells:
+            if cell.channel == "tip_m":
+                result[cell.rows] = np.concatenate(parts) / cell.floor
+        return result
+
+    def _raw(self, model: Sequence[Term]) -> Array:
+        return np.concatenate([part for _, _, part, *_ in self._blocks(self.physics.predict(model))])
+
+    def _blocks(self, predictions: list[Prediction]) -> list[Block]:
+        """(channel, joint, rows, run, sample of each row), cell by cell and run by run."""
+        blocks: list[Block] = []
+        recording, filters = self.recording, self.recording.filters
+        n = self.physics.arm.joint_count
+        current = [filters.rows(p.current_A) for p in predictions]
+        with_voltage = recording.has_current and recording.has_voltage
+        voltage = [filters.rows(p.voltage_as_A) if with_voltage else None for p in predictions]
+        places = [filters.places(len(run)) for run in recording.runs]
+        if recording.has_current or recording.has_voltage:
+            for j in range(n):
+                for k, rows in enumerate(current):
+                    keep = self._masks[k][:, j]
+                    blocks.append(("current_A", j, rows[keep, j], k, places[k][keep]))
+        if with_voltage:
+            for j in range(n):
+                for k, found in enumerate(voltage):
+                    keep = self._electrical[k][:, j]
+                    if found is not None:
+                        blocks.append(("voltage_as_A", j, found[keep, j], k, places[k][keep]))
+        if recording.has_tip:
+            for k, prediction in enumerate(predictions):
+                frames = np.repeat(recording.runs[k].frames, 3)
+                blocks.append(("tip_m", -1, prediction.tip_m.ravel(), k, frames))
+        return blocks
+
+    def _tabled(self, model: Sequence[Term]) -> RowTable:
+        blocks = self._blocks(self.physics.predict(model))
+        levels, source = floors(self.physics, blocks)
+        load = self.physics.link_torques(Load())
+        cells, columns, start = [], [], 0
+        run: list[Array] = []
+        for key in dict.fromkeys((channel, joint) for channel, joint, *_ in blocks):
+            mine = [block for block in blocks if block[:2] == key]
+            count = sum(len(block[2]) for block in mine)
+            cells.append(Cell(key[0], key[1], slice(start, start + count), levels[key]))
+            start += count
+            for _, joint, values, k, places in mine:
+                motion, j = self.recording.runs[k], max(joint, 0)
+                run.append(np.full(len(values), k))
+                columns.append(
+                    np.stack(
+                        [
+                            motion.t_s[places] - motion.t_s[0],
+                            motion.q[places, j],
+                            motion.speed[places, j],
+                            load[k][places, j],
+                            np.full(len(values), levels[key]),
+                        ]
+                    )
+                )
+        t, q, speed, torque, scale = np.concatenate(columns, axis=1)
+        return RowTable(tuple(cells), np.concatenate(run).astype(np.intp), t, q, speed, torque, scale, source)
+
+
+def _sound_rows(recording: Recording, run: Motion) -> Flags:
+    """Rows (rows, n) whose samples are all usable."""
+    reach = recording.filters.reach // 2  # beyond this the row filter has hardly any weight
+    sound = ~_near(~run.usable, reach)
+    return np.asarray(sound[recording.filters.places(len(run))])
+
+
+def _mask(recording: Recording, run: Motion) -> Flags:
+    """Rows in which the joint really moves, one way."""
+    filters = recording.filters
+    rest = max(0.003, NOISE_SPEEDS * 0.5 * _speed_noise(recording, run))
+    slow = max(SLOW_rad_s, NOISE_SPEEDS * _speed_noise(recording, run))
+    turns = np.abs(run.speed) < rest
+    turns[1:] |= np.sign(run.speed[1:]) != np.sign(run.speed[:-1])
+    reach = round(0.032 * filters.rate_Hz)
+    ok = ~_near(turns, reach) & (np.abs(run.speed) > slow)
+    if not recording.has_current:
+        switched = np.zeros_like(run.is_off)
+        switched[1:] = run.is_off[1:] != run.is_off[:-1]
+        ok &= ~_near(switched, reach + (len(filters.state[0]) - 1) // 2)
+    return np.asarray(ok[filters.places(len(run))] & _sound_rows(recording, run))
+
+
+def _speed_noise(recording: Recording, run: Motion) -> float:
+    """Standard deviation of the speeds from the encoders' steps, the coarsest joint's."""
+    steps = [np.diff(np.unique(column)) for column in run.q_raw.T]
+    smallest = [float(np.min(step[step > 1e-7])) if np.any(step > 1e-7) else 0.0 for step in steps]
+    return float(max(smallest) / np.sqrt(12.0) * recording.filters.speed_gain)
+
+
+def _near(flags: Flags, reach: int) -> Flags:
+    ones = np.ones(2 * reach + 1)
+    return np.stack([np.convolve(column, ones, "same") > 0.5 for column in flags.T], axis=1)

@@ -1,0 +1,67 @@
+"""Which runs decide and which only report; repeats stay together, and no sample of a run goes elsewhere."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.gap.dynamic.recording import Recording
+from calib.gap.dynamic.rows import RowTable
+
+Picked = npt.NDArray[np.bool_]
+REPORT_SHARE = 0.34  # of the groups at most
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """Rows that decide, in groups that are held out in turn; rows that report; the runs' names of the latter."""
+
+    groups: tuple[Picked, ...]
+    deciding: Picked
+    reporting: Picked
+    report_runs: tuple[str, ...]
+
+
+def split(recording: Recording, table: RowTable) -> Split:
+    """Report on a group of repeats of middling speed and on one run of each load that others carry too."""
+    if len(recording.runs) == 1:
+        return _by_time(recording, table)
+    report = _report_groups(recording)
+    groups = [g for k, g in enumerate(recording.repeats) if k not in report]
+    reporting = np.isin(table.run, [r for k in report for r in recording.repeats[k]])
+    names = tuple(recording.runs[r].name for k in report for r in recording.repeats[k])
+    picked = tuple(np.asarray(np.isin(table.run, group)) for group in groups)
+    return Split(picked, ~reporting, reporting, names)
+
+
+def _report_groups(recording: Recording) -> list[int]:
+    speeds = [
+        float(np.mean([np.sqrt(np.mean(recording.runs[r].speed ** 2)) for r in group]))
+        for group in recording.repeats
+    ]
+    loads = [round(float(np.median(recording.runs[group[0]].payload_kg)), 4) for group in recording.repeats]
+    most = max(1, int(REPORT_SHARE * len(speeds)))
+    chosen: list[int] = []
+    for load in sorted(set(loads), key=lambda one: -loads.count(one)):
+        own = [k for k, value in enumerate(loads) if value == load]
+        if len(own) < 2 or len(chosen) >= most:
+            continue
+        own.sort(key=lambda k: speeds[k])
+        middle = own[len(own) // 2]
+        repeated = [k for k in own[1:-1] if len(recording.repeats[k]) > 1]
+        near = min(repeated, key=lambda k: abs(speeds[k] - speeds[middle])) if repeated else middle
+        chosen.append(near)
+    return chosen or [len(speeds) - 1]
+
+
+def _by_time(recording: Recording, table: RowTable) -> Split:
+    """One run: its last third reports, the rest decides in four pieces."""
+    run = recording.runs[0]
+    share = table.t_s / max(run.t_s[-1] - run.t_s[0], 1e-9)
+    reporting = np.asarray(share >= 2.0 / 3.0)
+    edges = np.linspace(0.0, 2.0 / 3.0, 5)
+    pieces = tuple(np.asarray((share >= a) & (share < b)) for a, b in itertools.pairwise(edges))
+    return Split(pieces, ~reporting, reporting, (run.name,))

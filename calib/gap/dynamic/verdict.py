@@ -1,0 +1,176 @@
+"""What the steps mean: names, sets that cannot be told apart, and what is unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.gap.dynamic.choose import MARGIN, SHARE_MARGIN, Choice, Step
+from calib.gap.dynamic.terms import Term
+from calib.gap.finding import EffectName, Unknown
+from control.model.arm import Arm
+
+SUFFICIENT = (
+    0.97  # of what a cell showed beyond its floor and the effect claims: a name has to take that much
+)
+SUFFICIENT_ROUGH = 0.93  # for laws whose form differs between real joints
+ROUGH = ("stribeck_friction", "backlash", "joint_compliance")
+AT_FLOOR = 1.15  # mean square over the floor's: models without any hidden effect reach this in single cells
+LEFT = 0.35  # of the floor's square, and
+LEFT_SHARE = 0.05  # of what a cell showed at first: less than both is nothing unknown
+SHADOW = 0.5  # a name needs at least this share of what something unknown takes in the same cell
+FIRST_LAWS = ("coulomb_friction", "viscous_friction")  # every gear has them: accepted on held-out gain alone
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Steps that are named, ambiguous sets, and what is unknown."""
+
+    named: tuple[int, ...]
+    ambiguous: tuple[tuple[EffectName, ...], ...]
+    unknown: Unknown | None
+    explained: tuple[float, ...]
+
+
+def judge(choice: Choice, steps: Sequence[Step], arm: Arm) -> Verdict:
+    """Decide over all steps together."""
+    last = steps[-1].best.fitted.residual if steps else choice.first.residual
+    counts = choice.counts()
+    left = np.maximum(choice.by_cell(last) - AT_FLOOR * counts, 0.0)
+    explained = tuple(_explained(step.claims, left) for step in steps)
+    ambiguous: list[tuple[EffectName, ...]] = []
+    named: list[int] = []
+    rejected: list[int] = []
+    for k, step in enumerate(steps):
+        rivals = _rivals(choice, step)
+        if (
+            not step.best.candidate.is_listed
+            or not _suffices(step, explained[k], arm)
+            or _in_shadow(steps, rejected, k)
+        ):
+            rejected.append(k)
+        elif rivals:
+            ambiguous.append((step.best.candidate.name, *rivals))
+        else:
+            named.append(k)
+    # A later unknown can be larger in a cell than an effect named before it.
+    shadowed = [k for k in named if _in_shadow(steps, rejected, k)]
+    named = [k for k in named if k not in shadowed]
+    unknown = _unknown(choice, steps, rejected + shadowed, left)
+    return Verdict(tuple(named), tuple(ambiguous), unknown, explained)
+
+
+def _explained(claims: Array, left: Array) -> float:
+    """Share of what the claimed cells show beyond the floor, weighted by the claims."""
+    own = np.maximum(claims, 0.0)
+    own = np.where(own > 0.05 * own.max(), own, 0.0)
+    total = float(own.sum())
+    return float(np.sum(own * own / np.maximum(own + left, 1e-12)) / max(total, 1e-12))
+
+
+def _suffices(step: Step, explained: float, arm: Arm) -> bool:
+    name = step.best.candidate.name
+    if name.effect in FIRST_LAWS and not any(
+        e.effect == name.effect and e.joint == name.joint for e in arm.effects
+    ):
+        return True
+    return explained >= (SUFFICIENT_ROUGH if name.effect in ROUGH else SUFFICIENT)
+
+
+def _in_shadow(steps: Sequence[Step], unknowns: Sequence[int], k: int) -> bool:
+    """Whether something unknown is larger where this effect has its claim."""
+    own = np.maximum(steps[k].claims, 0.0)
+    main = own > 0.3 * own.max()
+    return any(other != k and np.any(own[main] < SHADOW * steps[other].claims[main]) for other in unknowns)
+
+
+def _rivals(choice: Choice, step: Step) -> tuple[EffectName, ...]:
+    """Listed rivals that the margin does not beat."""
+    bar = max(MARGIN, SHARE_MARGIN * step.evidence)
+    if step.margin >= bar:
+        return ()
+    lead = step.best.fitted.held_out
+    per_loss = step.margin / max(
+        min(t.fitted.held_out for t in step.rivals if t.candidate.is_listed) - lead, 1e-9
+    )
+    return tuple(
+        trial.candidate.name
+        for trial in step.rivals
+        if trial.candidate.is_listed and (trial.fitted.held_out - lead) * per_loss < bar
+    )
+
+
+def _unknown(choice: Choice, steps: Sequence[Step], rejected: Sequence[int], left: Array) -> Unknown | None:
+    if rejected:
+        k = max(rejected, key=lambda one: float(np.maximum(steps[one].claims, 0.0).sum()))
+        return _from_step(choice, steps[k], left)
+    counts = choice.counts()
+    first = np.maximum(choice.by_cell(choice.first.residual) - counts, 0.0)
+    beyond = choice.by_cell(_last(choice, steps)) - counts
+    over = beyond > np.maximum(LEFT * counts, LEFT_SHARE * first)
+    if not np.any(over):
+        return None
+    cell = int(np.argmax(np.where(over, beyond / np.maximum(counts, 1.0), 0.0)))
+    return Unknown(where(choice, _last(choice, steps), cell), None, 0.0)
+
+
+def _last(choice: Choice, steps: Sequence[Step]) -> Array:
+    return steps[-1].best.fitted.residual if steps else choice.first.residual
+
+
+def _from_step(choice: Choice, step: Step, left: Array) -> Unknown:
+    """The nearest effect of the list, and the share of the excess that it alone takes."""
+    listed = [trial for trial in (step.best, *step.rivals) if trial.candidate.is_listed]
+    own = np.maximum(step.claims, 0.0)
+    main = own > 0.05 * own.max()
+    before = choice.by_cell(step.before.residual)[main] - choice.counts()[main]
+    nearest, explained = None, 0.0
+    if listed:
+        after = choice.by_cell(listed[0].fitted.residual)[main] - choice.counts()[main]
+        nearest = listed[0].candidate.name
+        explained = float(np.clip(1.0 - after.sum() / max(before.sum(), 1e-9), 0.0, 1.0))
+    text = step.best.candidate.where
+    return Unknown(text or where(choice, step.before.residual, int(np.argmax(own))), nearest, explained)
+
+
+def where(choice: Choice, residual: Array, cell: int) -> str:
+    """A cell in words, with what its residual goes along with most."""
+    place = choice.rows.table.cells[cell]
+    table, rows = choice.rows.table, place.rows
+    deciding = choice.split.deciding[rows]
+    values = residual[rows][deciding]
+    speed, q, load = (part[rows][deciding] for part in (table.speed_rad_s, table.q_rad, table.load_Nm))
+    time = table.t_s[rows][deciding]
+    along = {
+        "its speed": _binned(values, speed),
+        "its angle": _binned(values, q),
+        "the torque that it transmits": _binned(values, load),
+        "the time since the run began": _binned(values, time),
+    }
+    name = max(along, key=lambda key: along[key])
+    subject = {
+        "current_A": "the current that joint {joint}'s motion needs",
+        "voltage_as_A": "the voltage of joint {joint}",
+        "tip_m": "the tip",
+    }[place.channel].format(joint=place.joint + 1)
+    if along[name] < 0.1:
+        return subject
+    follows = name if place.joint >= 0 else name.replace("its", "joint 1's")
+    return f"{subject}, changing with {follows} ({along[name]:.0%} of it)"
+
+
+def _binned(values: Array, by: Array, bins: int = 16) -> float:
+    """Share of the values' square that their means over bins of another quantity take."""
+    edges = np.quantile(by, np.linspace(0.0, 1.0, bins + 1)[1:-1])
+    index = np.searchsorted(edges, by)
+    counts = np.maximum(np.bincount(index, minlength=bins), 1)
+    sums = np.bincount(index, weights=values, minlength=bins)
+    return float(np.sum(sums**2 / counts) / max(float(values @ values), 1e-12))
+
+
+def terms_of(steps: Sequence[Step], verdict: Verdict) -> list[Term]:
+    """The named terms with the values of the last fit."""
+    return [steps[-1].best.fitted.terms[k] for k in verdict.named]
