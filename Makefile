@@ -38,6 +38,9 @@ bench: install  ## the table of measured claims, beside peers in their own envir
 coverage-study: install  ## do 95 % intervals of the calibration cover the truth? 400 simulated sessions of each sort (an hour)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage
 
+solver-study: install  ## is the optimum of an identification a real one? 200 fresh cases an objective, some 40 minutes
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.solver_study
+
 lock: install  ## pin again what pyproject.toml names (needs uv)
 	uv pip compile --universal --generate-hashes --no-emit-index-url --no-header --extra dev -o requirements.lock pyproject.toml
 

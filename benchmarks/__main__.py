@@ -22,6 +22,7 @@ SECTIONS = {
     "kinematics": "Kinematics and dynamics",
     "control_cycle": "One control cycle without waiting",
     "wire": "Frames",
+    "identification": "Identification: 16 parameters of the reference arm",
     "tracking": "Tip tracking: circle of 0.09 m at 0.15 m/s",
     "stepped": "Stepped simulation of the whole loop",
     "realtime": "Real time, over the mock boards",

@@ -1,4 +1,4 @@
-"""Peers run in an environment of their own, `.venv-peers`, so that their dependencies are not ours."""
+"""Peers run in environments of their own under `.venv-peers`, so that their dependencies are not ours, nor each other's."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from typing import Any
 
 HERE = Path(__file__).parent
 ENVIRONMENT = HERE.parent / ".venv-peers"
-LOCK = HERE / "peers" / "requirements.lock"
+MAIN = "requirements"  # the lock file of the peers that get on with each other; another has a folder in .venv-peers
 INSTALL_TIMEOUT_S = 600.0
 
 
@@ -19,16 +19,18 @@ class PeerMissing(Exception):
     """The peers' environment cannot be made here; says why."""
 
 
-def peer_python() -> Path:
-    """Return the Python of the peers' environment, made from its lock file where it is not there yet."""
-    python = ENVIRONMENT / "bin" / "python"
-    stamp = ENVIRONMENT / "installed"
-    if stamp.exists() and stamp.stat().st_mtime >= LOCK.stat().st_mtime:
+def peer_python(lock_name: str = MAIN) -> Path:
+    """Return the Python of an environment of peers, made from peers/<lock_name>.lock where it is not there yet."""
+    environment = ENVIRONMENT if lock_name == MAIN else ENVIRONMENT / lock_name
+    lock = HERE / "peers" / f"{lock_name}.lock"
+    python = environment / "bin" / "python"
+    stamp = environment / "installed"
+    if stamp.exists() and stamp.stat().st_mtime >= lock.stat().st_mtime:
         return python
     pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     for command in (
-        [sys.executable, "-m", "venv", str(ENVIRONMENT)],
-        [*pip, "--require-hashes", "-r", str(LOCK)],
+        [sys.executable, "-m", "venv", str(environment)],
+        [*pip, "--require-hashes", "-r", str(lock)],
     ):
         try:
             done = subprocess.run(
@@ -45,10 +47,10 @@ def peer_python() -> Path:
 class Peer:
     """A peer script at work: one JSON line in, one out."""
 
-    def __init__(self, script: str, task: Mapping[str, Any]) -> None:
+    def __init__(self, script: str, task: Mapping[str, Any], lock_name: str = MAIN) -> None:
         quiet = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         self._process = subprocess.Popen(
-            [str(peer_python()), str(HERE / "peers" / script)],
+            [str(peer_python(lock_name)), str(HERE / "peers" / script)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -11,8 +11,10 @@ HiGHS for E1.
 """
 
 import argparse
+import importlib
 import sys
 import time
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -97,12 +99,18 @@ def _board_poses(count: int, rng: np.random.Generator) -> Array:
     return np.vstack((q[:count], more + rng.normal(0.0, 0.05, more.shape)))
 
 
-def best_known(problem: ArmProblem, objective: Objective, seed: int) -> dict[str, float]:
+def best_known(
+    problem: ArmProblem,
+    objective: Objective,
+    seed: int,
+    own_starts: int = OTHER_STARTS,
+    slsqp_starts: int = SLSQP_STARTS,
+) -> dict[str, float]:
     """The best of each solver."""
     rng = np.random.default_rng(seed + 10_000_019)
     starts = [np.zeros(len(problem.parameters))]
-    starts += [rng.uniform(-1.0, 1.0, len(starts[0])) for _ in range(SLSQP_STARTS - 1)]
-    own = best_of_starts(problem, objective, OTHER_STARTS, seed + 1)
+    starts += [rng.uniform(-1.0, 1.0, len(starts[0])) for _ in range(slsqp_starts - 1)]
+    own = best_of_starts(problem, objective, own_starts, seed + 1)
     known = {"more starts": own.value, "SLSQP": min(slsqp(problem, objective, start) for start in starts)}
     if isinstance(objective, LeastSquares):
         known["least_squares"] = min(least_squares(problem, start) for start in starts)
@@ -113,8 +121,7 @@ def best_known(problem: ArmProblem, objective: Objective, seed: int) -> dict[str
 
 def slsqp(problem: ArmProblem, objective: Objective, start: Array) -> float:
     """Scipy's SLSQP as well as it can be called: scaled, analytic gradient, tight, no smoothing."""
-    from scipy.optimize import minimize
-
+    optimize: Any = importlib.import_module("scipy.optimize")
     unit = 1.0 / max(value_of(objective, problem.residuals(start)), 1e-300)
 
     def value(x: Array) -> tuple[float, Array]:
@@ -124,16 +131,15 @@ def slsqp(problem: ArmProblem, objective: Objective, start: Array) -> float:
 
     how = {"ftol": 1e-15, "maxiter": 500}
     box = [(-1.0, 1.0)] * len(start)
-    end = minimize(value, start, jac=True, method="SLSQP", bounds=box, options=how)
+    end = optimize.minimize(value, start, jac=True, method="SLSQP", bounds=box, options=how)
     return value_of(objective, problem.residuals(np.clip(end.x, -1.0, 1.0)))
 
 
 def least_squares(problem: ArmProblem, start: Array) -> float:
     """Scipy's least_squares (trf), scaled, analytic Jacobian, tight."""
-    import scipy.optimize
-
+    optimize: Any = importlib.import_module("scipy.optimize")
     k = len(start)
-    end = scipy.optimize.least_squares(
+    end = optimize.least_squares(
         lambda x: problem.residuals(x).ravel(),
         0.99 * start,
         jac=lambda x: problem.residuals_and_jacobian(x)[1].reshape(-1, k),
@@ -169,11 +175,11 @@ def linear_programmes(problem: ArmProblem, x: Array) -> float:
         if lower < value:
             gain, x, value = value - lower, there, lower
             reach = min(1.0, 2.0 * reach)
-            if gain < 1e-12 * value:
+            if gain < 1e-9 * value:
                 break
         else:
             reach *= 0.25
-        if reach < 1e-9:
+        if reach < 1e-6:
             break
     return value
 

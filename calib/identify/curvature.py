@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from calib.arrays import Array
 from calib.identify.frames import left_jacobian
+from calib.identify.slim_product import slim_product
 
 DIFFERENCE_rad = 1e-6
 Order = npt.NDArray[np.intp]
@@ -27,7 +28,7 @@ def chain_curvature(columns: Array, weight: Array, is_modified: bool) -> Array:
     turns = np.arange(1, k - k % 4, 2)  # theta and alpha; the move before each goes along its axis
     order = _order(k, is_modified)
     levers = crossed(weight, columns[turns - 1])
-    product = levers.reshape(len(turns), -1) @ columns.reshape(k, -1).T
+    product = slim_product(levers.reshape(len(turns), -1), columns.reshape(k, -1))
     found = np.zeros((k, k))
     beyond = order[turns][:, None] <= order[None, :]
     found[turns] = np.where(beyond, product, 0.0)

@@ -9,10 +9,8 @@ import numpy.typing as npt
 
 from calib.arrays import Array
 from calib.identify.curvature import chain_curvature, frame_curvature, joint_curvature
+from calib.identify.slim_product import slim_product
 
-# A product of matrices larger than this is shared out over threads by OpenBLAS, which waits long for a busy processor
-# and gains little on matrices that are this slim.
-SERIAL_PRODUCT = 200_000
 Places = npt.NDArray[np.intp]
 
 
@@ -38,15 +36,20 @@ class Expansion:
 
     def gradient(self, pull: Array) -> Array:
         """Sum of pull . d residual / dx, (k,), for pull (m, 3)."""
-        whole = self.columns.reshape(len(self.columns), -1) @ np.ascontiguousarray(pull.T).ravel()
-        return np.asarray(-self.scale * whole[self.places])
+        return self.sums(pull, np.zeros((3, len(pull))))[0]
 
     def gram(self, bend: Array | None) -> Array:
         """Sum of (d residual / dx)' bend (d residual / dx), (k, k); bend (3, m), (3, 3, m), or None for ones."""
-        flat = self.columns.reshape(len(self.columns), -1)
-        return self._scaled(
-            product(flat, flat if bend is None else _bent(bend, self.columns).reshape(flat.shape))
-        )
+        return self.sums(np.zeros_like(self.residuals), bend)[1]
+
+    def sums(self, pull: Array, bend: Array | None) -> tuple[Array, Array]:
+        """Gradient and gram at once."""
+        k = len(self.columns)
+        right = np.empty((k + 1, *self.columns.shape[1:]))
+        right[k] = pull.T
+        _bend(bend, self.columns, right[:k])
+        whole = slim_product(self.columns.reshape(k, -1), right.reshape(k + 1, -1))
+        return -self.scale * whole[self.places, k], self._scaled(whole)
 
     def curvature(self, pull: Array) -> Array:
         """Sum of pull . d2 residual / dx2, (k, k), for pull (m, 3)."""
@@ -78,27 +81,14 @@ class Expansion:
         return np.asarray(whole[np.ix_(self.places, self.places)] * np.outer(self.scale, self.scale))
 
 
-def product(left: Array, right: Array) -> Array:
-    """Left @ right' of slim matrices (k, n), piece by piece so that no thread is woken for it."""
-    k, n = left.shape
-    size = max(1, SERIAL_PRODUCT // k**2)
-    if n <= size:
-        return np.asarray(left @ right.T)
-    pieces = n // size
-    body = pieces * size
-    parts = left[:, :body].reshape(k, pieces, size).swapaxes(0, 1) @ right[:, :body].reshape(
-        k, pieces, size
-    ).transpose(1, 2, 0)
-    return np.asarray(parts.sum(axis=0) + left[:, body:] @ right[:, body:].T)
-
-
-def _bent(bend: Array, columns: Array) -> Array:
-    """Bend times each column, (K, 3, m)."""
-    if bend.ndim == 2:
-        return bend * columns
-    found = np.empty_like(columns)
-    for i in range(3):
-        np.multiply(bend[i, 0], columns[:, 0], out=found[:, i])
-        found[:, i] += bend[i, 1] * columns[:, 1]
-        found[:, i] += bend[i, 2] * columns[:, 2]
-    return found
+def _bend(bend: Array | None, columns: Array, out: Array) -> None:
+    """Bend times each column, (K, 3, m), into `out`."""
+    if bend is None:
+        out[:] = columns
+    elif bend.ndim == 2:
+        np.multiply(bend, columns, out=out)
+    else:
+        for i in range(3):
+            np.multiply(bend[i, 0], columns[:, 0], out=out[:, i])
+            out[:, i] += bend[i, 1] * columns[:, 1]
+            out[:, i] += bend[i, 2] * columns[:, 2]

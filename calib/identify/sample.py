@@ -60,8 +60,9 @@ class Sample:
             here = self.problem.expanded(x, rows)
             dual = self._dual(here.residuals, slice(done, done + len(here.residuals)), before)
             pull, bend = self.objective.expansion(here.residuals, smoothing_m, dual)
-            gradient += here.gradient(pull)
-            gram += here.gram(bend)
+            some_gradient, some_gram = here.sums(pull, bend)
+            gradient += some_gradient
+            gram += some_gram
             if is_bent:
                 curvature += here.curvature(pull)
             residuals.append(here.residuals)

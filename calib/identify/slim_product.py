@@ -1,0 +1,26 @@
+"""Products of slim matrices, a few rows and very many columns, without threads."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.arrays import Array
+
+# A product with more multiplications than 2^18 is shared out over threads by OpenBLAS. They gain little on matrices this
+# slim, and where the other processors are busy the product waits for them.
+SERIAL = 200_000
+
+
+def slim_product(left: Array, right: Array) -> Array:
+    """left @ right' of (a, n) and (b, n), piece by piece."""
+    a, n = left.shape
+    b = len(right)
+    size = max(1, SERIAL // (a * b))
+    if n <= size:
+        return np.asarray(left @ right.T)
+    pieces = n // size
+    body = pieces * size
+    parts = left[:, :body].reshape(a, pieces, size).swapaxes(0, 1) @ right[:, :body].reshape(
+        b, pieces, size
+    ).transpose(1, 2, 0)
+    return np.asarray(parts.sum(axis=0) + left[:, body:] @ right[:, body:].T)
