@@ -23,6 +23,8 @@ from calib.points import Points
 
 FOLDS_COUNT = 5
 GROUPS_PER_FOLD = 3
+FREE = "free"  # the setup of poses away from the board
+FREE_PARTS = 4
 Builder = Callable[[Points], ArmProblem]
 Measure = Literal["error", "scatter"]
 
@@ -119,7 +121,9 @@ def held_out(
     objective: Objective | None = None,
     report: Callable[[int, int], None] | None = None,
 ) -> HeldOut:
-    """Leave out each setup (`by` "setup") or every k-th point (`by` k); None: setups if there are several, else 5.
+    """Leave out each setup (`by` "setup"; free poses in parts) or every k-th point (`by` k).
+
+    By default setups if there are several, else every fifth point.
 
     `builder` makes the problem of some of the points; `report` hears how many folds are done, of how many.
     CalibrationError if nothing can be left out.
@@ -143,7 +147,23 @@ def _setups(points: Points) -> list[tuple[str, list[int]]]:
             f'held-out error: there is one setup ("{names[0]}"), and leaving it out leaves nothing; leave out'
             f" every {FOLDS_COUNT}th point"
         )
-    return [(f'setup "{name}"', [k for k, s in enumerate(points.setup) if s == name]) for name in names]
+    parts = []
+    for name in names:
+        rows = [k for k, setup in enumerate(points.setup) if setup == name]
+        parts += _free_parts(points, rows) if name == FREE else [(f'setup "{name}"', rows)]
+    return parts
+
+
+def _free_parts(points: Points, rows: list[int]) -> list[tuple[str, list[int]]]:
+    """Free poses share no board that could be misplaced, and no board tells about where they are: part after part of them."""
+    points_names = list(dict.fromkeys(points.point[k] for k in rows))
+    if len(points_names) < GROUPS_PER_FOLD * FREE_PARTS:
+        return [(f'setup "{FREE}"', rows)]
+    place = {name: i % FREE_PARTS for i, name in enumerate(points_names)}
+    return [
+        (f'part {j + 1} of {FREE_PARTS} of setup "{FREE}"', [k for k in rows if place[points.point[k]] == j])
+        for j in range(FREE_PARTS)
+    ]
 
 
 def _every(points: Points, k: int) -> list[tuple[str, list[int]]]:

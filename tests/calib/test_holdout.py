@@ -9,7 +9,8 @@ from worth import RIGHT, NOISE_m, board_points, true_dh, with_rows
 from calib.arrays import norms
 from calib.errors import CalibrationError
 from calib.holdout import held_out
-from calib.identify import LeastSquares, problem_of
+from calib.identify import ArmModel, LeastSquares, problem_of
+from calib.points import joined, make_points
 
 LSQ = LeastSquares()
 UNPLACED = dataclasses.replace(RIGHT, table=dataclasses.replace(RIGHT.table, known_pose=False))
@@ -90,3 +91,18 @@ def test_progress_is_reported_fold_by_fold() -> None:
     points = board_points(rng, true_dh(rng))
     held_out(build, points, "setup", LSQ, report=lambda done, of: heard.append((done, of)))
     assert heard == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_free_poses_are_left_out_part_by_part() -> None:
+    """Without any of them nothing tells about where they are: that would test the board, not the result."""
+    rng = np.random.default_rng(4)
+    dh = true_dh(rng)
+    board, model = board_points(rng, dh), ArmModel(RIGHT)
+    q = rng.uniform(-1.0, 1.0, (12, 3))
+    tips = model.tips(dh, q) + rng.normal(0.0, NOISE_m, (12, 3))
+    free = make_points(["free"] * 12, [f"f{k}" for k in range(12)], [1] * 12, q, tips)
+    found = held_out(build, joined([board, free]), objective=LSQ)
+    assert [fold.name for fold in found.folds[:3]] == ['setup "normal"', 'setup "roll"', 'setup "pitch"']
+    assert [fold.name for fold in found.folds[3:]] == [f'part {k} of 4 of setup "free"' for k in (1, 2, 3, 4)]
+    assert [len(fold.rows) for fold in found.folds[3:]] == [3, 3, 3, 3]
+    assert found.after_m.mean() < 1.3 * 1.6 * NOISE_m

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.points import Points, read_points
 from console.main import main
+from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.inverse import InverseKinematics
 from control.model.kinematics import Kinematics
@@ -78,15 +80,28 @@ def test_results_are_never_overwritten(points, tmp_path, capsys) -> None:
 
 
 def test_a_real_panda_calibrates_with_the_same_command(tmp_path, capsys) -> None:
+    """A ball in sockets of boards at unknown places, no camera. Reference figures in the data's notes: consistency 7.97 mm
+    nominal, 0.46 fitted; 0.80 on setups left out.
+    """
     options = ["--arm", str(PANDA / "arm.toml"), "--points", str(PANDA / "points.csv")]
     assert main(["calibrate", *options, "--out", str(tmp_path), "--json", "--starts", "1"]) == 0
     content = json.loads(capsys.readouterr().out)
-    assert content["mean_error_m"]["after"] < 0.00047
-    assert content["held_out"]["mean_after_m"] < 0.00080
-    assert len(content["frames"]) == 3
     arm = load_arm(tmp_path / "arm.toml")
+    recorded, _ = read_points(PANDA / "points.csv", arm.joint_count)
+    assert consistency_m(arm, recorded).mean() <= 0.00047
+    assert content["held_out"]["mean_after_m"] <= 0.00080
+    assert content["parameters"]["d1"]["deviation"] == pytest.approx(0.0, abs=1e-9)  # the boards take it up
+    assert len(content["frames"]) == 3
     assert arm.tool.known
     assert arm.tool.position_m[2] == pytest.approx(0.14, abs=0.01)
+
+
+def consistency_m(arm: Arm, recorded: Points) -> np.ndarray:
+    """Distance of each predicted ball centre to the mean of its socket, (m,)."""
+    tips = Kinematics(arm).tips(recorded.q_rad)
+    sockets = np.array([f"{s}/{p}" for s, p in zip(recorded.setup, recorded.point, strict=True)])
+    means = {socket: tips[sockets == socket].mean(axis=0) for socket in set(sockets)}
+    return np.linalg.norm(tips - np.array([means[socket] for socket in sockets]), axis=1)
 
 
 def test_an_accuracy_that_cannot_be_met_is_said(points, tmp_path, capsys) -> None:
