@@ -234,6 +234,8 @@ def _about_suspects(suspects: Suspects | None) -> list[str]:
             f"{count} points contradict the others, too many for slips of the hand: they have something in common (a payload,"
             " a side of approach, a time). Run armwright gap."
         ]
+    if suspects.slip is not None:
+        return [f"{suspects.slip.words}, then calibrate again."]
     whole = [f'setup "{one.setup}"' for one in suspects.setups]
     single = [f"{count} point{'s' if count > 1 else ''}"] if count else []
     return [

@@ -15,13 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array, norms
+from calib.arrays import Array, frozen, norms
 from calib.identify.linear_fit import LinearFit, Mask
 from calib.identify.outlier_stories import Story, story_of
 from calib.identify.problem import ArmProblem
 
 FALSE_ALARM = 0.02
-TRUSTED_SHARE = 0.75  # of the points: as many are taken to be right in the search
+TRUSTED_SHARE = 0.55  # of the points: as many are taken to be right in the search; a slip may last to the end
 STARTS_COUNT = 40
 CONCENTRATION_STEPS = 8
 POINTS_LIMIT = 5000  # above, the search starts from the fit alone
@@ -36,7 +36,7 @@ class Outlier:
     """A point that the others contradict. `row` counts from 0 in the order of the points.
 
     `distance_m`: between its reference and where a fit to the others puts the tip; `score`: that in standard deviations.
-    `story`: what it looks like, if the numbers fit one story and no other.
+    `off_m` (3,): that as a vector, base frame. `story`: what it looks like, if the numbers fit one story and no other.
     """
 
     row: int
@@ -44,6 +44,7 @@ class Outlier:
     point: str
     distance_m: float
     score: float
+    off_m: Array
     story: Story
 
     @property
@@ -173,5 +174,6 @@ def _outlier(
         point,
         float(np.linalg.norm(found.deleted_m[row])),
         float(found.score[row]),
+        frozen(found.deleted_m[row]),
         story_of(problem, x, row, found.deleted_m[row], found.noise_m, cavities),
     )

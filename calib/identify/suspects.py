@@ -1,4 +1,4 @@
-"""What the points contradict among themselves: whole setups that are off, then single points."""
+"""What the points contradict among themselves: whole setups that are off, encoders that slipped, then single points."""
 
 from __future__ import annotations
 
@@ -15,10 +15,28 @@ from calib.identify.shifted import ShiftedSetup, moved_columns, shifted_setups
 
 TOLD_LIMIT = 10  # points told one by one
 TOLD_IF_SYSTEMATIC = 3
-IN_ONE_PIECE = 0.8  # share of the poses between first and last of a slip that show it
-ALIKE_SLIP = 0.15  # slips of one joint that differ by less than this share are one slip
-SYSTEMATIC_COUNT = 12  # so many outliers that are no slip of an encoder are an effect rather
+SYSTEMATIC_COUNT = 12  # so many outliers without one slip behind them are an effect rather
 SYSTEMATIC_SHARE = 0.1
+SLIPPED_COUNT = 3  # points that it takes to speak of an encoder that slipped and stayed so
+IN_ONE_PIECE = 0.8  # share of the poses between first and last of a slip that show it
+EXPLAINED_SHARE = 0.9  # of their squared distances
+
+
+@dataclass(frozen=True, slots=True)
+class Slip:
+    """An encoder that slipped by `angle_rad` and stayed so: the `rows` (from 0) that show it, one after the other."""
+
+    joint: int
+    angle_rad: float
+    rows: tuple[int, ...]
+
+    @property
+    def words(self) -> str:
+        """A sentence."""
+        return (
+            f"{len(self.rows)} points between poses {self.rows[0] + 1} and {self.rows[-1] + 1}: as if the encoder of joint"
+            f" {self.joint} had slipped by {math.degrees(self.angle_rad):+.2f} deg there; home the joint and measure them again"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,39 +46,28 @@ class Suspects:
     setups: tuple[ShiftedSetup, ...]
     outliers: tuple[Outlier, ...]
     points_count: int
+    slip: Slip | None = None
 
     @property
     def is_systematic(self) -> bool:
         """Whether so many points contradict the others that an effect is missing rather than that hands slipped."""
-        single = len(self.outliers) - len(self._slipped()[1])
+        single = len(self._single())
         return single >= SYSTEMATIC_COUNT and single > SYSTEMATIC_SHARE * self.points_count
 
     def in_words(self) -> tuple[str, ...]:
         """One sentence each, setups first; an encoder that slipped and stayed so is told once."""
-        said = [one.words for one in self.setups]
-        sentence, slipped = self._slipped()
-        said += [sentence] if sentence else []
-        rest = [one for one in self.outliers if one not in slipped]
+        said = [] if self.is_systematic else [one.words for one in self.setups]
+        said += [self.slip.words] if self.slip is not None else []
+        single = self._single()
         told = TOLD_IF_SYSTEMATIC if self.is_systematic else TOLD_LIMIT
-        said += [one.words for one in rest[:told]]
-        if len(rest) > told:
-            said.append(f"{len(rest) - told} more points contradict the others, by less than these")
+        said += [one.words for one in single[:told]]
+        if len(single) > told:
+            said.append(f"{len(single) - told} more points contradict the others, by less than these")
         return tuple(said)
 
-    def _slipped(self) -> tuple[str, list[Outlier]]:
-        """The largest set of points, three or more, with one slip of one joint's encoder, and a sentence about it."""
-        best: list[Outlier] = []
-        for one in self.outliers:
-            alike = [other for other in self.outliers if _is_same_slip(one, other)]
-            best = alike if len(alike) > max(2, len(best)) and _is_in_one_piece(alike) else best
-        if not best:
-            return "", []
-        joint, angle = best[0].story.joint, float(np.median([one.story.slip_rad for one in best]))
-        rows = [one.row + 1 for one in best]
-        return (
-            f"{len(best)} points between poses {min(rows)} and {max(rows)}: as if the encoder of joint {joint} had slipped by"
-            f" {math.degrees(angle):+.2f} deg there; home the joint and measure them again"
-        ), best
+    def _single(self) -> list[Outlier]:
+        rows = set(self.slip.rows) if self.slip is not None else set()
+        return [one for one in self.outliers if one.row not in rows]
 
 
 def find_suspects(problem: ArmProblem, x: Array, cavities: Mapping[str, Array] | None = None) -> Suspects:
@@ -68,15 +75,34 @@ def find_suspects(problem: ArmProblem, x: Array, cavities: Mapping[str, Array] |
     setups = shifted_setups(problem, x)
     moved = [moved_columns(problem, one.setup) for one in setups]
     extra = np.concatenate(moved, axis=2) if moved else None
-    return Suspects(setups, find_outliers(problem, x, cavities, extra), len(problem))
+    outliers = find_outliers(problem, x, cavities, extra)
+    return Suspects(setups, outliers, len(problem), _slip(problem, x, outliers))
 
 
-def _is_same_slip(one: Outlier, other: Outlier) -> bool:
-    if one.story.joint == 0 or one.story.joint != other.story.joint:
-        return False
-    return abs(one.story.slip_rad - other.story.slip_rad) < ALIKE_SLIP * abs(one.story.slip_rad)
+def _slip(problem: ArmProblem, x: Array, outliers: tuple[Outlier, ...]) -> Slip | None:
+    """The joint whose angle alone, changed by one amount, brings the longest unbroken run of outliers to their places."""
+    run = _longest_run(sorted(one.row for one in outliers))
+    if len(run) < SLIPPED_COUNT or len(outliers) - len(run) >= SYSTEMATIC_COUNT:
+        return None
+    off = {one.row: one.off_m for one in outliers}
+    missing = np.array([off[row] for row in run])
+    solution = problem.solution(x)
+    slopes = problem.model.slopes(solution.dh, problem.observed.q_rad[run], solution.tool_m)
+    best = (0.0, 0, 0.0)
+    for joint, place in enumerate(problem.model.theta_places, 1):
+        by_joint = slopes.by_dh[:, :, place]
+        angle = float(np.sum(by_joint * missing) / max(float(np.sum(by_joint**2)), 1e-300))
+        share = 1.0 - float(np.sum((missing - angle * by_joint) ** 2) / np.sum(missing**2))
+        best = max(best, (share, joint, angle))
+    return Slip(best[1], best[2], tuple(run)) if best[0] >= EXPLAINED_SHARE else None
 
 
-def _is_in_one_piece(alike: list[Outlier]) -> bool:
-    rows = [one.row for one in alike]
-    return len(rows) >= IN_ONE_PIECE * (max(rows) - min(rows) + 1)
+def _longest_run(rows: list[int]) -> list[int]:
+    """The most rows of which IN_ONE_PIECE of all between first and last are there."""
+    best: list[int] = []
+    for start in range(len(rows)):
+        for end in range(len(rows) - 1, start + len(best) - 1, -1):
+            if end - start + 1 >= IN_ONE_PIECE * (rows[end] - rows[start] + 1):
+                best = rows[start : end + 1]
+                break
+    return best

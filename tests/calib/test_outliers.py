@@ -129,7 +129,9 @@ def test_an_encoder_that_slipped_and_stayed_so_is_told_once() -> None:
     told = [words for words in found.in_words() if "encoder of joint 2" in words]
     assert len(told) == 1
     assert "between poses 87 and 99" in told[0]
-    assert "-0.79 deg" in told[0]
+    assert found.slip is not None
+    assert np.degrees(found.slip.angle_rad) == pytest.approx(-0.8, abs=0.02)
+    assert not found.is_systematic
 
 
 def test_without_noise_nothing_is_named() -> None:
@@ -149,3 +151,16 @@ def test_scores_allow_for_what_the_fit_has_taken_out_of_each_residual() -> None:
     squares = [sort_points(LinearFit.of(*linear(rng, 30, 30))).score ** 2 for _ in range(10)]
     # Three times F(3, 57): 3 * 57 / 55 = 3.1; with a third of the squares taken out and not put back it would be 2.
     assert np.mean(squares) == pytest.approx(3.1, rel=0.15)
+
+
+def test_points_that_an_effect_has_in_common_are_told_as_such_and_no_encoder_is_accused() -> None:
+    rng = np.random.default_rng(13)
+    points = board_points(rng, true_dh(rng))
+    q = np.array(points.q_rad)
+    loaded = rng.random(99) < 0.35  # a payload here and there bends joint 2
+    q[loaded, 1] += 0.006 + 0.002 * rng.random(int(loaded.sum()))
+    problem, x = solved(with_rows(points, q_rad=q))
+    found = find_suspects(problem, x)
+    assert found.is_systematic
+    assert found.slip is None
+    assert len(found.in_words()) == 4
