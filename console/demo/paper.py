@@ -136,7 +136,7 @@ def _written(arm: Arm, replay: Replay, out: Path) -> Outcome:
 def _write_arm(file: Path, arm: Arm, model: Model, inputs: dict[str, str], date: str, program: str) -> None:
     """The calibrated arm, with the play that was identified."""
     known = {"points.csv": inputs["points.csv"]}
-    write_calibrated_arm(file, model.with_effects_of(arm), model.found, known, date, program)
+    write_calibrated_arm(file, arm, model.found, known, date, program)
 
 
 def _in_file(name: str) -> str:

@@ -9,13 +9,8 @@ import numpy as np
 from calib.arrays import Array
 from calib.identify.assembly import Choice, problem_of
 from calib.identify.identification import Identification, identify
-from calib.identify.joint_effects import (
-    corrections,
-    known_corrections,
-    unclear_flanks,
-    unphysical,
-    with_effects,
-)
+from calib.identify.joint_effects import known_corrections, unclear_flanks, unphysical
+from calib.outcome import calibrated_arm
 from calib.points import Points, make_points
 from console.demo.paper_moves import Pose
 from console.demo.paper_poses import SETUPS, Target
@@ -42,10 +37,6 @@ class Model:
         """What the model knows of play."""
         return tuple(effect for effect in self.arm.effects if effect.effect == "backlash")
 
-    def with_effects_of(self, arm: Arm) -> Arm:
-        """The nominal arm with the effects that this identification found."""
-        return dataclasses.replace(arm, effects=self.arm.effects)
-
 
 def models_of(arm: Arm, points: Points) -> tuple[Model, ...]:
     """The identifications: each tilt alone as the authors did, all tilts, free poses as well, backlash in the model."""
@@ -71,11 +62,9 @@ def _identified(
     """Sum of distances within 5 mm and 2 degrees, as the paper has it."""
     used = points.chosen(rows)
     wanted = [f"backlash:{joint}" for joint in range(1, arm.joint_count + 1)] if has_backlash else []
-    found = identify(problem_of(arm, used, Choice(corrections=corrections(arm, used, wanted))))
-    values = found.solution.corrections
-    made = with_effects(arm.with_dh(found.dh), values)
-    remarks = (*found.in_words(), *unclear_flanks(arm, used, wanted), *unphysical(values))
-    return Model(name, what, made, len(used), found, remarks)
+    found = identify(problem_of(arm, used, Choice(effects=tuple(wanted))))
+    notes = (*unclear_flanks(arm, used, wanted), *unphysical(found.solution.corrections))
+    return Model(name, what, calibrated_arm(arm, found), len(used), found, (*found.in_words(), *notes))
 
 
 def table_says(arm: Arm, points: Points) -> tuple[str, ...]:
