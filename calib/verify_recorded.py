@@ -12,9 +12,9 @@ import numpy as np
 from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.identify.assembly import base_frame_of
-from calib.identify.frames import fitted_pose
 from calib.identify.joint_effects import known_corrections
 from calib.points import Points
+from calib.rigid import best_motion
 from calib.verify import Comparison, compare_repeated
 from control.model import table as tables
 from control.model.arm import Arm
@@ -65,8 +65,7 @@ def _on_fitted_board(arm: Arm, names: list[str], tips: Array) -> Array:
     was = np.full(tips.shape, np.nan)
     if len(known) >= LEAST_POSES:
         on_board = np.array([cavities[names[k]] for k in known])
-        rotation, origin = fitted_pose(on_board, tips[known])
-        was[known] = on_board @ rotation.T + origin
+        was[known] = best_motion(on_board, tips[known]).of(on_board)
     return was
 
 

@@ -12,8 +12,9 @@ import numpy as np
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
 from calib.identify.arm_model import ArmModel
-from calib.identify.frames import Frame, fitted_pose
+from calib.identify.frames import Frame
 from calib.points import Points
+from calib.rigid import best_motion
 from control.model.arm import Arm, Table
 from control.model.table import SETUPS, board_cavities, board_rotation
 
@@ -146,12 +147,12 @@ def _fitted(arm: Arm, setup: str, points: Points | None) -> PlacedBoard | None:
         return None
     model = ArmModel(arm)
     local = np.array([known[points.point[k]] for k in rows])
-    rotation, origin = fitted_pose(local, model.tips(model.nominal_dh, points.q_rad[rows]))
+    stands = best_motion(local, model.tips(model.nominal_dh, points.q_rad[rows]))
     spread = np.linalg.svd(local - local.mean(axis=0), compute_uv=False)
     seen = {points.point[k] for k in rows}
     is_whole = len(spread) > 1 and spread[1] > FLAT * spread[0] > 0.0
     cavities = {name: place for name, place in known.items() if is_whole or name in seen}
-    return PlacedBoard(setup, rotation, origin, cavities, is_known=False, has_plane=is_whole)
+    return PlacedBoard(setup, stands.rotation, stands.shift_m, cavities, is_known=False, has_plane=is_whole)
 
 
 def _all(arm: Arm) -> dict[str, tuple[float, float, float]]:

@@ -91,16 +91,3 @@ def cross_matrix(vector: Array) -> Array:
     """[v]x: the matrix of v x."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def fitted_pose(points_m: Array, seen_m: Array) -> tuple[Array, Array]:
-    """Rotation (3, 3) and origin (3,) that bring points (k, 3) nearest to where they were seen (k, 3), least squares.
-
-    Kabsch, Acta Crystallographica A 32 (1976) 922. Points in a line, or a single one, leave a turn open: any rotation
-    that fits is given.
-    """
-    centre, seen_centre = points_m.mean(axis=0), seen_m.mean(axis=0)
-    left, _, right = np.linalg.svd((seen_m - seen_centre).T @ (points_m - centre))
-    hand = np.diag([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
-    rotation = left @ hand @ right
-    return rotation, seen_centre - rotation @ centre

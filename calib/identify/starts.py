@@ -13,8 +13,8 @@ import numpy as np
 
 from calib.arrays import Array, frozen
 from calib.identify.arm_model import ArmModel
-from calib.identify.frames import fitted_pose
 from calib.identify.observations import Observations
+from calib.rigid import best_motion
 
 WEAK = 1e-2  # share of the best seen direction of the tool below which the nominal value stays
 
@@ -49,9 +49,9 @@ def with_started_frames(model: ArmModel, observed: Observations, tool_m: Array) 
     for k, frame in enumerate(frames):
         rows = observed.rows_of(k)
         if not frame.is_placed and len(rows):
-            rotation, origin = fitted_pose(observed.position_m[rows], tips[rows])
+            motion = best_motion(observed.position_m[rows], tips[rows])
             frames[k] = dataclasses.replace(
-                frame, rotation=frozen(rotation), origin_m=frozen(origin), is_placed=True
+                frame, rotation=frozen(motion.rotation), origin_m=frozen(motion.shift_m), is_placed=True
             )
     return dataclasses.replace(observed, frames=tuple(frames))
 

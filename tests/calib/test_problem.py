@@ -8,7 +8,7 @@ from calib_arms import MODIFIED, MODIFIED_DH, REFERENCE, REFERENCE_DH, arm_of
 
 from calib.errors import CalibrationError, UnusablePointsError
 from calib.identify import ArmModel, ArmProblem, Bounds, Choice, Observations, problem_of
-from calib.identify.frames import Frame, fitted_pose, left_jacobian, rotation_of, rotation_vector
+from calib.identify.frames import Frame, left_jacobian, rotation_of, rotation_vector
 from calib.identify.observations import Correction
 from calib.points import make_points
 from control.model.arm import Table
@@ -118,18 +118,6 @@ def test_rotations_go_there_and_back(seed) -> None:
     small = 1e-6 * np.array([0.3, -1.0, 0.5])
     turned = rotation_of(left_jacobian(vector) @ small) @ rotation
     np.testing.assert_allclose(rotation_of(vector + small), turned, atol=1e-11)
-
-
-def test_a_fitted_pose_is_the_true_one_and_never_a_mirror() -> None:
-    rng = np.random.default_rng(0)
-    for count in (1, 2, 3, 4, 30):
-        points = rng.normal(size=(count, 3))
-        rotation, origin = rotation_of(rng.normal(size=3)), rng.normal(size=3)
-        found, place = fitted_pose(points, points @ rotation.T + origin)
-        np.testing.assert_allclose(points @ found.T + place, points @ rotation.T + origin, atol=1e-12)
-        assert np.linalg.det(found) == pytest.approx(1.0)
-    flat = rng.normal(size=(6, 3)) * [1.0, 1.0, 0.0]
-    assert np.linalg.det(fitted_pose(flat, -flat)[0]) == pytest.approx(1.0)
 
 
 def session_points(arm, rng, frames, visits=6, tool_m=None):
