@@ -15,6 +15,7 @@ from calib.identify.spread import NoiseScale, leverages, noise_scale
 
 AT_BOUND = 1.0 - 1e-6  # a deviation beyond this share of its bound rests on it
 LEVEL = 0.95
+KINK = 1e-3  # of the median distance: nearer to nought, a residual is at the kink of its objective
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +107,7 @@ def _intervals(
     """
     middle = x.copy()
     if resting.any():
-        slope = _slope(objective, residuals, sensitivity[:, :, resting])
+        slope = _slope(objective, residuals, sensitivity, resting)
         outward = np.where(np.sign(slope) == -np.sign(x[resting]), slope, 0.0)
         middle -= known.spread @ (known.spread[resting].T @ outward) / noise.curvature
     half = noise.quantile(LEVEL) * np.sqrt(
@@ -115,11 +116,24 @@ def _intervals(
     return np.clip(middle - half, -limits, limits), np.clip(middle + half, -limits, limits)
 
 
-def _slope(objective: Objective, residuals: Array, sensitivity: Array) -> Array:
-    """Derivative of the objective by each unknown, (k,)."""
+def _slope(
+    objective: Objective, residuals: Array, sensitivity: Array, resting: npt.NDArray[np.bool_]
+) -> Array:
+    """Derivative of the objective by each unknown that rests on its bound.
+
+    A residual at a kink pulls with any score up to one; it is the one that keeps the other unknowns where they are.
+    """
     distances = objective.distances(residuals)
     across, _ = objective.weights(distances, 0.0)
-    score = (
-        across[:, None] if len(across) == len(residuals) else across.reshape(residuals.shape)
-    ) * residuals
-    return np.asarray(np.einsum("ij,ijk->k", score, sensitivity))
+    by_coordinate = len(distances) != len(residuals)
+    score = (across.reshape(residuals.shape) if by_coordinate else across[:, None]) * residuals
+    if not objective.is_smooth:
+        is_near = distances < KINK * float(np.median(distances))
+        kinked = is_near.reshape(residuals.shape) if by_coordinate else np.repeat(is_near[:, None], 3, axis=1)
+        score[kinked] = 0.0
+        free = sensitivity[:, :, ~resting]
+        pull = np.einsum("ij,ijk->k", score, free)
+        scale = np.maximum(np.linalg.norm(free.reshape(-1, free.shape[2]), axis=0), 1e-300)
+        answer, *_ = np.linalg.lstsq((free[kinked] / scale).T, -pull / scale, rcond=1e-9)
+        score[kinked] = np.clip(answer, -1.0, 1.0)
+    return np.asarray(np.einsum("ij,ijk->k", score, sensitivity[:, :, resting]))
