@@ -1,7 +1,7 @@
 """Makes labelled time series of the reference arm with a hidden effect: physics of its own, to score the gap workflow.
 
 Shares nothing with the product: Newton-Euler in the base frame, LuGre friction at the motors, winding with inductance,
-stiff contacts for play, 20 kHz. Needs numba (no dependency of the product):
+stiff contacts for play, 10 kHz. Needs numba (no dependency of the product):
 `python benchmarks/gap_dynamic_cases.py ARM.toml OUT SEED EFFECT [JOINT]` writes OUT/{arm.toml,log.csv.gz,truth.json}.
 EFFECT `none`, an effect's name, two joined by `+`, or one that is in no list: `drag`, `cubic`, `resistance`, `spring`,
 `position_friction`, `slip`, `warming`.
@@ -28,8 +28,8 @@ except ImportError:  # slow, but the same
         return args[0] if args else (lambda function: function)
 
 
-PHYSICS_Hz, CONTROL_Hz, SECONDS = 20_000, 500, 8.0
-REFRESH = 16  # physics steps for which mass matrix and bias are kept
+PHYSICS_Hz, CONTROL_Hz, SECONDS = 10_000, 500, 8.0
+REFRESH = 8  # physics steps for which mass matrix and bias are kept
 # Columns of the per-joint parameter table handed to the compiled loop.
 NAMES = [
     "J",

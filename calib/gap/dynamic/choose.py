@@ -26,11 +26,14 @@ SHARE_MARGIN = (
     0.02  # of the gain: rivals closer than this are not told apart by data whose laws are not exact
 )
 WORTH = 0.25  # of the best first-order gain: candidates below it are not refined
+LOOKED_AT = 8  # starts, the best first
+HOPE = 0.5  # of the bar: refinement may gain as much again
 MOST_STEPS = 5
 FOLLOWING = 0.01  # of what was claimed in a cell before: laws that are a little wrong leave that much
 UNEXPLAINED_STEPS = (
     2  # after this many steps that only unlisted candidates could take, the rest is unknown too
 )
+FIRST_LAWS = ("coulomb_friction", "viscous_friction")
 ELASTIC = ("joint_compliance", "backlash")
 
 Advance = Callable[[str, float], None]
@@ -65,14 +68,18 @@ class Choice:
         self.rows, self.known, self.split, self.pool = rows, tuple(known), split, list(pool)
         self._advance = advance
         self.screen = Screen(rows, known, split.deciding)
-        self.first = self._refined(())
+        self.first = self.refined(())
 
     def steps(self) -> list[Step]:
         """Steps until nothing pays any more."""
         done: list[Step] = []
         fitted = self.first
-        while len(done) < MOST_STEPS:
-            step = self._step(fitted, done)
+        while (step := self._step(fitted, done, self._first_laws())) is not None:
+            done.append(step)
+            fitted = step.best.fitted
+        most = len(done) + MOST_STEPS
+        while len(done) < most:
+            step = self._step(fitted, done, self.pool)
             if step is None:
                 break
             if sum(not s.best.candidate.is_listed for s in done) >= UNEXPLAINED_STEPS:
@@ -81,28 +88,52 @@ class Choice:
             fitted = step.best.fitted
         return done
 
-    def _refined(self, terms: Sequence[Term]) -> Fitted:
+    def _first_laws(self) -> list[Candidate]:
+        """Coulomb and viscous friction of joints whose file has none: every gear has them, so they come first."""
+        has = {(e.effect, e.joint) for e in self.rows.physics.arm.effects}
+        return [
+            candidate
+            for candidate in self.pool
+            if candidate.name.effect in FIRST_LAWS
+            and not any((law, candidate.name.joint) in has for law in FIRST_LAWS)
+        ]
+
+    def refined(self, terms: Sequence[Term]) -> Fitted:
+        """These terms at their best on the deciding runs, beside what the arm's file has."""
         return refine(self.rows, self.known, terms, self.split.deciding, self.split.groups)
 
-    def _step(self, fitted: Fitted, done: Sequence[Step]) -> Step | None:
+    def _step(self, fitted: Fitted, done: Sequence[Step], pool: Sequence[Candidate]) -> Step | None:
         taken = {(s.best.candidate.name.effect, s.best.candidate.name.joint) for s in done}
         part = 0.1 + 0.8 * (1.0 - 0.6 ** len(done))
         self._advance(f"screening, step {len(done) + 1}", part)
         starts = [
             self.screen.best_start(candidate, fitted)
-            for candidate in self.pool
+            for candidate in pool
             if (candidate.name.effect, candidate.name.joint) not in taken
         ]
         starts.sort(key=lambda start: -start.gain)
-        if not starts or starts[0].gain < EVIDENCE:
+        prior = np.sum([step.claims for step in done], axis=0) if done else np.zeros(len(self.counts()))
+        if not any(self._is_promising(start, fitted, prior) for start in starts[:LOOKED_AT]):
             return None
         trials = []
         for k, start in enumerate(self._worth_refining(starts)):
             self._advance(f"step {len(done) + 1}: {start.candidate}", part + 0.03 * min(k, 8))
-            fits = [self._refined((*fitted.terms, term)) for term in (start.term, *start.others)]
+            fits = [self.refined((*fitted.terms, term)) for term in (start.term, *start.others)]
             trials.append(Trial(start.candidate, min(fits, key=lambda fit: fit.held_out)))
         trials.sort(key=lambda trial: trial.fitted.held_out)
-        return self._judged(trials, fitted, done)
+        return self._judged(trials, fitted, prior)
+
+    def _is_promising(self, start: Start, fitted: Fitted, prior: Array) -> bool:
+        """Whether a start could, to first order, claim what `_judged` asks of an effect in one cell at least."""
+        if start.gain < EVIDENCE:
+            return False
+        if start.term.form == "command_delay":
+            return True
+        slopes, values = self.screen.slopes(start.term), np.array(start.term.values)
+        counted = slopes.shape[1]
+        ahead = fitted.residual + slopes @ values[:counted]
+        claims = self.by_cell(fitted.residual) - self.by_cell(ahead)
+        return bool(np.any(claims > HOPE * np.maximum(MATERIAL * self.counts(), FOLLOWING * prior)))
 
     def _worth_refining(self, starts: Sequence[Start]) -> list[Start]:
         """The best few, listed and unlisted; an elastic joint's first-order gain says little, so its bar is lower."""
@@ -112,17 +143,18 @@ class Choice:
             own = [s for s in starts if s.candidate.is_listed == is_listed and s.gain > WORTH * best]
             result += own[:most]
         pairs = [s for s in starts if s.term.form in ELASTIC and s.gain > WORTH * best and s not in result]
-        return result + pairs[:3]
+        return result + pairs[:2]
 
-    def _judged(self, trials: list[Trial], before: Fitted, done: Sequence[Step]) -> Step | None:
+    def _judged(self, trials: list[Trial], before: Fitted, prior: Array) -> Step | None:
         best = self._preferred(trials)
         claims = self.by_cell(before.residual) - self.by_cell(best.fitted.residual)
         counts = self.counts()
         gain = before.held_out - best.fitted.held_out
         weight = self._weight(best.fitted, claims)
         evidence = 0.5 * gain * weight
-        prior = np.sum([step.claims for step in done], axis=0) if done else np.zeros_like(claims)
         bar = np.maximum(MATERIAL * counts, FOLLOWING * prior)
+        if best.candidate.name.effect in FIRST_LAWS and not self._is_possible(best.fitted.terms[-1]):
+            return None
         is_small = not is_worth_a_name(self.rows.physics.arm, best.fitted.terms[-1])
         if gain <= 0.0 or evidence < EVIDENCE or np.all(claims < bar) or is_small:
             return None
@@ -133,6 +165,11 @@ class Choice:
             runner_up = min(trial.fitted.held_out for trial in listed)
             margin = 0.5 * (runner_up - best.fitted.held_out) * weight
         return Step(best, rivals, before, evidence, float(margin), claims)
+
+    def _is_possible(self, term: Term) -> bool:
+        """Friction in all, with what the file has of it, does not push."""
+        has = sum(k.values[0] for k in self.known if k.form == term.form and k.name == term.name)
+        return has + term.values[0] > 0.0
 
     def _preferred(self, trials: list[Trial]) -> Trial:
         """The best on held-out runs; an effect of the list before an unlisted one that is hardly better."""

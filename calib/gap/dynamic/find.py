@@ -11,6 +11,7 @@ from calib.arrays import Array
 from calib.gap.dynamic import forms
 from calib.gap.dynamic.catalogue import candidates as all_candidates
 from calib.gap.dynamic.choose import Choice, Step
+from calib.gap.dynamic.fit import Fitted
 from calib.gap.dynamic.nameable import nameable
 from calib.gap.dynamic.physics import Physics
 from calib.gap.dynamic.recording import Recording, prepare
@@ -72,8 +73,8 @@ def examine(
     verdict = judge(choice, steps, arm)
     told("the gap on runs used for nothing else", 0.95)
     before = rows.residual(known)
-    model = [*known, *terms_of(steps, verdict)]
-    after = rows.residual(model) if verdict.named else before
+    accepted = choice.refined(terms_of(steps, verdict))
+    after = accepted.residual
     finding = GapFinding(
         arm=arm.name,
         data=log.sources,
@@ -82,7 +83,7 @@ def examine(
         gap_after=gap(after, rows.table, parts.reporting),
         before_si=_in_si(before, rows.table, parts.reporting, arm),
         after_si=_in_si(after, rows.table, parts.reporting, arm),
-        effects=_named(steps, verdict, rows, known, parts),
+        effects=_named(steps, verdict, accepted, rows, known, parts),
         ambiguous=verdict.ambiguous,
         unknown=verdict.unknown,
         nameable=possible,
@@ -130,15 +131,17 @@ def _by_channel(table: RowTable, arm: Arm, size: Callable[[Cell], float]) -> dic
 
 
 def _named(
-    steps: Sequence[Step], verdict: Verdict, rows: Rows, known: Sequence[Term], parts: Split
+    steps: Sequence[Step],
+    verdict: Verdict,
+    accepted: Fitted,
+    rows: Rows,
+    known: Sequence[Term],
+    parts: Split,
 ) -> tuple[NamedEffect, ...]:
-    if not verdict.named:
-        return ()
-    last = steps[-1].best.fitted
-    begins = np.cumsum([0, *(len(term.values) for term in last.terms)])
+    begins = np.cumsum([0, *(len(term.values) for term in accepted.terms)])
     result, model = [], list(known)
-    for k in verdict.named:
-        term, own = last.terms[k], slice(int(begins[k]), int(begins[k + 1]))
+    for place, k in enumerate(verdict.named):
+        term, own = accepted.terms[place], slice(int(begins[place]), int(begins[place + 1]))
         model.append(term)
         after = gap(rows.residual(model), rows.table, parts.reporting)
         evidence = {
@@ -146,7 +149,7 @@ def _named(
             "margin": steps[k].margin,
             "explained": verdict.explained[k],
         }
-        values = forms.parameters(term, last.covariance[own, own])
+        values = forms.parameters(term, accepted.covariance[own, own])
         result.append(NamedEffect(steps[k].best.candidate.name, values, after, evidence))
     return tuple(result)
 

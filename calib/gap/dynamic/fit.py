@@ -23,7 +23,7 @@ STEP = {
 }
 PLAIN_STEP = 1e-3
 ITERATIONS = 8
-ENOUGH = 1e-4  # of the sum of squares: a step that gains less is the last
+ENOUGH = 1e-3  # of the sum of squares: a step that gains less is the last
 
 
 @dataclass(frozen=True, slots=True)

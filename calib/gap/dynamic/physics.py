@@ -66,6 +66,7 @@ class Physics:
         self._period = 1.0 / recording.filters.rate_Hz
         self._voltage = [recording.filters.states(run.voltage_V) for run in recording.runs]
         self._torques: dict[Load, list[Array]] = {}
+        self._moved: dict[tuple[Load, tuple[Term, ...]], list[tuple[Array, Array]]] = {}
         self._follow: dict[tuple[Load, int], Follower] = {}
         self._tips = [
             self._kinematics.tips(run.q_raw[run.frames]) if recording.has_tip else np.zeros((0, 3))
@@ -105,12 +106,12 @@ class Physics:
         """The model's residuals on every run."""
         parts = _sorted(model)
         torques = self.link_torques(parts.load)
-        moved = [self._follow_all(parts, torques)] if parts.elastic else []
+        moved = self._follow_all(parts) if parts.elastic else []
         result = []
         for k, run in enumerate(self.recording.runs):
             link, offset = torques[k], np.zeros_like(run.q)
             if moved:
-                link, offset = moved[0][k]
+                link, offset = moved[k]
             mechanical = self._current(parts, run, k, link)
             electrical = self._electrical(parts, run, k)
             result.append(Prediction(mechanical, electrical, self._tip(parts, run, k, offset)))
@@ -178,8 +179,16 @@ class Physics:
             return np.asarray(np.sum(voltage / self._supply * run.current_A, axis=1, keepdims=True))
         return np.asarray(np.sum(np.abs(run.current_A), axis=1, keepdims=True))
 
-    def _follow_all(self, parts: _Parts, torques: list[Array]) -> list[tuple[Array, Array]]:
+    def _follow_all(self, parts: _Parts) -> list[tuple[Array, Array]]:
         """Link torques and angles beyond the encoders', with the motion of elastic or loose joints in them."""
+        key = (parts.load, tuple(parts.elastic))
+        if key not in self._moved:
+            if len(self._moved) > 6:
+                self._moved.pop(next(iter(self._moved)))
+            self._moved[key] = self._follow_anew(parts)
+        return self._moved[key]
+
+    def _follow_anew(self, parts: _Parts) -> list[tuple[Array, Array]]:
         followed = {term.index: self._followed(parts, term) for term in parts.elastic}
         result = []
         for k, run in enumerate(self.recording.runs):

@@ -105,6 +105,9 @@ class Screen:
 
     def _computed(self, term: Term) -> Array:
         if term.form in ("joint_compliance", "backlash"):
+            if not self._rows.recording.has_tip:
+                ahead = self._rows.residual((*self._known, term))
+                return np.asarray((ahead - self._at_known)[:, None] / term.values[0])
             return self._rows.at_rest_slope(term.form, term.index)[:, None]
         if term.form in FRICTION:
             counted = 1 if term.form.startswith("stribeck") else len(term.values)

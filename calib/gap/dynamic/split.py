@@ -12,6 +12,7 @@ from calib.gap.dynamic.recording import Recording
 from calib.gap.dynamic.rows import RowTable
 
 Picked = npt.NDArray[np.bool_]
+MANY = 12  # groups of one load: more than one of them reports
 REPORT_SHARE = 0.34  # of the groups at most
 
 
@@ -50,6 +51,9 @@ def _report_groups(recording: Recording) -> list[int]:
         if len(own) < 2 or len(chosen) >= most:
             continue
         own.sort(key=lambda k: speeds[k])
+        if len(own) >= MANY:  # every fourth, from slow to fast
+            chosen += own[1::4]
+            continue
         middle = own[len(own) // 2]
         repeated = [k for k in own[1:-1] if len(recording.repeats[k]) > 1]
         near = min(repeated, key=lambda k: abs(speeds[k] - speeds[middle])) if repeated else middle

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.dynamic.choose import MARGIN, SHARE_MARGIN, Choice, Step
+from calib.gap.dynamic.choose import FIRST_LAWS, MARGIN, SHARE_MARGIN, Choice, Step
 from calib.gap.dynamic.terms import Term
 from calib.gap.finding import EffectName, Unknown
 from control.model.arm import Arm
@@ -19,10 +19,9 @@ SUFFICIENT = (
 SUFFICIENT_ROUGH = 0.93  # for laws whose form differs between real joints
 ROUGH = ("stribeck_friction", "backlash", "joint_compliance")
 AT_FLOOR = 1.15  # mean square over the floor's: models without any hidden effect reach this in single cells
-LEFT = 0.35  # of the floor's square, and
+LEFT = 1.0  # of the floor's square, and
 LEFT_SHARE = 0.05  # of what a cell showed at first: less than both is nothing unknown
 SHADOW = 0.5  # a name needs at least this share of what something unknown takes in the same cell
-FIRST_LAWS = ("coulomb_friction", "viscous_friction")  # every gear has them: accepted on held-out gain alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +45,20 @@ def judge(choice: Choice, steps: Sequence[Step], arm: Arm) -> Verdict:
     rejected: list[int] = []
     for k, step in enumerate(steps):
         rivals = _rivals(choice, step)
-        if (
-            not step.best.candidate.is_listed
-            or not _suffices(step, explained[k], arm)
-            or _in_shadow(steps, rejected, k)
-        ):
+        is_sound = step.best.candidate.is_listed and _suffices(step, explained[k], arm)
+        is_first = is_sound and _is_first_law(step.best.candidate.name, arm)
+        if not is_sound or (not is_first and _in_shadow(steps, rejected, k)):
             rejected.append(k)
-        elif rivals:
+        elif rivals and not is_first:
             ambiguous.append((step.best.candidate.name, *rivals))
         else:
             named.append(k)
     # A later unknown can be larger in a cell than an effect named before it.
-    shadowed = [k for k in named if _in_shadow(steps, rejected, k)]
+    shadowed = [
+        k
+        for k in named
+        if _in_shadow(steps, rejected, k) and not _is_first_law(steps[k].best.candidate.name, arm)
+    ]
     named = [k for k in named if k not in shadowed]
     unknown = _unknown(choice, steps, rejected + shadowed, left)
     return Verdict(tuple(named), tuple(ambiguous), unknown, explained)
@@ -73,11 +74,16 @@ def _explained(claims: Array, left: Array) -> float:
 
 def _suffices(step: Step, explained: float, arm: Arm) -> bool:
     name = step.best.candidate.name
-    if name.effect in FIRST_LAWS and not any(
-        e.effect == name.effect and e.joint == name.joint for e in arm.effects
-    ):
+    if _is_first_law(name, arm):
         return True
     return explained >= (SUFFICIENT_ROUGH if name.effect in ROUGH else SUFFICIENT)
+
+
+def _is_first_law(name: EffectName, arm: Arm) -> bool:
+    """Every gear has Coulomb and viscous friction: where the file has none, held-out gain alone accepts them."""
+    if name.effect not in FIRST_LAWS:
+        return False
+    return not any(e.effect in FIRST_LAWS and e.joint == name.joint for e in arm.effects)
 
 
 def _in_shadow(steps: Sequence[Step], unknowns: Sequence[int], k: int) -> bool:
