@@ -262,20 +262,3 @@ def objective_named(name: str, threshold_m: float | None = None) -> Objective:
 def value_of(objective: Objective, residuals: Array, smoothing_m: float = 0.0) -> float:
     """The objective of residuals (m, 3)."""
     return objective.value(objective.distances(residuals), smoothing_m)
-
-
-def noise_variance(objective: Objective, residuals: Array, rank: int) -> float:
-    """sigma^2 such that sigma^2 (J'J)^-1 is the covariance of the estimate, [m^2], isotropic noise taken for
-    granted.
-
-    Sandwich of an M-estimator (Huber, Robust Statistics, 1981, ch. 7): mean of psi psi' over the square of
-    the mean curvature, with 3m / (3m - rank) for what the fit has taken out of the residuals.
-    """
-    distances = norms(residuals)
-    freedom = 3 * len(distances) - rank
-    if freedom <= 0:
-        return float("nan")
-    across, along = objective.weights(distances, 1e-6 * float(np.median(distances)))
-    score = np.mean((across * distances) ** 2) / 3.0
-    curvature = np.mean(2.0 * across + along) / 3.0
-    return float(score / curvature**2 * 3 * len(distances) / freedom)

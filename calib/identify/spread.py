@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array, norms
+from calib.arrays import Array
 from calib.identify.objective import Objective
 
 ROUNDS_LIMIT = 60
@@ -95,8 +95,3 @@ def _bends(objective: Objective, errors: Array, dimension: int) -> Array:
     width = BANDWIDTH * sigma * len(errors) ** -0.2
     kept = errors * math.sqrt(1.0 - (width / sigma) ** 2)  # so that smoothing leaves the variance as it is
     return np.asarray(2.0 * np.exp(-0.5 * (kept / width) ** 2) / (math.sqrt(2.0 * math.pi) * width))
-
-
-def isotropic_noise_m(residuals: Array, rank: int) -> float:
-    """Standard deviation of one axis that residuals (m, 3) show after `rank` parameters were fitted."""
-    return float(np.sqrt(np.sum(norms(residuals) ** 2) / max(1, residuals.size - rank)))
