@@ -310,6 +310,29 @@ COMMANDS = (
         "Writes arm.toml, calibration.json and report.html to the folder; nothing is overwritten.",
     ),
     CommandSpec(
+        "gap",
+        "name the effect that the model lacks, add it, and show the gap close; or say that the data cannot tell",
+        (
+            ARM,
+            option(
+                "--points",
+                metavar="P",
+                action="append",
+                required=True,
+                help="static poses, points.csv or .csv.gz; may be given several times",
+            ),
+            OUT,
+            option(
+                "--without",
+                metavar="EFFECT",
+                action="append",
+                help="leave an effect out of the list of those that are tried",
+            ),
+            JSON,
+        ),
+        "Writes gap.json, arm.toml with what was named, and report.html to the folder; nothing is overwritten.",
+    ),
+    CommandSpec(
         "export",
         "turn a recording into log.csv.gz and MCAP",
         (

@@ -37,12 +37,16 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """The best hypothesis, what of it is beyond doubt, and sets of rivals among which this data cannot decide."""
+    """The best hypothesis, what of it is beyond doubt, and sets of rivals among which this data cannot decide.
+
+    `leader`: the effect that explains most by itself, of those in the best hypothesis.
+    """
 
     best: Hypothesis
     accepted: tuple[int, ...]
     ambiguous: tuple[tuple[EffectName, ...], ...]
     margin: float
+    leader: EffectName | None
 
 
 def decide(evidence: Evidence, candidates: Sequence[Candidate]) -> Decision:
@@ -56,7 +60,9 @@ def decide(evidence: Evidence, candidates: Sequence[Candidate]) -> Decision:
     near = [one for one in rivals if one.score > best.score - MARGIN]
     sure = [k for k in best.chosen if all(candidates[k].name in _names(one, candidates) for one in near)]
     margin = best.score - rivals[0].score if rivals else float("inf")
-    return Decision(best, tuple(sure), _ambiguous(best, near, sure, candidates), margin)
+    single = [one.chosen[0] for one in ranked if len(one.chosen) == 1 and one.chosen[0] in best.chosen]
+    leader = candidates[single[0]].name if single else None
+    return Decision(best, tuple(sure), _ambiguous(best, near, sure, candidates), margin, leader)
 
 
 def hypotheses(evidence: Evidence, candidates: Sequence[Candidate]) -> list[Hypothesis]:

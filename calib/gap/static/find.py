@@ -69,7 +69,7 @@ def find(
     twins = _twins(bare, fit, parts, tried, decision, points, floor)
     sure_names = {tried[k].name for k in decision.accepted if k not in twins}
     accepted = [one for one in fit.chosen if one.name in sure_names]
-    verdict = judge(accepted, _nearest(decision, tried), bare, fit, left, parts.known, floor.tip_m)
+    verdict = judge(accepted, decision.leader, bare, fit, left, parts.known, floor.tip_m)
     if verdict.unknown is None and twins:
         number, shape = next(iter(twins.items()))
         share = explained_share(bare, fit, parts.known, floor.tip_m)
@@ -138,11 +138,6 @@ def _twins(
     keep = np.repeat(parts.known, 3)
     evidence = Evidence.of(around.base[keep], np.concatenate(columns, axis=1)[keep], around.y[keep])
     return doubles(evidence, at[: len(tried)], at[len(tried) :], tried, decision.best.chosen, some)
-
-
-def _nearest(decision: Decision, tried: Sequence[Candidate]) -> EffectName | None:
-    """The first name of the best explanation, whether it was accepted or not."""
-    return tried[decision.best.chosen[0]].name if decision.best.chosen else None
 
 
 def _stages(

@@ -27,14 +27,14 @@ class Judgement:
 
 def judge(
     accepted: Sequence[Candidate],
-    runner_up: EffectName | None,
+    leader: EffectName | None,
     bare: Fitted,
     fit: Fitted,
     left: Sequence[Remainder],
     rows: Mask,
     noise_m: float,
 ) -> Judgement:
-    """`bare` has the geometry alone, `fit` the best explanation, `left` is what still pays beside it."""
+    """`bare` has the geometry alone, `fit` the best explanation, in which `leader` explains most; `left` still pays beside it."""
     explained = explained_share(bare, fit, rows, noise_m)
     if not left:
         return Judgement(tuple(accepted), _unstructured(fit, rows, noise_m, accepted, explained))
@@ -44,8 +44,7 @@ def judge(
         if explained < EXPLAINED_LEAST or any(_is_same_cause(one, two) for two in left)
     ]
     kept = tuple(one for one in accepted if one not in withdrawn)
-    nearest = withdrawn[0].name if withdrawn else runner_up
-    return Judgement(kept, Unknown(left[0].shape.words, nearest, round(explained, 3)))
+    return Judgement(kept, Unknown(left[0].shape.words, leader, round(explained, 3)))
 
 
 def explained_share(bare: Fitted, fit: Fitted, rows: Mask, noise_m: float) -> float:

@@ -1,12 +1,7 @@
 """Static poses: a hidden effect is found, nothing hidden is named nothing, what is not in the list is unknown."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from static_cases import ARM, DESIGNS, FRICTION_Nm, Hidden, case, gravity_Nm
 
 from calib.gap.finding import EffectName

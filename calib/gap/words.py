@@ -1,0 +1,60 @@
+"""What the gap workflow found, in sentences: the answer first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from calib.gap.finding import EffectName, GapFinding, NamedEffect
+from calib.gap.static.nameable import NAMEABLE_sd, is_nameable
+
+GEOMETRY = "link_geometry"
+AT_FLOOR = 1.1  # times the floor, up to which a gap counts as closed
+
+
+def in_words(found: GapFinding) -> tuple[str, ...]:
+    """Sentences that can be read alone."""
+    return tuple(_sentences(found))
+
+
+def _sentences(found: GapFinding) -> Iterator[str]:
+    named = [effect for effect in found.effects if effect.name.effect != GEOMETRY]
+    if any(effect.name.effect == GEOMETRY for effect in found.effects):
+        yield "The nominal geometry is not that of this arm; it was identified with the rest (link_geometry)."
+    for effect in named:
+        yield f"Named: {effect.name} ({parameters_text(effect)})."
+    if not named and found.unknown is None and not found.ambiguous:
+        yield "Nothing is named: beside the geometry no effect of the list is needed to explain this data."
+    for names in found.ambiguous:
+        yield f"This data cannot tell {listed(names)} apart; none of them is added."
+    if found.unknown is not None:
+        nearest = (
+            f" Nearest to it is {found.unknown.nearest}, which would explain {100 * found.unknown.explained:.0f} % of the"
+            " excess, and is not its name."
+            if found.unknown.nearest is not None
+            else ""
+        )
+        yield f"Unknown: {found.unknown.where}; no effect of the list explains it.{nearest}"
+    after = "at the noise" if found.gap_after <= AT_FLOOR else f"{found.gap_after:.2f} times the noise"
+    yield f"The gap on recordings kept apart: {found.gap_before:.2f} times the noise before, {after} after."
+    blind = [one.name for one in found.nameable if not is_nameable(one)]
+    if blind:
+        yield (
+            f"This data could not name {listed(blind)} of usual size (below {NAMEABLE_sd:.1f} standard deviations, or not to be"
+            " told from others)."
+        )
+    if found.next_experiment:
+        yield found.next_experiment
+
+
+def parameters_text(effect: NamedEffect) -> str:
+    """As `width_rad = 0.0051 +- 0.0001`."""
+    return ", ".join(
+        f"{name} = {value:.4g}" + (f" +- {sd:.2g}" if sd == sd else "")
+        for name, (value, sd) in effect.parameters.items()
+    )
+
+
+def listed(names: Sequence[EffectName]) -> str:
+    """A, b and c."""
+    texts = [str(name) for name in names]
+    return texts[0] if len(texts) == 1 else f"{', '.join(texts[:-1])} and {texts[-1]}"
