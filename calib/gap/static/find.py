@@ -28,6 +28,7 @@ from control.model.arm import Arm
 
 LOOKS = 3  # the geometry moves when an effect joins it, and the evidence is linear around it: look again
 GEOMETRY_PAYS = 40.0  # mean square of chi-square beyond its count that 16 refitted parameters must gain
+FREEDOM_LEAST = 60  # values beyond all parameters that a noise from the richest model needs
 KINDS = ("d_m", "theta_rad", "L_m", "alpha_rad")
 
 Advance = Callable[[str, float], None]
@@ -57,11 +58,9 @@ def find(
     parts = split(points)
     bare = fitted(arm, points, parts.known)
     floor = noise_floor(arm, points, bare.residual_m)
-    if not np.isfinite(floor.tip_m):
-        raise UnusablePointsError(
-            "the noise of these points is not known: repeat a dozen of them, or give [camera] position_noise_m in arm.toml"
-        )
     tried = tuple(one for one in candidates(arm, points) if one.name.effect not in without)
+    if not np.isfinite(floor.tip_m):
+        floor = _from_the_richest(bare, parts, tried)
     advance("weighing effects", 0.3)
     decision, fit = _searched(arm, points, parts, tried, bare, floor)
     advance("looking for what is left", 0.6)
@@ -99,6 +98,27 @@ def find(
         next_experiment=next_experiment(decision.ambiguous, verdict.unknown, could, "free" in points.setup),
     )
     return StaticGap(finding, points, parts, floor, stages, fits[-1][1])
+
+
+def _from_the_richest(bare: Fitted, parts: Split, tried: Sequence[Candidate]) -> Floor:
+    """The noise as what every effect of the list together leaves, where nothing else tells it.
+
+    UnusablePointsError where the poses are too few for that.
+    """
+    scale = bare.rms_m(parts.known)
+    evidence = Linearised.around(bare.problem, bare.x, scale).evidence(tried, parts.known)
+    columns = len(evidence.pull)
+    freedom = evidence.count - len(bare.x) - columns
+    if freedom < FREEDOM_LEAST:
+        raise UnusablePointsError(
+            "the noise of these points is not known: repeat a dozen of them, or give [camera] position_noise_m in arm.toml"
+        )
+    left = evidence.left_with(range(columns)) / freedom
+    return Floor(
+        scale * float(np.sqrt(left)),
+        "what the list of effects leaves when all are fitted: there are no repeats and no camera's noise, so that an effect"
+        " beyond the list would pass for noise",
+    )
 
 
 def _searched(
