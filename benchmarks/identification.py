@@ -91,9 +91,8 @@ def _beside_pybotics(count: int) -> list[BenchRow]:
             name = f"pybotics {peer.answers['version']}, least_squares"
             theirs = peer.ask({**ask, "kind": "coordinates"})
             peer_ms = 1e3 * theirs["took_s"]
-            lengths = (
-                peer.ask({**ask, "kind": "lengths", "limit": EXAMPLE_LIMIT}) if count == min(FASTER) else None
-            )
+            name += f", {theirs['evaluations']} evaluations{', stopped' if theirs['status'] == 0 else ''}"
+            lengths = peer.ask({**ask, "kind": "lengths"}) if count == min(FASTER) else None
     except PeerMissing as error:
         return [compared(label, 1e3 * took_s, "ms", f"pybotics {error}", None, target, None)]
     again_s, _ = own(count, LeastSquares())  # before and after the peer: a change of load meets both
@@ -104,7 +103,7 @@ def _beside_pybotics(count: int) -> list[BenchRow]:
                  "", None),
     ]  # fmt: skip
     if lengths is not None:
-        name = f"{name} of lengths, as its example, stopped"
+        name = f"pybotics as its example (lengths), {lengths['evaluations']} evaluations"
         found.append(compared(label, own_ms, "ms", name, 1e3 * lengths["took_s"], "", None))
         found.append(
             compared(f"{label}: objective", 1e6 * value, "mm^2", name, 1e6 * lengths["objective"], "", None)

@@ -32,6 +32,7 @@ BOUND_STARTS, MANY_STARTS = (
 )  # times the starts asked for: where bounds bind; where that showed several minima
 ROUGH_ERROR = 3e-3  # of the objective where a rough search ends, and of a sample of poses
 SAME = 0.03  # rough ends with the same bounds whose residuals differ by less than this share are the same minimum
+SAME_END = 1e-6  # finished ends on some of the poses that differ by less are the same minimum
 DIFFERENT = 1e-7  # objectives that differ by less are the same
 POSES_PER_UNKNOWN = 6  # enough of them to tell which starts are worth going on with
 FIT = Goal(1.0, 1.0, 1e-2, is_bent=False)  # least squares, from which the other objectives set out
@@ -118,7 +119,8 @@ def _multiplied(problem: Problem, found: Minimum, closest: Array, limit_m: float
     for _ in range(BISECTIONS):
         middle = np.sqrt(low * high)
         objective = WithDistances(found.objective, middle * per_distance)
-        start = descend(Sample(problem, objective), start, _fine(problem, objective)).x
+        sample = Sample(problem, objective)
+        start = descend(sample, start, _fine(sample)).x
         mean_m = _mean_m(problem, start)
         if mean_m > limit_m:
             low = middle
@@ -148,6 +150,8 @@ def best_of_starts(problem: Problem, objective: Objective, starts_count: int, se
     ends = _Ends(few)
     rough = _rough(few, np.zeros(k))
     ends.is_new(rough.x)
+    if few.stride > 1:
+        ends.is_lead(descend(few, rough.x, _fine(few)).x)
     best = _finished(problem, objective, rough)
     limit = starts_count * (BOUND_STARTS if np.max(np.abs(best.x[bounded]), initial=0.0) >= 1.0 else 1)
     done = 1
@@ -156,6 +160,10 @@ def best_of_starts(problem: Problem, objective: Objective, starts_count: int, se
         rough = _rough(few, draw.uniform(-REACH, REACH, k) * bounded)
         if not ends.is_new(rough.x):
             continue
+        if few.stride > 1:
+            rough = descend(few, rough.x, _fine(few))
+            if not ends.is_lead(rough.x):
+                continue
         other = _finished(problem, objective, rough)
         if abs(other.value - best.value) > DIFFERENT * best.value:
             limit = starts_count * MANY_STARTS
@@ -171,7 +179,15 @@ class _Ends:
         self._sample = sample
         self._limits = np.array([parameter.limit for parameter in sample.problem.parameters])
         self._seen: list[tuple[Array, Array]] = []
+        self._finished: list[float] = []
         self._lowest = np.inf
+
+    def is_lead(self, x: Array) -> bool:
+        """Whether a search that ended here, on these poses, ended in another minimum than those before."""
+        value = self._sample.value(x)
+        is_known = any(abs(value - other) <= SAME_END * other for other in self._finished)
+        self._finished.append(value)
+        return not is_known
 
     def is_new(self, x: Array) -> bool:
         """Whether a search that got here may end lower than the others: low enough, other bounds or other residuals."""
@@ -201,22 +217,23 @@ def _rough(sample: Sample, start: Array) -> End:
 def _finished(problem: Problem, objective: Objective, rough: End) -> Minimum:
     """The same search to its end, on all poses."""
     sample = Sample(problem, objective)
-    end = descend(sample, rough.x, _fine(problem, objective))
+    end = descend(sample, rough.x, _fine(sample))
     return Minimum(
         end.x, sample.value(end.x), rough.steps_count + end.steps_count, end.is_converged, objective
     )
 
 
-def _fine(problem: Problem, objective: Objective) -> Goal:
+def _fine(sample: Sample) -> Goal:
     """The goal of a last search. Some k distances are zero at a minimum, each of them a smoothing too long."""
-    share = len(problem) / len(problem.parameters)
+    share = len(sample.problem) / sample.stride / len(sample.problem.parameters)
     return replace(FINE, last_smoothing=FINE.last_smoothing * max(1.0, share))
 
 
 def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum) -> Minimum:
     """The same fit with what the data do not determine back at nominal, as far as COST_OF_NEARNESS allows."""
     residuals, jacobian = problem.residuals_and_jacobian(best.x)
-    sample, goal = Sample(problem, objective), _fine(problem, objective)
+    sample = Sample(problem, objective)
+    goal = _fine(sample)
     stiffness = _stiffness(objective, residuals, jacobian)
     nothing = objective.value(objective.distances(np.full(residuals.shape, NOTHING_M)), 0.0)
     tried = -1
