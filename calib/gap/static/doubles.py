@@ -27,13 +27,14 @@ def doubles(
     other words is no rival: that effect is one already.
     """
     found = {}
+    own = _same_as_an_effect(evidence, at, shapes_at)
     for k in chosen:
         beside = [place for other in chosen if other != k for place in at[other]]
         named = evidence.log([*beside, *at[k]])
         rivals = [
             (evidence.log([*beside, *places]), number)
             for number, places in enumerate(shapes_at)
-            if not any(_is_same(evidence, places, own) for own in at)
+            if number not in own
         ]
         best, number = max(rivals, default=(-np.inf, 0))
         if best >= named:
@@ -41,12 +42,16 @@ def doubles(
     return found
 
 
-def _is_same(evidence: Evidence, shape: Sequence[int], effect: Sequence[int]) -> bool:
-    """Whether columns `effect` take up nearly all of the signature of columns `shape`, the geometry refitted."""
-    own, cross = evidence.gram[np.ix_(shape, shape)], evidence.gram[np.ix_(effect, shape)]
-    inner = evidence.gram[np.ix_(effect, effect)]
-    total = float(np.trace(own))
-    if total <= 0.0:
-        return True
-    taken = float(np.trace(cross.T @ np.linalg.lstsq(inner, cross, rcond=1e-10)[0]))
-    return taken > SAME**2 * total
+def _same_as_an_effect(
+    evidence: Evidence, at: Sequence[Sequence[int]], shapes_at: Sequence[Sequence[int]]
+) -> set[int]:
+    """Shapes whose signature the columns of one effect take up nearly wholly, the geometry refitted."""
+    places = [place for shape in shapes_at for place in shape]
+    begins = np.cumsum([0, *(len(shape) for shape in shapes_at)])[:-1]
+    total = np.add.reduceat(np.diag(evidence.gram)[places], begins)
+    same = total <= 0.0
+    for effect in at:
+        inner, cross = evidence.gram[np.ix_(effect, effect)], evidence.gram[np.ix_(effect, places)]
+        taken = np.einsum("es,es->s", cross, np.linalg.lstsq(inner, cross, rcond=1e-10)[0])
+        same |= np.add.reduceat(taken, begins) > SAME**2 * total
+    return set(np.flatnonzero(same).tolist())

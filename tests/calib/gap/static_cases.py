@@ -15,7 +15,7 @@ NOISE_m, NOISE_A = 0.00014, 0.02
 APPROACHES = ((1, 1, 1), (-1, -1, -1), (1, -1, 1), (-1, 1, -1))
 FRICTION_Nm = np.array([0.9, 0.8, 1.0])  # in the gear, on the motor's side for the most part
 LINK_SHARE = 0.3
-DESIGNS = {"full": (True, 25, 1), "half": (True, 25, 3), "level": (False, 0, 1)}
+DESIGNS = {"full": (True, 25, 1), "thin": (True, 25, 4), "level": (False, 0, 1)}
 SEEDS_rad = np.array([0.0, -1.0, 0.0])
 
 
@@ -29,8 +29,8 @@ class Hidden:
     more: float = 0.0
 
 
-def case(seed: int, hidden: tuple[Hidden, ...] = (), design: str = "half") -> Points:
-    """Three tilts from four approaches, with and without 0.5 kg, and free poses; `half` visits every third cavity."""
+def case(seed: int, hidden: tuple[Hidden, ...] = (), design: str = "thin") -> Points:
+    """Three tilts from four approaches, with and without 0.5 kg, and free poses; `thin` visits every fourth cavity."""
     rng = np.random.default_rng(seed)
     true_dh = ARM.dh + deviations(rng, 4)
     has_tilts, free_count, step = DESIGNS[design]

@@ -113,5 +113,5 @@ def test_the_cases_gravity_is_that_of_the_model() -> None:
     q = np.array([0.3, -0.8, 0.5])
     dynamics = Dynamics(ARM, payload_kg=0.5)
     np.testing.assert_allclose(gravity_Nm(q, 0.5), dynamics.gravity(q), atol=1e-9)
-    assert set(DESIGNS) == {"full", "half", "level"}
+    assert set(DESIGNS) == {"full", "thin", "level"}
     assert (FRICTION_Nm > 0).all()
