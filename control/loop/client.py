@@ -58,14 +58,26 @@ class SocketChannel:
                 f"no runtime answers at {path} ({error.strerror or error}): start one with `armwright serve`"
             ) from error
         self._lines = self._socket.makefile("rb")
+        self._asked_count = 0
 
     def request(self, message: Message) -> Message:
-        """Send and wait for the answer. RuntimeGone when the runtime went away or does not answer in time."""
+        """Send and wait for the answer. RuntimeGone when the runtime went away or does not answer in time.
+
+        An answer to an earlier request, whose asker was interrupted before it came, is passed over: it must not be taken
+        for this one's.
+        """
+        self._asked_count += 1
         try:
-            self._socket.sendall(msgspec.json.encode(message) + b"\n")
-            line = self._lines.readline()
+            self._socket.sendall(msgspec.json.encode({**message, "id": self._asked_count}) + b"\n")
+            while True:
+                answer = self._answer()
+                if answer.get("id", self._asked_count) == self._asked_count:
+                    return answer
         except OSError as error:
             raise RuntimeGone(f"the runtime at {self._path} does not answer ({error})") from error
+
+    def _answer(self) -> Message:
+        line = self._lines.readline()
         if not line:
             raise RuntimeGone(f"the runtime at {self._path} closed the connection")
         answer: Message = msgspec.json.decode(line)

@@ -336,3 +336,20 @@ def test_the_rows_before_a_fault_fit_into_one_answer(served: Bench, cell: Cell) 
 def test_a_runtime_that_is_not_there_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(RuntimeGone, match=r"no runtime answers at .*start one with `armwright serve`"):
         SocketChannel(tmp_path / "none.sock")
+
+
+def test_an_answer_that_nobody_waited_for_is_not_taken_for_the_next_one(tmp_path: Path) -> None:
+    """An operator's Ctrl-C falls between a request and its answer, and the next request is `hold`."""
+    path = tmp_path / "runtime.sock"
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+        listener.listen()
+        channel = SocketChannel(path)
+        runtime, _ = listener.accept()
+        with runtime:
+            runtime.sendall(
+                b'{"ok": true, "id": 0, "mode": "GUIDING"}\n{"ok": true, "id": 1, "mode": "HOLDING"}\n'
+            )
+            assert channel.request({"do": "hold"})["mode"] == "HOLDING"
+            assert json.loads(runtime.recv(1000)) == {"do": "hold", "id": 1}
+            channel.close()
