@@ -40,7 +40,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.command is None:
         top.print_help()
         return 2
-    module = importlib.import_module(f"console.commands.{given.command.replace('-', '_')}")
+    try:
+        module = importlib.import_module(f"console.commands.{given.command.replace('-', '_')}")
+    except KeyboardInterrupt:
+        return fail("interrupted", 130)
     return run(module.run, given)
 
 

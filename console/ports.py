@@ -1,13 +1,18 @@
 """The runtime, the mock hand and the camera, as a calibration session wants them (calib.session.ports)."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from calib.session.plan import Target
 from calib.session.ports import Sample, Vector
 from control.errors import ArmError
 from control.loop.client import ArmClient, ArmFaulted, fault_text
-from hil_mocks.rig import MockHand
+
+if TYPE_CHECKING:
+    from hil_mocks.rig import MockHand  # brings the physics with it
 
 SEATED_m = 2e-4  # a tip that is this near the hand sits in its cavity
 CAMERA_PATIENCE_S = 2.0  # a marker may be hidden for a moment, a host may pause
@@ -66,7 +71,7 @@ class RuntimePort:
 class MockHandSeat:
     """`calib.session.conduct.Hand` by the mock arm's hand, which knows where the cavities really are."""
 
-    def __init__(self, hand: "HandPort", place_of: Callable[[Target], Vector]) -> None:
+    def __init__(self, hand: HandPort, place_of: Callable[[Target], Vector]) -> None:
         self._hand, self._place_of = hand, place_of
 
     def grip(self) -> None:
