@@ -6,6 +6,7 @@ when it runs. Exit status: 0 done, 1 the arm or a check failed, 2 wrong input an
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 
@@ -40,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.command is None:
         top.print_help()
         return 2
+    # A robot's matrices are small: OpenBLAS' threads cost an identification three times its time on a busy machine.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         module = importlib.import_module(f"console.commands.{given.command.replace('-', '_')}")
     except KeyboardInterrupt:
