@@ -41,10 +41,13 @@ coverage-study: install  ## do 95 % intervals of the calibration cover the truth
 solver-study: install  ## is the optimum of an identification a real one? 200 fresh cases an objective, some 40 minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.solver_study
 
+gap-score: install  ## how often the gap workflow names the right effect, nothing, or unknown: fresh cases, some five minutes
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/gap_static_score.py
+
 lock: install  ## pin again what pyproject.toml names (needs uv)
 	uv pip compile --universal --generate-hashes --no-emit-index-url --no-header --extra dev -o requirements.lock pyproject.toml
 
 clean:  ## remove what make made
 	rm -rf .venv .venv-peers out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help install demo lint test format bench coverage-study lock clean
+.PHONY: help install demo lint test format bench coverage-study solver-study gap-score lock clean
