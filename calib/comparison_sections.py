@@ -104,7 +104,16 @@ def _points(comparison: Comparison) -> str:
                 f"{improvement_percent(before[k], after[k]):.1f} %",
             )
         )
-    header = ("setup", ("text", "point"), "x [mm]", "y [mm]", "z [mm]", "before [mm]", "after [mm]", "improved")
+    header = (
+        "setup",
+        ("text", "point"),
+        "x [mm]",
+        "y [mm]",
+        "z [mm]",
+        "before [mm]",
+        "after [mm]",
+        "improved",
+    )
     has_repeats = bool(np.isfinite(comparison.after_half_width_m).any())
     title = f"all {len(rows)} points{' (± is 95 % from the repeats at the point)' if has_repeats else ''}"
     return folded(title, table(header, rows), is_open=len(rows) <= SHOWN)

@@ -23,7 +23,7 @@ from control.model.arm import Arm
 
 ODD_m = 0.01  # a median distance at nominal below which nothing is suspected
 NEARER = 4.0  # times nearer to its points that another reading must bring the arm
-FAR_TIMES = 1.5  # the reach of all bounds together (some 0.1 m), beyond which no deviation explains the distance
+FAR_TIMES = 1.5  # the reach of all bounds together, some 0.1 m: no deviation explains a distance beyond
 WHOLE_PERMUTATIONS_JOINTS = 4  # up to here every order of the joints is tried, beyond only swapped pairs
 AS_GOOD = 1.5  # readings this near to the best cannot be told apart: a mirrored arm has mirrored deviations
 TOLD_LIMIT = 3
