@@ -204,7 +204,7 @@ def simulate(sets, ff, p, dh, com, mass, inertia, g, payload, delay, sag, noise_
                 fr = s0 * zf[j] + 2.0 * (zf[j] - zold) / h * np.exp(-((vel / 0.005) ** 2)) + p[j, 5] * vel
                 fr += p[j, 17] * vel * abs(vel) + p[j, 18] * vel**3 + p[j, 20] * th[j]
                 cog = p[j, 10] * np.sin(p[j, 11] * p[j, 24] * th[j] + p[j, 12])
-                mot[j] = K * cur[j] - fr + cog
+                mot[j] = K * cur[j] - fr - cog
                 if p[j, 13] > 0 or p[j, 15] > 0:
                     gap = th[j] - q[j]
                     rate = thd[j] - qd[j]

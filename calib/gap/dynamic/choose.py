@@ -15,6 +15,7 @@ from calib.gap.dynamic.screen import Screen, Start
 from calib.gap.dynamic.sizes import is_worth_a_name
 from calib.gap.dynamic.split import Split
 from calib.gap.dynamic.terms import Term
+from calib.gap.finding import EffectName
 
 # Fixed on seeds that no reported figure uses; docs/gap.md says how.
 MATERIAL = (
@@ -88,6 +89,17 @@ class Choice:
             fitted = step.best.fitted
         return done
 
+    def nearest(self, fitted: Fitted) -> tuple[EffectName | None, float]:
+        """The effect of the list that comes nearest to what a fit leaves, and the share of the excess, to first order."""
+        starts = [self.screen.best_start(c, fitted) for c in self.pool if c.is_listed]
+        excess = fitted.picked - float(self.counts().sum())
+        if not starts or excess <= 0.0:
+            return None, 0.0
+        best = max(starts, key=lambda start: start.gain)
+        if best.gain < EVIDENCE:
+            return None, 0.0
+        return best.candidate.name, min(best.gain / excess, 1.0)
+
     def _first_laws(self) -> list[Candidate]:
         """Coulomb and viscous friction of joints whose file has none: every gear has them, so they come first."""
         has = {(e.effect, e.joint) for e in self.rows.physics.arm.effects}
@@ -127,11 +139,9 @@ class Choice:
         """Whether a start could, to first order, claim what `_judged` asks of an effect in one cell at least."""
         if start.gain < EVIDENCE:
             return False
-        if start.term.form == "command_delay":
+        if not start.change:  # found by trying, not by slopes
             return True
-        slopes, values = self.screen.slopes(start.term), np.array(start.term.values)
-        counted = slopes.shape[1]
-        ahead = fitted.residual + slopes @ values[:counted]
+        ahead = fitted.residual + self.screen.slopes(start.origin) @ np.array(start.change)
         claims = self.by_cell(fitted.residual) - self.by_cell(ahead)
         return bool(np.any(claims > HOPE * np.maximum(MATERIAL * self.counts(), FOLLOWING * prior)))
 

@@ -35,7 +35,7 @@ def friction_Nm(term: Term, run: Motion, j: int, link_Nm: Array, gear_ratio: flo
             return np.asarray(first * np.abs(sign))
         case "cogging":
             angle = term.order * gear_ratio * q
-            return np.asarray(-(first * np.sin(angle) + term.values[1] * np.cos(angle)))
+            return np.asarray(first * np.sin(angle) + term.values[1] * np.cos(angle))
         case "drag":
             return np.asarray(first * speed * np.abs(speed))
         case "cubic drag":

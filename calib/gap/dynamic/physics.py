@@ -3,7 +3,7 @@
 Electrical, with the command u held over a sample from its time on (delayed by tau), i sampled just before the next:
     L di/dt + R i = u - K speed,   K = torque constant times gear ratio (times what torque_constant says).
 Mechanical, at the motor, in joint angles:
-    K i = J speed' + transmitted + friction(speed, transmitted) - cogging(q).
+    K i = J speed' + transmitted + friction(speed, transmitted) + cogging(q).
 A sampled current is the end of a step of the staircase that the voltage makes; the torque is its mean, which stands
 T/2 - L/R earlier: shifting the voltage part of i by that much is what `_mean_current` does.
 """

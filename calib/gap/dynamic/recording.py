@@ -18,7 +18,8 @@ JITTER = 0.02  # of the period: less is the clock's printing
 GAP = 2.5  # periods between samples: more is a gap, and its neighbourhood is not used
 AT_LIMIT = 0.985  # of the current limit
 SHORTEST_s = 0.5
-SETTLING_s = 1.0  # how the arm came to rest before a run is not known: its first second, at most a seventh, is not used
+SETTLING_s = 1.5  # how the arm came to rest before a run is not known: what it rings with has gone by then
+SETTLING_SHARE = 0.2  # of a run at most
 
 
 class UnusableLogError(CalibrationError):
@@ -157,7 +158,7 @@ def _motion(arm: Arm, run: Run, filters: Filters, period: float, warnings: list[
     is_limited = _limited(arm, run, warnings)[np.clip(held, 0, len(run) - 1)]
     reach = (len(filters.state[0]) - 1) // 2
     usable = sound[:, None] & ~_spread(is_limited, reach)
-    usable[: round(min(SETTLING_s, (times[-1] - times[0]) / 7.0) / period)] = False
+    usable[: round(min(SETTLING_s, SETTLING_SHARE * (times[-1] - times[0])) / period)] = False
     usable[-reach:] = False  # behind the end the motion goes on, and nobody knows how
     seen = np.flatnonzero(np.isfinite(run.tip_m[:, 0]))
     frames = np.clip(np.round((run.t_s[seen] - times[0]) / period).astype(np.intp), 0, len(times) - 1)

@@ -49,6 +49,8 @@ class Start:
     candidate: Candidate
     term: Term
     gain: float
+    origin: Term  # the start in the catalogue, whose slopes say how the rows change
+    change: tuple[float, ...]  # along those slopes
     others: tuple[Term, ...] = ()  # the best starts of the candidate's other forms
 
 
@@ -86,16 +88,16 @@ class Screen:
         if is_far:
             ahead = self._rows.residual((*self._known, *fitted.terms, term))[self._picked]
             ahead = ahead - base @ (base.T @ ahead)
-            return Start(candidate, term, float(residual @ residual - ahead @ ahead))
+            return Start(candidate, term, float(residual @ residual - ahead @ ahead), term, ())
         slopes = self.slopes(term)[self._picked]
         slopes = slopes - base @ (base.T @ slopes)
         values, gain = _solved(slopes, residual)
         if term.form in NONNEGATIVE and values[0] < 0.0:
-            return Start(candidate, term, -TRIED)
+            return Start(candidate, term, -TRIED, term, ())
         full = list(term.values)
         for place, value in enumerate(values[: len(full)]):
             full[place] = float(value)
-        return Start(candidate, term.at(tuple(full)), gain)
+        return Start(candidate, term.at(tuple(full)), gain, term, tuple(values.tolist()))
 
     def slopes(self, term: Term) -> Array:
         """Slopes by those values that the rows are linear in, (rows, values)."""

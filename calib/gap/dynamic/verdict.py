@@ -13,13 +13,11 @@ from calib.gap.dynamic.terms import Term
 from calib.gap.finding import EffectName, Unknown
 from control.model.arm import Arm
 
-SUFFICIENT = (
-    0.97  # of what a cell showed beyond its floor and the effect claims: a name has to take that much
-)
-SUFFICIENT_ROUGH = 0.93  # for laws whose form differs between real joints
+SUFFICIENT = 0.99  # of what a cell showed beyond its floor, and the effect claims, a name has to take
+SUFFICIENT_ROUGH = 0.97  # for laws whose form differs between real joints
 ROUGH = ("stribeck_friction", "backlash", "joint_compliance")
-AT_FLOOR = 1.15  # mean square over the floor's: models without any hidden effect reach this in single cells
-LEFT = 1.0  # of the floor's square, and
+AT_FLOOR = 1.3  # mean square over the floor's: models without any hidden effect reach this in single cells
+LEFT = 1.5  # of the floor's square, and
 LEFT_SHARE = 0.05  # of what a cell showed at first: less than both is nothing unknown
 SHADOW = 0.5  # a name needs at least this share of what something unknown takes in the same cell
 
@@ -40,28 +38,44 @@ def judge(choice: Choice, steps: Sequence[Step], arm: Arm) -> Verdict:
     counts = choice.counts()
     left = np.maximum(choice.by_cell(last) - AT_FLOOR * counts, 0.0)
     explained = tuple(_explained(step.claims, left) for step in steps)
-    ambiguous: list[tuple[EffectName, ...]] = []
-    named: list[int] = []
+    sound: list[int] = []
     rejected: list[int] = []
     for k, step in enumerate(steps):
-        rivals = _rivals(choice, step)
         is_sound = step.best.candidate.is_listed and _suffices(step, explained[k], arm)
         is_first = is_sound and _is_first_law(step.best.candidate.name, arm)
-        if not is_sound or (not is_first and _in_shadow(steps, rejected, k)):
+        if is_sound and (is_first or not _in_shadow(steps, rejected, k)):
+            sound.append(k)
+        elif np.any(step.claims > LEFT * counts):  # else it is too small to be worth a word
             rejected.append(k)
-        elif rivals and not is_first:
-            ambiguous.append((step.best.candidate.name, *rivals))
-        else:
-            named.append(k)
-    # A later unknown can be larger in a cell than an effect named before it.
+    # A later unknown can be larger in a cell than an effect that was sound before it.
     shadowed = [
         k
-        for k in named
+        for k in sound
         if _in_shadow(steps, rejected, k) and not _is_first_law(steps[k].best.candidate.name, arm)
     ]
-    named = [k for k in named if k not in shadowed]
-    unknown = _unknown(choice, steps, rejected + shadowed, left)
-    return Verdict(tuple(named), tuple(ambiguous), unknown, explained)
+    sound, fallen = _alone(choice, steps, [k for k in sound if k not in shadowed], arm)
+    rivals = {k: _rivals(choice, steps[k]) for k in sound}
+    named = [k for k in sound if not rivals[k] or _is_first_law(steps[k].best.candidate.name, arm)]
+    ambiguous = tuple((steps[k].best.candidate.name, *rivals[k]) for k in sound if k not in named)
+    unknown = _unknown(choice, steps, rejected + shadowed + fallen, left)
+    return Verdict(tuple(named), ambiguous, unknown, explained)
+
+
+def _alone(choice: Choice, steps: Sequence[Step], named: list[int], arm: Arm) -> tuple[list[int], list[int]]:
+    """Names that also suffice without what is not named: something unlisted beside them may have hidden what is left."""
+    fallen: list[int] = []
+    named = list(named)
+    while named and len(named) < len(steps):
+        terms = [steps[-1].best.fitted.terms[k] for k in named]
+        residual = choice.refined(terms).residual
+        left = np.maximum(choice.by_cell(residual) - AT_FLOOR * choice.counts(), 0.0)
+        weak = [k for k in named if not _suffices(steps[k], _explained(steps[k].claims, left), arm)]
+        if not weak:
+            break
+        worst = min(weak, key=lambda k: _explained(steps[k].claims, left))
+        named.remove(worst)
+        fallen.append(worst)
+    return named, fallen
 
 
 def _explained(claims: Array, left: Array) -> float:
@@ -120,7 +134,8 @@ def _unknown(choice: Choice, steps: Sequence[Step], rejected: Sequence[int], lef
     if not np.any(over):
         return None
     cell = int(np.argmax(np.where(over, beyond / np.maximum(counts, 1.0), 0.0)))
-    return Unknown(where(choice, _last(choice, steps), cell), None, 0.0)
+    nearest, share = choice.nearest(steps[-1].best.fitted if steps else choice.first)
+    return Unknown(where(choice, _last(choice, steps), cell), nearest, share)
 
 
 def _last(choice: Choice, steps: Sequence[Step]) -> Array:
@@ -133,8 +148,9 @@ def _from_step(choice: Choice, step: Step, left: Array) -> Unknown:
     own = np.maximum(step.claims, 0.0)
     main = own > 0.05 * own.max()
     before = choice.by_cell(step.before.residual)[main] - choice.counts()[main]
-    nearest, explained = None, 0.0
-    if listed:
+    if not listed:
+        nearest, explained = choice.nearest(step.before)
+    else:
         after = choice.by_cell(listed[0].fitted.residual)[main] - choice.counts()[main]
         nearest = listed[0].candidate.name
         explained = float(np.clip(1.0 - after.sum() / max(before.sum(), 1e-9), 0.0, 1.0))
@@ -164,8 +180,12 @@ def where(choice: Choice, residual: Array, cell: int) -> str:
     }[place.channel].format(joint=place.joint + 1)
     if along[name] < 0.1:
         return subject
-    follows = name if place.joint >= 0 else name.replace("its", "joint 1's")
-    return f"{subject}, changing with {follows} ({along[name]:.0%} of it)"
+    if place.joint < 0:
+        name = {"its speed": "joint 1's speed", "its angle": "joint 1's angle"}.get(
+            name, name.replace("that it", "that joint 1")
+        )
+        return f"{subject}, changing with {name}"
+    return f"{subject}, changing with {name} ({along[name]:.0%} of it)"
 
 
 def _binned(values: Array, by: Array, bins: int = 16) -> float:

@@ -1,0 +1,124 @@
+"""Logs of the reference arm without a simulation: the motion is prescribed, and what follows from it is written down.
+
+Currents follow from inverse dynamics plus whatever is hidden, voltages from the currents and the back-EMF as a drive
+that holds its voltage over a sample would need them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import Array
+from calib.gap.log import Log, Run
+from control.model.arm import Arm, Effect
+from control.model.description import load_arm
+from control.model.dynamics import Dynamics
+from control.model.kinematics import Kinematics
+
+RATE_Hz, SECONDS = 500.0, 4.0
+COULOMB_Nm = (0.6, 0.7, 0.5)
+VISCOUS = (0.7, 0.5, 0.4)
+Hidden = Callable[
+    [int, Array, Array, Array], Array
+]  # joint, q, speed, link torque -> torque that the motor adds
+
+
+def arm_with_friction() -> Arm:
+    """The reference arm that knows its Coulomb and viscous friction; without inductance, so that a step is a step."""
+    effects = [Effect("coulomb_friction", j + 1, {"torque_Nm": t}) for j, t in enumerate(COULOMB_Nm)]
+    effects += [Effect("viscous_friction", j + 1, {"coefficient_Nm_s_rad": v}) for j, v in enumerate(VISCOUS)]
+    arm = load_arm("right")
+    drives = tuple(replace(drive, inductance_H=0.0) for drive in arm.drives)
+    return replace(arm, effects=tuple(effects), drives=drives)
+
+
+def nothing(joint: int, q: Array, speed: Array, link: Array) -> Array:
+    """Nothing is hidden."""
+    return np.zeros_like(q)
+
+
+def log_of(
+    arm: Arm,
+    hidden: Hidden = nothing,
+    seed: int = 1,
+    delay_samples: int = 0,
+    winding_share: float = 0.0,
+    turned: Callable[[Array, Array], Array] | None = None,
+) -> Log:
+    """Seven runs: five motions, two of them twice, one with a payload. `turned`: joint angle beyond the encoder's."""
+    rng = np.random.default_rng(seed)
+    seeds = [11, 12, 13, 14, 15, 13, 12]
+    loads = [0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
+    runs = []
+    for k, (motion, load) in enumerate(zip(seeds, loads, strict=True)):
+        slow = 0.15 if motion == 11 else 1.0
+        runs.append(
+            _run(arm, str(k + 1), motion, slow, load, hidden, rng, delay_samples, winding_share, turned)
+        )
+    return Log(tuple(runs), ("prescribed",))
+
+
+def _run(
+    arm: Arm,
+    name: str,
+    motion: int,
+    slow: float,
+    load: float,
+    hidden: Hidden,
+    rng: np.random.Generator,
+    delay: int,
+    winding_share: float,
+    turned: Callable[[Array, Array], Array] | None,
+) -> Run:
+    count = int(SECONDS * RATE_Hz)
+    T = 1.0 / RATE_Hz
+    # One sample before the run, for the voltage that its first current comes from, and `delay` after it.
+    starts = T * np.arange(-1, count + delay)
+    phases = np.random.default_rng(motion)
+    tones = [(phases.uniform(0.3, 1.2, 3), phases.uniform(0.0, 2 * np.pi, 3)) for _ in range(3)]
+    q0, v0, _ = _waves(starts, tones, slow)
+    qm, vm, am = _waves(starts + 0.5 * T, tones, slow)
+    rotor = np.array([d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives])
+    K = np.array([d.gear_ratio * d.torque_constant_Nm_A for d in arm.drives])
+    R = np.array([d.resistance_ohm for d in arm.drives]) * (1.0 + winding_share)
+    link = Dynamics(arm).torques(qm, vm, am, load) - rotor * am
+    torque = link + rotor * am + np.array(COULOMB_Nm) * np.sign(vm) + np.array(VISCOUS) * vm
+    for j in range(3):
+        torque[:, j] += hidden(j, qm[:, j], vm[:, j], link[:, j])
+    level = R * torque / K + K * vm  # over the sample that begins at `starts`
+    q = q0[1 : count + 1]
+    current = (level[:count] - K * v0[1 : count + 1]) / R
+    voltage = level[1 + delay : 1 + delay + count]
+    step = np.array([2 * np.pi / (d.encoder_counts_per_rev * d.gear_ratio) for d in arm.drives])
+    seen = np.arange(count) % 5 == 0
+    tip = np.full((count, 3), np.nan)
+    joints = q if turned is None else q + turned(q, Dynamics(arm).torques(q, 0 * q, 0 * q, load))
+    tip[seen] = Kinematics(arm).tips(joints[seen]) + rng.normal(0.0, 0.00014, (int(seen.sum()), 3))
+    return Run(
+        name,
+        T * np.arange(count),
+        np.round(q / step) * step,
+        q,
+        current + rng.normal(0.0, 0.01, current.shape),
+        voltage,
+        np.full(count, load),
+        tip,
+    )
+
+
+def _waves(
+    t: Array, tones: list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]], slow: float
+) -> tuple[Array, Array, Array]:
+    """Three tones a joint; angle, speed and acceleration, exact."""
+    q, v, a = (np.zeros((len(t), 3)) for _ in range(3))
+    for j, (tone_Hz, phase) in enumerate(tones):
+        for f, p in zip(tone_Hz, phase, strict=True):
+            w = 2 * np.pi * f * slow
+            q[:, j] += 0.2 * np.sin(w * t + p)
+            v[:, j] += 0.2 * w * np.cos(w * t + p)
+            a[:, j] -= 0.2 * w * w * np.sin(w * t + p)
+    return q + np.array([0.0, -0.6, 0.1]), v, a
