@@ -12,7 +12,7 @@ SERIAL = 200_000
 
 
 def slim_product(left: Array, right: Array) -> Array:
-    """left @ right' of (a, n) and (b, n), piece by piece."""
+    """The product left @ right.T of (a, n) and (b, n), piece by piece."""
     a, n = left.shape
     b = len(right)
     size = max(1, SERIAL // (a * b))
