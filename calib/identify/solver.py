@@ -26,12 +26,11 @@ COST_OF_NEARNESS = 8e-7  # share of the objective that staying near nominal may 
 # What counts as undetermined, tried in this order against that cost.
 RANK_TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-9)
 BETTER = 1e-9  # another start replaces the first only by more than this share
-BOUND_STARTS, MANY_STARTS = (
-    2,
-    6,
-)  # times the starts asked for: where bounds bind; where that showed several minima
+# Times the starts asked for: where bounds bind, where several minima have shown, where many bounds bind.
+BOUND_STARTS, SEVERAL_STARTS, MANY_STARTS = 2, 6, 12
+MANY_BOUND = 4  # parameters at their bounds: geometry that is off by more than they allow
 ROUGH_ERROR = 3e-3  # of the objective where a rough search ends, and of a sample of poses
-SAME = 0.03  # rough ends with the same bounds whose residuals differ by less than this share are the same minimum
+SAME = 0.003  # rough ends with the same bounds whose residuals differ by less than this share are the same minimum
 SAME_END = 1e-6  # finished ends on some of the poses that differ by less are the same minimum
 DIFFERENT = 1e-7  # objectives that differ by less are the same
 POSES_PER_UNKNOWN = 6  # enough of them to tell which starts are worth going on with
@@ -73,10 +72,10 @@ def minimise(
 ) -> Minimum:
     """The best of several searches: from nominal, then from random points of the box.
 
-    Where bounds bind there are local minima, and BOUND_STARTS times as many searches are made; MANY_STARTS times if some
-    are found. With `accuracy_limit_m` the mean distance must not be larger; if no parameters within the bounds reach that,
-    the minimum is that of the sum of distances, whatever the objective, and says so. CalibrationError for a limit that
-    makes no sense.
+    Where bounds bind there are local minima, and BOUND_STARTS times as many searches are made; SEVERAL_STARTS times if
+    several are found, MANY_STARTS times where MANY_BOUND bind. With `accuracy_limit_m` the mean distance must not be
+    larger; if no parameters within the bounds reach that, the minimum is that of the sum of distances, whatever the
+    objective, and says so. CalibrationError for a limit that makes no sense.
     """
     if accuracy_limit_m is not None and not 0.0 < accuracy_limit_m < np.inf:
         raise CalibrationError(f"average accuracy: expected a positive length in m, got {accuracy_limit_m}")
@@ -154,7 +153,7 @@ def best_of_starts(problem: Problem, objective: Objective, starts_count: int, se
     if few.stride > 1:
         ends.is_lead(descend(few, rough.x, _fine(few)).x)
     best = _finished(problem, objective, rough)
-    limit = starts_count * (BOUND_STARTS if np.max(np.abs(best.x[bounded]), initial=0.0) >= 1.0 else 1)
+    limit = starts_count * _times(int(np.sum(np.abs(best.x[bounded]) >= 1.0)))
     done = 1
     while done < limit:
         done += 1
@@ -167,10 +166,17 @@ def best_of_starts(problem: Problem, objective: Objective, starts_count: int, se
                 continue
         other = _finished(problem, objective, rough)
         if abs(other.value - best.value) > DIFFERENT * best.value:
-            limit = starts_count * MANY_STARTS
+            limit = max(limit, starts_count * SEVERAL_STARTS)
         if other.value < best.value * (1.0 - BETTER):
             best = other
     return best
+
+
+def _times(at_bound_count: int) -> int:
+    """How many times the starts that were asked for so many parameters at their bounds want."""
+    if at_bound_count >= MANY_BOUND:
+        return MANY_STARTS
+    return BOUND_STARTS if at_bound_count else 1
 
 
 class _Ends:
