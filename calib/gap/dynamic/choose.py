@@ -27,6 +27,7 @@ SHARE_MARGIN = (
     0.02  # of the gain: rivals closer than this are not told apart by data whose laws are not exact
 )
 WORTH = 0.25  # of the best first-order gain: candidates below it are not refined
+WIDTH_SHARES = (0.7, 1.0, 1.4, 1.8, 2.3)  # of the width that the tip at rest would need
 LOOKED_AT = 8  # starts, the best first
 HOPE = 0.5  # of the bar: refinement may gain as much again
 MOST_STEPS = 5
@@ -130,10 +131,25 @@ class Choice:
         trials = []
         for k, start in enumerate(self._worth_refining(starts)):
             self._advance(f"step {len(done) + 1}: {start.candidate}", part + 0.03 * min(k, 8))
-            fits = [self.refined((*fitted.terms, term)) for term in (start.term, *start.others)]
+            fits = [
+                self.refined((*fitted.terms, self._nearer(fitted, term)))
+                for term in (start.term, *start.others)
+            ]
             trials.append(Trial(start.candidate, min(fits, key=lambda fit: fit.held_out)))
         trials.sort(key=lambda trial: trial.fitted.held_out)
         return self._judged(trials, fitted, prior)
+
+    def _nearer(self, fitted: Fitted, term: Term) -> Term:
+        """A start for the play's width: where a link flies between flanks, what it shows at rest says little of it."""
+        if term.form != "backlash":
+            return term
+        deciding = self.split.deciding
+
+        def left(width: float) -> float:
+            residual = self.rows.residual((*self.known, *fitted.terms, term.at((width,))))
+            return float(np.sum(residual[deciding] ** 2))
+
+        return term.at((min((term.values[0] * share for share in WIDTH_SHARES), key=left),))
 
     def _is_promising(self, start: Start, fitted: Fitted, prior: Array) -> bool:
         """Whether a start could, to first order, claim what `_judged` asks of an effect in one cell at least."""

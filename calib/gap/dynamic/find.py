@@ -23,6 +23,8 @@ from calib.gap.finding import GapFinding, NamedEffect
 from calib.gap.log import Log
 from control.model.arm import Arm
 
+FAR_OFF = 20.0  # floors
+
 
 @dataclass(frozen=True, slots=True)
 class DynamicOutcome:
@@ -91,7 +93,22 @@ def examine(
     )
     told("done", 1.0)
     names = tuple(run.name for run in recording.runs)
-    return DynamicOutcome(finding, recording.warnings, rows.table, before, after, parts, names)
+    return DynamicOutcome(
+        finding, (*recording.warnings, *_doubts(before, rows.table)), rows.table, before, after, parts, names
+    )
+
+
+def _doubts(before: Array, table: RowTable) -> tuple[str, ...]:
+    """Hidden effects are seen in some channels; where nearly all are far off, arm and log may not belong together."""
+    sizes = [
+        float(np.sqrt(np.mean(before[cell.rows] ** 2))) for cell in table.cells if before[cell.rows].size
+    ]
+    if len(sizes) < 3 or np.mean(np.array(sizes) > FAR_OFF) < 0.9:
+        return ()
+    return (
+        f"nearly every channel disagrees by more than {FAR_OFF:.0f} times its noise: "
+        "are the arm's file and the log of the same arm?",
+    )
 
 
 def gap(residual: Array, table: RowTable, picked: Picked) -> float:

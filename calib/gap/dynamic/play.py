@@ -80,10 +80,12 @@ def loose(of: Follower, width_rad: float, restitution: float = 0.0) -> Followed:
         hit = delta != wanted
         speed = np.where(hit, -restitution * speed, speed)
         result[0, n], result[1, n], result[2, n] = delta, speed, (speed - before) / h
-    acceleration = result[2].reshape(-1, SUBSTEPS, torque.shape[1])
-    # The mean over a sample's steps keeps an impact's momentum; a single step would catch or miss it.
-    acceleration = acceleration.mean(axis=1)[: len(of.torque_Nm)]
-    delta, speed = result[0, ::SUBSTEPS], result[1, ::SUBSTEPS]
+    # Row n is the state after step n. The mean over the steps around a sample keeps an impact's momentum where it was.
+    early = np.pad(result, ((0, 0), (SUBSTEPS // 2, 0), (0, 0)), mode="edge")[:, : len(torque)]
+    early[2, : SUBSTEPS // 2] = 0.0
+    acceleration = early[2].reshape(-1, SUBSTEPS, torque.shape[1]).mean(axis=1)
+    before_step = np.pad(result[:2], ((0, 0), (1, 0), (0, 0)), mode="edge")[:, : len(torque)]
+    delta, speed = before_step[0, ::SUBSTEPS], before_step[1, ::SUBSTEPS]
     transmitted = of.torque_Nm + of.slope_Nm_rad * delta + of.inertia_kg_m2 * acceleration
     return Followed(delta, speed, acceleration, transmitted)
 

@@ -14,10 +14,14 @@ from calib.gap.finding import EffectName, Unknown
 from control.model.arm import Arm
 
 SUFFICIENT = 0.99  # of what a cell showed beyond its floor, and the effect claims, a name has to take
-SUFFICIENT_ROUGH = 0.97  # for laws whose form differs between real joints
-ROUGH = ("stribeck_friction", "backlash", "joint_compliance")
+SUFFICIENT_ROUGH = {  # laws whose form differs between real joints, and impacts that no step resolves
+    "stribeck_friction": 0.97,
+    "joint_compliance": 0.97,
+    "backlash": 0.90,
+}
 AT_FLOOR = 1.3  # mean square over the floor's: models without any hidden effect reach this in single cells
 LEFT = 1.5  # of the floor's square, and
+LEFT_SHARE_IMPACTS = 0.25  # the same beside a named play
 LEFT_SHARE = 0.05  # of what a cell showed at first: less than both is nothing unknown
 SHADOW = 0.5  # a name needs at least this share of what something unknown takes in the same cell
 
@@ -90,7 +94,7 @@ def _suffices(step: Step, explained: float, arm: Arm) -> bool:
     name = step.best.candidate.name
     if _is_first_law(name, arm):
         return True
-    return explained >= (SUFFICIENT_ROUGH if name.effect in ROUGH else SUFFICIENT)
+    return explained >= SUFFICIENT_ROUGH.get(name.effect, SUFFICIENT)
 
 
 def _is_first_law(name: EffectName, arm: Arm) -> bool:
@@ -130,7 +134,9 @@ def _unknown(choice: Choice, steps: Sequence[Step], rejected: Sequence[int], lef
     counts = choice.counts()
     first = np.maximum(choice.by_cell(choice.first.residual) - counts, 0.0)
     beyond = choice.by_cell(_last(choice, steps)) - counts
-    over = beyond > np.maximum(LEFT * counts, LEFT_SHARE * first)
+    has_play = any(step.best.candidate.name.effect == "backlash" for step in steps)
+    share = LEFT_SHARE_IMPACTS if has_play else LEFT_SHARE
+    over = beyond > np.maximum(LEFT * counts, share * first)
     if not np.any(over):
         return None
     cell = int(np.argmax(np.where(over, beyond / np.maximum(counts, 1.0), 0.0)))
