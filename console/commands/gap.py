@@ -9,7 +9,10 @@ from importlib.metadata import version
 from pathlib import Path
 
 from calib.errors import CalibrationError
+from calib.gap.both import disagreements, merged
+from calib.gap.dynamic.find import examine
 from calib.gap.finding import GapFinding, gap_content, write_gap_json
+from calib.gap.log import joined_logs, read_log
 from calib.gap.model_update import updated_arm
 from calib.gap.report import gap_page
 from calib.gap.static.find import StaticGap, find
@@ -31,16 +34,29 @@ def run(given: argparse.Namespace) -> int:
     for name in RESULTS:
         if (out / name).exists():
             raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
+    if not given.points and not given.log:
+        raise CalibrationError("gap: give --points for static poses, --log for time series, or both")
     without = _without(given.without or [])
     with Bar("gap") as bar:
-        gap = _static(given, arm, without, bar)
-    _write(gap.finding, gap, arm, given, out)
+        gap = _static(given, arm, without, bar) if given.points else None
+        dynamic = _dynamic(given, arm, without, bar) if given.log else None
+    finding = _together(gap, dynamic)
+    _write(finding, gap, arm, given, out)
     if given.json:
-        sys.stdout.write(json.dumps(gap_content(gap.finding), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(gap_content(finding), indent=2, allow_nan=False) + "\n")
     else:
-        sys.stdout.write("".join(f"{sentence}\n" for sentence in in_words(gap.finding)))
+        sys.stdout.write("".join(f"{sentence}\n" for sentence in in_words(finding)))
         sys.stdout.write(f"\nreport  {out / 'report.html'}\nmodel   {out / 'arm.toml'}\n")
     return 0
+
+
+def _together(gap: StaticGap | None, dynamic: GapFinding | None) -> GapFinding:
+    """One finding; what the two halves disagree about is said."""
+    if gap is None or dynamic is None:
+        return gap.finding if gap is not None else dynamic  # type: ignore[return-value]
+    for sentence in disagreements(gap.finding, dynamic):
+        sys.stderr.write(f"armwright: warning: {sentence}\n")
+    return merged(gap.finding, dynamic)
 
 
 def _without(names: list[str]) -> tuple[str, ...]:
@@ -62,14 +78,31 @@ def _static(given: argparse.Namespace, arm: Arm, without: tuple[str, ...], bar: 
     return dataclasses.replace(found, finding=dataclasses.replace(found.finding, data=source))
 
 
-def _write(finding: GapFinding, gap: StaticGap, arm: Arm, given: argparse.Namespace, out: Path) -> None:
+def _dynamic(given: argparse.Namespace, arm: Arm, without: tuple[str, ...], bar: Bar) -> GapFinding:
+    """The runs of every log together."""
+    logs = []
+    for name in given.log:
+        log, warnings = read_log(Path(name), arm.joint_count)
+        logs.append(log)
+        sys.stderr.writelines(f"armwright: warning: {warning}\n" for warning in warnings)
+    tried = [name for name in EFFECTS if name not in without] if without else None
+    outcome = examine(arm, joined_logs(tuple(logs)), bar.advance, tried)
+    sys.stderr.writelines(f"armwright: warning: {warning}\n" for warning in outcome.warnings)
+    return dataclasses.replace(outcome.finding, data=tuple(Path(name).name for name in given.log))
+
+
+def _write(
+    finding: GapFinding, gap: StaticGap | None, arm: Arm, given: argparse.Namespace, out: Path
+) -> None:
     """gap.json, the model with what was named, report.html."""
     date = datetime.datetime.now(datetime.UTC).date().isoformat()
     program = f"armwright {version('armwright')}"
-    inputs = {Path(name).name: input_file(Path(name), "").sha256 for name in given.points}
+    files = [*(given.points or []), *(given.log or [])]
+    inputs = {Path(name).name: input_file(Path(name), "").sha256 for name in files}
     source = arm.path.name if arm.path is not None else arm.name
     made = Calibration(source, inputs, date, "gap workflow", program)
     out.mkdir(parents=True, exist_ok=True)
     write_gap_json(out / "gap.json", finding)
-    save_arm(updated_arm(arm, finding, gap.fit.solution.dh, made), out / "arm.toml")
+    dh = gap.fit.solution.dh if gap is not None else None
+    save_arm(updated_arm(arm, finding, dh, made), out / "arm.toml")
     (out / "report.html").write_text(gap_page(finding, gap, date, program), encoding="utf-8")

@@ -136,8 +136,13 @@ CALIBRATING = (
                 "--points",
                 metavar="P",
                 action="append",
-                required=True,
                 help="static poses, points.csv or .csv.gz; may be given several times",
+            ),
+            option(
+                "--log",
+                metavar="L",
+                action="append",
+                help="time series, log.csv or .csv.gz; may be given several times",
             ),
             OUT,
             option(

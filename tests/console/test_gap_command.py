@@ -11,6 +11,8 @@ from calib.points import Points
 from console.main import main
 from control.model.description import load_arm
 
+STRIBECK = Path(__file__).parents[3] / "shared" / "data" / "gap_samples" / "dynamic_stribeck2"
+
 
 def written(path: Path, points: Points) -> Path:
     header = ["setup", "point", "repeat", "t_s", "payload_kg"]
@@ -66,12 +68,30 @@ def test_without_the_effect_in_the_list_the_answer_is_unknown(points, tmp_path, 
 
 @pytest.mark.parametrize(
     ("more", "says"),
-    [(["--without", "ghost"], 'got "ghost"'), (["--points", "nowhere.csv"], "nowhere.csv: cannot be read")],
+    [
+        (["--without", "ghost"], 'got "ghost"'),
+        (["--points", "nowhere.csv"], "nowhere.csv: cannot be read"),
+        (["--log", "no.csv"], "no.csv: cannot be read"),
+    ],
 )
 def test_wrong_input_is_one_clear_error_and_nothing_is_written(points, tmp_path, capsys, more, says) -> None:
     assert main(["gap", "--points", str(points), "--out", str(tmp_path / "out"), *more]) == 2
     assert says in capsys.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "out").exists()
+
+
+def test_neither_poses_nor_time_series_is_an_error(tmp_path, capsys) -> None:
+    assert main(["gap", "--out", str(tmp_path)]) == 2
+    assert "give --points for static poses, --log for time series" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not STRIBECK.exists(), reason="the labelled samples are not part of a clone")
+def test_a_log_alone_names_a_hidden_friction(tmp_path, capsys) -> None:
+    arguments = ["gap", "--arm", str(STRIBECK / "arm.toml"), "--log", str(STRIBECK / "log.csv.gz")]
+    assert main([*arguments, "--out", str(tmp_path)]) == 0
+    assert "Named: stribeck_friction on joint 2" in capsys.readouterr().out
+    added = [e for e in load_arm(tmp_path / "arm.toml").effects if e.effect == "stribeck_friction"]
+    assert added[0].parameters["torque_Nm"] == pytest.approx(1.1974, rel=0.05)  # truth.json
 
 
 def test_a_result_is_never_overwritten(points, tmp_path, capsys) -> None:
