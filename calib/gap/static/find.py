@@ -64,25 +64,14 @@ def find(
     advance("weighing effects", 0.3)
     decision, fit = _searched(arm, points, parts, tried, bare, floor)
     advance("looking for what is left", 0.6)
-    left = remainders(fit, parts.known, shapes(points), floor.tip_m)
-    twins = _twins(bare, fit, parts, tried, decision, points, floor)
-    sure_names = {tried[k].name for k in decision.accepted if k not in twins}
-    accepted = [one for one in fit.chosen if one.name in sure_names]
-    verdict = judge(accepted, decision.leader, bare, fit, left, parts.known, floor.tip_m)
-    if verdict.unknown is None and twins:
-        number, shape = next(iter(twins.items()))
-        share = explained_share(bare, fit, parts.known, floor.tip_m)
-        unknown = Unknown(shape.words, tried[number].name, round(share, 3))
-        verdict = Judgement(verdict.kept, unknown)
+    verdict = _judged(points, parts, tried, bare, decision, fit, floor)
     advance("reporting", 0.8)
     fits = _stages(arm, points, parts, bare, verdict.kept)
     could = nameable(Linearised.around(bare.problem, fit.geometry_x, floor.tip_m), tried, parts.known)
-    stages = (
-        ("as it is", bare.problem.residuals(np.zeros(len(bare.x)))),
-        *((n, f.residual_m) for n, f in fits),
-    )
-    reported = fits[-1][1].sure(parts.report)
-    before, after = (_rms(stage[1], reported) for stage in (stages[0], stages[-1]))
+    nominal = bare.problem.residuals(np.zeros(len(bare.x)))
+    final = fits[-1][1]
+    before, after = (_rms(residual, final.sure(parts.report)) for residual in (nominal, final.residual_m))
+    ambiguous = decision.ambiguous if verdict.unknown is None else ()
     finding = GapFinding(
         arm=arm.name,
         data=(source,),
@@ -91,13 +80,36 @@ def find(
         gap_after=after / floor.tip_m,
         before_si={"tip_m": before},
         after_si={"tip_m": after},
-        effects=_named(fits, parts, floor, decision, stages[0][1]),
-        ambiguous=decision.ambiguous if verdict.unknown is None else (),
+        effects=_named(fits, parts, floor, decision, nominal),
+        ambiguous=ambiguous,
         unknown=verdict.unknown,
         nameable=could,
-        next_experiment=next_experiment(decision.ambiguous, verdict.unknown, could, "free" in points.setup),
+        next_experiment=next_experiment(ambiguous, verdict.unknown, could, "free" in points.setup),
     )
-    return StaticGap(finding, points, parts, floor, stages, fits[-1][1])
+    stages = (("as it is", nominal), *((name, one.residual_m) for name, one in fits))
+    return StaticGap(finding, points, parts, floor, stages, final)
+
+
+def _judged(
+    points: Points,
+    parts: Split,
+    tried: Sequence[Candidate],
+    bare: Fitted,
+    decision: Decision,
+    fit: Fitted,
+    floor: Floor,
+) -> Judgement:
+    """What of the decision is kept: not what a shape without a name would replace, nor what the remainder contradicts."""
+    left = remainders(fit, parts.known, shapes(points), floor.tip_m)
+    twins = _twins(bare, fit, parts, tried, decision, points, floor)
+    sure_names = {tried[k].name for k in decision.accepted if k not in twins}
+    accepted = [one for one in fit.chosen if one.name in sure_names]
+    verdict = judge(accepted, decision.leader, bare, fit, left, parts.known, floor.tip_m)
+    if verdict.unknown is not None or not twins:
+        return verdict
+    number, shape = next(iter(twins.items()))
+    share = explained_share(bare, fit, parts.known, floor.tip_m)
+    return Judgement(verdict.kept, Unknown(shape.words, tried[number].name, round(share, 3)))
 
 
 def _from_the_richest(bare: Fitted, parts: Split, tried: Sequence[Candidate]) -> Floor:
