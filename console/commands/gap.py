@@ -34,8 +34,6 @@ def run(given: argparse.Namespace) -> int:
     for name in RESULTS:
         if (out / name).exists():
             raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
-    if not given.points and not given.log:
-        raise CalibrationError("gap: give --points for static poses, --log for time series, or both")
     without = _without(given.without or [])
     with Bar("gap") as bar:
         gap = _static(given, arm, without, bar) if given.points else None
@@ -52,8 +50,12 @@ def run(given: argparse.Namespace) -> int:
 
 def _together(gap: StaticGap | None, dynamic: GapFinding | None) -> GapFinding:
     """One finding; what the two halves disagree about is said."""
-    if gap is None or dynamic is None:
-        return gap.finding if gap is not None else dynamic  # type: ignore[return-value]
+    if gap is None:
+        if dynamic is None:
+            raise CalibrationError("gap: give --points for static poses, --log for time series, or both")
+        return dynamic
+    if dynamic is None:
+        return gap.finding
     for sentence in disagreements(gap.finding, dynamic):
         sys.stderr.write(f"armwright: warning: {sentence}\n")
     return merged(gap.finding, dynamic)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -139,12 +140,15 @@ def _of_the_time(points: Points) -> Iterator[Candidate]:
                 EffectName("thermal_drift", j + 1),
                 frozen((course[:, None] * np.eye(n)[j])[None]),
                 frozen([DRIFT_rad]),
-                lambda value, covariance, constant=constant: {  # type: ignore[misc]
-                    "final_rad": (float(value[0]), float(np.sqrt(covariance[0, 0]))),
-                    "time_constant_s": (float(constant), float("nan")),
-                },
+                partial(_drift, float(constant)),
                 shape=float(constant),
             )
+
+
+def _drift(time_constant_s: float, value: Array, covariance: Array) -> Parameters:
+    """The coefficient, and the time constant that was tried."""
+    final = (float(value[0]), float(np.sqrt(covariance[0, 0])))
+    return {"final_rad": final, "time_constant_s": (time_constant_s, float("nan"))}
 
 
 def _plain(

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SHOWN_LIMIT = 12.0  # times the floor: nominal residuals would dwarf what is left otherwise
-
 
 def recordings_picture(gap: StaticGap) -> str:
     """Root mean square of every recording over the floor, with the geometry alone and with everything named."""
