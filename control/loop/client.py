@@ -166,6 +166,11 @@ class ArmClient:
         answer = self.ask("run_path", path=path)
         self.until(["HOLDING"], answer["duration_s"] + 5.0)
 
+    def run_joints(self, path: Message) -> None:
+        """Run a path of the joints (JointPath.to_message()); the arm must stand at its first knot."""
+        answer = self.ask("run_joints", path=path)
+        self.until(["HOLDING"], answer["duration_s"] + 5.0)
+
     def stop(self) -> None:
         """Controlled stop; returns when the arm holds."""
         self.ask("stop")

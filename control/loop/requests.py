@@ -6,7 +6,7 @@ rebuilt and checked against where the arm stands.
 
 import base64
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from control.errors import ArmError
@@ -16,6 +16,7 @@ from control.loop.status import status_of
 from control.model.kinematics import Kinematics
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
+from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath
 from control.motion.setpoint import Motion
 from control.safety.monitor import IllegalTransition
@@ -53,6 +54,7 @@ class Requests:
             "home": self._home,
             "move_joints": self._move_joints,
             "run_path": self._run_path,
+            "run_joints": self._run_joints,
             "stop": self._stop,
             "brake": self._brake,
             "guide": self._guide,
@@ -121,16 +123,25 @@ class Requests:
 
     def _run_path(self, request: Message, client: int) -> Message:
         path = PlannedPath.from_message(request["path"])
+        self._require_at(path.q_start_rad)
+        return self._start(path.motion(self._runtime.parts.inverse, self._kinematics), request, client)
+
+    def _run_joints(self, request: Message, client: int) -> Message:
+        path = JointPath.from_message(request["path"])
+        path.require_within(self._limits)
+        self._require_at(path.knots[0].q_rad)
+        return self._start(path, request, client)
+
+    def _require_at(self, first_rad: Sequence[float]) -> None:
+        """The arm holds at a path's first point; says why not, before where it stands is of any interest."""
         if self._runtime.monitor.mode is not Mode.HOLDING:
-            self._runtime.on(Event.MOVE)  # says why not, before where the arm stands is of any interest
-        first = path.q_start_rad
-        off_rad = max(abs(a - b) for a, b in zip(first, self._runtime.set_point.q_rad, strict=True))
+            self._runtime.on(Event.MOVE)
+        off_rad = max(abs(a - b) for a, b in zip(first_rad, self._runtime.set_point.q_rad, strict=True))
         if off_rad > START_TOLERANCE_rad:
             raise ArmError(
                 f"the arm stands {off_rad:.4f} rad away from the path's first point (tolerance {START_TOLERANCE_rad} rad):"
-                f" move there first, to {', '.join(f'{q:.4f}' for q in first)} rad"
+                f" move there first, to {', '.join(f'{q:.4f}' for q in first_rad)} rad"
             )
-        return self._start(path.motion(self._runtime.parts.inverse, self._kinematics), request, client)
 
     def _start(self, motion: Motion, request: Message, client: int) -> Message:
         self._runtime.start(motion)

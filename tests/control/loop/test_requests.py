@@ -35,6 +35,15 @@ POSES = [
     None, 1.0, "abc", {}, [], [0.1, 0.2], [0.1, 0.2, 0.3, 0.4], [0.1, "0.2", 0.3], [0.1, None, 0.3], [0.1, math.nan, 0.3],
     [math.inf, 0.0, 0.0], [[0.1], [0.2], [0.3]], [9.0, 0.0, 0.0], [0.0, 0.9, 0.0], [True, False, True],
 ]  # fmt: skip
+
+
+def resting_at(pose: tuple[float, ...]) -> dict[str, Any]:
+    """A path of the joints that stays at a pose."""
+    zeros = [[0.0] * len(pose)] * 2
+    still = {"speed_rad_s": zeros, "acceleration_rad_s2": zeros}
+    return {"times_s": [0.0, 1.0], "q_rad": [list(pose)] * 2, **still}
+
+
 BAD: list[dict[str, Any]] = [
     {}, {"do": None}, {"do": 5}, {"do": ["status"]}, {"do": "dance"}, {"do": "__init__"}, {"do": ""},
     *({"do": "move_joints", "q_rad": pose} for pose in POSES),
@@ -47,6 +56,9 @@ BAD: list[dict[str, Any]] = [
     *({"do": "payload", "mass_kg": number} for number in [*NUMBERS, 101.0]),
     {"do": "run_path"},
     *({"do": "run_path", "path": path} for path in [None, 1, "x", [], {}, {"spline": {}}, {"spline": 5, "q_waypoints_rad": 5}]),
+    {"do": "run_joints"},
+    *({"do": "run_joints", "path": path} for path in [None, 1, "x", [], {}, {"times_s": [0.0, 1.0], "q_rad": 5}]),
+    *({"do": "run_joints", "path": resting_at(pose)} for pose in [STRETCHED[:2], (0.0, 0.9, 0.0), (0.5, -0.5, 0.0)]),
     {"do": "acknowledge"}, {"do": "enable"}, {"do": "hold"},
 ]  # fmt: skip
 
