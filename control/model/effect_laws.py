@@ -43,7 +43,7 @@ def asymmetric_Nm(speed_rad_s: Value, torque_Nm: Value) -> Value:
 
 
 def cogging_Nm(q_rad: Value, gear_ratio: float, amplitude_Nm: Value, order: Value, phase_rad: Value) -> Value:
-    """Torque that the magnets exert on the joint: `order` periods a motor turn; the motor has to take it off."""
+    """Torque that the motor has to add against its magnets: `order` periods a motor turn."""
     return amplitude_Nm * np.sin(order * gear_ratio * q_rad + phase_rad)
 
 

@@ -63,10 +63,9 @@ def _asymmetric(arm: Arm, effect: Effect) -> FrictionTerm:
 
 
 def _cogging(arm: Arm, effect: Effect) -> FrictionTerm:
-    """The magnets push by A sin(...), so the motor supplies the opposite."""
     amplitude, phase = effect.parameters["amplitude_Nm"], effect.parameters["phase_rad"]
     per_rad = effect.parameters["order"] * arm.drive(effect.joint or 0).gear_ratio
-    return lambda q, speed, load: -amplitude * sin(per_rad * q + phase)
+    return lambda q, speed, load: amplitude * sin(per_rad * q + phase)
 
 
 _LAWS: dict[str, Callable[[Arm, Effect], FrictionTerm]] = {

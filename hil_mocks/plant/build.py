@@ -183,7 +183,8 @@ class _Builder:
             [K, K],
             drive.resistance_ohm,
             inductance=[drive.inductance_H, 0.0],
-            cogging=[effect.cogging_Nm, effect.cogging_order * drive.gear_ratio, effect.cogging_phase_rad],
+            # The effect is what the motor has to add; the magnets pull the other way.
+            cogging=[-effect.cogging_Nm, effect.cogging_order * drive.gear_ratio, effect.cogging_phase_rad],
         )
         actuator.actearly = True  # torque of the current at the step's end: second order instead of first
 

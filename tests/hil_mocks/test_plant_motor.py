@@ -126,14 +126,14 @@ def test_a_torque_constant_off_nominal_scales_torque_and_back_emf() -> None:
     assert subject.joint_speed_rad_s()[0] == pytest.approx(6.0 / (0.8 * K_Nm_A), rel=1e-5)
 
 
-def test_cogging_has_its_order_amplitude_and_phase_over_the_angle() -> None:
+def test_magnets_pull_against_what_cogging_says_that_the_motor_adds() -> None:
     cogging = {"amplitude_Nm": 0.4, "order": 12.0, "phase_rad": 0.3}
     for q_rad in (0.0, 0.0007, 0.0012, 0.0031):
         subject = plant(("cogging", 1, cogging), start_rad=(q_rad,), gravity_m_s2=WEIGHTLESS)
         subject.drive_open(0)
         subject.step(1)
         torque_Nm = subject.joint_speed_rad_s()[0] / subject.timestep_s * TOTAL_kg_m2
-        assert torque_Nm == pytest.approx(0.4 * math.sin(12.0 * 100.0 * q_rad + 0.3), abs=1e-4)
+        assert torque_Nm == pytest.approx(-0.4 * math.sin(12.0 * 100.0 * q_rad + 0.3), abs=1e-4)
 
 
 def test_a_command_takes_effect_after_the_command_delay() -> None:

@@ -68,7 +68,7 @@ EFFECTS_OF_JOINT_2 = [
     (Effect("asymmetric_friction", 2, {"torque_Nm": 0.3}), lambda q, v, load: laws.asymmetric_Nm(v, 0.3)),
     (
         Effect("cogging", 2, {"amplitude_Nm": 0.3, "order": 7.0, "phase_rad": 0.5}),
-        lambda q, v, load: -laws.cogging_Nm(q, 120.0, 0.3, 7.0, 0.5),
+        lambda q, v, load: laws.cogging_Nm(q, 120.0, 0.3, 7.0, 0.5),
     ),
 ]
 
