@@ -65,7 +65,8 @@ def build_encoder_boards(
         port = arm.encoder_boards[i] if i < len(arm.encoder_boards) else None
         setup = EncoderBoardSetup(
             serial_number=(port.serial_number if port else None) or ENCODER_BOARD_SERIAL + i,
-            counts_per_turn=tuple(w.counts_per_turn if w else 4096 for w in channels),
+            counts_per_turn=tuple(w.said_counts_per_turn if w else 4096 for w in channels),
+            index_spacing_counts=tuple(w.counts_per_turn if w else 4096 for w in channels),
             encoder_bits=arm.drives[0].encoder_bits,
             baud=port.baud if port else 1_000_000,
             clock_ppm=scenario.encoder_board.clock_ppm,
@@ -82,7 +83,7 @@ def build_motor_board(
     setup = MotorBoardSetup(
         node=wiring.motor_node,
         serial_number=wiring.motor_serial_number,
-        counts_per_turn=wiring.counts_per_turn,
+        counts_per_turn=wiring.said_counts_per_turn,
         rating_mA=_MOTOR_BOARD_RATING_mA,
         current_noise_A=table.current_noise_A,
         current_step_A=table.current_step_A,

@@ -14,20 +14,32 @@ from hil_mocks.scenario import FaultTable
 
 ON_FRAMES = {"drop_frames", "corrupt_frames", "duplicate_frames", "delay_frames", "silent"}
 _IDENTITY = {"wrong_identity", "wrong_protocol", "wrong_counts", "board_reset"}
-OF_ENCODER = ON_FRAMES | _IDENTITY | {"stuck_encoder", "lost_wire", "quadrature_error", "swapped_channels"}
+_BUILT_INTO_ENCODER = {"wrong_counts", "swapped_channels", "reversed_encoder", "wrong_encoder"}
+_BUILT_INTO_MOTOR = {"wrong_counts", "swapped_motors", "wrong_gear"}
+OF_ENCODER = (
+    ON_FRAMES
+    | _IDENTITY
+    | _BUILT_INTO_ENCODER
+    | {"stuck_encoder", "lost_wire", "quadrature_error", "loose_encoder"}
+)
 OF_MOTOR = (
     ON_FRAMES
     | _IDENTITY
+    | _BUILT_INTO_MOTOR
     | {"over_current", "over_temperature", "supply", "encoder_fault", "swapped_polarity"}
+    | {"dead_motor", "stuck_joint"}
 )
 OF_CAMERA = ON_FRAMES - {"delay_frames"}  # its latency is a key of its own
-_WIRING = {"wrong_counts", "swapped_channels"}  # built in before power-up
+BUILT_IN = _BUILT_INTO_ENCODER | _BUILT_INTO_MOTOR  # before power-up
 _NEED_VALUE = {
     "delay_frames",
     "wrong_identity",
     "wrong_protocol",
     "wrong_counts",
     "swapped_channels",
+    "swapped_motors",
+    "wrong_encoder",
+    "wrong_gear",
     "supply",
 }
 Frames = list[tuple[float, bytes]]  # (when it is there for the host, frame)
@@ -42,7 +54,7 @@ def check_fault(fault: FaultTable, boards: Sequence[str], where: str) -> None:
     kinds = known[fault.board[0]]
     if fault.kind not in kinds:
         raise ScenarioError(f'{place}: board "{fault.board}" knows {", ".join(sorted(kinds))}.')
-    if fault.kind in _WIRING and fault.at_s > 0.0:
+    if fault.kind in BUILT_IN and fault.at_s > 0.0:
         raise ScenarioError(f"{place}: is wired in before power-up; at_s must be 0, got {fault.at_s:g}.")
     if fault.kind in _NEED_VALUE and fault.value is None:
         raise ScenarioError(f'{place}: needs "value".')

@@ -17,6 +17,7 @@ from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_b
 from hil_mocks.devices.motor_board import OPEN, Frame, Output
 from hil_mocks.errors import ScenarioError
 from hil_mocks.faults import FaultPlan, Frames, Line, check_fault
+from hil_mocks.miswiring import LOOSE_PART, LooseCoupling, as_built
 from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.scenario import FaultTable, Scenario
 from hil_mocks.wiring import Channels, wiring_of
@@ -32,6 +33,10 @@ class MockRobot:
         self.scenario, self.tick_s = scenario, scenario.tick_s
         self._ticks, self._steps = 0, _steps_per_tick(scenario)
         where = f"scenario {scenario.path or scenario.name}"
+        arm = as_built(arm, scenario)
+        self._dead: set[int] = set()  # joints whose motor has a broken wire
+        self._loose: dict[int, LooseCoupling] = {}
+        self._turn_rad = [2.0 * math.pi / drive.gear_ratio for drive in arm.drives]
         self.plant = build_plant(arm, scenario)
         self._wiring = wiring_of(arm, scenario)
         self.encoder_boards = build_encoder_boards(arm, scenario, self._wiring)
@@ -112,7 +117,7 @@ class MockRobot:
                 self._drive(j)
         if self._can_on_its_way:
             self._release_can(now_s)
-        encoder_rad, joint_rad = self.plant.encoder_angles_rad(), self.plant.joint_rad()
+        encoder_rad, joint_rad = self._encoder_rad(), self.plant.joint_rad()
         for i, encoder in enumerate(self.encoder_boards):
             encoder.tick(now_s, *self._channels[i].seen(encoder_rad, joint_rad))
             if encoder.outgoing:
@@ -164,11 +169,21 @@ class MockRobot:
             self._drive(j)
 
     def _motor_count(self, j: int) -> int:
-        return self._wiring[j].motor_count(self.plant.encoder_rad(j))
+        reading_rad = self.plant.encoder_rad(j)
+        if j in self._loose:
+            reading_rad += self._loose[j].slip_rad
+        return self._wiring[j].motor_count(reading_rad)
+
+    def _encoder_rad(self) -> list[float]:
+        """How far the encoders have turned, in joint angles."""
+        readings_rad = self.plant.encoder_angles_rad()
+        for j, coupling in self._loose.items():
+            readings_rad[j] = coupling.reading_rad(readings_rad[j])
+        return readings_rad
 
     def _shafts(self, board: int) -> tuple[list[int], list[bool]]:
         """Raw counts and home switches by channel of an encoder board."""
-        return self._channels[board].seen(self.plant.encoder_angles_rad(), self.plant.joint_rad())
+        return self._channels[board].seen(self._encoder_rad(), self.plant.joint_rad())
 
     def _to_motor_board(self, j: int, can_id: int, payload: bytes) -> None:
         if self._lines[self._motor_names[j]].is_silent:
@@ -186,7 +201,9 @@ class MockRobot:
         self._limits_A[j] = board.current_limit_A
         plant.bridges.limit_current(j, self._limits_A[j])
         kind, value = self._applied[j] = board.output
-        if kind == "voltage":
+        if j in self._dead:
+            plant.drive_open(j)
+        elif kind == "voltage":
             plant.drive_voltage(j, self._polarity[j] * value)
         elif kind == "current":
             plant.drive_current(j, self._polarity[j] * value)
@@ -245,6 +262,11 @@ class MockRobot:
         elif fault.kind == "swapped_polarity":
             self._polarity[j] = self._wiring[j].motor_direction * (-1 if is_on else 1)
             self._drive(j)
+        elif fault.kind == "dead_motor":
+            (self._dead.add if is_on else self._dead.discard)(j)
+            self._drive(j)
+        elif fault.kind == "stuck_joint":
+            self.plant.block(j, is_on)
         elif fault.kind == "supply":
             self.plant.bridges.set_supply(j, fault.value if is_on else None)
         elif fault.kind == "board_reset" and is_on:
@@ -262,6 +284,8 @@ class MockRobot:
         if fault.kind in sets:
             change: Callable[[int], None] = sets[fault.kind].add if is_on else sets[fault.kind].discard
             change(fault.channel)
+        elif fault.kind == "loose_encoder":
+            self._loosen(i, fault, is_on)
         elif fault.kind == "quadrature_error" and is_on:
             board.quadrature_error(fault.channel, round(fault.value or 1))
         elif fault.kind == "board_reset" and is_on:
@@ -270,6 +294,16 @@ class MockRobot:
             board.setup = replace(board.setup, serial_number=int(fault.value or 0))
         elif fault.kind == "wrong_protocol" and is_on:
             board.setup = replace(board.setup, protocol=int(fault.value or 0))
+
+    def _loosen(self, i: int, fault: FaultTable, is_on: bool) -> None:
+        """A coupling that was tightened again stays where it slipped to."""
+        at = (i, fault.channel)
+        for j, wired in enumerate(self._wiring):
+            if (wired.encoder_board, wired.encoder_channel) == at:
+                part = (LOOSE_PART if fault.value is None else fault.value) if is_on else 0.0
+                before = self._loose.get(j)
+                self._loose[j] = LooseCoupling(part, self._turn_rad[j], f"{j} {self.scenario.seed}")
+                self._loose[j].slip_rad = before.slip_rad if before else 0.0
 
 
 def _steps_per_tick(scenario: Scenario) -> int:

@@ -25,7 +25,8 @@ class JointWiring:
     motor_node: int
     motor_direction: int
     motor_serial_number: int
-    counts_per_turn: int  # that the encoder really gives, and its board says
+    counts_per_turn: int  # that the encoder really gives
+    said_counts_per_turn: int  # that its boards say
     counts_per_rad: float  # of joint angle
     phase_count: float  # where between two edges the encoder stands at joint angle zero
     index_rad: float  # joint angle of one of its index pulses
@@ -57,14 +58,13 @@ def wiring_of(arm: Arm, scenario: Scenario) -> list[JointWiring]:
 
 def _joint(arm: Arm, j: int, scenario: Scenario, source: random.Random) -> JointWiring:
     drive = arm.drives[j]
-    counts = drive.encoder_counts_per_rev
+    counts = said = drive.encoder_counts_per_rev
     for fault in scenario.fault:
-        if (
-            fault.kind == "wrong_counts"
-            and fault.board == "encoder"
-            and fault.channel == drive.encoder_channel
-        ):
-            counts = int(fault.value or counts)
+        if fault.board == "encoder" and fault.channel == drive.encoder_channel:
+            if fault.kind == "wrong_counts":
+                counts = said = int(fault.value or counts)
+            elif fault.kind == "wrong_encoder":
+                counts = int(fault.value or counts)
     error_rad = scenario.encoder_board.index_error_rad
     home = drive.home
     return JointWiring(
@@ -75,6 +75,7 @@ def _joint(arm: Arm, j: int, scenario: Scenario, source: random.Random) -> Joint
         motor_direction=drive.motor_direction,
         motor_serial_number=drive.motor_serial_number or MOTOR_BOARD_SERIAL + drive.motor_node,
         counts_per_turn=counts,
+        said_counts_per_turn=said,
         counts_per_rad=drive.gear_ratio * counts / (2.0 * math.pi),
         phase_count=source.random(),
         index_rad=(home.index_rad if home else 0.0) + source.uniform(-error_rad, error_rad),

@@ -34,6 +34,9 @@ class EncoderBoardSetup:
     protocol: int = 1
     baud: int = 1_000_000
     clock_ppm: float = 0.0
+    index_spacing_counts: tuple[
+        int, ...
+    ] = ()  # that the encoders really have; empty: as `counts_per_turn` says
 
 
 class _Channel:
@@ -79,9 +82,8 @@ class EncoderBoardMock:
 
     def power_up(self, now_s: float, raw: Sequence[int]) -> None:
         """Forget everything: counts 0, no stream; announce itself."""
-        self._channels = [
-            _Channel(c, i) for c, i in zip(self.setup.counts_per_turn, self._index_raw, strict=True)
-        ]
+        spacing = self.setup.index_spacing_counts or self.setup.counts_per_turn
+        self._channels = [_Channel(c, i) for c, i in zip(spacing, self._index_raw, strict=True)]
         self._raw = self._before = raw
         self._is_home: Sequence[bool] = [False] * len(raw)
         for channel, value in zip(self._channels, raw, strict=True):

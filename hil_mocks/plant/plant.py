@@ -18,6 +18,8 @@ from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.plant.parts import ArmParts
 from hil_mocks.plant.shaft import Shaft
 
+_JAMMED_Nm_s_rad = 1e6  # a jammed gear creeps by a microradian a second under all that a motor has
+
 
 @dataclass(frozen=True, slots=True)
 class PlantOptions:
@@ -67,6 +69,7 @@ class Plant:
             options.seed,
         )
         self._steps = 0
+        self._free_damping: dict[int, float] = {}
         self._delay_steps = round(effects.command_delay_s / options.timestep_s)
         self._pending: deque[tuple[int, int, int, float]] = deque()
         self._load_friction = tuple(
@@ -159,6 +162,12 @@ class Plant:
     def push(self, j: int, torque_Nm: float) -> None:
         """An outside torque on the link side of joint j, until it is changed."""
         self._data.qfrc_applied[self._at.link_hinge[j]] = torque_Nm - self._offset_Nm(self._at.link_hinge[j])
+
+    def block(self, j: int, is_blocked: bool) -> None:
+        """Jam the gear of joint j, or free it again."""
+        for dof in {self._at.motor_hinge[j], self._at.link_hinge[j]}:
+            free = self._free_damping.setdefault(dof, float(self._model.dof_damping[dof]))
+            self._model.dof_damping[dof] = _JAMMED_Nm_s_rad if is_blocked else free
 
     def _post(self, j: int, mode: int, value: float) -> None:
         if self._delay_steps == 0:
