@@ -1,20 +1,35 @@
 """`armwright export`: a recording as log.csv.gz and MCAP."""
 
 import argparse
+import json
 import sys
 from pathlib import Path
 
+from console.commands.progress import Bar
 from control.errors import ArmError
 from control.loop.export import export
+from control.loop.record import Recording
+from control.loop.recorded_arm import recorded_arm
+from control.model.description import load_arm
 
 
 def run(given: argparse.Namespace) -> int:
     """Export and say what was written."""
-    recording = Path(given.recording)
+    recording, out = Path(given.recording), Path(given.out)
     if not recording.is_file():
         raise ArmError(
             f"{recording}: there is no such recording; `armwright serve` writes them to its --log folder"
         )
-    for name, rows in export(recording, Path(given.out), given.every).items():
-        sys.stdout.write(f"{Path(given.out) / name}: {rows} cycles\n")
+    arm = load_arm(given.arm) if given.arm else recorded_arm(Recording.open(recording))
+    if arm is None:
+        sys.stderr.write(
+            "armwright: warning: the recording's arm is not known, so log.mcap has no 3-D: give it with --arm\n"
+        )
+    with Bar("export") as bar:
+        written = export(recording, out, given.every, arm, lambda done: bar.advance("export", done))
+    if given.json:
+        files = {name: {"file": str(out / name), "cycles": rows} for name, rows in written.items()}
+        sys.stdout.write(json.dumps(files, indent=2) + "\n")
+    else:
+        sys.stdout.write("".join(f"{out / name}: {rows} cycles\n" for name, rows in written.items()))
     return 0

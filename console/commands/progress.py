@@ -38,7 +38,8 @@ class Bar:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._progress.stop()
+        if self._is_terminal:  # rich ends with an empty line otherwise
+            self._progress.stop()
 
     def advance(self, what: str, done: float) -> None:
         """`done` of the whole, 0 to 1, and what is being done now."""

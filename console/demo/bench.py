@@ -16,7 +16,7 @@ from control.loop.connect import Connection, connect
 from control.loop.in_process import InProcessChannel
 from control.loop.record import FileSink, Layout
 from control.model.arm import Arm
-from control.model.description import save_arm
+from control.model.description import arm_text, save_arm
 from hil_mocks.realtime import RealTimeRig
 from hil_mocks.rig import MockArm, SteppedRig
 
@@ -71,7 +71,9 @@ class SteppedBench:
         self._connection = connect(wired_to(arm, self.rig), self.rig.clock, PERIOD_S, self.rig.camera_port)
         self._log_folder.mkdir(parents=True, exist_ok=True)
         path = self._log_folder / f"run-{len(self._recordings) + 1}.armlog"
-        header = Layout.of(arm.joint_count).header({"arm": arm.name, "period_s": PERIOD_S})
+        header = Layout.of(arm.joint_count).header(
+            {"arm": arm.name, "arm_toml": arm_text(arm), "period_s": PERIOD_S}
+        )
         self._sink = FileSink(path, header)
         assembly = assemble(
             arm,

@@ -10,6 +10,12 @@ FILES = (
             option("recording", metavar="FILE", help="a .armlog file"),
             OUT,
             option("--every", type=int, default=1, metavar="K", help="keep every k-th cycle (default: 1)"),
+            option(
+                "--arm",
+                metavar="A",
+                help="the arm that Foxglove's 3-D panel shows (default: the one that was recorded)",
+            ),
+            JSON,
         ),
     ),
     CommandSpec(

@@ -20,6 +20,7 @@ from control.loop.record import Layout, PipeSink
 from control.loop.scheduling import request_punctuality
 from control.loop.server import Server, require_free
 from control.model.arm import Arm
+from control.model.description import arm_text
 from firmware_iface.clock import Clock, MonotonicClock
 
 PIPE_bytes = 1 << 20  # some seconds of rows: how long a disk may stall
@@ -104,6 +105,7 @@ def _start_writer(arm: Arm, options: ServeOptions) -> tuple[Path, "subprocess.Po
         {
             "arm": arm.name,
             "arm_file": str(arm.path),
+            "arm_toml": arm_text(arm),
             "started_unix_s": started_s,
             "period_s": options.period_s,
         }

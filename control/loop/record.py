@@ -16,8 +16,12 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 from control.errors import ArmError
+from control.safety.table import Mode
 
 MAGIC = b"ARMLOG1\n"
+MODES_BEFORE_THEY_WERE_RECORDED = (
+    "OFF", "BRAKED", "HOLDING", "MOVING", "HOMING", "GUIDING", "STOPPING", "FAULT",
+)  # fmt: skip
 SCALAR_FIELDS = (
     ("t_s", "d"), ("cycle", "I"), ("run", "I"), ("mode", "B"), ("missed", "I"), ("late_s", "f"), ("busy_s", "f"),
     ("payload_kg", "f"), ("x_m", "d"), ("y_m", "d"), ("z_m", "d"),
@@ -50,7 +54,13 @@ class Layout:
     def header(self, about: dict[str, Any]) -> bytes:
         """What stands before the rows."""
         text = json.dumps(
-            {"names": self.names, "packing": self.packing.format, "joint_count": self.joint_count, **about}
+            {
+                "names": self.names,
+                "packing": self.packing.format,
+                "joint_count": self.joint_count,
+                "modes": [mode.name for mode in Mode],
+                **about,
+            }
         ).encode()
         return MAGIC + struct.pack("<I", len(text)) + text
 
@@ -174,6 +184,16 @@ class Recording:
         except (ValueError, KeyError, TypeError, struct.error) as error:
             raise RecordError(f"{path}: the header of this recording is damaged ({error})") from error
         return cls(path, header, layout, len(MAGIC) + 4 + length)
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Names of the modes by their recorded numbers, of the version that recorded."""
+        return tuple(self.header.get("modes") or MODES_BEFORE_THEY_WERE_RECORDED)
+
+    @property
+    def row_count(self) -> int:
+        """How many whole rows the file holds."""
+        return max(0, self.path.stat().st_size - self.offset) // self.layout.packing.size
 
     def rows(self) -> Iterator[tuple[float, ...]]:
         """Rows as tuples in the order of `layout.names`; a torn last row is dropped."""

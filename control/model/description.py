@@ -56,6 +56,7 @@ __all__ = [
     "Tool",
     "Vector3",
     "arm_names",
+    "arm_text",
     "load_arm",
     "parse_arm",
     "save_arm",
@@ -105,18 +106,23 @@ def save_arm(arm: Arm, path: str | Path) -> None:
 
     Keys that have their default value are left out.
     """
-    text = tomli_w.dumps(_table_of(arm))
-    if arm.calibration is not None:
-        text = f"# A calibrated arm, from {_one_line(arm.calibration.source)}; see [calibration].\n{text}"
     try:
         with Path(path).open("x", encoding="utf-8") as file:
-            file.write(text)
+            file.write(arm_text(arm))
     except FileExistsError:
         raise ArmFileError(
             path, None, "", "a new file", "one that is there already", "arms are never overwritten"
         ) from None
     except OSError as error:
         raise ArmFileError(path, None, "", "a place to write to", error.strerror or str(error)) from None
+
+
+def arm_text(arm: Arm) -> str:
+    """Return the arm as the text of an arm.toml, every number exact."""
+    text = tomli_w.dumps(_table_of(arm))
+    if arm.calibration is not None:
+        return f"# A calibrated arm, from {_one_line(arm.calibration.source)}; see [calibration].\n{text}"
+    return text
 
 
 def _text_of(path: Path) -> str:
