@@ -11,10 +11,6 @@ class ScenarioError(MockError):
     """A scenario file says something that the mock does not understand; names file and key."""
 
 
-class NotInPlantError(MockError):
-    """An effect has a name in the list of effects, but the plant has no physics for it yet."""
-
-
 class UnreachableError(MockError):
     """The hand was asked to seat the tip where the arm cannot be."""
 

@@ -8,6 +8,7 @@ nothing stands between them the rotor is the armature of the link's hinge: exact
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from hil_mocks.errors import MockError
 from hil_mocks.plant.effects import JointEffects, PlantEffects
+from hil_mocks.plant.flexure import LOSS_S, Beam, beam, ends_of, remaining_inertia, split_mass
 from hil_mocks.plant.geometry import Frame, Matrix, true_frame
 from hil_mocks.plant.parts import ArmParts, DriveParts
 
@@ -24,6 +26,8 @@ _HARD = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 _BRISTLE_RAD = 2e-5  # presliding deflection of a LuGre bristle at breakaway; below any encoder's resolution
 _BRISTLE_DAMPING_RATIO = 0.5
 _LIGHT_LINK = 0.1  # a link without its rotor is taken to be no lighter than this part of the reflected rotor
+_FASTEST = 2.0  # steps a radian of a bending link's vibration: 1000 rad/s at 0.5 ms
+_LEAST_KG = 1e-6  # of half a link that has no mass of its own
 _ROTOR_BODY_KG = 1e-9  # MuJoCo wants a mass; the inertia that counts is the hinge's armature
 
 
@@ -41,6 +45,7 @@ class PlantModel:
     bristles: tuple[tuple[tuple[int, float], ...], ...]  # per joint (actuator, share) of its LuGre elements
     tip_site: int
     payload_body: int
+    bends: tuple[int, ...] = ()  # indices of the joints in the middle of bending links
 
 
 def build(
@@ -65,6 +70,7 @@ class _Builder:
         self._step_s, self._link_share, self._margin_rad = timestep_s, link_share, end_stop_margin_rad
         self._spec = mujoco.MjSpec()
         self._bristles: list[list[tuple[str, float]]] = [[] for _ in arm.drives]
+        self._bends: list[str] = []
 
     def run(self) -> PlantModel:
         self._options()
@@ -86,7 +92,9 @@ class _Builder:
         self._spec.compiler.degree = False
         option = self._spec.option
         option.timestep = self._step_s
-        option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        # Joint damping is implicit here, too. The implicit ones also foresee back-EMF, so that the torque of a step is not that
+        # of the current which is read: K^2 h / R, a tenth of a joint's inertia at 1 ms.
+        option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         option.gravity = self._arm.gravity_m_s2
         option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         off = mujoco.mjtDisableBit
@@ -96,33 +104,74 @@ class _Builder:
 
     def _links(self) -> None:
         parent, joint = self._spec.worldbody, 0
-        for i, link in enumerate(self._arm.links):
-            deviation = {key: value for (at, key), value in self._effects.dh_deviation.items() if at == i}
-            frame = true_frame(link, deviation, self._arm.convention)
+        frames = [self._true_frame(i) for i in range(len(self._arm.links))]
+        shift_m = np.zeros(
+            3
+        )  # of the parent's frame from that of its link: half a beam, where the link bends
+        for i, (link, frame) in enumerate(zip(self._arm.links, frames, strict=True)):
             body = parent.add_body(
-                name=f"link{i + 1}", pos=frame.position_m, quat=_quaternion(frame.rotation)
+                name=f"link{i + 1}", pos=frame.position_m - shift_m, quat=_quaternion(frame.rotation)
             )
-            self._mass(body, i)
             if link.is_revolute:
                 self._hinge(body, frame, joint)
                 joint += 1
-            parent = body
+            if i in self._effects.link_EI_Nm2:
+                bent = self._beam(i, frames)
+                parent, shift_m = self._bending(body, bent, i), bent.middle_m
+            else:
+                self._mass(body, i)
+                parent, shift_m = body, np.zeros(3)
         if joint != len(self._arm.drives):
             raise MockError(
                 f'arm "{self._arm.name}": {joint} revolute links but {len(self._arm.drives)} [[drive]] sections; '
                 "the plant needs one drive for each joint."
             )
-        parent.add_site(name="tip", pos=self._arm.tool_m)
-        load = parent.add_body(name="payload", pos=self._arm.tool_m, explicitinertial=True)
+        parent.add_site(name="tip", pos=self._arm.tool_m - shift_m)
+        load = parent.add_body(name="payload", pos=self._arm.tool_m - shift_m, explicitinertial=True)
         load.mass, load.inertia = self._effects.payload_kg, [0.0, 0.0, 0.0]
+        load.ipos = [0.0, 0.0, 0.0]  # left alone, it is taken to be the body's own place once more
+
+    def _true_frame(self, i: int) -> Frame:
+        deviation = {key: value for (at, key), value in self._effects.dh_deviation.items() if at == i}
+        return true_frame(self._arm.links[i], deviation, self._arm.convention)
 
     def _mass(self, body: Any, i: int) -> None:
-        link = self._arm.links[i]
-        mass = link.mass_kg + self._effects.link_mass_kg.get(i, 0.0)
-        more = self._effects.link_inertia_kg_m2.get(i, 0.0)
+        mass, com_m, inertia = self._mass_of(i)
         body.explicitinertial = True
-        body.mass, body.ipos = mass, link.com_m
-        body.inertia = [value + more for value in link.inertia_kg_m2]
+        body.mass, body.ipos, body.inertia = mass, com_m, inertia
+
+    def _mass_of(self, i: int) -> tuple[float, Matrix, Matrix]:
+        """Mass, its centre in the link's frame, and principal inertia of a link with what an effect adds."""
+        link = self._arm.links[i]
+        more = self._effects.link_inertia_kg_m2.get(i, 0.0)
+        mass = link.mass_kg + self._effects.link_mass_kg.get(i, 0.0)
+        return mass, np.array(link.com_m), np.array(link.inertia_kg_m2) + more
+
+    def _beam(self, i: int, frames: Sequence[Frame]) -> Beam:
+        turns = [link.is_revolute for link in self._arm.links]
+        ends = ends_of(i, frames, turns, self._arm.convention == "standard", np.array(self._arm.tool_m))
+        return beam(*ends, self._effects.link_EI_Nm2[i], f'arm "{self._arm.name}", link {i + 1}')
+
+    def _bending(self, near: Any, bent: Beam, i: int) -> Any:
+        """The link's near half is `near`; returns its far half, which hangs on two slides and two hinges."""
+        mass, com_m, inertia = self._mass_of(i)
+        parts = split_mass(bent, mass, com_m)
+        left = remaining_inertia(inertia, com_m, parts)
+        far = near.add_body(name=f"link{i + 1}far", pos=bent.middle_m)
+        for body, part, origin_m in ((near, parts[0], np.zeros(3)), (far, parts[1], bent.middle_m)):
+            body.explicitinertial = True
+            body.mass, body.ipos = max(part.mass_kg, _LEAST_KG), part.place_m - origin_m
+            body.inertia = 0.5 * left
+        kinds = mujoco.mjtJoint
+        for kind, stiffness in ((kinds.mjJNT_SLIDE, bent.slide_N_m), (kinds.mjJNT_HINGE, bent.hinge_Nm_rad)):
+            for k, axis in enumerate(bent.across):
+                name = f"{'s' if kind is kinds.mjJNT_SLIDE else 'h'}{k + 1}_link{i + 1}"
+                joint = far.add_joint(name=name, type=kind, axis=axis)
+                joint.stiffness, joint.damping = [stiffness, 0.0, 0.0], [LOSS_S * stiffness, 0.0, 0.0]
+                # What the far half lacks in inertia for vibrations that the step can follow; it weighs nothing.
+                joint.armature = stiffness * (_FASTEST * self._step_s) ** 2
+                self._bends.append(name)
+        return far
 
     def _hinge(self, body: Any, frame: Frame, j: int) -> None:
         drive = self._arm.drives[j]
@@ -264,6 +313,7 @@ class _Builder:
             bristles=bristles,
             tip_site=int(model.site("tip").id),
             payload_body=int(model.body("payload").id),
+            bends=tuple(int(model.joint(name).qposadr[0]) for name in self._bends),
         )
 
 

@@ -9,7 +9,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from hil_mocks.errors import NotInPlantError, ScenarioError
+from hil_mocks.errors import ScenarioError
+from hil_mocks.plant.standing import NOMINAL, Standing
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,8 @@ class PlantEffects:
     link_mass_kg: Mapping[int, float] = field(default_factory=dict)
     link_inertia_kg_m2: Mapping[int, float] = field(default_factory=dict)
     dh_deviation: Mapping[tuple[int, str], float] = field(default_factory=dict)  # (0-based link, DH key)
+    link_EI_Nm2: Mapping[int, float] = field(default_factory=dict)  # of 0-based links that bend
+    standing: Standing = NOMINAL
 
 
 # Effect of a joint -> {parameter of the file: field of JointEffects}. A parameter in OPTIONAL may be absent.
@@ -81,7 +84,7 @@ _OF_ARM: dict[str, dict[str, str]] = {
     "supply_sag": {"resistance_ohm": "supply_resistance_ohm"},
 }
 _OPTIONAL = {"damping_Nm_s_rad"}
-_POSITIVE = {"stiffness_Nm_rad", "time_constant_s", "speed_rad_s", "order"}
+_POSITIVE = {"EI_Nm2", "stiffness_Nm_rad", "time_constant_s", "speed_rad_s", "order"}
 _NOT_NEGATIVE = {
     "width_rad",
     "torque_Nm",
@@ -91,17 +94,14 @@ _NOT_NEGATIVE = {
     "delay_s",
     "resistance_ohm",
 }
-_NOT_YET = {
-    "base_frame": "stand the table or camera elsewhere with the points given to the hand",
-    "link_flexure": "use joint_compliance of the joint before the link",
-}
-KNOWN = (*_OF_JOINT, *_OF_ARM, "link_geometry", "link_inertia", *_NOT_YET)
+_BASE_FRAME = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+KNOWN = (*_OF_JOINT, *_OF_ARM, "link_geometry", "link_inertia", "link_flexure", "base_frame")
 
 
 def gather(entries: Sequence[EffectEntry], joints: int, links: int, where: str) -> PlantEffects:
     """All entries as numbers of the plant; the later of two entries of the same effect and joint counts.
 
-    Raises ScenarioError for what cannot be understood (`where` names the file), NotInPlantError for what has no physics.
+    Raises ScenarioError for what cannot be understood; `where` names the file.
     """
     found = PlantEffects(joints=(JointEffects(),) * joints)
     for entry in entries:
@@ -111,8 +111,6 @@ def gather(entries: Sequence[EffectEntry], joints: int, links: int, where: str) 
 
 def _add(found: PlantEffects, entry: EffectEntry, joints: int, links: int, where: str) -> PlantEffects:
     name = entry.effect
-    if name in _NOT_YET:
-        raise NotInPlantError(f"{where} is not in the plant yet: {_NOT_YET[name]}.")
     if name in _OF_JOINT:
         _check_index(entry.joint, joints, "joint", where)
         values = _renamed(entry, _OF_JOINT[name], where)
@@ -130,7 +128,21 @@ def _add(found: PlantEffects, entry: EffectEntry, joints: int, links: int, where
         return replace(
             found, dh_deviation={**found.dh_deviation, **deviations(entry.parameters, links, where)}
         )
+    if name == "link_flexure":
+        _check_index(entry.joint, links, "link", where)
+        (EI_Nm2,) = _renamed(entry, {"EI_Nm2": "EI_Nm2"}, where).values()
+        return replace(found, link_EI_Nm2={**found.link_EI_Nm2, entry.joint - 1: EI_Nm2})
+    if name == "base_frame":
+        return replace(found, standing=_standing(entry, where))
     raise ScenarioError(f"{where} is unknown; known are {', '.join(sorted(KNOWN))}.")
+
+
+def _standing(entry: EffectEntry, where: str) -> Standing:
+    """Where the world is in the base frame; parameters that are not given are 0."""
+    given = {**dict.fromkeys(_BASE_FRAME, 0.0), **entry.parameters}
+    checked = _renamed(EffectEntry(entry.effect, 0, given), {key: key for key in _BASE_FRAME}, where)
+    x, y, z, rx, ry, rz = (checked[key] for key in _BASE_FRAME)
+    return Standing((x, y, z), (rx, ry, rz))
 
 
 def _with_of_arm(found: PlantEffects, name: str, value: float) -> PlantEffects:

@@ -20,6 +20,8 @@ from hil_mocks.plant.shaft import Shaft
 
 _JAMMED_Nm_s_rad = 1e6  # a jammed gear creeps by a microradian a second under all that a motor has
 
+_BENDING_ROUNDS = 3  # gravity's torque on a bent link differs from that on a straight one by some 1e-3
+
 
 @dataclass(frozen=True, slots=True)
 class PlantOptions:
@@ -49,6 +51,7 @@ class Plant:
         self.joints = len(arm.drives)
         self.timestep_s = options.timestep_s
         self.effects = effects
+        self._stands_right = effects.standing.is_nominal
         self._at: PlantModel = build(
             arm, effects, options.timestep_s, options.link_share, options.end_stop_margin_rad
         )
@@ -57,6 +60,7 @@ class Plant:
         self._shafts = tuple(Shaft(effect) for effect in effects.joints)
         self._shafts_are_true = all(shaft.is_true for shaft in self._shafts)
         self._pose(arm, start_rad)
+        self._bend()
         self.bridges = Bridges(
             self._model, self._data, _windings(arm, effects), self._at.bridge, effects.supply_resistance_ohm
         )
@@ -67,6 +71,7 @@ class Plant:
             options.hand_speed_m_s,
             options.seating_noise_m,
             options.seed,
+            effects.standing,
         )
         self._steps = 0
         self._free_damping: dict[int, float] = {}
@@ -139,10 +144,10 @@ class Plant:
         return self.bridges.current_A(j)
 
     def tip_m(self) -> Point:
-        """True tip in the base frame."""
+        """True tip in the frame of camera and table: the base frame, unless `base_frame` puts the arm elsewhere."""
         mujoco.mj_kinematics(self._model, self._data)
         x, y, z = self._data.site_xpos[self._at.tip_site].tolist()
-        return x, y, z
+        return (x, y, z) if self._stands_right else self.effects.standing.in_world((x, y, z))
 
     def set_payload(self, mass_kg: float) -> None:
         """Hang a point mass at the tip, in place of the one there."""
@@ -206,6 +211,14 @@ class Plant:
             motor = self._at.motor_hinge[2]
             if motor != self._at.link_hinge[2]:
                 self._data.qpos[motor] = start_rad[2] - self.effects.belt_ratio * start_rad[1]
+
+    def _bend(self) -> None:
+        """Links that bend begin where gravity holds them, not with a swing."""
+        bends = list(self._at.bends)
+        for _ in range(_BENDING_ROUNDS if bends else 0):
+            mujoco.mj_forward(self._model, self._data)
+            stiffness = self._model.jnt_stiffness[bends]
+            self._data.qpos[bends] = -self._data.qfrc_bias[bends] / stiffness
 
     def _offset_Nm(self, dof: int) -> float:
         """Asymmetric friction is Coulomb friction plus a constant torque against the positive direction."""

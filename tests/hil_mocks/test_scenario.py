@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from control.model.description import load_arm
+from control.model.effects import EFFECTS
 from control.model.inverse import InverseKinematics
 from hil_mocks.assembly import effects_of
-from hil_mocks.errors import NotInPlantError, ScenarioError
+from hil_mocks.errors import ScenarioError
+from hil_mocks.plant.effects import KNOWN
 from hil_mocks.plant.parts import parts_of
 from hil_mocks.plant.plant import Plant
 from hil_mocks.scenario import load_scenario, parse_scenario, shipped_scenarios
@@ -67,10 +69,8 @@ def test_effects_are_checked_by_name_joint_and_parameter(effect: str, message: s
         effects_of(RIGHT, parse_scenario(f"[[effect]]\n{effect}", "s.toml"))
 
 
-def test_an_effect_without_physics_says_so() -> None:
-    text = '[[effect]]\neffect = "link_flexure"\njoint = 2\nparameters = {EI_Nm2 = 100.0}'
-    with pytest.raises(NotInPlantError, match="not in the plant yet"):
-        effects_of(RIGHT, parse_scenario(text, "s.toml"))
+def test_every_effect_that_a_model_can_have_has_physics() -> None:
+    assert set(KNOWN) == set(EFFECTS)
 
 
 def test_drawn_deviations_follow_the_seed_and_stay_within_their_sizes() -> None:
