@@ -97,6 +97,16 @@ def test_a_move_from_a_moving_state_continues_it_and_keeps_the_means_to_brake():
     assert max(abs(point.speed_rad_s[0]) for point in late) <= 1.0 + 1e-9
 
 
+@pytest.mark.parametrize("sign", [(1, 1, 1), (1, -1, 1), (-1, 1, 1)])
+def test_a_move_over_the_distance_at_which_the_acceleration_limit_is_just_touched_is_possible(sign):
+    start = (0.62, 0.68, -0.9816)
+    end = tuple(q + 0.05 * s for q, s in zip(start, sign, strict=True))  # 2 a^3 / j^2 of all three joints
+    move = JointMove(start, end, LIMITS)
+    _same(move.at(move.duration_s), at_rest(end))
+    _within(move, LIMITS)
+    assert move.duration_s == pytest.approx(4 * 10.0 / 200.0, rel=1e-3)
+
+
 def test_times_outside_are_clamped():
     move = JointMove(START, END, LIMITS)
     assert move.at(-1.0) == move.at(0.0)
