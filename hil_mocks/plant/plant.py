@@ -145,7 +145,10 @@ class Plant:
 
     def tip_m(self) -> Point:
         """True tip in the frame of camera and table: the base frame, unless `base_frame` puts the arm elsewhere."""
+        ahead = self._data.qpos.copy()
+        self._data.qpos[:] = self._q
         mujoco.mj_kinematics(self._model, self._data)
+        self._data.qpos[:] = ahead
         x, y, z = self._data.site_xpos[self._at.tip_site].tolist()
         return (x, y, z) if self._stands_right else self.effects.standing.in_world((x, y, z))
 
@@ -189,8 +192,14 @@ class Plant:
         self._read()
 
     def _read(self) -> None:
-        self._q: list[float] = self._data.qpos.tolist()
-        self._v: list[float] = self._data.qvel.tolist()
+        """Angles, speeds and currents of one moment: a step moves the angles with the speeds at its end.
+
+        MuJoCo's Euler steps are a leapfrog of currents, half a step later speeds, and another half step later angles.
+        Angles one step back are those of the moment at which bridges are switched and currents read, to second order.
+        """
+        speed = self._data.qvel
+        self._q: list[float] = (self._data.qpos - self.timestep_s * speed).tolist()
+        self._v: list[float] = speed.tolist()
         if not math.isfinite(sum(self._v)):
             raise MockError(
                 f"plant: the physics became unstable at {self.time_s:.4f} s; take a smaller timestep_s."

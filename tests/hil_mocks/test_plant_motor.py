@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from tests.hil_mocks.pendulum import (
     L_H,
@@ -39,14 +41,24 @@ def test_back_emf_ends_the_acceleration_at_voltage_over_constant() -> None:
     assert subject.current_A(0) == pytest.approx(0.0, abs=1e-4)
 
 
-def test_speed_after_a_voltage_step_rises_with_the_mechanical_time_constant() -> None:
-    subject = plant(gravity_m_s2=WEIGHTLESS)
+@pytest.mark.parametrize("timestep_s", [1e-3, 5e-4, 2.5e-4])
+def test_angle_and_current_after_a_voltage_step_are_those_of_one_moment(timestep_s: float) -> None:
+    """An angle that were a step ahead of the current would look like a command that takes effect before it is given."""
+    subject = plant(gravity_m_s2=WEIGHTLESS, timestep_s=timestep_s)
     subject.drive_voltage(0, 6.0)
-    tau_s = TOTAL_kg_m2 * R_OHM / K_Nm_A**2
-    run(subject, 0.008)
-    # Two real poles, the electrical one L/R faster: the slow one is at 1 / (tau (1 - L/R/tau)) to first order.
-    expected = 6.0 / K_Nm_A * (1.0 - math.exp(-(0.008 - L_H / R_OHM) / tau_s))
-    assert subject.joint_speed_rad_s()[0] == pytest.approx(expected, rel=0.02)
+    subject.step(round(0.008 / timestep_s))
+    rates = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, K_Nm_A / TOTAL_kg_m2], [0.0, -K_Nm_A / L_H, -R_OHM / L_H]])
+    state = np.array(
+        expm(np.block([[rates, np.array([[0.0], [0.0], [6.0 / L_H]])], [np.zeros((1, 4))]]) * 0.008)
+    )
+    angle_rad, speed_rad_s, current_A = state[:3, 3]
+    # Nearly second order: 0.17 of a step of 1 ms, 0.05 of one of 0.25 ms. Speeds are half a step ahead.
+    order = (timestep_s / 1e-3) ** 2
+    assert subject.motor_rad(0) == pytest.approx(angle_rad, abs=0.17e-3 * order**0.9 * speed_rad_s)
+    assert subject.current_A(0) == pytest.approx(current_A, rel=0.034 * order**0.9)
+    acceleration_rad_s2 = K_Nm_A * current_A / TOTAL_kg_m2
+    half_step_ahead = speed_rad_s + 0.5 * timestep_s * acceleration_rad_s2
+    assert subject.motor_speed_rad_s(0) == pytest.approx(half_step_ahead, rel=2e-3)
 
 
 def test_stall_current_rises_with_the_electrical_time_constant() -> None:
