@@ -12,6 +12,7 @@ import select
 import termios
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import dataclass
 from struct import Struct
 from typing import Protocol
 
@@ -26,6 +27,7 @@ _INT = Struct("i")
 _NO_BYTES = _INT.pack(0)
 _WRITE_TIMEOUT_ms = 200  # requests are a dozen bytes: a line that does not take them in this time is dead
 _SOCKETCAN_BUS_OFF = 0x40  # CAN_ERR_BUSOFF of linux/can/error.h, in the id of an error frame
+_ADAPTERS = ("socketcan", "pcan")  # python-can can ask these without waiting, and they say nothing of others
 _ECHO_MEMORY = 64  # frames of ours that may be on their way back at once
 
 
@@ -97,6 +99,27 @@ def open_serial(url: str, baud: int) -> ByteLink:
     if url.startswith("socket:") and os.name == "posix":
         return _SocketByteLink(port, url, 0)
     return _PyserialByteLink(port, url, 0 if url.startswith("socket:") else baud)
+
+
+@dataclass(frozen=True, slots=True)
+class PortHere:
+    """A serial port of this machine: its path, and what the system calls what is plugged in ("" if it does not know)."""
+
+    path: str
+    description: str
+
+
+def serial_ports() -> list[PortHere]:
+    """The serial ports of this machine that somebody could have plugged a board into; none is opened."""
+    ports = sorted(list_ports.comports(), key=lambda port: port.device)
+    return [PortHere(port.device, "" if port.description == "n/a" else port.description) for port in ports]
+
+
+def can_buses() -> list[tuple[str, str]]:
+    """Interface and channel of the CAN adapters that are here, as far as their drivers can tell; none is opened."""
+    with _heard_from_can():
+        found = can.detect_available_configs([name for name in _ADAPTERS if name in can.VALID_INTERFACES])
+    return [(str(bus["interface"]), str(bus["channel"])) for bus in found]
 
 
 def _ports_here() -> str:

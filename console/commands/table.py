@@ -1,9 +1,11 @@
 """Every subcommand, in the order of `armwright --help`."""
 
+from console.specs.bringup import BRINGUP
 from console.specs.calibrating import CALIBRATING
 from console.specs.files import FILES
 from console.specs.operating import OPERATING
 from console.specs.recording import RECORDING
+from console.specs.seeing import SEEING
 from console.specs.trying import TRYING
 
-COMMANDS = (*TRYING, *OPERATING, *RECORDING, *CALIBRATING, *FILES)
+COMMANDS = (*TRYING, *BRINGUP, *OPERATING, *RECORDING, *CALIBRATING, *FILES, *SEEING)

@@ -1,0 +1,45 @@
+"""`armwright doctor`: is this arm fit to be switched on? Nothing is energised, nothing moves."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from console.bringup.opening import opened
+from console.doctor.boards import open_boards
+from console.doctor.finding import Finding, Level, as_json, as_text, verdict, worst
+from console.doctor.host import look_at_host, look_at_ports
+from console.doctor.judging import judge
+from console.doctor.sampling import sample
+from control.errors import ArmError
+from control.model.arm import Arm
+from firmware_iface.clock import Clock
+
+LONGEST_S = 600.0
+
+
+def run(given: argparse.Namespace) -> int:
+    """Look at everything, say what was found."""
+    if not 0.1 <= given.seconds <= LONGEST_S:
+        raise ArmError(f"--seconds: expected 0.1 to {LONGEST_S:g}, got {given.seconds:g}")
+    if not 20.0 <= given.rate <= 1200.0:
+        raise ArmError(f"--rate: expected 20 to 1200 Hz, got {given.rate:g}")
+    with opened(given) as setting:
+        findings = examine(setting.arm, setting.clock, 1.0 / given.rate, given.seconds, Path(given.log))
+    if given.json:
+        sys.stdout.write(json.dumps(as_json(setting.arm.name, findings), indent=1) + "\n")
+    else:
+        sys.stdout.write(f"{as_text(findings)}\narm {setting.arm.name}: {verdict(findings)}\n")
+    return 1 if worst(findings) is Level.BAD else 0
+
+
+def examine(arm: Arm, clock: Clock, period_s: float, duration_s: float, log_folder: Path) -> list[Finding]:
+    """This machine first, then ports, boards, timing and signals; all of them, whatever is wrong with one."""
+    findings = look_at_host(period_s, arm.limits.watchdog_s, arm.joint_count, log_folder) + look_at_ports()
+    boards = open_boards(arm, clock)
+    try:
+        found = list(judge(sample(boards, clock, period_s, duration_s), arm))
+    finally:
+        boards.close()
+    findings += boards.findings
+    return findings + sorted(found, key=lambda finding: finding.group == "signals")

@@ -1,0 +1,100 @@
+"""One line of the doctor: what was looked at, what was measured, what is expected, what to do."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from enum import IntEnum
+
+FORMAT = "doctor/1"
+MEASURED_WIDTH = 60  # of the column; what is longer pushes the rest aside
+
+
+class Level(IntEnum):
+    """How bad it is; a larger number is worse."""
+
+    OK = 0
+    WARN = 1  # an arm runs with it, not as well as it could
+    BAD = 2  # to be mended before an arm moves
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """`group` is host, ports, boards, timing, signals or arm; `remedy` is empty where all is well."""
+
+    level: Level
+    group: str
+    what: str
+    measured: str
+    expected: str = ""
+    remedy: str = ""
+
+
+def graded(
+    group: str, what: str, value: float, limits: tuple[float, float], words: tuple[str, str, str]
+) -> Finding:
+    """A finding by a number: a warning above the first limit, bad above the second, or where it is none at all.
+
+    `words` are measured, expected and remedy.
+    """
+    warn_above, bad_above = limits
+    level = Level.OK
+    if not value <= bad_above:  # also a NaN
+        level = Level.BAD
+    elif value > warn_above:
+        level = Level.WARN
+    measured, expected, remedy = words
+    return Finding(level, group, what, measured, expected, remedy if level is not Level.OK else "")
+
+
+def worst(findings: Sequence[Finding]) -> Level:
+    """The worst of all."""
+    return max((finding.level for finding in findings), default=Level.OK)
+
+
+def as_text(findings: Sequence[Finding]) -> str:
+    """A line for each, and a second one with the remedy where something is to be done."""
+    width = max((len(finding.what) for finding in findings), default=0)
+    lines = []
+    group = ""
+    for finding in findings:
+        if finding.group != group:
+            group = finding.group
+            lines.append(f"{group}")
+        expected = f"  (expected {finding.expected})" if finding.expected else ""
+        lines.append(
+            f"  {finding.level.name.lower():<4}  {finding.what:<{width}}  {finding.measured}{expected}"
+        )
+        if finding.remedy:
+            lines.append(f"        {'':<{width}}  -> {finding.remedy}")
+    return "\n".join(lines)
+
+
+def verdict(findings: Sequence[Finding]) -> str:
+    """What came out, in a sentence."""
+    bad = sum(finding.level is Level.BAD for finding in findings)
+    warned = sum(finding.level is Level.WARN for finding in findings)
+    if bad:
+        return f"{bad} to mend before the arm moves, {warned} to look at"
+    if warned:
+        return f"nothing stands in the way; {warned} to look at"
+    return "all is well"
+
+
+def as_json(arm: str, findings: Sequence[Finding]) -> dict[str, object]:
+    """The same for another program."""
+    rows = [{**asdict(finding), "level": finding.level.name.lower()} for finding in findings]
+    return {
+        "format": FORMAT,
+        "arm": arm,
+        "worst": worst(findings).name.lower(),
+        "verdict": verdict(findings),
+        "findings": rows,
+    }
+
+
+def percentile(values: Sequence[float], share: float) -> float:
+    """The value that a share of all do not exceed; NaN of nothing."""
+    if not values:
+        return math.nan
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, math.ceil(share * len(ordered)) - 1)]

@@ -1,0 +1,60 @@
+"""Which motor boards are on a CAN bus: every node is asked who it is. Reading a parameter moves nothing and enables nothing."""
+
+from dataclasses import dataclass, field
+
+from firmware_iface.clock import Clock
+from firmware_iface.link import FrameLink
+from firmware_iface.motor import wire
+from firmware_iface.motor.wire import Operation, Parameter, ParameterAnswer, ParameterRequest, ParameterResult
+
+ANSWER_WAIT_s = 0.06  # a board answers within 5 ms; hosts are late by tens of milliseconds at times
+_STEP_s = 0.001
+_SEQUENCE = 200  # far from where a driver begins to count
+
+
+@dataclass(slots=True)
+class BusScan:
+    """What was heard on a bus. Serial numbers by node; several where boards share a node id."""
+
+    serial_numbers: dict[int, list[int]] = field(default_factory=dict)
+    commanded: set[int] = field(default_factory=set)
+    """Nodes that somebody else sends COMMANDs or requests to."""
+    strangers: int = 0
+    """Frames with ids that no motor board has."""
+
+
+def listen(link: FrameLink, clock: Clock, duration_s: float) -> BusScan:
+    """Only listen: who talks on the bus before we do? Raises LinkLost."""
+    scan = BusScan()
+    end_s = clock.now_s() + duration_s
+    while clock.now_s() < end_s:
+        clock.wait_until_s(clock.now_s() + _STEP_s)
+        for can_id, payload in link.receive():
+            _take(scan, can_id, payload)
+    return scan
+
+
+def scan_nodes(link: FrameLink, clock: Clock, wait_s: float = ANSWER_WAIT_s) -> BusScan:
+    """Ask every node for its serial number, and listen. Raises LinkLost."""
+    link.receive()
+    for node in wire.NODES:
+        request = ParameterRequest(Operation.READ, Parameter.BOARD_SERIAL_NUMBER, _SEQUENCE, 0)
+        link.send(wire.PARAMETER_REQUEST_ID + node, request.pack())
+    return listen(link, clock, wait_s)
+
+
+def _take(scan: BusScan, can_id: int, payload: bytes) -> None:
+    node = can_id & 0x7F
+    kind = can_id - node
+    if node not in wire.NODES or kind not in _KINDS:
+        scan.strangers += can_id != wire.EMERGENCY_STOP_ID
+    elif kind in (wire.COMMAND_ID, wire.PARAMETER_REQUEST_ID):
+        scan.commanded.add(node)
+    elif kind == wire.PARAMETER_ANSWER_ID and len(payload) == 8:
+        answer = ParameterAnswer.unpack(payload)
+        is_ours = (answer.sequence, answer.index) == (_SEQUENCE, Parameter.BOARD_SERIAL_NUMBER)
+        if is_ours and answer.result == ParameterResult.DONE:
+            scan.serial_numbers.setdefault(node, []).append(answer.value & 0xFFFFFFFF)
+
+
+_KINDS = (wire.COMMAND_ID, wire.REPLY_ID, wire.PARAMETER_REQUEST_ID, wire.PARAMETER_ANSWER_ID)
