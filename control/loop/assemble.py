@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from control.errors import MissingModel
 from control.loop.hardware import Hardware, OutputMode
 from control.loop.homing import HomingSequence, JointHome
+from control.loop.jogging import Jogging
 from control.loop.measure import Measurement
 from control.loop.pid import Pid
 from control.loop.record import Layout, NoSink, Recorder, RowSink
@@ -23,6 +24,7 @@ from control.model.gains import InertiaScale, gains_of
 from control.model.inverse import InverseKinematics
 from control.model.joint_map import JointMap
 from control.model.kinematics import Kinematics
+from control.motion.jog_limits import JogLimits
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import Stop
 from control.safety.limits import SetPointLimits
@@ -54,7 +56,8 @@ def assemble(
 ) -> Assembly:
     """A runtime that is ready for its first cycle. MissingModel when arm.toml lacks what control needs."""
     limits = JointLimits.of(arm)
-    kinematics = Kinematics(arm)
+    jog_limits = JogLimits.of(arm)
+    kinematics, inverse = Kinematics(arm), InverseKinematics(arm)
     names = tuple(f"joint {drive.joint}" for drive in arm.drives)
     parts = Parts(
         hardware=hardware,
@@ -66,8 +69,9 @@ def assemble(
         watch=Watch(_watch_limits(arm, period_s), names),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),
+        jogging=lambda is_homed: Jogging(jog_limits, inverse, is_homed),
         stop_from=lambda state: Stop(state, limits),
-        inverse=InverseKinematics(arm),
+        inverse=inverse,
         camera=camera,
         joint_names=names,
         do_counters_span=all(_does_counter_span(drive) for drive in arm.drives),

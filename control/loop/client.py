@@ -132,10 +132,11 @@ class ArmClient:
     def until(self, modes: Sequence[str], timeout_s: float, is_fault_known: bool = False) -> Message:
         """Wait until the arm is in one of `modes`; returns the status then.
 
-        ArmFaulted when it goes to FAULT instead, unless that `is_fault_known`; ArmError on time-out.
+        ArmFaulted when it goes to FAULT instead, unless that `is_fault_known`; ArmError on time-out. A motion that runs at a
+        slower pace, or is paused, has as much more time.
         """
         waited_s = 0.0
-        while (mode := self.ask("mode")["mode"]) not in modes:
+        while (mode := (answer := self.ask("mode"))["mode"]) not in modes:
             if mode == "FAULT" and not is_fault_known:
                 raise ArmFaulted(fault_text(self.status()))
             if waited_s > timeout_s:
@@ -143,7 +144,7 @@ class ArmClient:
                     f"the arm is still {mode} after {waited_s:.1f} s; expected {' or '.join(modes)}"
                 )
             self._channel.wait(POLL_S)
-            waited_s += POLL_S
+            waited_s += POLL_S * answer["pace"]
         return self.status()
 
     def enable(self) -> None:
@@ -170,6 +171,35 @@ class ArmClient:
         """Run a path of the joints (JointPath.to_message()); the arm must stand at its first knot."""
         answer = self.ask("run_joints", path=path)
         self.until(["HOLDING"], answer["duration_s"] + 5.0)
+
+    def jog(self, timeout_s: float = 60.0, **step: Any) -> str:
+        """A step: `joint` with `by_rad`, or `axis` with `by_m` (docs/socket.md), renewed until it has ended.
+
+        Returns what was in the way, in words; empty: nothing.
+        """
+        limited = str(self.ask("jog", **step)["limited"])
+        waited_s = 0.0
+        while (mode := self.ask("mode")["mode"]) == "JOGGING" and waited_s <= timeout_s:
+            answer = self._channel.request({"do": "jog_on"})  # refused where it has just ended
+            limited = str(answer.get("limited") or limited)
+            self._channel.wait(POLL_S)
+            waited_s += POLL_S
+        if mode == "FAULT":
+            raise ArmFaulted(fault_text(self.status()))
+        self.until(["HOLDING"], 2.0)
+        return limited
+
+    def pause(self) -> None:
+        """Slow to rest along the motion and hold on it."""
+        self.ask("pause")
+
+    def resume(self) -> None:
+        """Go on along the motion."""
+        self.ask("resume")
+
+    def override(self, fraction: float) -> None:
+        """Pace of motions, of the one that runs and of those to come."""
+        self.ask("override", fraction=fraction)
 
     def stop(self) -> None:
         """Controlled stop; returns when the arm holds."""

@@ -5,12 +5,13 @@ rebuilt and checked against where the arm stands.
 """
 
 import base64
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from control.errors import ArmError
 from control.loop.averaging import Averaging
+from control.loop.jog_requests import jog_wish
+from control.loop.request_values import number, numbers
 from control.loop.runtime import Runtime
 from control.loop.status import status_of
 from control.model.kinematics import Kinematics
@@ -20,12 +21,13 @@ from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath
 from control.motion.setpoint import Motion
 from control.safety.monitor import IllegalTransition
-from control.safety.table import Event, Mode
+from control.safety.table import TRAVELLING_MODES, Event, Mode
 from firmware_iface.errors import LinkError
 
 Message = dict[str, Any]
 START_TOLERANCE_rad = 5e-3  # of a path's first point: a joint move ends within a few counts of it
 LONGEST_AVERAGE_S = 60.0
+LEAST_OVERRIDE = 0.01  # slower is a pause
 ADVICE = {
     Mode.OFF: "switch its drives on first (`armwright enable`)",
     Mode.BRAKED: "let it hold first (`armwright enable`)",
@@ -34,6 +36,8 @@ ADVICE = {
     Mode.HOMING: "wait until it is homed, or stop it (`armwright stop`)",
     Mode.GUIDING: "let it hold first (`armwright hold`)",
     Mode.STOPPING: "wait until it has stopped",
+    Mode.JOGGING: "let the jog end, or stop it (`armwright stop`)",
+    Mode.PAUSED: "let it go on (`armwright resume`), or stop it (`armwright stop`)",
     Mode.FAULT: "read what is wrong (`armwright status`), make it safe, then `armwright acknowledge`",
 }
 
@@ -55,6 +59,11 @@ class Requests:
             "move_joints": self._move_joints,
             "run_path": self._run_path,
             "run_joints": self._run_joints,
+            "jog": self._jog,
+            "jog_on": self._jog_on,
+            "pause": self._pause,
+            "resume": self._resume,
+            "override": self._override,
             "stop": self._stop,
             "brake": self._brake,
             "guide": self._guide,
@@ -91,7 +100,7 @@ class Requests:
 
     def on_gone(self, client: int) -> None:
         """A client hung up: stop the motion that it started."""
-        if client == self._owner and self._runtime.monitor.mode in (Mode.MOVING, Mode.HOMING):
+        if client == self._owner and self._runtime.monitor.mode in TRAVELLING_MODES:
             self._runtime.stop()
 
     def _own(self, request: Message, client: int) -> None:
@@ -101,7 +110,8 @@ class Requests:
         return {**self._about, **status_of(self._runtime, self._kinematics)}
 
     def _mode(self, request: Message, client: int) -> Message:
-        return {"mode": self._runtime.monitor.mode.name, "progress": self._runtime.progress()}
+        runtime = self._runtime
+        return {"mode": runtime.monitor.mode.name, "progress": runtime.progress(), "pace": runtime.pace()}
 
     def _enable(self, request: Message, client: int) -> Message:
         self._runtime.want_hold()
@@ -116,8 +126,8 @@ class Requests:
         return {"homing": True}
 
     def _move_joints(self, request: Message, client: int) -> Message:
-        target = _numbers(request, "q_rad", len(self._runtime.parts.joint_names))
-        speed = _number(request, "speed", 1e-3, 1.0, default=1.0)
+        target = numbers(request, "q_rad", len(self._runtime.parts.joint_names))
+        speed = number(request, "speed", 1e-3, 1.0, default=1.0)
         move = JointMove(self._runtime.set_point, target, self._limits.scaled(speed))
         return self._start(move, request, client)
 
@@ -148,6 +158,37 @@ class Requests:
         self._own(request, client)
         return {"duration_s": motion.duration_s, "run": self._runtime.run_number}
 
+    def _jog(self, request: Message, client: int) -> Message:
+        self._require_own_jog(client)
+        self._runtime.jog(jog_wish(request, len(self._runtime.parts.joint_names)))
+        self._owner = client
+        return self._jogged()
+
+    def _jog_on(self, request: Message, client: int) -> Message:
+        self._require_own_jog(client)
+        self._runtime.renew_jog()
+        return self._jogged()
+
+    def _require_own_jog(self, client: int) -> None:
+        if self._runtime.monitor.mode is Mode.JOGGING and client != self._owner:
+            raise ArmError("another client jogs the arm: let it end, or stop it (`armwright stop`)")
+
+    def _jogged(self) -> Message:
+        jogging = self._runtime.jogging
+        return {"run": self._runtime.run_number, "limited": jogging.limited if jogging is not None else ""}
+
+    def _pause(self, request: Message, client: int) -> Message:
+        self._runtime.pause()
+        return {}
+
+    def _resume(self, request: Message, client: int) -> Message:
+        self._runtime.resume()
+        return {}
+
+    def _override(self, request: Message, client: int) -> Message:
+        self._runtime.override = number(request, "fraction", LEAST_OVERRIDE, 1.0)
+        return {}
+
     def _stop(self, request: Message, client: int) -> Message:
         self._runtime.stop()
         return {}
@@ -165,7 +206,7 @@ class Requests:
         return {}
 
     def _average(self, request: Message, client: int) -> Message:
-        duration_s = _number(request, "duration_s", 0.01, LONGEST_AVERAGE_S)
+        duration_s = number(request, "duration_s", 0.01, LONGEST_AVERAGE_S)
         self._runtime.averaging = Averaging(self._runtime.now_s, duration_s)
         return {}
 
@@ -176,7 +217,7 @@ class Requests:
         return {"average": averaging.result}
 
     def _payload(self, request: Message, client: int) -> Message:
-        self._runtime.parts.servo.torque_model.payload_kg = _number(request, "mass_kg", 0.0, 100.0)
+        self._runtime.parts.servo.torque_model.payload_kg = number(request, "mass_kg", 0.0, 100.0)
         return {}
 
     def _acknowledge(self, request: Message, client: int) -> Message:
@@ -190,25 +231,3 @@ class Requests:
     def _off(self, request: Message, client: int) -> Message:
         self._runtime.go_off(bool(request.get("quit")))
         return {}
-
-
-def _number(request: Message, key: str, lower: float, upper: float, default: float | None = None) -> float:
-    value = request.get(key, default)
-    if not isinstance(value, int | float) or not _is_number(value) or not lower <= value <= upper:
-        raise ArmError(
-            f"request {request['do']!r}: expected {key} to be a number from {lower:g} to {upper:g}, got {value!r}"
-        )
-    return float(value)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _numbers(request: Message, key: str, count: int) -> tuple[float, ...]:
-    values = request.get(key)
-    if not isinstance(values, list) or len(values) != count or not all(_is_number(value) for value in values):
-        raise ArmError(
-            f"request {request['do']!r}: expected {key} to be {count} finite numbers, got {values!r}"
-        )
-    return tuple(float(value) for value in values)

@@ -3,7 +3,7 @@
     cycle(now_s, late_s, missed, missed_in_row)
       _read            hardware.read(), then angles and speeds from counts, camera, averages
       _watch           limits, stale data, board faults -> faults -> the state machine
-      _advance         what the present mode does to the set-point (hold, motion, homing, stop, nothing)
+      _advance         what the present mode does to the set-point (hold, motion, jog, homing, stop, nothing)
       _drive           set-point -> feed-forward + PID -> hardware.write()
       _record          one row
 
@@ -20,6 +20,7 @@ from control.errors import ArmError
 from control.loop.averaging import Averaging
 from control.loop.hardware import Hardware, OutputMode
 from control.loop.homing import HomingFailed, HomingSequence
+from control.loop.jogging import Jogging, Wish
 from control.loop.measure import Measurement
 from control.loop.punctuality import Punctuality
 from control.loop.readiness import ENABLE_LIMIT_S, DriveReadiness, is_any_enabled
@@ -28,17 +29,19 @@ from control.loop.servo import Servo
 from control.loop.stillness import Stillness
 from control.loop.watch import ZERO_SET, Expectation, Watch
 from control.model.inverse import InverseKinematics
+from control.motion.pace import Paced
 from control.motion.setpoint import Motion, SetPoint, at_rest
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import SetPointLimits, limit_set_point
 from control.safety.monitor import Monitor
-from control.safety.table import CONTROLLED_MODES, Event, Mode
+from control.safety.table import CONTROLLED_MODES, TRAVELLING_MODES, Event, Mode
 from firmware_iface.errors import BoardReset, LinkError
 
 Vector = tuple[float, float, float]
 NOWHERE: Vector = (math.nan, math.nan, math.nan)
 MODE_NUMBER = {mode: number for number, mode in enumerate(Mode)}  # as recorded
-HOMING_CURRENT_FRACTION = 0.5
+HOMING_CURRENT_FRACTION = 0.5  # in search of the zero, and while joints without one are jogged
+_ON_PATH = (Mode.MOVING, Mode.PAUSED)
 
 
 class Camera(Protocol):
@@ -60,6 +63,7 @@ class Parts:
     watch: Watch
     set_point_limits: tuple[SetPointLimits, ...]
     homing: Callable[[], HomingSequence]
+    jogging: Callable[[bool], Jogging]  # of an arm that is homed, or not
     stop_from: Callable[[SetPoint], Motion]
     inverse: InverseKinematics
     camera: Camera | None
@@ -86,8 +90,9 @@ class Runtime:
         self.fault_rows: tuple[bytes, ...] = ()
         self.is_quitting = False
         self.has_waited = False  # for boards, outside of a cycle: the deadlines meanwhile do not count
-        self.motion: Motion | None = None
-        self.motion_s = 0.0
+        self.paced: Paced | None = None  # the motion that runs, a stop too
+        self.override = 1.0  # pace at which motions run
+        self.jogging: Jogging | None = None
         self._zeros = (0.0,) * n
         self.set_point = at_rest(self._zeros)
         self._elapsed_s = parts.period_s
@@ -148,8 +153,10 @@ class Runtime:
 
     def _advance(self) -> None:
         mode = self.monitor.mode
-        if mode in (Mode.MOVING, Mode.STOPPING) or self.monitor.is_held_fault:
+        if mode in (Mode.MOVING, Mode.PAUSED, Mode.STOPPING) or self.monitor.is_held_fault:
             self._follow_motion()
+        elif mode is Mode.JOGGING:
+            self._jog()
         elif mode is Mode.HOMING:
             self._home()
         elif mode is not Mode.HOLDING:
@@ -158,26 +165,49 @@ class Runtime:
             self._step_towards_off(event)
 
     def _follow_motion(self) -> None:
-        if self.motion is None:
+        if self.paced is None:
             return
-        self.motion_s += self._elapsed_s
         try:
-            wanted = self.motion.at(self.motion_s)
+            wanted = self.paced.advance(self._elapsed_s, self._wanted_pace())
         except Exception as error:  # the feedback is good all the same, so the arm can stop under control
             self._lose_motion(error)
             return
         self._take(wanted)
-        if self.motion is not None and self.motion_s >= self.motion.duration_s:
-            self.motion = None
-            self.set_point = at_rest(self.set_point.q_rad)
-            self.on(Event.ARRIVED if self.monitor.mode is Mode.MOVING else Event.STOPPED)
+        if self.paced is not None and self.paced.is_over:
+            self._come_to_rest(Event.ARRIVED if self.monitor.mode in _ON_PATH else Event.STOPPED)
+
+    def _wanted_pace(self) -> float:
+        if self.monitor.mode is Mode.PAUSED:
+            return 0.0
+        return self.override if self.monitor.mode is Mode.MOVING else 1.0
+
+    def _jog(self) -> None:
+        if self.jogging is None:
+            return
+        try:
+            wanted = self.jogging.advance(self.now_s, self._elapsed_s, self.set_point)
+        except Exception as error:
+            self._lose_motion(error)
+            return
+        self._take(wanted)
+        if self.jogging is not None and self.jogging.is_over:
+            self._come_to_rest(Event.ARRIVED)
+
+    def _come_to_rest(self, event: Event) -> None:
+        self.paced = self.jogging = None
+        self.set_point = at_rest(self.set_point.q_rad)
+        self.on(event)
 
     def _take(self, wanted: SetPoint) -> None:
         """Follow a motion through the last guard: its plan was checked, so a clip means that something is wrong.
 
-        A stop is not held back: it may brake harder than a motion, where a joint's range asks for it.
+        A stop is not held back: it may brake harder than a motion, where a joint's range asks for it. Nor is a jog of joints
+        whose angles mean nothing yet: its speed and acceleration are its own.
         """
-        if self.monitor.mode is not Mode.MOVING:
+        is_guarded = self.monitor.mode in _ON_PATH or (
+            self.monitor.mode is Mode.JOGGING and self.monitor.is_homed
+        )
+        if not is_guarded:
             self.set_point = wanted
             return
         last = self.set_point
@@ -234,7 +264,10 @@ class Runtime:
 
     def _servo(self) -> None:
         measured, servo, set_point = self.parts.measurement, self.parts.servo, self.set_point
-        fraction = HOMING_CURRENT_FRACTION if self.monitor.mode is Mode.HOMING else 1.0
+        is_searching = self.monitor.mode is Mode.HOMING or (
+            self.monitor.mode is Mode.JOGGING and not self.monitor.is_homed
+        )
+        fraction = HOMING_CURRENT_FRACTION if is_searching else 1.0
         servo.update(set_point, measured.q_rad, measured.speed_rad_s, self.monitor.is_homed, fraction)
         self.parts.hardware.write(servo.mode, servo.output, servo.feedforward_V)
 
@@ -274,17 +307,17 @@ class Runtime:
         if is_first:
             self._stillness.enter_mode(self.now_s)
             self.fault_rows = self.parts.recorder.last_rows()
-            self._homing = None
+            self._homing = self.jogging = None
             self._wants_hold = False
         if self.monitor.is_held_fault and is_first:
             self._stop_where(self.set_point if fault.code != "following_error" else self._measured())
         elif not was_braking and self.monitor.reaction is Reaction.BRAKE:
-            self.motion = None
+            self.paced = None
 
     def _lose_motion(self, error: Exception) -> None:
         """The motion gave no set-point: a controlled stop; brake if it was the stop itself."""
-        is_stop = self.monitor.mode is not Mode.MOVING
-        self.motion = None
+        is_stop = self.monitor.mode not in TRAVELLING_MODES
+        self.paced = self.jogging = None
         message = str(error) if isinstance(error, ArmError) else f"{type(error).__name__}: {error}"
         self.fail(
             Fault(
@@ -301,8 +334,11 @@ class Runtime:
         if state is not self.set_point:
             self.set_point = state
             self.parts.servo.reset()
-        self.motion_s = 0.0
-        self.motion = self.parts.stop_from(state)
+        self.paced = self._begun(self.parts.stop_from(state), 1.0)
+
+    def _begun(self, motion: Motion, pace: float) -> Paced:
+        limits = [limit.acceleration_rad_s2 for limit in self.parts.set_point_limits]
+        return Paced(motion, limits, pace)
 
     def _measured(self) -> SetPoint:
         measured = self.parts.measurement
@@ -357,7 +393,33 @@ class Runtime:
         """Start a motion that was checked and that begins at the set-point, at rest."""
         self.on(Event.MOVE)
         self.run_number += 1
-        self.motion, self.motion_s = motion, 0.0
+        self.paced = self._begun(motion, self.override)
+
+    def jog(self, wish: Wish) -> None:
+        """Move as somebody keeps asking; ArmError says why not, and nothing has changed then."""
+        if self.jogging is not None and self.monitor.mode is Mode.JOGGING:
+            self.jogging.ask(self.now_s, wish, self.set_point)
+            return
+        self.monitor.require(Event.JOG)
+        jogging = self.parts.jogging(self.monitor.is_homed)
+        jogging.ask(self.now_s, wish, self.set_point)
+        self.on(Event.JOG)
+        self.run_number += 1
+        self.jogging = jogging
+
+    def renew_jog(self) -> None:
+        """Whoever jogs still wants it; IllegalTransition where nothing is jogged."""
+        if self.jogging is None or self.monitor.mode is not Mode.JOGGING:
+            raise ArmError(f"the arm is {self.monitor.mode.name}: there is no jog to go on with")
+        self.jogging.renew(self.now_s)
+
+    def pause(self) -> None:
+        """Slow to rest along the motion and hold on it."""
+        self.on(Event.PAUSE)
+
+    def resume(self) -> None:
+        """Go on along the motion."""
+        self.on(Event.RESUME)
 
     def stop(self) -> None:
         """Controlled stop; legal in every mode."""
@@ -365,12 +427,12 @@ class Runtime:
         self.on(Event.STOP)
         self._wants_hold = False
         if self.monitor.mode is Mode.STOPPING and before is not Mode.STOPPING:
-            self._homing = None
+            self._homing = self.jogging = None
             self._stop_where(self.set_point)
 
     def brake(self) -> None:
         """Windings shorted now: under control first to a stop where something moves would be `stop`."""
-        if self.monitor.mode in (Mode.MOVING, Mode.HOMING, Mode.STOPPING):
+        if self.monitor.mode in TRAVELLING_MODES or self.monitor.mode is Mode.STOPPING:
             self.fail(
                 Fault(
                     "brake", "operator", "braked while moving", "acknowledge when it is safe", Reaction.BRAKE
@@ -403,9 +465,16 @@ class Runtime:
 
     def progress(self) -> float:
         """How much of the present motion is done, 0 to 1; 1 when there is none."""
-        if self.motion is None or self.motion.duration_s <= 0.0:
-            return 1.0
-        return min(1.0, self.motion_s / self.motion.duration_s)
+        return self.paced.progress if self.paced is not None else 1.0
+
+    def pace(self) -> float:
+        """How fast the present motion's time runs, 0 to 1; 1 when there is none."""
+        return self.paced.pace if self.paced is not None else 1.0
+
+    @property
+    def motion(self) -> Motion | None:
+        """The motion that runs."""
+        return self.paced.motion if self.paced is not None else None
 
     def go_off(self, quits: bool) -> None:
         """Stop, hold, brake, off: begun here, carried on by the cycle."""

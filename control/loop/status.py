@@ -4,7 +4,7 @@ from typing import Any
 
 from control.loop.runtime import Runtime
 from control.model.kinematics import Kinematics
-from control.safety.table import Mode
+from control.safety.table import CONTROLLED_MODES, Mode
 from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD
 
 CAMERA_FRESH_S = 0.5
@@ -39,6 +39,8 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
         "tip_set_m": kinematics.tip(*set_point.q_rad) if monitor.is_homed else None,
         "camera_m": runtime.camera_m if sees_tip else None,
         "progress": runtime.progress(),
+        "pace": runtime.pace(),
+        "override": runtime.override,
         "faults": [
             {"code": f.code, "where": f.where, "message": f.message, "remedy": f.remedy}
             for f in monitor.faults
@@ -69,7 +71,9 @@ def _warnings(runtime: Runtime) -> list[str]:
         warnings.append(
             f"{parts.recorder.lost_rows} cycles were not recorded: the disk or the writer does not keep up"
         )
-    if runtime.monitor.mode in (Mode.HOLDING, Mode.MOVING) and not runtime.monitor.is_homed:
+    if runtime.jogging is not None and runtime.jogging.limited:
+        warnings.append(runtime.jogging.limited)
+    if runtime.monitor.mode in CONTROLLED_MODES - {Mode.HOMING} and not runtime.monitor.is_homed:
         warnings.append("not homed: joint angles mean nothing yet (`armwright home`)")
     if runtime.monitor.is_homed:
         warnings += _near_range(runtime)

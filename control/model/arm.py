@@ -197,6 +197,8 @@ class Limits:
     floor_clearance_m: NonNegative = 0.0
     watchdog_s: Positive = 0.2  # a host may pause 40-170 ms, a board watchdog must live with it
     stale_s: Positive = 0.02
+    jog_tip_speed_m_s: Positive = 0.25  # the reduced speed of ISO 10218-1 for people beside the arm
+    jog_silence_s: Positive = 0.2  # a jog that nobody renews for this long comes to rest
 
 
 @dataclass(frozen=True, slots=True)

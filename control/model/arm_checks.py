@@ -6,6 +6,7 @@ from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Table
 from control.model.effects import check_effect
 from control.model.reader import Rejected
 
+LONGEST_JOG_SILENCE_S = 0.5
 Named = tuple[tuple[str | int, ...], Hashable]
 
 
@@ -20,6 +21,9 @@ def check_arm(arm: Arm) -> None:
         _check_drive(arm, drive, index)
     _check_wiring(arm)
     _check_rest(arm)
+    if arm.limits.jog_silence_s > LONGEST_JOG_SILENCE_S:
+        expected = f"{LONGEST_JOG_SILENCE_S} s at most: it is a dead man's switch"
+        raise Rejected(("limits", "jog_silence_s"), expected, str(arm.limits.jog_silence_s))
     if arm.table is not None:
         _check_table(arm.table)
     _check_effects(arm)

@@ -85,11 +85,11 @@ class CartesianPath:
             self._q = self._seed(time_s)
         q = self._follow(position, self._q)
         self._q, self._last_s = q, time_s
-        inverse = _inverse(self._jacobian(*q)[1])
-        speed = _times(inverse, velocity)
+        inverse = inverse_of(self._jacobian(*q)[1])
+        speed = times(inverse, velocity)
         bias = self._bias(q, speed)
         rest = (acceleration[0] - bias[0], acceleration[1] - bias[1], acceleration[2] - bias[2])
-        return SetPoint(q, speed, _times(inverse, rest))
+        return SetPoint(q, speed, times(inverse, rest))
 
     def _seed(self, time_s: float) -> tuple[float, ...]:
         """Pose at the way-point nearest in time."""
@@ -98,7 +98,7 @@ class CartesianPath:
         return self._seeds[after if times[after] - time_s < time_s - times[after - 1] else after - 1]
 
 
-def _inverse(rows: Rows) -> tuple[Vector, Vector, Vector]:
+def inverse_of(rows: Rows) -> tuple[Vector, Vector, Vector]:
     """Inverse of a 3 x 3 matrix by cofactors: plain floats beat a library at this size."""
     (a, b, c), (d, e, f), (g, h, i) = rows
     p, q, r = e * i - f * h, f * g - d * i, d * h - e * g
@@ -119,7 +119,7 @@ def _inverse(rows: Rows) -> tuple[Vector, Vector, Vector]:
     )
 
 
-def _times(matrix: tuple[Vector, Vector, Vector], vector: Vector) -> Vector:
+def times(matrix: tuple[Vector, Vector, Vector], vector: Vector) -> Vector:
     """Matrix times vector."""
     x, y, z = vector
     (a, b, c), (d, e, f), (g, h, i) = matrix

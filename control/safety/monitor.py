@@ -68,6 +68,13 @@ class Monitor:
         Raises:
             IllegalTransition: no row for it, the arm is not homed, or faults wait; nothing changes.
         """
+        following = self.require(event)
+        self._note(event)
+        self._mode = following
+        return following
+
+    def require(self, event: Event) -> Mode:
+        """The mode that `event` leads to; raises as `on`, and changes nothing."""
         if event in _FAULT_EVENTS or event in _ACKNOWLEDGEMENTS:
             raise self._refusal(event.name, "use fault() and acknowledge()")
         following = TRANSITIONS.get((self._mode, event))
@@ -79,8 +86,6 @@ class Monitor:
             raise self._refusal(
                 event.name, "not every joint knows its zero, home it first (`armwright home`)"
             )
-        self._note(event)
-        self._mode = following
         return following
 
     def require_no_faults(self, event: str) -> None:

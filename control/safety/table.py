@@ -17,6 +17,8 @@ class Mode(Enum):
     GUIDING = "drives open circuit: a hand moves the arm"
     STOPPING = "position control along a jerk-limited stop"
     FAULT = "reaction of the fault: stop and hold, or 0 V; waits for acknowledgement"
+    JOGGING = "position control as an operator's key or button asks, as long as it keeps asking"
+    PAUSED = "position control along the motion: slowing to rest on it, then holding there until it goes on"
 
 
 class Event(Enum):
@@ -27,7 +29,10 @@ class Event(Enum):
     HOME = "operator: search the reference positions"
     HOMED = "loop: every joint knows its zero (searched, or kept by the boards)"
     MOVE = "operator: start a motion that was checked"
-    ARRIVED = "loop: the motion has ended at rest"
+    JOG = "operator: move as long as I keep asking"
+    PAUSE = "operator: slow to rest along the motion and hold on it"
+    RESUME = "operator: go on along the motion"
+    ARRIVED = "loop: the motion has ended at rest; a jog that nobody renews has come to rest"
     STOP = "operator, Ctrl-C, lost client: stop now"
     STOPPED = "loop: the jerk-limited stop has ended at rest"
     GUIDE = "operator: let a hand move the arm"
@@ -62,12 +67,15 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.HOLDING, Event.HOME): Mode.HOMING,
     (Mode.HOLDING, Event.HOMED): Mode.HOLDING,
     (Mode.HOLDING, Event.MOVE): Mode.MOVING,
+    (Mode.HOLDING, Event.JOG): Mode.JOGGING,
     (Mode.HOLDING, Event.STOP): Mode.HOLDING,
     (Mode.HOLDING, Event.GUIDE): Mode.GUIDING,
     (Mode.HOLDING, Event.BRAKE): Mode.BRAKED,
     (Mode.HOLDING, Event.FAULT_CONTROLLED): Mode.FAULT,
     (Mode.HOLDING, Event.FAULT_BRAKE): Mode.FAULT,
     (Mode.MOVING, Event.ARRIVED): Mode.HOLDING,
+    (Mode.MOVING, Event.PAUSE): Mode.PAUSED,
+    (Mode.MOVING, Event.RESUME): Mode.MOVING,
     (Mode.MOVING, Event.STOP): Mode.STOPPING,
     (Mode.MOVING, Event.FAULT_CONTROLLED): Mode.FAULT,
     (Mode.MOVING, Event.FAULT_BRAKE): Mode.FAULT,
@@ -91,10 +99,23 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.FAULT, Event.FAULT_BRAKE): Mode.FAULT,
     (Mode.FAULT, Event.ACKNOWLEDGE_HELD): Mode.HOLDING,
     (Mode.FAULT, Event.ACKNOWLEDGE_BRAKED): Mode.BRAKED,
+    (Mode.JOGGING, Event.JOG): Mode.JOGGING,
+    (Mode.JOGGING, Event.ARRIVED): Mode.HOLDING,
+    (Mode.JOGGING, Event.STOP): Mode.STOPPING,
+    (Mode.JOGGING, Event.FAULT_CONTROLLED): Mode.FAULT,
+    (Mode.JOGGING, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.PAUSED, Event.PAUSE): Mode.PAUSED,
+    (Mode.PAUSED, Event.RESUME): Mode.MOVING,
+    (Mode.PAUSED, Event.ARRIVED): Mode.HOLDING,
+    (Mode.PAUSED, Event.STOP): Mode.STOPPING,
+    (Mode.PAUSED, Event.FAULT_CONTROLLED): Mode.FAULT,
+    (Mode.PAUSED, Event.FAULT_BRAKE): Mode.FAULT,
 }
 
+# Modes in which the arm goes somewhere (or waits on the way), for whoever asked for it: a stop ends them.
+TRAVELLING_MODES: Final = frozenset({Mode.MOVING, Mode.HOMING, Mode.JOGGING, Mode.PAUSED})
 # Modes in which position control runs, so that a controlled stop is possible; elsewhere every fault brakes.
-CONTROLLED_MODES: Final = frozenset({Mode.HOLDING, Mode.MOVING, Mode.HOMING, Mode.STOPPING})
+CONTROLLED_MODES: Final = TRAVELLING_MODES | {Mode.HOLDING, Mode.STOPPING}
 
 
 def legal_events(mode: Mode) -> tuple[Event, ...]:
@@ -109,7 +130,7 @@ def next_towards_off(mode: Mode, is_still: bool, is_held_fault: bool = False) ->
     V. `is_still`: the measured speed of every joint is zero for long enough. `is_held_fault`: FAULT,
     position held.
     """
-    if mode in (Mode.MOVING, Mode.HOMING):
+    if mode in TRAVELLING_MODES:
         return Event.STOP
     if mode is Mode.GUIDING:
         return Event.BRAKE
@@ -155,6 +176,10 @@ _NOTES: Final = (
     "Beyond the table:",
     "",
     "- CONNECT is refused while faults are not acknowledged, MOVE while a joint has no zero.",
+    "- JOG is the operator's dead man: a client renews it many times a second. Where it falls silent, the arm slows to rest",
+    "  and ARRIVED follows; where it hangs up, STOP. Joints without a zero may be jogged, slowly, with half of the current;",
+    "  the tip may not.",
+    "- PAUSED begins while the arm still slows down along its motion; a motion that ends meanwhile has ARRIVED.",
     "- A fault in OFF, BRAKED or GUIDING always brakes: nothing is controlled there that could stop.",
     "- Of two faults the more severe reaction wins, both stay listed; BRAKE never becomes CONTROLLED.",
     "- A fault is acknowledged by hand, once the controlled stop has ended: to HOLDING if the arm was held,",

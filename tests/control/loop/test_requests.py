@@ -26,6 +26,7 @@ def snapshot(cell: Cell) -> tuple[object, ...]:
     runtime = cell.runtime
     return (
         runtime.monitor.mode, runtime.motion, runtime.run_number, runtime.set_point, runtime.averaging, runtime.is_quitting,
+        runtime.jogging, runtime.override,
         runtime.parts.servo.torque_model.payload_kg, runtime.monitor.is_homed, runtime._wants_hold, runtime._is_going_off,
     )  # fmt: skip
 
@@ -59,7 +60,17 @@ BAD: list[dict[str, Any]] = [
     {"do": "run_joints"},
     *({"do": "run_joints", "path": path} for path in [None, 1, "x", [], {}, {"times_s": [0.0, 1.0], "q_rad": 5}]),
     *({"do": "run_joints", "path": resting_at(pose)} for pose in [STRETCHED[:2], (0.0, 0.9, 0.0), (0.5, -0.5, 0.0)]),
-    {"do": "acknowledge"}, {"do": "enable"}, {"do": "hold"},
+    {"do": "acknowledge"}, {"do": "enable"}, {"do": "hold"}, {"do": "pause"}, {"do": "resume"}, {"do": "jog_on"},
+    *({"do": "override", "fraction": number} for number in [*NUMBERS, 0.0, 1.01]),
+    {"do": "jog"}, {"do": "jog", "axis": "z"}, {"do": "jog", "joint": 1}, {"do": "jog", "joint": 1, "axis": "x", "by_m": 0.01},
+    *({"do": "jog", "joint_speed_rad_s": pose} for pose in POSES[:12]),
+    *({"do": "jog", "tip_velocity_m_s": pose} for pose in POSES[:12]),
+    *({"do": "jog", "joint": number, "by_rad": 0.1} for number in [*NUMBERS, 0, 4, 1.5]),
+    *({"do": "jog", "joint": 1, "by_rad": number} for number in [*(n for n in NUMBERS if n != -1.0), 7.1]),
+    *({"do": "jog", "joint": 1, "by_rad": 0.1, "speed_rad_s": number} for number in [*NUMBERS[1:], 0.0]),
+    *({"do": "jog", "axis": axis, "by_m": 0.01} for axis in [None, 3, "w", ["x"], ""]),
+    *({"do": "jog", "axis": "z", "by_m": number} for number in [*(n for n in NUMBERS if n != -1.0), 1.1]),
+    *({"do": "jog", "axis": "z", "by_m": 0.01, "speed_m_s": number} for number in [*NUMBERS[1:], 0.0]),
 ]  # fmt: skip
 
 
@@ -92,11 +103,35 @@ def values() -> st.SearchStrategy[Any]:
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     do=st.sampled_from(
-        ["status", "move_joints", "run_path", "average", "average_result", "payload", "fault_cycles"]
+        [
+            "status",
+            "move_joints",
+            "run_path",
+            "jog",
+            "override",
+            "average",
+            "average_result",
+            "payload",
+            "fault_cycles",
+        ]
     )
     | values(),
     keys=st.dictionaries(
-        st.sampled_from(["q_rad", "speed", "path", "duration_s", "mass_kg", "id", "detached"]), values()
+        st.sampled_from(
+            [
+                "q_rad",
+                "speed",
+                "path",
+                "duration_s",
+                "mass_kg",
+                "id",
+                "detached",
+                "joint",
+                "axis",
+                "tip_velocity_m_s",
+            ]
+        ),
+        values(),
     ),
 )
 def test_whatever_json_says_it_is_answered_and_never_raises(
@@ -215,10 +250,22 @@ def test_every_key_of_the_status_is_documented_and_every_documented_one_is_there
 
 
 def test_every_argument_of_a_request_is_documented() -> None:
-    source = (Path(__file__).parents[3] / "control" / "loop" / "requests.py").read_text("utf-8")
+    folder = Path(__file__).parents[3] / "control" / "loop"
+    source = "".join((folder / name).read_text("utf-8") for name in ("requests.py", "jog_requests.py"))
     asked = set(re.findall(r'request(?:\.get\(|\[)"(\w+)"', source)) | set(
-        re.findall(r'_numbers?\(request, "(\w+)"', source)
+        re.findall(r'\bnumbers?\(request, "(\w+)"', source)
     )
     said = set(re.findall(r"`(\w+)`", DOCUMENT)) | set(re.findall(r'"(\w+)": true', DOCUMENT))
     assert asked <= said
-    assert asked >= {"q_rad", "speed", "path", "duration_s", "mass_kg", "detached", "again", "quit", "do"}
+    assert asked >= {
+        "q_rad",
+        "speed",
+        "path",
+        "duration_s",
+        "mass_kg",
+        "detached",
+        "again",
+        "quit",
+        "do",
+        "by_rad",
+    }

@@ -18,8 +18,10 @@ BRAKE = Fault("stale_encoder", "board enc0", "no report for 0.05 s", "check its 
 EXPECTED = {
     Mode.OFF: "CONNECT>BRAKED SWITCH_OFF>OFF STOP>OFF",
     Mode.BRAKED: "ENABLE>HOLDING HOMED>BRAKED GUIDE>GUIDING STOP>BRAKED BRAKE>BRAKED SWITCH_OFF>OFF",
-    Mode.HOLDING: "HOME>HOMING HOMED>HOLDING MOVE>MOVING STOP>HOLDING GUIDE>GUIDING BRAKE>BRAKED",
-    Mode.MOVING: "ARRIVED>HOLDING STOP>STOPPING",
+    Mode.HOLDING: "HOME>HOMING HOMED>HOLDING MOVE>MOVING JOG>JOGGING STOP>HOLDING GUIDE>GUIDING BRAKE>BRAKED",
+    Mode.MOVING: "ARRIVED>HOLDING STOP>STOPPING PAUSE>PAUSED RESUME>MOVING",
+    Mode.JOGGING: "JOG>JOGGING ARRIVED>HOLDING STOP>STOPPING",
+    Mode.PAUSED: "PAUSE>PAUSED RESUME>MOVING ARRIVED>HOLDING STOP>STOPPING",
     Mode.HOMING: "HOMED>HOLDING STOP>STOPPING",
     Mode.GUIDING: "STOP>BRAKED BRAKE>BRAKED",
     Mode.STOPPING: "STOPPED>HOLDING STOP>STOPPING",
@@ -31,6 +33,8 @@ ROUTES = {
     Mode.HOLDING: (Event.CONNECT, Event.HOMED, Event.ENABLE),
     Mode.MOVING: (Event.CONNECT, Event.HOMED, Event.ENABLE, Event.MOVE),
     Mode.HOMING: (Event.CONNECT, Event.ENABLE, Event.HOME),
+    Mode.JOGGING: (Event.CONNECT, Event.HOMED, Event.ENABLE, Event.JOG),
+    Mode.PAUSED: (Event.CONNECT, Event.HOMED, Event.ENABLE, Event.MOVE, Event.PAUSE),
     Mode.GUIDING: (Event.CONNECT, Event.GUIDE),
     Mode.STOPPING: (Event.CONNECT, Event.HOMED, Event.ENABLE, Event.MOVE, Event.STOP),
 }
@@ -86,7 +90,7 @@ def test_a_fault_is_taken_in_every_mode_and_brakes_where_nothing_is_controlled(m
     assert monitor.fault(fault) is Mode.FAULT
     assert monitor.mode is Mode.FAULT
     assert fault in monitor.faults
-    is_controlled = mode in (Mode.HOLDING, Mode.MOVING, Mode.HOMING, Mode.STOPPING, Mode.FAULT)
+    is_controlled = mode not in (Mode.OFF, Mode.BRAKED, Mode.GUIDING)
     assert monitor.reaction is (fault.reaction if is_controlled else Reaction.BRAKE)
     assert monitor.is_held_fault is (is_controlled and fault is CONTROLLED)
 
@@ -235,6 +239,8 @@ def test_shutdown_reaches_off_from_every_mode_never_off_before_brake_and_brake_o
     [
         (Mode.MOVING, False, False, Event.STOP),
         (Mode.HOMING, True, False, Event.STOP),
+        (Mode.JOGGING, False, False, Event.STOP),
+        (Mode.PAUSED, True, False, Event.STOP),
         (Mode.GUIDING, False, False, Event.BRAKE),
         (Mode.STOPPING, True, False, None),
         (Mode.HOLDING, False, False, None),
@@ -284,7 +290,7 @@ def test_the_document_is_the_table():
 
 def test_the_document_shows_every_transition_and_leaves_illegal_ones_empty():
     rows = {
-        line.split(" | ")[0].strip("| "): line for line in as_markdown().splitlines() if line.count("|") == 10
+        line.split(" | ")[0].strip("| "): line for line in as_markdown().splitlines() if line.count("|") == 12
     }
     for event in Event:
         cells = [cell.strip() for cell in rows[event.name].strip("|").split("|")][1:]

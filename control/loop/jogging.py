@@ -1,0 +1,166 @@
+"""The jog that runs: what is asked for, whether anybody still asks, and the motion that does it.
+
+A dead man's switch: whoever jogs must say so again and again. Where that falls silent for longer than the limit, nothing is
+asked any more, the arm slows to rest and the jog is over.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from control.errors import ArmError
+from control.model.inverse import InverseKinematics
+from control.motion.jog_joints import JointJog
+from control.motion.jog_limits import JogLimits
+from control.motion.jog_tip import TipJog
+from control.motion.setpoint import SetPoint, Vector
+
+
+@dataclass(frozen=True, slots=True)
+class JointSpeeds:
+    """Every joint at its own speed."""
+
+    speed_rad_s: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class JointStep:
+    """One joint (0-based) by an angle."""
+
+    joint: int
+    by_rad: float
+    speed_rad_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class TipVelocity:
+    """The tip, in the base frame."""
+
+    velocity_m_s: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class TipStep:
+    """The tip along x (0), y or z of the base frame."""
+
+    axis: int
+    by_m: float
+    speed_m_s: float
+
+
+Wish = JointSpeeds | JointStep | TipVelocity | TipStep
+
+
+class _Motion(Protocol):
+    @property
+    def is_at_rest(self) -> bool: ...
+
+    @property
+    def limited(self) -> str: ...
+
+    def advance(self, elapsed_s: float) -> SetPoint: ...
+
+
+class Jogging:
+    """One jog, from HOLDING to HOLDING. Joints may follow each other without a stop; from joints to the tip there is one."""
+
+    def __init__(self, limits: JogLimits, inverse: InverseKinematics, is_homed: bool) -> None:
+        self._limits = limits if is_homed else limits.unhomed()
+        self._inverse = inverse
+        self._is_homed = is_homed
+        self._motion: JointJog | TipJog | None = None
+        self._next: Wish | None = None  # once the arm has come to rest
+        self._is_step = False
+        self._asked_s = 0.0
+        self._has_ceased = False
+
+    @property
+    def limited(self) -> str:
+        """What keeps the arm from doing as it is asked, in words; empty: nothing."""
+        return "" if self._motion is None else self._motion.limited
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the arm has come to rest and nobody asks for more."""
+        is_done = self._is_step or self._has_ceased
+        return is_done and self._next is None and (self._motion is None or self._motion.is_at_rest)
+
+    def ask(self, now_s: float, wish: Wish, set_point: SetPoint) -> None:
+        """Ask for something, anew or once more. ArmError says why it cannot be, and nothing has changed."""
+        if self._begun(wish, set_point):
+            self._next = None
+        else:
+            self._next = wish
+            self._cease()
+        self._has_ceased = False
+        self._asked_s = now_s
+
+    def renew(self, now_s: float) -> None:
+        """Whoever asked still wants it."""
+        if not self._has_ceased:
+            self._asked_s = now_s
+
+    def advance(self, now_s: float, elapsed_s: float, set_point: SetPoint) -> SetPoint:
+        """The next set-point. Raises what makes a motion impossible."""
+        if not self._has_ceased and now_s - self._asked_s > self._limits.silence_s:
+            self._has_ceased, self._next = True, None
+            self._cease()
+        if self._next is not None and self._motion is not None and self._motion.is_at_rest:
+            self._motion = None
+            wish, self._next = self._next, None
+            try:
+                self._begun(wish, set_point)
+            except ArmError:  # it stands elsewhere than where it was asked for; the next renewal says why
+                self._is_step = True
+        return set_point if self._motion is None else self._motion.advance(elapsed_s)
+
+    def _begun(self, wish: Wish, set_point: SetPoint) -> bool:
+        """Whether the wish could be followed at once; else the arm must first come to rest."""
+        motion = self._motion
+        is_step = isinstance(wish, JointStep | TipStep)
+        if (
+            motion is not None
+            and (is_step or self._is_step or not _suits(motion, wish))
+            and not motion.is_at_rest
+        ):
+            return False
+        if motion is None or not _suits(motion, wish):
+            motion = self._new(wish, set_point)
+        _tell(motion, wish)
+        self._motion, self._is_step = motion, is_step
+        return True
+
+    def _new(self, wish: Wish, set_point: SetPoint) -> JointJog | TipJog:
+        if isinstance(wish, JointSpeeds | JointStep):
+            return JointJog(set_point, self._limits.joints)
+        if not self._is_homed:
+            raise ArmError(
+                "the tip can be jogged once every joint knows its zero: home it first (`armwright home`)"
+            )
+        return TipJog(
+            set_point,
+            self._inverse,
+            self._inverse.kinematics,
+            self._limits.of_motion,
+            self._limits.tip_speed_m_s,
+        )
+
+    def _cease(self) -> None:
+        if isinstance(self._motion, JointJog):
+            self._motion.want((0.0,) * len(self._limits.joints.speed_rad_s))
+        elif self._motion is not None:
+            self._motion.want((0.0, 0.0, 0.0))
+
+
+def _suits(motion: JointJog | TipJog, wish: Wish) -> bool:
+    return isinstance(motion, JointJog) == isinstance(wish, JointSpeeds | JointStep)
+
+
+def _tell(motion: JointJog | TipJog, wish: Wish) -> None:
+    if isinstance(motion, JointJog) and isinstance(wish, JointSpeeds):
+        motion.want(wish.speed_rad_s)
+    elif isinstance(motion, JointJog) and isinstance(wish, JointStep):
+        motion.step(wish.joint, wish.by_rad, wish.speed_rad_s)
+    elif isinstance(motion, TipJog) and isinstance(wish, TipVelocity):
+        motion.want(wish.velocity_m_s)
+    elif isinstance(motion, TipJog) and isinstance(wish, TipStep):
+        motion.step(wish.axis, wish.by_m, wish.speed_m_s)

@@ -1,0 +1,64 @@
+"""How fast an operator may jog: a hand is near, so much slower than a motion that was checked."""
+
+import math
+from dataclasses import dataclass
+
+from control.model.arm import Arm
+from control.motion.joint_limits import JointLimits
+
+# Of a joint without a zero, whose range is not known: an end stop is met softly, and with half of the current.
+UNHOMED_SPEED_rad_s = 0.1
+# Tip motion from rest to speed in about 0.2 s; joints that cannot follow that are given more time.
+TIP_ACCELERATION_m_s2, TIP_JERK_m_s3 = 1.5, 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class JogLimits:
+    """joints: range, acceleration and jerk as for every motion, speeds of a jog; of_motion: all of every motion.
+
+    tip_speed_m_s: of the tip's own jog. silence_s: how long a jog goes on that nobody renews.
+    """
+
+    joints: JointLimits
+    of_motion: JointLimits
+    tip_speed_m_s: float
+    silence_s: float
+
+    @staticmethod
+    def of(arm: Arm) -> "JogLimits":
+        """The arm's; a single joint's speed keeps the tip's limit with the arm stretched as far as it goes."""
+        limits = JointLimits.of(arm)
+        tip_m_s = min(arm.limits.jog_tip_speed_m_s, arm.limits.tip_speed_m_s)
+        speeds = tuple(
+            min(speed, tip_m_s / reach)
+            for speed, reach in zip(limits.speed_rad_s, reaches_m(arm), strict=True)
+        )
+        return JogLimits(_with_speed(limits, speeds), limits, tip_m_s, arm.limits.jog_silence_s)
+
+    def unhomed(self) -> "JogLimits":
+        """The same for joints that do not know their zero: no range, slow."""
+        count = len(self.joints.speed_rad_s)
+        slow = tuple(min(speed, UNHOMED_SPEED_rad_s) for speed in self.joints.speed_rad_s)
+        limits = _with_speed(self.joints, slow)
+        endless = JointLimits(
+            (-math.inf,) * count,
+            (math.inf,) * count,
+            limits.speed_rad_s,
+            limits.acceleration_rad_s2,
+            limits.jerk_rad_s3,
+        )
+        return JogLimits(endless, endless, self.tip_speed_m_s, self.silence_s)
+
+
+def reaches_m(arm: Arm) -> tuple[float, ...]:
+    """For each joint an upper bound of the tip's distance from its axis in any pose: the links' lengths beyond it, added."""
+    lengths = [math.hypot(link.d_m, link.L_m) for link in arm.links]
+    lengths[-1] += math.hypot(*arm.tool.position_m)
+    first = [i for i, turns in enumerate(arm.joints) if turns]
+    return tuple(max(sum(lengths[i:]), 1e-3) for i in first)
+
+
+def _with_speed(limits: JointLimits, speed_rad_s: tuple[float, ...]) -> JointLimits:
+    return JointLimits(
+        limits.lower_rad, limits.upper_rad, speed_rad_s, limits.acceleration_rad_s2, limits.jerk_rad_s3
+    )

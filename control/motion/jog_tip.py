@@ -1,0 +1,252 @@
+"""Jogging the tip along the axes of the base frame: jerk-limited, and never without a way to stop that was looked at.
+
+The set-point is a tip position with its velocity and acceleration, moved by ruckig (velocity control, or position control for a
+step). Every cycle the next state is proposed, and from it the stop is calculated to its end. The proposal is taken only if
+
+- the pose at the end of that stop exists: on the same branch, inside the joints' ranges, clear of singular poses,
+- no joint exceeds its limits of speed and acceleration in the proposed state, nor could at that end.
+
+Otherwise the arm follows the stop that was looked at with the last state, and says what was in the way. Before it comes to that
+it slows down: near a singular pose the joints turn ever faster for the same tip speed, so the tip's speed and acceleration
+are held to what half of the joints' limits give at the end of the stop.
+
+For arms of three joints, whose tip position fixes the joint angles on a branch.
+"""
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from control.errors import ArmError, JointLimitViolated, NearSingular, OutOfReach
+from control.motion.errors import MotionError
+from control.motion.jog_limits import TIP_ACCELERATION_m_s2, TIP_JERK_m_s3
+from control.motion.joint_limits import JointLimits
+from control.motion.path import Differentiates, Follows, inverse_of, times
+from control.motion.setpoint import SetPoint, Vector
+
+if TYPE_CHECKING:
+    import ruckig
+
+ZERO: Vector = (0.0, 0.0, 0.0)
+_EASY = 0.5  # of the joints' limits: what the tip's speed is held to
+_HARD = 0.95  # of the joints' limits: what no proposal may exceed
+_SLOWEST = 1e-3  # of the tip's acceleration, so that a stop always ends
+_SINGULAR = {
+    "elbow": "the arm would be nearly stretched or folded (a singular pose)",
+    "shoulder": "the tip would be nearly over axis 1 (a singular pose)",
+}
+_AT_REST_m_s = 1e-9
+_ARRIVED_m = 1e-8
+
+
+class TipState(NamedTuple):
+    """Position [m], velocity and acceleration of the tip in the base frame."""
+
+    position_m: Vector
+    velocity_m_s: Vector
+    acceleration_m_s2: Vector
+
+
+class _Looked(NamedTuple):
+    """A state that may be taken: its set-point, the stop from it, and the joints at the stop's end."""
+
+    tip: TipState
+    joints: SetPoint
+    stop: "ruckig.Trajectory"
+    q_end: tuple[float, ...]
+
+
+class TipJog:
+    """Moves the tip as it is told, from rest.
+
+    Raises:
+        ArmError: the pose is singular, or out of the joints' ranges: jog joints instead.
+    """
+
+    __slots__ = (
+        "_goal_m", "_inverse", "_kinematics", "_limits", "_looked", "_most_m_s", "_stop_s", "_stopping", "_wanted", "limited",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        start: SetPoint,
+        inverse: Follows,
+        kinematics: Differentiates,
+        limits: JointLimits,
+        tip_speed_m_s: float,
+    ) -> None:
+        """`limits`: of every motion, not of a jog; `tip_speed_m_s`: the most that the tip takes."""
+        if len(start.q_rad) != 3:
+            raise MotionError(
+                f"jog: the tip of an arm of {len(start.q_rad)} joints cannot be jogged, only of three: jog its joints"
+            )
+        self._inverse, self._kinematics, self._limits = inverse, kinematics, limits
+        self._most_m_s = tip_speed_m_s
+        self._wanted: Vector = ZERO
+        self._goal_m: Vector | None = None
+        self._stopping = False  # until rest, or until something else is wanted
+        self._stop_s = 0.0
+        self.limited = ""
+        tip = kinematics.tip_jacobian(*start.q_rad)[0]
+        try:
+            self._looked = self._look(TipState(tip, ZERO, ZERO), start.q_rad, 1.0)
+        except ArmError as error:
+            raise MotionError(f"jog: {_in_words(error)}; jog joints instead, away from there") from error
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the tip stands, having come to where it was to or having nowhere to go."""
+        is_still = all(abs(v) < _AT_REST_m_s for v in self._looked.tip.velocity_m_s)
+        return is_still and (self._stopping or self._wanted == ZERO or self._has_reached())
+
+    def _has_reached(self) -> bool:
+        return self._goal_m is not None and math.dist(self._goal_m, self._looked.tip.position_m) < _ARRIVED_m
+
+    def want(self, velocity_m_s: Vector) -> None:
+        """Velocity asked for, in the base frame; more than the limit is the limit, in the same direction."""
+        speed = math.hypot(*velocity_m_s)
+        if speed > self._most_m_s:
+            x, y, z = velocity_m_s
+            share = self._most_m_s / speed
+            velocity_m_s = (x * share, y * share, z * share)
+        if velocity_m_s == self._wanted and self._goal_m is None:
+            return
+        self._wanted, self._goal_m = velocity_m_s, None
+        self._resume()
+
+    def step(self, axis: int, by_m: float, speed_m_s: float) -> None:
+        """Move the tip along axis 0, 1 or 2 by a length, from rest. ArmError where it cannot come to rest there."""
+        here = self._looked.tip.position_m
+        goal, wanted = list(here), [0.0, 0.0, 0.0]
+        goal[axis] += by_m
+        wanted[axis] = math.copysign(min(abs(speed_m_s), self._most_m_s), by_m)
+        goal_m = (goal[0], goal[1], goal[2])
+        try:
+            self._inverse.follow(goal_m, self._looked.joints.q_rad)
+        except ArmError as error:
+            raise MotionError(f"jog: the tip cannot go there: {_in_words(error)}") from error
+        self._goal_m, self._wanted = goal_m, (wanted[0], wanted[1], wanted[2])
+        self._resume()
+
+    def advance(self, elapsed_s: float) -> SetPoint:
+        """Set-point `elapsed_s` after the last one."""
+        if not self._stopping:
+            try:
+                self._looked = self._proposed(elapsed_s)
+                self._stop_s = 0.0
+                return self._looked.joints
+            except ArmError as obstacle:
+                self._stopping = True
+                self.limited = f"the tip goes no further: {_in_words(obstacle)}"
+        self._stop_s += elapsed_s
+        tip = _sample(self._looked.stop, self._stop_s)
+        self._looked = self._looked._replace(tip=tip, joints=self._joints(tip, self._looked.joints.q_rad))
+        return self._looked.joints
+
+    def _resume(self) -> None:
+        """Something else is wanted: leave a stop, looking anew from where it is."""
+        self.limited = ""
+        self._stopping = False
+
+    def _proposed(self, elapsed_s: float) -> _Looked:
+        """The next state, looked at. ArmError says what is in the way."""
+        last = self._looked
+        share, ease = self._slowness(last)
+        self.limited = "slower: near a singular pose the joints turn ever faster" if share < 1.0 else ""
+        tip = _sample(_trajectory(last.tip, self._wanted, self._goal_m, share, ease), elapsed_s)
+        return self._look(tip, last.joints.q_rad, ease)
+
+    def _look(self, tip: TipState, q_near: tuple[float, ...], ease: float) -> _Looked:
+        """`tip` with its stop; ArmError where one of them must not be."""
+        joints = self._joints(tip, q_near)
+        stop = _trajectory(tip, ZERO, None, 1.0, ease)
+        end = _sample(stop, stop.duration)
+        q_end = self._inverse.follow(end.position_m, joints.q_rad)
+        self._require_within(joints)
+        if tip.velocity_m_s != ZERO:
+            speed, braking = self._rates(q_end, tip.velocity_m_s), ease * TIP_ACCELERATION_m_s2
+            fastest = math.hypot(*tip.velocity_m_s)
+            for joint, (rate, fast, quick) in enumerate(
+                zip(speed, self._limits.speed_rad_s, self._limits.acceleration_rad_s2, strict=True), 1
+            ):
+                if abs(rate) > _HARD * fast or abs(rate) / fastest * braking > _HARD * quick:
+                    raise MotionError(f"joint {joint} would have to turn too fast near a singular pose")
+        return _Looked(tip, joints, stop, q_end)
+
+    def _require_within(self, joints: SetPoint) -> None:
+        limits = zip(joints.speed_rad_s, joints.acceleration_rad_s2, strict=True)
+        for joint, (speed, acceleration) in enumerate(limits):
+            if (
+                abs(speed) > _HARD * self._limits.speed_rad_s[joint]
+                or abs(acceleration) > _HARD * self._limits.acceleration_rad_s2[joint]
+            ):
+                raise MotionError(f"joint {joint + 1} would have to turn too fast")
+
+    def _slowness(self, looked: _Looked) -> tuple[float, float]:
+        """Shares of the tip's wanted speed and of its acceleration that half of the joints' limits give."""
+        wanted = self._wanted if self._wanted != ZERO else looked.tip.velocity_m_s
+        speed = math.hypot(*wanted)
+        if speed == 0.0:
+            return 1.0, 1.0
+        share = ease = 1.0
+        for joint, rate in enumerate(self._rates(looked.q_end, wanted)):
+            if rate != 0.0:
+                share = min(share, _EASY * self._limits.speed_rad_s[joint] / abs(rate))
+                most = _EASY * self._limits.acceleration_rad_s2[joint] * speed / abs(rate)
+                ease = min(ease, most / TIP_ACCELERATION_m_s2)
+        return share, max(ease, _SLOWEST)
+
+    def _rates(self, q: tuple[float, ...], velocity_m_s: Vector) -> Vector:
+        """Joint speeds [rad/s] for a tip velocity in a pose."""
+        return times(inverse_of(self._kinematics.tip_jacobian(*q)[1]), velocity_m_s)
+
+    def _joints(self, tip: TipState, q_near: tuple[float, ...]) -> SetPoint:
+        q = self._inverse.follow(tip.position_m, q_near)
+        inverse = inverse_of(self._kinematics.tip_jacobian(*q)[1])
+        speed = times(inverse, tip.velocity_m_s)
+        (ax, ay, az), (bx, by, bz) = tip.acceleration_m_s2, self._kinematics.tip_bias(q, speed)
+        return SetPoint(q, speed, times(inverse, (ax - bx, ay - by, az - bz)))
+
+
+def _in_words(obstacle: ArmError) -> str:
+    """For an operator, who sees where the arm stands."""
+    if isinstance(obstacle, JointLimitViolated):
+        return f"joint {obstacle.joint} would leave its range"
+    if isinstance(obstacle, NearSingular):
+        return _SINGULAR.get(obstacle.which, "the pose would be nearly singular")
+    return "it would be out of reach" if isinstance(obstacle, OutOfReach) else str(obstacle)
+
+
+def _trajectory(
+    tip: TipState, wanted: Vector, goal_m: Vector | None, share: float, ease: float
+) -> "ruckig.Trajectory":
+    """From `tip` to the wanted velocity, or to rest at the goal with it; `ease` scales acceleration and jerk."""
+    import ruckig
+
+    asked: Any = ruckig.InputParameter(3)
+    asked.current_position, asked.current_velocity = list(tip.position_m), list(tip.velocity_m_s)
+    asked.current_acceleration = list(tip.acceleration_m_s2)
+    most_m_s2 = ease * TIP_ACCELERATION_m_s2
+    asked.max_acceleration = [most_m_s2] * 3
+    asked.max_jerk = [ease * TIP_JERK_m_s3] * 3
+    speeds = [share * v for v in wanted]
+    if goal_m is None:
+        asked.max_velocity = [1.0] * 3
+        asked.control_interface = ruckig.ControlInterface.Velocity
+        asked.target_velocity = speeds
+    else:
+        asked.max_velocity = [max(map(abs, speeds))] * 3
+        asked.target_position = list(goal_m)
+    asked.synchronization = ruckig.Synchronization.Phase  # a straight line where that is possible
+    trajectory = ruckig.Trajectory(3)
+    result = ruckig.Ruckig(3).calculate(asked, trajectory)
+    if result not in (ruckig.Result.Working, ruckig.Result.Finished):
+        raise MotionError(f"no jog from {tip} at {wanted}: ruckig says {result}")
+    return trajectory
+
+
+def _sample(trajectory: "ruckig.Trajectory", time_s: float) -> TipState:
+    """State at a time; beyond the end it cruises on, or is exactly at rest."""
+    p, v, a = trajectory.at_time(time_s)
+    if time_s >= trajectory.duration and all(abs(x) < _AT_REST_m_s for x in v):
+        p, v, a = trajectory.at_time(trajectory.duration)[0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+    return TipState((p[0], p[1], p[2]), (v[0], v[1], v[2]), (a[0], a[1], a[2]))

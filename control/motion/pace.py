@@ -1,0 +1,75 @@
+"""How fast a motion's time runs: from 1, as it was planned, to 0, standing on it. For pause, resume and speed override.
+
+With the motion q(s) and ds/dt = r the joints move at q'(s) r and accelerate by q''(s) r^2 + q'(s) dr/dt. r is at most 1, so
+speeds stay below those that were planned; dr/dt is held to what every joint's limit leaves beside q'' r^2. Its own rate is
+limited, too, for the sake of jerk. The arm never leaves the path.
+"""
+
+import math
+from collections.abc import Sequence
+
+from control.motion.setpoint import Motion, SetPoint
+
+RATE_per_s = 5.0  # from full speed to rest in 0.3 s where the joints can
+CURB_per_s2 = 50.0
+_ARRIVED = 1e-9
+
+
+class Paced:
+    """A motion and how far along it is: `time_s` of the motion's own time, at `pace` now."""
+
+    __slots__ = ("_limits", "_rate", "motion", "pace", "time_s")
+
+    def __init__(self, motion: Motion, acceleration_rad_s2: Sequence[float], pace: float) -> None:
+        """A motion from rest, which may begin at any pace from 0 to 1."""
+        self.motion = motion
+        self.time_s = 0.0
+        self.pace = pace
+        self._rate = 0.0
+        self._limits = tuple(acceleration_rad_s2)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the motion has come to its end."""
+        return self.time_s >= self.motion.duration_s
+
+    @property
+    def progress(self) -> float:
+        """How much of it is done, 0 to 1."""
+        return min(1.0, self.time_s / self.motion.duration_s) if self.motion.duration_s > 0.0 else 1.0
+
+    def advance(self, elapsed_s: float, wanted: float) -> SetPoint:
+        """Set-point `elapsed_s` after the last, on the way to the wanted pace. Raises what the motion raises."""
+        before = self.pace
+        time_s = self.time_s + before * elapsed_s
+        q, speed, acceleration = self.motion.at(time_s)
+        self.time_s = time_s
+        if before == wanted == 1.0:
+            return SetPoint(q, speed, acceleration)
+        rate = self._next_rate(wanted, elapsed_s, speed, acceleration)
+        after = before + rate * elapsed_s
+        if (after - wanted) * (before - wanted) <= 0.0 or abs(after - wanted) < _ARRIVED:
+            after, rate = wanted, 0.0
+        self.pace, self._rate = after, rate
+        return SetPoint(
+            q,
+            tuple(v * after for v in speed),
+            tuple(a * after * after + v * rate for a, v in zip(acceleration, speed, strict=True)),
+        )
+
+    def _next_rate(
+        self, wanted: float, elapsed_s: float, speed: Sequence[float], acceleration: Sequence[float]
+    ) -> float:
+        left = wanted - self.pace
+        # so that the rate, too, ends at zero
+        rate = math.copysign(min(RATE_per_s, math.sqrt(2.0 * CURB_per_s2 * abs(left))), left)
+        change = CURB_per_s2 * elapsed_s
+        rate = min(max(rate, self._rate - change), self._rate + change)
+        lower, upper = -math.inf, math.inf
+        for v, a, limit in zip(speed, acceleration, self._limits, strict=True):
+            spent = a * self.pace * self.pace
+            if v != 0.0:
+                bounds = ((-limit - spent) / v, (limit - spent) / v)
+                lower, upper = max(lower, min(bounds)), min(upper, max(bounds))
+        # A path that is at its limits already leaves nothing; what it takes by itself is not to be undone here.
+        return min(max(rate, min(lower, 0.0)), max(upper, 0.0))
