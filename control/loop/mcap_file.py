@@ -18,11 +18,13 @@ from typing import Any, Final
 
 import msgspec
 
+from control.errors import ArmError
 from control.loop import mcap_scene as scene
 from control.loop.mcap_events import Events, mode_name
 from control.loop.mcap_schemas import CAMERA, ERROR, FOXGLOVE, LOOP, TOPICS, columns_of, own_schemas
 from control.loop.record import Recording
 from control.model.arm import Arm
+from control.model.description import parse_arm
 from control.model.kinematics import Kinematics
 
 Row = tuple[float, ...]
@@ -239,6 +241,21 @@ def _arm_text(recording: Recording, arm: Arm) -> str:
     if isinstance(text := recording.header.get("arm_toml"), str):
         return text
     return arm.path.read_text(encoding="utf-8") if arm.path is not None and arm.path.is_file() else ""
+
+
+def attached_arm(path: Path) -> Arm | None:
+    """The arm.toml that is attached to an MCAP file; None where there is none that can be read."""
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    try:
+        with path.open("rb") as file:
+            for found in make_reader(file).iter_attachments():
+                if found.name == "arm.toml":
+                    return parse_arm(found.data.decode(), path)
+    except (McapError, ArmError, ValueError, OSError):
+        return None
+    return None
 
 
 def _sha256(path: Path) -> str:

@@ -1,0 +1,96 @@
+"""`armwright plot LOG`: figures of a recording in a window or as files, and what they say in numbers."""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from console.commands.progress import Bar
+from console.folders import free_folder
+from console.seeing.merit import Merit, merit_json, merit_of, merit_text
+from console.seeing.pictures import PICTURES, Picture
+from console.seeing.reading import read_series
+from console.seeing.series import Series, chosen
+from console.seeing.sheets import FORMS, show, write_each, write_sheet
+from control.errors import ArmError
+from control.model.description import load_arm
+
+USUAL_OUT = Path("out/plot")
+
+
+def run(given: argparse.Namespace) -> int:
+    """Read, choose, draw, say."""
+    series, joints = _series(given)
+    pictures = _pictures(given.what, series)
+    files: list[Path] = []
+    if given.window:
+        show(pictures, series, joints)
+    elif given.out or not given.json:
+        files = _written(given.out, pictures, series, joints)
+    _say(given, series, merit_of(series), joints, files)
+    return 0
+
+
+def _series(given: argparse.Namespace) -> tuple[Series, Sequence[int]]:
+    """The part of the file that is asked for, and its joints (1-based)."""
+    arm = load_arm(given.arm) if given.arm else None
+    with Bar("read") as bar:
+        series = read_series(Path(given.log), arm, lambda done: bar.advance("read", done))
+    sys.stderr.writelines(f"armwright: warning: {note}\n" for note in series.notes)
+    if not len(series):
+        raise ArmError(f"{given.log}: recorded nothing: a header and no cycles")
+    joints = _joints(given.joints, series.joint_count)
+    return chosen(series, given.run, given.from_s, given.to_s), joints
+
+
+def _joints(text: str | None, count: int) -> Sequence[int]:
+    """Numbers with commas, each once and in order."""
+    if text is None:
+        return range(1, count + 1)
+    parts = [part.strip() for part in text.split(",") if part.strip()]
+    wanted = sorted({int(part) for part in parts if part.isdigit()})
+    if not wanted or not all(part.isdigit() for part in parts) or not 1 <= wanted[0] <= wanted[-1] <= count:
+        raise ArmError(f'--joints: expected numbers from 1 to {count} with commas between, got "{text}"')
+    return wanted
+
+
+def _pictures(text: str | None, series: Series) -> Sequence[Picture]:
+    """Those that are asked for; by default each that the recording has something for."""
+    if text is None:
+        return [picture for picture in PICTURES if picture.has(series)]
+    by_name = {picture.name: picture for picture in PICTURES}
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names or any(name not in by_name for name in names):
+        raise ArmError(f'--what: expected some of {", ".join(by_name)}, got "{text}"')
+    for name in names:
+        if not by_name[name].has(series):
+            needs = " (the arm is not known: give it with --arm)" if series.arm is None else ""
+            raise ArmError(f"--what {name}: {series.name} has nothing for it{needs}")
+    return [by_name[name] for name in dict.fromkeys(names)]
+
+
+def _written(
+    out: str | None, pictures: Sequence[Picture], series: Series, joints: Sequence[int]
+) -> list[Path]:
+    """Files in a folder, or one file if `out` names one."""
+    if out is None:
+        return write_each(free_folder(USUAL_OUT), pictures, series, joints)
+    path = Path(out)
+    if path.suffix in FORMS:
+        return write_sheet(path, pictures, series, joints)
+    if path.suffix and not path.is_dir():
+        raise ArmError(f"--out: expected a folder, or a file that ends in {', '.join(FORMS)}; got {out}")
+    return write_each(path, pictures, series, joints)
+
+
+def _say(
+    given: argparse.Namespace, series: Series, merit: Merit, joints: Sequence[int], files: Sequence[Path]
+) -> None:
+    content = merit_json(series, merit)
+    content["joints"] = [joint for joint in content["joints"] if joint["joint"] in joints]
+    if given.json:
+        text = json.dumps({**content, "files": [str(file) for file in files]}, indent=2, allow_nan=False)
+        sys.stdout.write(f"{text}\n")
+    else:
+        sys.stdout.write(merit_text(series, merit) + "".join(f"written: {file}\n" for file in files))

@@ -1,0 +1,132 @@
+"""What a recording shows over time, whatever file it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from control.errors import ArmError
+from control.model.arm import Arm
+
+Array = NDArray[np.float64]
+FOLLOWING_MODES: Final = (
+    "HOLDING",
+    "MOVING",
+    "STOPPING",
+    "JOGGING",
+    "PAUSED",
+)  # set-points mean something in these
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """m samples of n joints; NaN where nothing was measured.
+
+    t_s (m,), from the first sample on and rising (runs that each begin at zero stand one after the other); run (m,) indices into
+    `runs`; mode (m,) indices into `modes`, -1 unknown; q_rad, q_set_rad, current_A, voltage_V, supply_V, temperature_C (m, n);
+    tip_m (m, 3) as the camera saw it in the base frame; late_s, busy_s, missed (m,). `notes` say what is wrong with the file.
+    """
+
+    name: str
+    t_s: Array
+    run: NDArray[np.int64]
+    runs: tuple[str, ...]
+    mode: NDArray[np.int64]
+    modes: tuple[str, ...]
+    q_rad: Array
+    q_set_rad: Array
+    current_A: Array
+    voltage_V: Array
+    supply_V: Array
+    temperature_C: Array
+    tip_m: Array
+    late_s: Array
+    busy_s: Array
+    missed: Array
+    arm: Arm | None = None
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        """How many samples."""
+        return len(self.t_s)
+
+    @property
+    def joint_count(self) -> int:
+        """N."""
+        return int(self.q_rad.shape[1])
+
+    @property
+    def period_s(self) -> float:
+        """Usual time between samples; NaN for fewer than two."""
+        return float(np.median(np.diff(self.t_s))) if len(self) > 1 else float("nan")
+
+    @property
+    def runs_present(self) -> tuple[str, ...]:
+        """Names of the runs that have samples here, in their order."""
+        return tuple(self.runs[k] for k in np.unique(self.run))
+
+    @property
+    def following_error_rad(self) -> Array:
+        """Set-point minus angle (m, n), NaN in modes that follow no set-point."""
+        error = self.q_set_rad - self.q_rad
+        followed = [k for k, name in enumerate(self.modes) if name in FOLLOWING_MODES]
+        is_known = self.mode >= 0
+        error[is_known & ~np.isin(self.mode, followed)] = np.nan
+        return error
+
+    @property
+    def is_placed(self) -> NDArray[np.bool_]:
+        """Samples (m,) whose angles mean something: not while the arm looks for its zeros, nor before it first did."""
+        if "HOMING" not in self.modes:
+            return np.ones(len(self), dtype=bool)
+        homing = self.mode == self.modes.index("HOMING")
+        begun = np.maximum.accumulate(homing) if homing.any() else np.ones(len(self), dtype=bool)
+        return np.asarray(begun & ~homing)
+
+    def at(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Series:
+        """The samples at `rows`."""
+        changed = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name in _ROWS}
+        return replace(self, **changed)
+
+
+_ROWS: Final = (
+    "t_s", "run", "mode", "q_rad", "q_set_rad", "current_A", "voltage_V", "supply_V", "temperature_C", "tip_m",
+    "late_s", "busy_s", "missed",
+)  # fmt: skip
+
+
+def chosen(series: Series, run: str | None, from_s: float | None, to_s: float | None) -> Series:
+    """The samples of one run and of a time span; ArmError when there are none, saying which there are."""
+    is_wanted = np.ones(len(series), dtype=bool)
+    if run is not None:
+        if run not in series.runs:
+            raise ArmError(f'--run: expected one of {_listed(series.runs)}, got "{run}"')
+        is_wanted &= series.run == series.runs.index(run)
+    lower = -np.inf if from_s is None else from_s
+    upper = np.inf if to_s is None else to_s
+    if not lower < upper:
+        raise ArmError(f"--from and --to: expected a span of time, got {lower:g} to {upper:g} s")
+    is_wanted &= (series.t_s >= lower) & (series.t_s <= upper)
+    if not is_wanted.any():
+        ends = f"{series.t_s[0]:.3f} to {series.t_s[-1]:.3f} s" if len(series) else "no time at all"
+        raise ArmError(f"{series.name}: no samples between {lower:g} and {upper:g} s: it holds {ends}")
+    return series.at(is_wanted)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) < 12 else f"{names[0]} to {names[-1]}"
+
+
+def joined_runs(t_s: Array, run: NDArray[np.int64]) -> Array:
+    """Times that rise over the whole file: where a run begins again at zero it is put behind the last one."""
+    steps = np.diff(t_s, prepend=t_s[:1])
+    falls = steps < 0.0
+    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    steps[falls] = usual
+    if len(steps):
+        steps[0] = 0.0
+    return np.asarray(np.cumsum(steps))
