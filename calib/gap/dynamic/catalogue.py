@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
+from calib.gap.dynamic.angles import BEHIND, SEEN
 from calib.gap.dynamic.recording import Recording
 from calib.gap.dynamic.terms import Term
 from calib.gap.finding import EffectName
@@ -18,6 +19,7 @@ STRIBECK_rad_s = (0.012, 0.022, 0.04, 0.07, 0.12, 0.22)
 ORDERS = tuple(range(1, 41))
 DELAYS_s = (0.0006, 0.0012, 0.0018, 0.0024, 0.0030, 0.0038, 0.0046, 0.0056, 0.007, 0.009)
 SPRINGS_rad_Nm = (1 / 5000.0, 1 / 1500.0, 1 / 500.0, 1 / 150.0)
+WARMING_s = (0.8, 2.5, 8.0, 40.0, 300.0)
 WIDTHS_rad = (0.002, 0.006, 0.016)
 
 
@@ -56,10 +58,14 @@ def _listed(arm: Arm, recording: Recording) -> Iterator[Candidate]:
             yield _simple("torque_constant", joint, (0.0,))
         if moves or recording.has_tip:
             yield _many("joint_compliance", joint, [(c, 0.3) for c in SPRINGS_rad_Nm])
-            yield _many("backlash", joint, [(w,) for w in WIDTHS_rad])
+            yield _many("backlash", joint, [(w, 0.0) for w in WIDTHS_rad])
         if recording.has_tip:
-            yield _simple("encoder_eccentricity", joint, (0.0, 0.0))
-            yield _simple("encoder_scale", joint, (0.0,))
+            yield _encoder("encoder_eccentricity", joint, (0.0, 0.0))
+            yield _encoder("encoder_scale", joint, (0.0,))
+            name = EffectName("thermal_drift", joint)
+            forms = ("thermal_drift", "thermal_drift" + SEEN)
+            drifts = tuple(Term(name, form, (0.0, time_s)) for form in forms for time_s in WARMING_s)
+            yield Candidate(name, drifts, True, False)
     if moves:
         yield _simple("payload", None, (0.0,))
         yield from _inertias(arm)
@@ -71,7 +77,7 @@ def _listed(arm: Arm, recording: Recording) -> Iterator[Candidate]:
         yield Candidate(name, tuple(Term(name, form, (0.0,)) for form in forms), True)
     if recording.has_tip:
         if arm.joint_count >= 3:
-            yield _simple("belt_coupling", None, (0.0,))
+            yield _encoder("belt_coupling", None, (0.0,))
         yield _simple("base_frame", None, (0.0,) * 6)
         yield _simple("link_geometry", None, (0.0,) * (4 * len(arm.links)))
 
@@ -131,6 +137,13 @@ _WINDINGS = (
 def _simple(effect: str, joint: int | None, values: tuple[float, ...]) -> Candidate:
     name = EffectName(effect, joint)
     return Candidate(name, (Term(name, effect, values),), True)
+
+
+def _encoder(effect: str, joint: int | None, values: tuple[float, ...]) -> Candidate:
+    """An encoder that errs against its motor, or against its link, or as far as the camera sees."""
+    name = EffectName(effect, joint)
+    forms = (effect, effect + BEHIND, effect + SEEN)
+    return Candidate(name, tuple(Term(name, form, values) for form in forms), True)
 
 
 def _many(effect: str, joint: int, starts: list[tuple[float, ...]]) -> Candidate:

@@ -28,6 +28,7 @@ SHARE_MARGIN = (
 )
 WORTH = 0.25  # of the best first-order gain: candidates below it are not refined
 WIDTH_SHARES = (0.7, 1.0, 1.4, 1.8, 2.3)  # of the width that the tip at rest would need
+RESTITUTIONS = (0.0, 0.5)  # of an impact: starts
 LOOKED_AT = 8  # starts, the best first
 HOPE = 0.5  # of the bar: refinement may gain as much again
 MOST_STEPS = 5
@@ -143,13 +144,14 @@ class Choice:
         """A start for the play's width: where a link flies between flanks, what it shows at rest says little of it."""
         if term.form != "backlash":
             return term
-        deciding = self.split.deciding
+        deciding, beside = self.split.deciding, (*self.known, *fitted.terms)
+        tried = [term.at((term.values[0] * share, e)) for share in WIDTH_SHARES for e in RESTITUTIONS]
+        self.rows.physics.foresee(beside, tried)
 
-        def left(width: float) -> float:
-            residual = self.rows.residual((*self.known, *fitted.terms, term.at((width,))))
-            return float(np.sum(residual[deciding] ** 2))
+        def left(one: Term) -> float:
+            return float(np.sum(self.rows.residual((*beside, one))[deciding] ** 2))
 
-        return term.at((min((term.values[0] * share for share in WIDTH_SHARES), key=left),))
+        return min(tried, key=left)
 
     def _is_promising(self, start: Start, fitted: Fitted, prior: Array) -> bool:
         """Whether a start could, to first order, claim what `_judged` asks of an effect in one cell at least."""

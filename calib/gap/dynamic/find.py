@@ -39,6 +39,7 @@ class DynamicOutcome:
     after: Array
     split: Split
     run_names: tuple[str, ...]
+    gear_ratios: tuple[float, ...]
 
 
 def find(
@@ -93,9 +94,9 @@ def examine(
     )
     told("done", 1.0)
     names = tuple(run.name for run in recording.runs)
-    return DynamicOutcome(
-        finding, (*recording.warnings, *_doubts(before, rows.table)), rows.table, before, after, parts, names
-    )
+    warnings = (*recording.warnings, *_doubts(before, rows.table))
+    ratios = tuple(drive.gear_ratio for drive in arm.drives)
+    return DynamicOutcome(finding, warnings, rows.table, before, after, parts, names, ratios)
 
 
 def _doubts(before: Array, table: RowTable) -> tuple[str, ...]:

@@ -10,19 +10,12 @@ import numpy.typing as npt
 
 from calib.arrays import Array
 from calib.gap.dynamic.rows import Rows
-from calib.gap.dynamic.terms import Term
+from calib.gap.dynamic.terms import STEP, Term
 
 Picked = npt.NDArray[np.bool_]
-# Steps of finite differences, by form: what changes rows by a good part of their floor and is still linear.
-STEP = {
-    "stribeck_friction": (1e-2, 2e-3),
-    "stribeck exponential": (1e-2, 2e-3),
-    "command_delay": (2e-5,),
-    "joint_compliance": (1e-5, 2e-2),
-    "backlash": (5e-5,),
-}
-PLAIN_STEP = 1e-3
 ITERATIONS = 8
+MOST_RESTITUTION = 0.9
+PROMISED = 1e-4  # of the sum of squares: a step that promises less is not tried
 ENOUGH = 1e-3  # of the sum of squares: a step that gains less is the last
 
 
@@ -43,13 +36,9 @@ class Fitted:
 
 def columns(rows: Rows, model: Sequence[Term], k: int, at: Array) -> Array:
     """Slopes of the rows by the values of model[k], (rows, values); `at`: the rows of the model."""
-    term = model[k]
-    steps = STEP.get(term.form, (PLAIN_STEP,) * len(term.values))
     result = []
-    for place, step in enumerate(steps[: len(term.values)]):
-        values = list(term.values)
-        values[place] += step
-        ahead = rows.residual((*model[:k], term.at(tuple(values)), *model[k + 1 :]))
+    for neighbour, step in model[k].neighbours():
+        ahead = rows.residual((*model[:k], neighbour, *model[k + 1 :]))
         result.append((ahead - at) / step)
     return np.stack(result, axis=1)
 
@@ -66,6 +55,9 @@ def refine(
     slopes = _all_slopes(rows, known, terms, values, residual)
     for _ in range(ITERATIONS if terms else 0):
         step = _step(slopes[picked], residual[picked], damping)
+        foreseen = residual[picked] + slopes[picked] @ step
+        if best - float(foreseen @ foreseen) < PROMISED * best:
+            break
         moved = _moved(terms, values, step)
         trial = rows.residual(_model(known, terms, moved))
         total = float(trial[picked] @ trial[picked])
@@ -143,6 +135,10 @@ def bounded(term: Term, values: Array) -> Array:
             result[1] = min(max(result[1], 0.0), 20.0)
         case "backlash":
             result[0] = min(max(result[0], 0.0), 0.2)
+            if len(result) > 1:
+                result[1] = min(max(result[1], 0.0), MOST_RESTITUTION)
+        case "thermal_drift" | "thermal_drift seen":
+            result[1] = min(max(result[1], 0.1), 1e5)
         case "torque_constant":
             result[0] = min(max(result[0], -0.8), 4.0)
         case _:

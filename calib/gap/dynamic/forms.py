@@ -28,6 +28,8 @@ PLAIN = {
 def from_file(name: EffectName, given: Mapping[str, float]) -> Term | None:
     """The term of an `[[effect]]`; None for one that time series do not show."""
     effect = name.effect
+    if effect == "backlash":
+        return Term(name, effect, (given["width_rad"], 0.0))
     if effect in PLAIN:
         return Term(name, effect, (given[PLAIN[effect]],))
     if effect == "stribeck_friction":
@@ -44,6 +46,8 @@ def from_file(name: EffectName, given: Mapping[str, float]) -> Term | None:
     if effect == "encoder_eccentricity":
         amplitude, phase = given["amplitude_rad"], given["phase_rad"]
         return Term(name, effect, (amplitude * math.cos(phase), amplitude * math.sin(phase)))
+    if effect == "thermal_drift" and name.joint is not None:
+        return Term(name, effect, (given["final_rad"], given["time_constant_s"]))
     if effect == "link_inertia":
         key = "mass_kg" if "mass_kg" in given else "inertia_kg_m2"
         return Term(name, key, (given[key],))
@@ -60,6 +64,8 @@ def parameters(term: Term, covariance: Array) -> dict[str, tuple[float, float]]:
         return {"torque_Nm": (v[0], float(sd[0])), "speed_rad_s": (v[1], float(sd[1]))}
     if effect in ("cogging", "encoder_eccentricity"):
         return _amplitude(term, covariance)
+    if effect == "thermal_drift":
+        return {"final_rad": (v[0], float(sd[0])), "time_constant_s": (v[1], float(sd[1]))}
     if effect == "torque_constant":
         return {"scale": (1.0 + v[0], float(sd[0]))}
     if effect == "joint_compliance":

@@ -16,15 +16,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calib.arrays import Array
+from calib.gap.dynamic.angles import ANGLES, STILL, MotorAhead, angle_error, joint_ahead
 from calib.gap.dynamic.body import Body, Load
 from calib.gap.dynamic.laws import friction_Nm
-from calib.gap.dynamic.play import Followed, Follower, elastic, loose
+from calib.gap.dynamic.play import Followed, Follower, elastics, looses
 from calib.gap.dynamic.recording import Motion, Recording
 from calib.gap.dynamic.terms import Term
 from control.model.arm import Arm
 from control.model.kinematics import Kinematics
 
 SHORTEST_SPRING_rad_Nm = 1e-8
+FOLLOWED_KEPT = 16  # motions of elastic joints, some 1.5 MB each
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +70,7 @@ class Physics:
         self._torques: dict[Load, list[Array]] = {}
         self._moved: dict[tuple[Load, tuple[Term, ...]], list[tuple[Array, Array]]] = {}
         self._follow: dict[tuple[Load, int], Follower] = {}
+        self._followed_terms: dict[tuple[Load, Term], Followed] = {}
         self._tips = [
             self._kinematics.tips(run.q_raw[run.frames]) if recording.has_tip else np.zeros((0, 3))
             for run in recording.runs
@@ -112,28 +115,33 @@ class Physics:
             link, offset = torques[k], np.zeros_like(run.q)
             if moved:
                 link, offset = moved[k]
-            mechanical = self._current(parts, run, k, link)
-            electrical = self._electrical(parts, run, k)
+            ahead = STILL
+            if parts.angles:
+                ahead, turns = angle_error(parts.angles, run)
+                link = link - torques[k] + self.body.moved(parts.load, run, *turns)
+            mechanical = self._current(parts, run, k, link, ahead)
+            electrical = self._electrical(parts, run, k, ahead)
             result.append(Prediction(mechanical, electrical, self._tip(parts, run, k, offset)))
         return result
 
-    def _current(self, parts: _Parts, run: Motion, k: int, link: Array) -> Array:
+    def _current(self, parts: _Parts, run: Motion, k: int, link: Array, ahead: MotorAhead) -> Array:
         """Mean current expected from the motion, less the measured one."""
-        wanted = link + self.body.rotor_kg_m2 * run.acceleration
+        wanted = link + self.body.rotor_kg_m2 * (run.acceleration + ahead.acceleration_rad_s2)
         for term in parts.friction:
             j = term.index
             wanted[:, j] += friction_Nm(term, run, j, link[:, j], float(self._gear[j]))
         scale = np.ones(len(self._K))
         for j, value in parts.scale.items():
             scale[j] += value
-        return np.asarray(wanted / (self._K * scale) - self._mean_current(parts, run, k, scale))
+        measured = self._mean_current(parts, run, k, scale, ahead)
+        return np.asarray(wanted / (self._K * scale) - measured)
 
-    def _mean_current(self, parts: _Parts, run: Motion, k: int, scale: Array) -> Array:
+    def _mean_current(self, parts: _Parts, run: Motion, k: int, scale: Array, ahead_of: MotorAhead) -> Array:
         K = self._K * scale
         if not self.recording.has_current:
             value, slope, _ = self._voltage[k]
             held = value - (0.5 * self._period + parts.delay_s + self._lag) * slope
-            current = (held - K * run.speed) / self._R
+            current = (held - K * (run.speed + ahead_of.speed_rad_s)) / self._R
             return np.where(run.is_off, 0.0, current)
         if not self.recording.has_voltage:
             return run.current_A
@@ -143,7 +151,7 @@ class Physics:
         ahead = 0.5 * self._period - self._lag - within + mixed * self._period
         return np.asarray(run.current_A + ahead * (run.current_slope + K * run.acceleration / self._R))
 
-    def _electrical(self, parts: _Parts, run: Motion, k: int) -> Array:
+    def _electrical(self, parts: _Parts, run: Motion, k: int, ahead: MotorAhead) -> Array:
         """Sampled current expected from voltage and speed, less the measured one."""
         if not (self.recording.has_current and self.recording.has_voltage):
             return np.zeros((len(run), 0))
@@ -153,7 +161,7 @@ class Physics:
         seen = self._held(self._voltage[k][0], parts.delay_s)
         for form, resistance in parts.sag:
             seen = seen * (1.0 - resistance * self._drawn(form, seen, run) / self._supply)
-        speed = run.speed - self._lag * run.acceleration
+        speed = run.speed + ahead.speed_rad_s - self._lag * run.acceleration
         expected = (seen - self._K * scale * speed) / self._R
         for term in parts.electrical:
             j = term.index
@@ -205,12 +213,30 @@ class Physics:
             result.append((link, offset))
         return result
 
+    def foresee(self, model: Sequence[Term], variants: Sequence[Term]) -> None:
+        """Follow one joint's elastic or loose gear with several values at once, for `predict` to find them done."""
+        self._foresee(_sorted(model).load, variants)
+
+    def _foresee(self, load: Load, variants: Sequence[Term]) -> None:
+        missing = [term for term in variants if (load, term) not in self._followed_terms]
+        if not missing:
+            return
+        of = self._follower(load, missing[0].index)
+        plays = [(max(t.values[0], 0.0), t.values[1] if len(t.values) > 1 else 0.0) for t in missing]
+        if missing[0].form == "backlash":
+            found = looses(of, plays)
+        else:
+            found = elastics(of, [(1.0 / max(c, SHORTEST_SPRING_rad_Nm), max(d, 0.0)) for c, d in plays])
+        while len(self._followed_terms) > FOLLOWED_KEPT:
+            self._followed_terms.pop(next(iter(self._followed_terms)))
+        for term, one in zip(missing, found, strict=True):
+            self._followed_terms[load, term] = one
+
     def _followed(self, parts: _Parts, term: Term) -> Followed:
-        of = self._follower(parts.load, term.index)
-        if term.form == "backlash":
-            return loose(of, max(term.values[0], 0.0))
-        compliance = max(term.values[0], SHORTEST_SPRING_rad_Nm)
-        return elastic(of, 1.0 / compliance, max(term.values[1], 0.0) if len(term.values) > 1 else 0.0)
+        if (parts.load, term) not in self._followed_terms:
+            # The slopes by its values are asked for next, and cost nothing beside it.
+            self._foresee(parts.load, [term, *(neighbour for neighbour, _ in term.neighbours())])
+        return self._followed_terms[parts.load, term]
 
     def _follower(self, load: Load, j: int) -> Follower:
         key = (load, j)
@@ -232,8 +258,8 @@ class Physics:
         q = run.q_raw[run.frames]
         turned = np.array(q)
         turned += offset[run.frames]
-        for term in parts.angles:
-            _turn(term, q, turned, run.t_s[run.frames])
+        if parts.angles:
+            turned += joint_ahead(parts.angles, q, run.t_s[run.frames])
         expected = self._tips[k] if turned is q else self._kinematics.tips(turned)
         for term in parts.tip:
             expected = expected + self._shift(term, k, run)
@@ -273,7 +299,7 @@ def _sorted(model: Sequence[Term]) -> _Parts:
                 parts.sag.append((term.form, term.values[0]))
             case "joint_compliance" | "backlash":
                 parts.elastic.append(term)
-            case "encoder_eccentricity" | "encoder_scale" | "belt_coupling" | "thermal_drift" | "zero":
+            case form if form in ANGLES:
                 parts.angles.append(term)
             case "link_geometry" | "base_frame" | "camera time":
                 parts.tip.append(term)
@@ -283,22 +309,6 @@ def _sorted(model: Sequence[Term]) -> _Parts:
                 parts.friction.append(term)
     parts.load = Load(payload, tuple(masses), tuple(inertias))
     return parts
-
-
-def _turn(term: Term, q: Array, turned: Array, t_s: Array) -> None:
-    """How much further than its encoder says a joint has turned."""
-    match term.form:
-        case "encoder_eccentricity":
-            j = term.index
-            turned[:, j] += term.values[0] * np.sin(q[:, j]) + term.values[1] * np.cos(q[:, j])
-        case "encoder_scale":
-            turned[:, term.index] += term.values[0] * q[:, term.index]
-        case "belt_coupling":
-            turned[:, 2] += term.values[0] * q[:, 1]
-        case "zero":
-            turned[:, term.index] += term.values[0]
-        case _:
-            turned[:, term.index] += term.values[0] * (1.0 - np.exp(-t_s / term.values[1]))
 
 
 def _earlier(values: Array, samples: int) -> Array:

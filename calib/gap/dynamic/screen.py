@@ -118,7 +118,8 @@ class Screen:
                 units[0, 1] = term.values[1]
             parts = [self._rows.friction_slope(term.at(tuple(unit.tolist()))) for unit in units]
             return np.stack(parts, axis=1)
-        return columns(self._rows, (*self._known, term), len(self._known), self._at_known)
+        slopes = columns(self._rows, (*self._known, term), len(self._known), self._at_known)
+        return slopes[:, :1] if term.name.effect == "thermal_drift" else slopes
 
 
 def _orthogonal(slopes: Array) -> Array:

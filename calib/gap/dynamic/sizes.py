@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 
+from calib.gap.dynamic.angles import plain
 from calib.gap.dynamic.terms import Term
+from calib.gap.finding import Nameable
 from control.model.arm import Arm
 
 SMALLEST = {
@@ -30,6 +32,7 @@ SMALLEST = {
     "encoder_eccentricity": 3e-4,
     "encoder_scale": 5e-4,
     "belt_coupling": 5e-4,
+    "thermal_drift": 3e-4,
     "base_frame": 3e-4,
     "link_geometry": 3e-4,
     "zero": 3e-4,
@@ -54,7 +57,7 @@ def smallest(arm: Arm, form: str, joint: int) -> float:
     if form == "inductance":
         drive = arm.drives[joint]
         return max(SAME_INDUCTANCE * drive.inductance_H, 2e-4 * drive.resistance_ohm)
-    size = SMALLEST[form]
+    size = SMALLEST[plain(form)]
     is_torque = form in _TORQUES and joint >= 0
     return size * min(1.0, stall_Nm(arm, joint) / 30.0) if is_torque else size
 
@@ -85,8 +88,15 @@ _TORQUES = {
 
 def is_worth_a_name(arm: Arm, term: Term) -> bool:
     """Whether a term is at least of the smallest size."""
-    counted = term.values[:1] if term.form in _FIRST_COUNTS else term.values
+    counted = term.values[:1] if plain(term.form) in _FIRST_COUNTS else term.values
     return math.hypot(*counted) >= smallest(arm, term.form, term.index)
 
 
-_FIRST_COUNTS = {"stribeck_friction", "stribeck exponential", "joint_compliance", "backlash"}
+_FIRST_COUNTS = {"stribeck_friction", "stribeck exponential", "joint_compliance", "backlash", "thermal_drift"}
+
+NAMEABLE_sd = 8.0  # of the smallest size worth a name
+
+
+def is_nameable(one: Nameable) -> bool:
+    """Whether a recording could name an effect: it stands out, and nothing else looks the same."""
+    return one.detectability >= NAMEABLE_sd and not one.confusable_with

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from calib.gap.finding import EffectName
 from control.model.arm import Arm
 
-# Parameters of an effect, in the order in which a term's `values` hold them; logarithms where only positive makes sense
-# would bend the search, so bounds are kept by the fit instead.
-PARAMETERS: dict[str, tuple[str, ...]] = {
-    "coulomb_friction": ("torque_Nm",),
-    "viscous_friction": ("coefficient_Nm_s_rad",),
-    "stribeck_friction": ("torque_Nm", "speed_rad_s"),
-    "load_friction": ("fraction",),
-    "asymmetric_friction": ("torque_Nm",),
-    "cogging": ("amplitude_Nm", "order", "phase_rad"),
-    "torque_constant": ("scale",),
-    "command_delay": ("delay_s",),
-    "supply_sag": ("resistance_ohm",),
-    "payload": ("mass_kg",),
-    "link_inertia": ("inertia_kg_m2", "mass_kg"),
-    "joint_compliance": ("stiffness_Nm_rad", "damping_Nm_s_rad"),
-    "backlash": ("width_rad",),
-    "encoder_eccentricity": ("amplitude_rad", "phase_rad"),
-    "encoder_scale": ("scale",),
-    "belt_coupling": ("ratio",),
+# Steps of finite differences, by form: what changes rows by a good part of their floor and is still linear.
+STEP = {
+    "stribeck_friction": (1e-2, 2e-3),
+    "stribeck exponential": (1e-2, 2e-3),
+    "command_delay": (2e-5,),
+    "joint_compliance": (1e-5, 2e-2),
+    "backlash": (5e-5, 2e-2),
+    "thermal_drift": (1e-4, 5e-2),
+    "thermal_drift seen": (1e-4, 5e-2),
 }
+PLAIN_STEP = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +42,14 @@ class Term:
     def at(self, values: tuple[float, ...]) -> Term:
         """The same with other values."""
         return replace(self, values=values)
+
+    def neighbours(self) -> Iterator[tuple[Term, float]]:
+        """The term with one value after the other a little larger, and by how much: for slopes."""
+        steps = STEP.get(self.form, (PLAIN_STEP,) * len(self.values))
+        for place, step in enumerate(steps[: len(self.values)]):
+            values = list(self.values)
+            values[place] += step
+            yield self.at(tuple(values)), step
 
 
 def known_terms(arm: Arm) -> tuple[Term, ...]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
+from calib.gap.dynamic.catalogue import Candidate
 from calib.gap.dynamic.choose import FIRST_LAWS, MARGIN, SHARE_MARGIN, Choice, Step
 from calib.gap.dynamic.terms import Term
 from calib.gap.finding import EffectName, Unknown
@@ -18,6 +19,16 @@ SUFFICIENT_ROUGH = {  # laws whose form differs between real joints, and impacts
     "stribeck_friction": 0.97,
     "joint_compliance": 0.97,
     "backlash": 0.90,
+}
+MANY_VALUES = 2
+SHARE_EXACT = 0.002  # of the evidence, where both effects are geometry
+GEOMETRIC = {
+    "encoder_eccentricity",
+    "encoder_scale",
+    "belt_coupling",
+    "thermal_drift",
+    "link_geometry",
+    "base_frame",
 }
 AT_FLOOR = 1.3  # mean square over the floor's: models without any hidden effect reach this in single cells
 LEFT = 1.5  # of the floor's square, and
@@ -113,18 +124,29 @@ def _in_shadow(steps: Sequence[Step], unknowns: Sequence[int], k: int) -> bool:
 
 def _rivals(choice: Choice, step: Step) -> tuple[EffectName, ...]:
     """Listed rivals that the margin does not beat."""
-    bar = max(MARGIN, SHARE_MARGIN * step.evidence)
-    if step.margin >= bar:
+    if step.margin >= max(MARGIN, SHARE_MARGIN * step.evidence):
         return ()
     lead = step.best.fitted.held_out
-    per_loss = step.margin / max(
-        min(t.fitted.held_out for t in step.rivals if t.candidate.is_listed) - lead, 1e-9
-    )
+    listed = [trial for trial in step.rivals if trial.candidate.is_listed]
+    per_loss = step.margin / max(min(t.fitted.held_out for t in listed) - lead, 1e-9)
     return tuple(
         trial.candidate.name
-        for trial in step.rivals
-        if trial.candidate.is_listed and (trial.fitted.held_out - lead) * per_loss < bar
+        for trial in listed
+        if (trial.fitted.held_out - lead) * per_loss < _bar(step, trial.candidate)
     )
+
+
+def _bar(step: Step, rival: Candidate) -> float:
+    """Evidence over a rival that settles it.
+
+    Laws of friction are never exact, so that rivals within a share of the evidence are not told apart; geometry is. A
+    rival that needs many more values to come as near would have to be so by chance.
+    """
+    best = step.best.candidate
+    if len(rival.starts[0].values) > MANY_VALUES * len(best.starts[0].values):
+        return MARGIN
+    is_exact = best.name.effect in GEOMETRIC and rival.name.effect in GEOMETRIC
+    return max(MARGIN, (SHARE_EXACT if is_exact else SHARE_MARGIN) * step.evidence)
 
 
 def _unknown(choice: Choice, steps: Sequence[Step], rejected: Sequence[int], left: Array) -> Unknown | None:

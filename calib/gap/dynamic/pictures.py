@@ -1,0 +1,228 @@
+"""Pictures of what time series leave: the gap as the model grew, residuals in time, and along what names them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.drawing import AFTER, BEFORE, PLANNED, svg
+from calib.gap.dynamic.find import DynamicOutcome
+from calib.gap.dynamic.rows import Cell
+from calib.gap.finding import EffectName, NamedEffect
+from calib.page import Section, bullets, paragraph
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+UNITS = {"current_A": (1e3, "mA"), "voltage_as_A": (1e3, "mA"), "tip_m": (1e3, "mm")}
+TITLES = {
+    "current_A": "current of joint {joint}: what the motion needs, less what was measured",
+    "voltage_as_A": "current of joint {joint} from its voltage, less what was measured",
+    "tip_m": "tip, all three axes",
+}
+MOST_CELLS = 4  # drawn in time
+HIGHEST_ORDER = 24.0  # periods per motor turn
+FEWEST_ROWS = 60
+POINTS = 3000  # of a cloud: more are not seen, and the page stays small
+
+
+def dynamic_sections(outcome: DynamicOutcome) -> Iterator[Section]:
+    """How the gap shrank, which run and channel show most, and what is left along what was named."""
+    yield Section("Time series: the gap by channel", _about(outcome) + gap_picture(outcome))
+    cells = _worst_cells(outcome)
+    if cells:
+        run = _worst_run(outcome, cells[0])
+        title = f"Time series: residuals in time, run {outcome.run_names[run]}"
+        text = paragraph("The run with the largest residual; rows beside reversals and gaps are not used.")
+        yield Section(title, text + time_picture(outcome, run, cells))
+    for effect in outcome.finding.effects:
+        drawn = along_picture(outcome, effect)
+        if drawn:
+            yield Section(f"Time series: along {effect.name}", drawn)
+    if not outcome.finding.effects and outcome.finding.unknown is not None and cells:
+        yield Section(
+            f"Time series: what is left in {cells[0]}", _along(outcome, cells[0], None, "what is left")
+        )
+
+
+def _about(outcome: DynamicOutcome) -> str:
+    kept = ", ".join(outcome.split.report_runs)
+    text = (
+        f"The noise floor comes from {outcome.rows.floor_source}; runs {kept} were kept apart for the report."
+    )
+    return paragraph(text) + (bullets(outcome.warnings) if outcome.warnings else "")
+
+
+def gap_picture(outcome: DynamicOutcome) -> str:
+    """Left: the gap after each name. Right: every cell before and after, on the runs kept apart."""
+    return svg((10.4, 3.2), lambda figure: _draw_gap(figure, outcome))
+
+
+def time_picture(outcome: DynamicOutcome, run: int, cells: Sequence[Cell]) -> str:
+    """Residuals of a run in time, before and after, one row of axes a cell."""
+    return svg((10.4, 1.7 * len(cells) + 0.4), lambda figure: _draw_time(figure, outcome, run, cells))
+
+
+def along_picture(outcome: DynamicOutcome, effect: NamedEffect) -> str:
+    """The residual of the cell that an effect shows in, along what the effect follows; empty where no cell shows it."""
+    cell = _cell_of(outcome, effect.name)
+    if cell is None:
+        return ""
+    return _along(outcome, cell, effect, str(effect.name))
+
+
+def _along(outcome: DynamicOutcome, cell: Cell, effect: NamedEffect | None, title: str) -> str:
+    if effect is not None and effect.name.effect == "cogging":
+        return svg((10.4, 3.0), lambda figure: _draw_spectrum(figure, outcome, cell, effect))
+    return svg((10.4, 3.0), lambda figure: _draw_clouds(figure, outcome, cell, title))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def _draw_gap(figure: Figure, outcome: DynamicOutcome) -> None:
+    left, right = figure.subplots(1, 2, width_ratios=(2, 3))
+    figure.subplots_adjust(left=0.07, right=0.99, top=0.87, bottom=0.36, wspace=0.18)
+    found = outcome.finding
+    steps = ["as it is", *(str(effect.name).replace(" on joint ", " ") for effect in found.effects)]
+    gaps = [found.gap_before, *(effect.gap_after for effect in found.effects)]
+    left.plot(np.arange(len(steps)), gaps, "o-", color=AFTER, ms=6)
+    for k, value in enumerate(gaps):
+        left.annotate(f"{value:.2f}", (k, value), (0, 5), textcoords="offset points", ha="center", size=8)
+    left.set_xticks(np.arange(len(steps)), steps, rotation=20, ha="right", size=8)
+    left.set(ylabel="gap, RMS over the noise", xlim=(-0.5, len(steps) - 0.5))
+    left.set_ylim(0.8 * min(1.0, *gaps), 1.6 * max(gaps))
+    left.set_yscale("log")
+    left.axhline(1.0, color=PLANNED, lw=1.0, ls="--")
+    left.set_title("the model as it grows")
+    _draw_cells(right, outcome)
+
+
+def _draw_cells(axes: Axes, outcome: DynamicOutcome) -> None:
+    cells, picked = outcome.rows.cells, outcome.split.reporting
+    place = np.arange(len(cells))
+    for residual, colour, mark, shift, label in (
+        (outcome.before, BEFORE, "s", -0.12, "before"),
+        (outcome.after, AFTER, "o", 0.12, "after"),
+    ):
+        each = [_rms(residual[cell.rows][picked[cell.rows]]) for cell in cells]
+        axes.plot(place + shift, each, mark, color=colour, ms=6, label=label)
+    axes.set_xticks(place, [_short(cell) for cell in cells], rotation=20, ha="right", size=8)
+    axes.set_yscale("log")
+    axes.axhline(1.0, color=PLANNED, lw=1.0, ls="--")
+    axes.legend(loc="best", fontsize=8)
+    axes.set(ylabel="RMS over the noise")
+    axes.set_title("by channel, runs kept apart")
+
+
+def _short(cell: Cell) -> str:
+    words = {"current_A": "current {}", "voltage_as_A": "voltage {}", "tip_m": "tip"}
+    return words.get(cell.channel, cell.channel + " {}").format(cell.joint + 1)
+
+
+def _worst_cells(outcome: DynamicOutcome) -> list[Cell]:
+    """The cells with most before, those that agree with the model at the end."""
+    found = [cell for cell in outcome.rows.cells if outcome.before[cell.rows].size]
+    return sorted(found, key=lambda cell: -_rms(outcome.before[cell.rows]))[:MOST_CELLS]
+
+
+def _worst_run(outcome: DynamicOutcome, cell: Cell) -> int:
+    run, residual = outcome.rows.run[cell.rows], outcome.before[cell.rows]
+    return max((int(k) for k in np.unique(run)), key=lambda k: _rms(residual[run == k]))
+
+
+def _draw_time(figure: Figure, outcome: DynamicOutcome, run: int, cells: Sequence[Cell]) -> None:
+    all_axes = np.atleast_1d(figure.subplots(len(cells), 1, sharex=True))
+    inch = 1.0 / figure.get_figheight()
+    figure.subplots_adjust(left=0.07, right=0.99, top=1 - 0.25 * inch, bottom=0.45 * inch, hspace=0.38)
+    for axes, cell in zip(all_axes, cells, strict=True):
+        mine = outcome.rows.run[cell.rows] == run
+        t = outcome.rows.t_s[cell.rows][mine]
+        factor, unit = UNITS[cell.channel]
+        for residual, colour, label, mark in (
+            (outcome.before, BEFORE, "before", "."),
+            (outcome.after, AFTER, "after", "."),
+        ):
+            values = factor * cell.floor * residual[cell.rows][mine]
+            axes.plot(t, values, mark, ms=2.2 if colour == BEFORE else 1.6, color=colour, label=label, mew=0)
+        axes.set_ylabel(f"[{unit}]")
+        axes.set_title(TITLES[cell.channel].format(joint=cell.joint + 1), fontsize=9, fontweight="normal")
+    all_axes[0].legend(loc="upper right", fontsize=8, markerscale=4, ncols=2)
+    all_axes[-1].set_xlabel("time [s]")
+
+
+def _draw_clouds(figure: Figure, outcome: DynamicOutcome, cell: Cell, title: str) -> None:
+    """The residual against speed, angle and transmitted torque."""
+    table, factor_unit = outcome.rows, UNITS[cell.channel]
+    joint = max(cell.joint, 0) + 1
+    sides = (
+        (table.speed_rad_s, f"speed of joint {joint} [rad/s]"),
+        (np.degrees(table.q_rad), f"q{joint} [deg]"),
+        (table.load_Nm, f"transmitted torque of joint {joint} [N m]"),
+    )
+    all_axes = figure.subplots(1, 3, sharey=True)
+    figure.subplots_adjust(left=0.07, right=0.99, top=0.88, bottom=0.16, wspace=0.06)
+    count = outcome.before[cell.rows].size
+    keep = np.arange(0, count, max(1, count // POINTS))
+    for axes, (along, label) in zip(all_axes, sides, strict=True):
+        at = along[cell.rows][keep]
+        for residual, colour, name in ((outcome.before, BEFORE, "before"), (outcome.after, AFTER, "after")):
+            values = factor_unit[0] * cell.floor * residual[cell.rows][keep]
+            axes.plot(at, values, ".", ms=2.0, color=colour, alpha=0.6, mew=0, label=name)
+        axes.set_xlabel(label)
+    all_axes[0].set_ylabel(f"{_short(cell)} [{factor_unit[1]}]")
+    all_axes[0].legend(loc="best", fontsize=8, markerscale=4)
+    all_axes[0].set_title(f"{title}: {_short(cell)}, before and after")
+
+
+def _draw_spectrum(figure: Figure, outcome: DynamicOutcome, cell: Cell, effect: NamedEffect) -> None:
+    """Amplitude over periods per motor turn: by angle, not by time."""
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    figure.subplots_adjust(left=0.07, right=0.99, top=0.88, bottom=0.16, wspace=0.16)
+    turn = outcome.rows.q_rad[cell.rows] * outcome.gear_ratios[cell.joint]
+    orders = np.arange(0.5, HIGHEST_ORDER, 0.05)
+    factor, unit = UNITS[cell.channel]
+    for residual, colour, name in ((outcome.before, BEFORE, "before"), (outcome.after, AFTER, "after")):
+        size = factor * cell.floor * _amplitudes(residual[cell.rows], turn, orders)
+        left.plot(orders, size, color=colour, lw=1.2, ls="-" if colour == BEFORE else "--", label=name)
+    order = effect.parameters["order"][0]
+    left.set(xlabel="periods per motor turn", ylabel=f"amplitude [{unit}]")
+    left.set_title(f"{effect.name}: spectrum over the motor's angle")
+    left.legend(loc="best", fontsize=8)
+    keep = np.arange(0, len(turn), max(1, len(turn) // POINTS))
+    phase = np.degrees((order * turn) % (2.0 * np.pi))[keep]
+    for residual, colour in ((outcome.before, BEFORE), (outcome.after, AFTER)):
+        right.plot(
+            phase,
+            factor * cell.floor * residual[cell.rows][keep],
+            ".",
+            ms=2.0,
+            color=colour,
+            alpha=0.6,
+            mew=0,
+        )
+    right.set(xlabel=f"{order:g} times the motor's angle [deg]", ylabel=f"[{unit}]", xlim=(0, 360))
+
+
+def _amplitudes(residual: Array, turn: Array, orders: Array) -> Array:
+    """Least squares of each order alone, nearly: sine and cosine are orthogonal over many turns."""
+    keep = np.arange(0, len(turn), max(1, len(turn) // (2 * POINTS)))
+    waves = np.exp(1j * orders[:, None] * turn[None, keep])
+    return np.asarray(2.0 * np.abs(waves @ residual[keep]) / len(keep))
+
+
+def _cell_of(outcome: DynamicOutcome, name: EffectName) -> Cell | None:
+    """Where an effect took most: its own joint's cells first."""
+    taken = {
+        cell: float(np.sum(outcome.before[cell.rows] ** 2) - np.sum(outcome.after[cell.rows] ** 2))
+        for cell in outcome.rows.cells
+        if outcome.before[cell.rows].size >= FEWEST_ROWS
+    }
+    own = [cell for cell in taken if name.joint is None or cell.joint in (name.joint - 1, -1)]
+    found = max(own or list(taken), key=lambda cell: taken[cell], default=None)
+    return found if found is not None and taken[found] > 0.0 else None
