@@ -43,6 +43,7 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("statusword{}", "1", "CiA 402 statusword, low byte"),
         Field("drive_faults{}", "1", "fault bits of the motor board (docs/motor_board.md)"),
         Field("flags{}", "1", "flags of the encoder channel (docs/encoder_board.md)"),
+        Field("counted{}_s", "s", "when the count was latched, by the clock of its encoder board"),
     ),
     CAMERA: tuple(Field(f"{axis}_m", "m", f"{axis} of the tip in the base frame, as the camera saw it") for axis in "xyz"),
     LOOP: (

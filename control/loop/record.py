@@ -29,7 +29,7 @@ SCALAR_FIELDS = (
 JOINT_FIELDS = (
     ("q{}_rad", "d"), ("q{}_set_rad", "d"), ("speed{}_rad_s", "f"), ("speed{}_set_rad_s", "f"), ("count{}", "i"),
     ("u{}_V", "f"), ("i{}_A", "f"), ("supply{}_V", "f"), ("temperature{}_C", "f"),
-    ("statusword{}", "B"), ("drive_faults{}", "B"), ("flags{}", "B"),
+    ("statusword{}", "B"), ("drive_faults{}", "B"), ("flags{}", "B"), ("counted{}_s", "d"),
 )  # fmt: skip
 
 

@@ -284,7 +284,7 @@ class Runtime:
                 measured.speed_rad_s[joint], self.set_point.speed_rad_s[joint], feedback.count[joint],
                 math.nan if is_open else servo.volts[joint], feedback.current_A[joint],
                 feedback.supply_V[joint], feedback.temperature_C[joint], feedback.statusword[joint],
-                feedback.drive_faults[joint], feedback.channel_flags[joint],
+                feedback.drive_faults[joint], feedback.channel_flags[joint], feedback.counted_at_s[joint],
             )  # fmt: skip
         self.parts.recorder.write(row)
 
