@@ -19,20 +19,23 @@ from control.loop.watch import JointLimits as MeasuredLimits
 from control.loop.watch import Watch, WatchLimits
 from control.model.arm import Arm, Drive
 from control.model.dynamics import Dynamics
-from control.model.feedforward import torque_model
+from control.model.feedforward import torque_constants_Nm_A, torque_model
 from control.model.gains import InertiaScale, gains_of
 from control.model.inverse import InverseKinematics
 from control.model.joint_map import JointMap
+from control.model.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, JointSide
 from control.model.kinematics import Kinematics
 from control.motion.jog_limits import JogLimits
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import Stop
+from control.motion.setpoint import SetPoint
 from control.safety.limits import SetPointLimits
 
 PAUSE_LIMIT = 0.9  # of the boards' watchdog: a host that pauses longer in one go is not fit to control an arm
 OVERSPEED = 1.5  # of the speed limit: more than any controlled motion overshoots
 RANGE_MARGIN_rad = 0.05
 SET_POINT_MARGIN = 1.05  # of speed and acceleration: a plan is checked at samples, the guard at every cycle
+SLOPE_MOST = 1.1  # of an encoder's speed over its joint's: no scale, disc or belt is that far off
 HOMING_TRAVEL = 1.1  # of the joint's range
 HOMING_ACCELERATION = 0.2  # of the joint's limit
 
@@ -77,6 +80,8 @@ def assemble(
         do_counters_span=all(_does_counter_span(drive) for drive in arm.drives),
         period_s=period_s,
         stopwatch_s=stopwatch_s,
+        aim_limits=tuple(_aim_limits(drive) for drive in arm.drives),
+        joint_side=JointSide.of(arm),
     )
     runtime = Runtime(parts)
     return Assembly(runtime, Requests(runtime, limits, kinematics, {"arm": arm.name, **(about or {})}))
@@ -102,11 +107,14 @@ def _servo(arm: Arm, period_s: float) -> Servo:
         limit = drive.current_limit_A if mode is OutputMode.CURRENT else drive.supply_V
         pids.append(Pid(gains.kp, gains.ki, gains.kd, gains.derivative_filter_s, limit, period_s))
     shares = InertiaScale(arm) if mode is OutputMode.CURRENT else None
-    return Servo(mode, [_motor(drive) for drive in arm.drives], pids, TorqueModel(arm), period_s, shares)
+    motors = [
+        _motor(drive, constant)
+        for drive, constant in zip(arm.drives, torque_constants_Nm_A(arm), strict=True)
+    ]
+    return Servo(mode, motors, pids, TorqueModel(arm), period_s, shares)
 
 
-def _motor(drive: Drive) -> Motor:
-    joint_constant = drive.torque_constant_Nm_A * drive.gear_ratio
+def _motor(drive: Drive, joint_constant: float) -> Motor:
     return Motor(
         1.0 / joint_constant, drive.resistance_ohm, joint_constant, drive.supply_V, drive.current_limit_A
     )
@@ -123,12 +131,28 @@ class TorqueModel:
         self._known = torque_model(arm)
         self._empty = Dynamics(arm).inverse
         self._laden = Dynamics(arm, 1.0).inverse
+        self._rotor_kg_m2 = tuple(d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives)
 
     def __call__(
-        self, q_rad: Sequence[float], speed_rad_s: Sequence[float], acceleration_rad_s2: Sequence[float]
+        self,
+        q_rad: Sequence[float],
+        speed_rad_s: Sequence[float],
+        acceleration_rad_s2: Sequence[float],
+        motors: SetPoint | None = None,
+        /,
     ) -> Sequence[float]:
-        """Torques in N m: rigid body, rotors, payload, known friction."""
-        known = self._known(q_rad, speed_rad_s, acceleration_rad_s2)
+        """Torques in N m: rigid body, rotors, payload, and the effects that the arm's file names.
+
+        Where `motors` are to go elsewhere than the joints, their rotors alone follow that, and their magnets are met there.
+        """
+        known: Sequence[float] = self._known(
+            q_rad, speed_rad_s, acceleration_rad_s2, None if motors is None else motors.q_rad
+        )
+        if motors is not None:
+            parts = zip(
+                known, self._rotor_kg_m2, motors.acceleration_rad_s2, acceleration_rad_s2, strict=True
+            )
+            known = [torque + inertia * (motor - joint) for torque, inertia, motor, joint in parts]
         if self.payload_kg == 0.0:
             return known
         laden = self._laden(q_rad, speed_rad_s, acceleration_rad_s2)
@@ -158,6 +182,17 @@ def _set_point_limits(drive: Drive) -> SetPointLimits:
         drive.joint_upper_rad,
         SET_POINT_MARGIN * drive.joint_speed_limit_rad_s,
         SET_POINT_MARGIN * drive.joint_acceleration_limit_rad_s2,
+    )
+
+
+def _aim_limits(drive: Drive) -> SetPointLimits:
+    """Of the encoder's set-point, where it is not the joint's: its share of what scale and belt add, and the gear's own."""
+    most = SET_POINT_MARGIN * SLOPE_MOST
+    return SetPointLimits(
+        drive.joint_lower_rad,
+        drive.joint_upper_rad,
+        (most + SHARE_OF_SPEED) * drive.joint_speed_limit_rad_s,
+        (most + SHARE_OF_ACCELERATION) * drive.joint_acceleration_limit_rad_s2,
     )
 
 

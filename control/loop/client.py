@@ -27,6 +27,10 @@ class ArmFaulted(ArmError):
     """The arm is in FAULT: it was stopped, and what it says must be acknowledged by hand."""
 
 
+class MotionStopped(ArmError):
+    """Somebody stopped the motion before its end: what was to follow it must not."""
+
+
 class RuntimeGone(ArmError):
     """No runtime answers on the socket."""
 
@@ -155,22 +159,34 @@ class ArmClient:
     def home(self, timeout_s: float = 120.0) -> None:
         """Find every joint's zero; nothing to do for joints whose board still knows it."""
         if self.ask("home")["homing"]:
-            self.until(["HOLDING"], timeout_s)
+            self.arrive(timeout_s)
 
-    def move_joints(self, q_rad: Sequence[float], speed: float = 1.0) -> None:
-        """Joint move to `q_rad` at a fraction of the joints' limits; returns at rest."""
-        answer = self.ask("move_joints", q_rad=list(q_rad), speed=speed)
-        self.until(["HOLDING"], answer["duration_s"] + 5.0)
+    def move_joints(
+        self, q_rad: Sequence[float], speed: float = 1.0, waits: bool = True, as_encoders: bool = False
+    ) -> None:
+        """Joint move to `q_rad` at a fraction of the joints' limits; returns at rest, or at once where it does not wait.
 
-    def run_path(self, path: Message) -> None:
-        """Run a planned path (PlannedPath.to_message()); the arm must stand at its first point."""
-        answer = self.ask("run_path", path=path)
-        self.until(["HOLDING"], answer["duration_s"] + 5.0)
+        `as_encoders`: to encoder angles, without what the arm's model knows between encoders and joints.
+        """
+        answer = self.ask("move_joints", q_rad=list(q_rad), speed=speed, as_encoders=as_encoders)
+        if waits:
+            self.arrive(answer["duration_s"] + 5.0)
+
+    def run_path(self, path: Message, waits: bool = True, as_encoders: bool = False) -> None:
+        """Run a planned path (PlannedPath.to_message()); the arm must stand at its first point. `as_encoders`: as move_joints."""
+        answer = self.ask("run_path", path=path, as_encoders=as_encoders)
+        if waits:
+            self.arrive(answer["duration_s"] + 5.0)
+
+    def arrive(self, timeout_s: float, modes: Sequence[str] = ("HOLDING",)) -> None:
+        """Wait for a motion's end. MotionStopped where it was not its own."""
+        if self.until(modes, timeout_s)["was_stopped"]:
+            raise MotionStopped("the motion was stopped before its end; the arm holds where it came to rest")
 
     def run_joints(self, path: Message) -> None:
         """Run a path of the joints (JointPath.to_message()); the arm must stand at its first knot."""
         answer = self.ask("run_joints", path=path)
-        self.until(["HOLDING"], answer["duration_s"] + 5.0)
+        self.arrive(answer["duration_s"] + 5.0)
 
     def jog(self, timeout_s: float = 60.0, **step: Any) -> str:
         """A step: `joint` with `by_rad`, or `axis` with `by_m` (docs/socket.md), renewed until it has ended.

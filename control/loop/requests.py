@@ -19,7 +19,7 @@ from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath
-from control.motion.setpoint import Motion
+from control.motion.setpoint import Motion, SetPoint
 from control.safety.monitor import IllegalTransition
 from control.safety.table import TRAVELLING_MODES, Event, Mode
 from firmware_iface.errors import LinkError
@@ -111,7 +111,12 @@ class Requests:
 
     def _mode(self, request: Message, client: int) -> Message:
         runtime = self._runtime
-        return {"mode": runtime.monitor.mode.name, "progress": runtime.progress(), "pace": runtime.pace()}
+        return {
+            "mode": runtime.monitor.mode.name,
+            "progress": runtime.progress(),
+            "pace": runtime.pace(),
+            "was_stopped": runtime.was_stopped,
+        }
 
     def _enable(self, request: Message, client: int) -> Message:
         self._runtime.want_hold()
@@ -128,25 +133,29 @@ class Requests:
     def _move_joints(self, request: Message, client: int) -> Message:
         target = numbers(request, "q_rad", len(self._runtime.parts.joint_names))
         speed = number(request, "speed", 1e-3, 1.0, default=1.0)
-        move = JointMove(self._runtime.set_point, target, self._limits.scaled(speed))
+        move = JointMove(self._seen(request), target, self._limits.scaled(speed))
         return self._start(move, request, client)
 
     def _run_path(self, request: Message, client: int) -> Message:
         path = PlannedPath.from_message(request["path"])
-        self._require_at(path.q_start_rad)
+        self._require_at(path.q_start_rad, request)
         return self._start(path.motion(self._runtime.parts.inverse, self._kinematics), request, client)
 
     def _run_joints(self, request: Message, client: int) -> Message:
         path = JointPath.from_message(request["path"])
         path.require_within(self._limits)
-        self._require_at(path.knots[0].q_rad)
+        self._require_at(path.knots[0].q_rad, request)
         return self._start(path, request, client)
 
-    def _require_at(self, first_rad: Sequence[float]) -> None:
+    def _seen(self, request: Message) -> SetPoint:
+        """Where a motion begins: at joint angles, or at encoder angles where it is given so."""
+        return self._runtime.seen(bool(request.get("as_encoders")))
+
+    def _require_at(self, first_rad: Sequence[float], request: Message) -> None:
         """The arm holds at a path's first point; says why not, before where it stands is of any interest."""
         if self._runtime.monitor.mode is not Mode.HOLDING:
             self._runtime.on(Event.MOVE)
-        off_rad = max(abs(a - b) for a, b in zip(first_rad, self._runtime.set_point.q_rad, strict=True))
+        off_rad = max(abs(a - b) for a, b in zip(first_rad, self._seen(request).q_rad, strict=True))
         if off_rad > START_TOLERANCE_rad:
             raise ArmError(
                 f"the arm stands {off_rad:.4f} rad away from the path's first point (tolerance {START_TOLERANCE_rad} rad):"
@@ -154,7 +163,7 @@ class Requests:
             )
 
     def _start(self, motion: Motion, request: Message, client: int) -> Message:
-        self._runtime.start(motion)
+        self._runtime.start(motion, bool(request.get("as_encoders")))
         self._own(request, client)
         return {"duration_s": motion.duration_s, "run": self._runtime.run_number}
 

@@ -12,7 +12,7 @@ same object runs in a process of its own in real time and inside a test on a ste
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -29,10 +29,11 @@ from control.loop.servo import Servo
 from control.loop.stillness import Stillness
 from control.loop.watch import ZERO_SET, Expectation, Watch
 from control.model.inverse import InverseKinematics
+from control.model.joint_side import JointSide
 from control.motion.pace import Paced
 from control.motion.setpoint import Motion, SetPoint, at_rest
 from control.safety.fault import Fault, Reaction
-from control.safety.limits import SetPointLimits, limit_set_point
+from control.safety.limits import Clip, SetPointLimits, limit_set_point
 from control.safety.monitor import Monitor
 from control.safety.table import CONTROLLED_MODES, TRAVELLING_MODES, Event, Mode
 from firmware_iface.errors import BoardReset, LinkError
@@ -71,6 +72,8 @@ class Parts:
     do_counters_span: bool  # the whole travel of their joints, without a wrap
     period_s: float
     stopwatch_s: Callable[[], float]
+    aim_limits: tuple[SetPointLimits, ...] = ()  # of the encoders' set-points, for that arm
+    joint_side: JointSide | None = None  # of an arm whose encoders do not say where its joints are
 
 
 class Runtime:
@@ -93,8 +96,10 @@ class Runtime:
         self.paced: Paced | None = None  # the motion that runs, a stop too
         self.override = 1.0  # pace at which motions run
         self.jogging: Jogging | None = None
+        self.was_stopped = False  # the last motion, before its end
         self._zeros = (0.0,) * n
-        self.set_point = at_rest(self._zeros)
+        self.set_point = self.aim = at_rest(self._zeros)  # of the joints; of their encoders
+        self._is_of_encoders = False  # whether set_point is, while a motion runs that was given so
         self._elapsed_s = parts.period_s
         self._homing: HomingSequence | None = None
         self._drives = DriveReadiness(parts.joint_names)
@@ -117,6 +122,7 @@ class Runtime:
             self._read()
             self._watch(missed_in_row)
             self._advance()
+            self.aim = self.set_point if self.parts.joint_side is None else self._aimed()
             self._drive()
         except Exception as error:  # whatever breaks here, the arm must not be left moving
             self._break_down(error)
@@ -145,7 +151,7 @@ class Runtime:
         is_servoing = self._is_controlled()
         found = self.parts.watch.look(
             self.now_s, self.parts.hardware.feedback, measured.q_rad, measured.speed_rad_s,
-            self.set_point.q_rad, self.set_point.speed_rad_s, missed_in_row,
+            self.aim.q_rad, self.aim.speed_rad_s, missed_in_row,
             Expectation(self._drives.is_ready, self.monitor.is_homed, is_servoing),
         )  # fmt: skip
         for fault in found:
@@ -195,7 +201,9 @@ class Runtime:
 
     def _come_to_rest(self, event: Event) -> None:
         self.paced = self.jogging = None
-        self.set_point = at_rest(self.set_point.q_rad)
+        at_rad = self.set_point.q_rad
+        self.set_point = at_rest(self._joints(at_rad) if self._is_of_encoders else at_rad)
+        self._is_of_encoders = False
         self.on(event)
 
     def _take(self, wanted: SetPoint) -> None:
@@ -218,7 +226,9 @@ class Runtime:
             self.set_point = wanted
             return
         self.set_point = SetPoint(allowed.q_rad, allowed.speed_rad_s, self._zeros)
-        clip = allowed.reasons[0]
+        self._clipped(allowed.reasons[0])
+
+    def _clipped(self, clip: Clip) -> None:
         self.fail(
             Fault(
                 "set_point_limit",
@@ -231,7 +241,7 @@ class Runtime:
 
     def _stay(self) -> None:
         """Nothing is controlled: the set-point goes with the arm, and holds from there when that is wanted."""
-        self.set_point = at_rest(tuple(self.parts.measurement.q_rad))
+        self.set_point, self._is_of_encoders = at_rest(self._joints(self.parts.measurement.q_rad)), False
         if not (self._wants_hold and self._drives.is_ready):
             return
         if self.monitor.mode is Mode.OFF:
@@ -268,7 +278,8 @@ class Runtime:
             self.monitor.mode is Mode.JOGGING and not self.monitor.is_homed
         )
         fraction = HOMING_CURRENT_FRACTION if is_searching else 1.0
-        servo.update(set_point, measured.q_rad, measured.speed_rad_s, self.monitor.is_homed, fraction)
+        joints = None if self.aim is set_point else set_point
+        servo.update(self.aim, measured.q_rad, measured.speed_rad_s, self.monitor.is_homed, fraction, joints)
         self.parts.hardware.write(servo.mode, servo.output, servo.feedforward_V)
 
     def _record(self, late_s: float) -> None:
@@ -280,8 +291,8 @@ class Runtime:
         is_open = self.monitor.mode in (Mode.GUIDING, Mode.OFF)
         for joint in range(feedback.joint_count):
             row += (
-                measured.q_rad[joint], self.set_point.q_rad[joint],
-                measured.speed_rad_s[joint], self.set_point.speed_rad_s[joint], feedback.count[joint],
+                measured.q_rad[joint], self.aim.q_rad[joint],
+                measured.speed_rad_s[joint], self.aim.speed_rad_s[joint], feedback.count[joint],
                 math.nan if is_open else servo.volts[joint], feedback.current_A[joint],
                 feedback.supply_V[joint], feedback.temperature_C[joint], feedback.statusword[joint],
                 feedback.drive_faults[joint], feedback.channel_flags[joint], feedback.counted_at_s[joint],
@@ -309,6 +320,7 @@ class Runtime:
             self.fault_rows = self.parts.recorder.last_rows()
             self._homing = self.jogging = None
             self._wants_hold = False
+        self.was_stopped = True
         if self.monitor.is_held_fault and is_first:
             self._stop_where(self.set_point if fault.code != "following_error" else self._measured())
         elif not was_braking and self.monitor.reaction is Reaction.BRAKE:
@@ -342,7 +354,46 @@ class Runtime:
 
     def _measured(self) -> SetPoint:
         measured = self.parts.measurement
-        return SetPoint(tuple(measured.q_rad), tuple(measured.speed_rad_s), self._zeros)
+        return SetPoint(self._joints(measured.q_rad), tuple(measured.speed_rad_s), self._zeros)
+
+    def _joints(self, encoder_rad: Sequence[float]) -> tuple[float, ...]:
+        """Joint angles of an arm that stands where its encoders say; before homing nobody knows better than they."""
+        side = self.parts.joint_side
+        if side is None or not self.monitor.is_homed:
+            return tuple(encoder_rad)
+        return side.stand(encoder_rad, self.parts.servo.torque_model.payload_kg)
+
+    def _aimed(self) -> SetPoint:
+        """Where the encoders are to be for the joints' set-point, inside their own limits."""
+        side = self.parts.joint_side
+        if side is None or not self.monitor.is_homed:
+            return self.set_point
+        aim = SetPoint(*side.aim(self.set_point, self._elapsed_s, self.parts.servo.torque_model.payload_kg))
+        if self._is_of_encoders:
+            return self.set_point
+        if self.monitor.mode not in _ON_PATH:
+            return aim
+        allowed = limit_set_point(
+            aim.q_rad, self.aim.q_rad, self.aim.speed_rad_s, self.parts.aim_limits, self._elapsed_s
+        )
+        if not allowed.reasons:
+            return aim
+        self._clipped(allowed.reasons[0])
+        return SetPoint(allowed.q_rad, allowed.speed_rad_s, self._zeros)
+
+    def joint_rad(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Angles that the joints have and are to have, as far as the model knows what is between them and their encoders."""
+        side, measured = self.parts.joint_side, self.parts.measurement.q_rad
+        if side is None or not self.monitor.is_homed:
+            return tuple(measured), self.set_point.q_rad
+        return side.joint_rad(measured), self.seen(as_encoders=False).q_rad
+
+    def seen(self, as_encoders: bool) -> SetPoint:
+        """Where the arm is to stand now, as joint angles or as encoder angles."""
+        side = self.parts.joint_side
+        if side is None or not self.monitor.is_homed or as_encoders == self._is_of_encoders:
+            return self.set_point
+        return at_rest(self.aim.q_rad if as_encoders else side.joint_rad(self.aim.q_rad))
 
     def _break_down(self, error: Exception) -> None:
         """Something in the cycle raised: fault, and 0 V as long as the links still carry it."""
@@ -389,10 +440,12 @@ class Runtime:
         self._is_going_off = False
         self._wants_hold = True
 
-    def start(self, motion: Motion) -> None:
-        """Start a motion that was checked and that begins at the set-point, at rest."""
+    def start(self, motion: Motion, as_encoders: bool = False) -> None:
+        """Start a motion that was checked and that begins where the arm is `seen`, at rest."""
         self.on(Event.MOVE)
+        self.set_point, self._is_of_encoders = self.seen(as_encoders), as_encoders
         self.run_number += 1
+        self.was_stopped = False
         self.paced = self._begun(motion, self.override)
 
     def jog(self, wish: Wish) -> None:
@@ -405,6 +458,7 @@ class Runtime:
         jogging.ask(self.now_s, wish, self.set_point)
         self.on(Event.JOG)
         self.run_number += 1
+        self.was_stopped = False
         self.jogging = jogging
 
     def renew_jog(self) -> None:
@@ -427,6 +481,7 @@ class Runtime:
         self.on(Event.STOP)
         self._wants_hold = False
         if self.monitor.mode is Mode.STOPPING and before is not Mode.STOPPING:
+            self.was_stopped = True
             self._homing = self.jogging = None
             self._stop_where(self.set_point)
 
@@ -515,12 +570,15 @@ class Runtime:
         self.on(Event.HOMED)
         if not was_homed:
             self.parts.servo.learn_pose()
+            self.set_point = at_rest(self._joints(self.set_point.q_rad))
 
     def start_homing(self) -> None:
         """Home every joint, one after the other. ArmError when arm.toml does not say how."""
         sequence = self.parts.homing()
         self.on(Event.HOME)
+        self.set_point = at_rest(self.aim.q_rad)
         self.run_number += 1
+        self.was_stopped = False
         self._homing = sequence
 
     def _home(self) -> None:
@@ -537,5 +595,8 @@ class Runtime:
 
     def _follow_shift(self) -> None:
         """A counter was shifted under a joint that is held: its set-point is shifted with it, so nothing moves."""
-        shifted = zip(self.set_point.q_rad, self.parts.measurement.shifted_rad, strict=True)
-        self.set_point = self.set_point._replace(q_rad=tuple(q + shift for q, shift in shifted))
+        shifts = self.parts.measurement.shifted_rad
+        self.set_point, self.aim = (
+            point._replace(q_rad=tuple(q + shift for q, shift in zip(point.q_rad, shifts, strict=True)))
+            for point in (self.set_point, self.aim)
+        )

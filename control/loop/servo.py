@@ -32,12 +32,20 @@ class JointPid(Protocol):
 
 
 class TorqueModel(Protocol):
-    """Joint torques in N m that the model expects for angles, speeds and accelerations, with a payload at the tip."""
+    """Joint torques in N m that the model expects for angles, speeds and accelerations, with a payload at the tip.
+
+    `motors`: the set-point of the encoders, where that is not the joints'.
+    """
 
     payload_kg: float
 
     def __call__(
-        self, q_rad: Sequence[float], speed_rad_s: Sequence[float], acceleration_rad_s2: Sequence[float]
+        self,
+        q_rad: Sequence[float],
+        speed_rad_s: Sequence[float],
+        acceleration_rad_s2: Sequence[float],
+        motors: SetPoint | None = None,
+        /,
     ) -> Sequence[float]: ...
 
 
@@ -119,12 +127,19 @@ class Servo:
         speed_rad_s: Sequence[float],
         knows_pose: bool,
         current_fraction: float = 1.0,
+        joints: SetPoint | None = None,
     ) -> None:
         """One cycle. Without a known pose (before homing) gravity is left to the integral.
 
-        `current_fraction` scales the current limit, so that homing runs with little force.
+        `current_fraction` scales the current limit, so that homing runs with little force. `set_point` is the encoders'; `joints`
+        is that of the joints where the model knows that the two are not the same.
         """
-        torque_Nm = self.torque_model(*set_point) if knows_pose else self._no_torque
+        if not knows_pose:
+            torque_Nm: Sequence[float] = self._no_torque
+        elif joints is None:
+            torque_Nm = self.torque_model(*set_point)
+        else:
+            torque_Nm = self.torque_model(*joints, set_point)
         if self._share < 1.0:
             self._share = min(1.0, self._share + self._fade_step)
             torque_Nm = [self._share * torque for torque in torque_Nm]

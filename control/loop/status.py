@@ -14,8 +14,9 @@ NEAR = 0.9  # of a limit: worth a warning
 def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
     """Everything that an operator or a program wants to know of the arm now."""
     parts, monitor = runtime.parts, runtime.monitor
-    feedback, measured, set_point = parts.hardware.feedback, parts.measurement, runtime.set_point
+    feedback, measured, aim = parts.hardware.feedback, parts.measurement, runtime.aim
     q_rad = measured.q_rad
+    joint_rad, joint_set_rad = runtime.joint_rad()
     sees_tip = runtime.now_s - runtime.camera_at_s < CAMERA_FRESH_S
     return {
         "mode": monitor.mode.name,
@@ -24,9 +25,10 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
         "t_s": runtime.now_s,
         "cycle": runtime.cycles,
         "q_rad": q_rad,
-        "q_set_rad": set_point.q_rad,
+        "q_set_rad": aim.q_rad,
+        "joint_rad": joint_rad,
         "speed_rad_s": measured.speed_rad_s,
-        "following_error_rad": [s - m for s, m in zip(set_point.q_rad, q_rad, strict=True)],
+        "following_error_rad": [s - m for s, m in zip(aim.q_rad, q_rad, strict=True)],
         "direction": measured.direction,
         "count": feedback.count,
         "current_A": feedback.current_A,
@@ -35,11 +37,12 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
         "output": parts.servo.output,
         "output_mode": parts.servo.mode.name,
         "drive_state": [_state_name(word) for word in feedback.statusword],
-        "tip_m": kinematics.tip(*q_rad) if monitor.is_homed else None,
-        "tip_set_m": kinematics.tip(*set_point.q_rad) if monitor.is_homed else None,
+        "tip_m": kinematics.tip(*joint_rad) if monitor.is_homed else None,
+        "tip_set_m": kinematics.tip(*joint_set_rad) if monitor.is_homed else None,
         "camera_m": runtime.camera_m if sees_tip else None,
         "progress": runtime.progress(),
         "pace": runtime.pace(),
+        "was_stopped": runtime.was_stopped,
         "override": runtime.override,
         "faults": [
             {"code": f.code, "where": f.where, "message": f.message, "remedy": f.remedy}

@@ -1,36 +1,93 @@
-"""The torque that the model expects for a motion: rigid body, rotors, and the friction among the arm's effects."""
+"""The torque that the model expects for a motion: rigid body, rotors, and what the arm's effects add to it.
+
+Masses by `payload` and `link_inertia`, frictions by the sign of the set-point's speed, cogging by the motor's angle.
+"""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from math import exp, sin, tanh
+from typing import Protocol
 
 from control.model.arm import Arm, Effect
 from control.model.dynamics import Dynamics
 from control.model.effect_laws import SMOOTH_rad_s
 
 Torques = tuple[float, ...]
-FrictionTerm = Callable[[float, float, float], float]  # joint angle, speed, rigid-body torque -> torque
+FrictionTerm = Callable[
+    [float, float, float], float
+]  # motor's angle, joint's speed, rigid-body torque -> torque
 
 
-def torque_model(
-    arm: Arm, payload_kg: float = 0.0
-) -> Callable[[Sequence[float], Sequence[float], Sequence[float]], Torques]:
-    """Return `torques(q, speed, acceleration)` [N m at the joints] for the arm with all that it knows of itself.
+class MotionTorques(Protocol):
+    """Joint torques [N m] for angles, speeds and accelerations of the joints; `motor_rad` where the motors are not at those."""
+
+    def __call__(
+        self,
+        q: Sequence[float],
+        speed: Sequence[float],
+        acceleration: Sequence[float],
+        motor_rad: Sequence[float] | None = None,
+        /,
+    ) -> Torques: ...
+
+
+def torque_model(arm: Arm, payload_kg: float = 0.0) -> MotionTorques:
+    """Return the torques of the arm with all that it knows of itself.
 
     Raises MissingModel where the arm's file lacks masses.
     """
-    rigid = Dynamics(arm, payload_kg).inverse
+    rigid = Dynamics(with_link_inertia(arm), payload_kg + own_payload_kg(arm)).inverse
     terms = [(e.joint - 1, _term(arm, e)) for e in arm.effects if e.joint is not None and e.effect in _LAWS]
-    if not terms:
-        return rigid
 
-    def torques(q: Sequence[float], speed: Sequence[float], acceleration: Sequence[float]) -> Torques:
+    def torques(
+        q: Sequence[float],
+        speed: Sequence[float],
+        acceleration: Sequence[float],
+        motor_rad: Sequence[float] | None = None,
+        /,
+    ) -> Torques:
         transmitted = rigid(q, speed, acceleration)
-        total = list(transmitted)
+        if not terms:
+            return transmitted
+        total, at = list(transmitted), q if motor_rad is None else motor_rad
         for joint, term in terms:
-            total[joint] += term(q[joint], speed[joint], transmitted[joint])
+            total[joint] += term(at[joint], speed[joint], transmitted[joint])
         return tuple(total)
 
     return torques
+
+
+def own_payload_kg(arm: Arm) -> float:
+    """What the arm's file says that the tip carries."""
+    return sum(e.parameters["mass_kg"] for e in arm.effects if e.effect == "payload")
+
+
+def with_link_inertia(arm: Arm) -> Arm:
+    """The arm with the mass and inertia that `link_inertia` adds put into its links; the same arm where there is none."""
+    more = [
+        (e.joint - 1, e.parameters) for e in arm.effects if e.effect == "link_inertia" and e.joint is not None
+    ]
+    if not more:
+        return arm
+    links = list(arm.links)
+    for at, parameters in more:
+        link = links[at]
+        inertia = link.inertia_kg_m2 or (0.0, 0.0, 0.0)
+        extra = parameters.get("inertia_kg_m2", 0.0)
+        links[at] = replace(
+            link,
+            mass_kg=(link.mass_kg or 0.0) + parameters.get("mass_kg", 0.0),
+            com_m=link.com_m or (0.0, 0.0, 0.0),
+            inertia_kg_m2=(inertia[0] + extra, inertia[1] + extra, inertia[2] + extra),
+        )
+    return replace(arm, links=tuple(links))
+
+
+def torque_constants_Nm_A(arm: Arm) -> Torques:
+    """Joint torque per ampere, and volts per rad/s, of each motor; MissingModel where a joint has no [[drive]]."""
+    scale = {e.joint: e.parameters["scale"] for e in arm.effects if e.effect == "torque_constant"}
+    drives = [arm.drive(joint) for joint in range(1, arm.joint_count + 1)]
+    return tuple(d.gear_ratio * d.torque_constant_Nm_A * scale.get(d.joint, 1.0) for d in drives)
 
 
 def _term(arm: Arm, effect: Effect) -> FrictionTerm:

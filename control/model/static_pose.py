@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from control.model.arm import Arm
 from control.model.dynamics import Dynamics
+from control.model.feedforward import own_payload_kg, torque_constants_Nm_A, with_link_inertia
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -83,18 +84,16 @@ def resting(
 
 
 def gravity_Nm(arm: Arm, q_rad: ArrayLike, payload_kg: ArrayLike = 0.0) -> Array:
-    """Torques (m, n) that hold the links of poses (m, n) still; a payload effect of the arm is counted in."""
+    """Torques (m, n) that hold the links of poses (m, n) still; effects of the arm that weigh something are counted in."""
     q = np.asarray(q_rad, dtype=np.float64)
-    own_kg = sum(e.parameters["mass_kg"] for e in arm.effects if e.effect == "payload")
     still = np.zeros(q.shape)
-    return Dynamics(arm).torques(q, still, still, np.asarray(payload_kg, dtype=np.float64) + own_kg)
+    load_kg = np.asarray(payload_kg, dtype=np.float64) + own_payload_kg(arm)
+    return Dynamics(with_link_inertia(arm)).torques(q, still, still, load_kg)
 
 
 def torque_per_A(arm: Arm) -> Array:
     """Joint torque per ampere of each motor, (n,); MissingModel where a joint has no [[drive]]."""
-    scale = {e.joint: e.parameters["scale"] for e in arm.effects if e.effect == "torque_constant"}
-    drives = [arm.drive(joint) for joint in range(1, arm.joint_count + 1)]
-    return np.array([d.gear_ratio * d.torque_constant_Nm_A * scale.get(d.joint, 1.0) for d in drives])
+    return np.array(torque_constants_Nm_A(arm))
 
 
 def friction_Nm(arm: Arm, held_Nm: Array) -> tuple[Array, Flags]:

@@ -5,12 +5,16 @@ from dataclasses import dataclass, replace
 
 from control.errors import MissingModel
 from control.model.arm import Arm
+from control.model.joint_side import room_rad
 from control.motion.errors import MotionError
 
 
 @dataclass(frozen=True, slots=True)
 class JointLimits:
-    """One float per joint in each tuple; the range may be infinite, the others are positive and finite."""
+    """One float per joint in each tuple; the range may be infinite, the others are positive and finite.
+
+    The range is that in which joint and encoder are both within the limits of arm.toml.
+    """
 
     lower_rad: tuple[float, ...]
     upper_rad: tuple[float, ...]
@@ -28,9 +32,10 @@ class JointLimits:
                     raise MissingModel(
                         f"arm {arm.name}: to move, joint {drive.joint} needs joint_{quantity} in its [[drive]]"
                     )
+        room = room_rad(arm)
         return JointLimits(
-            lower_rad=tuple(drive.joint_lower_rad for drive in drives),
-            upper_rad=tuple(drive.joint_upper_rad for drive in drives),
+            lower_rad=tuple(lower for lower, _ in room),
+            upper_rad=tuple(upper for _, upper in room),
             speed_rad_s=tuple(drive.joint_speed_limit_rad_s for drive in drives),
             acceleration_rad_s2=tuple(drive.joint_acceleration_limit_rad_s2 for drive in drives),
             jerk_rad_s3=tuple(drive.joint_jerk_limit_rad_s3 for drive in drives),

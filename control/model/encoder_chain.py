@@ -1,0 +1,79 @@
+"""From encoder to joint where nothing gives: scale, eccentric discs, the belt; and back, with speeds and accelerations.
+
+    joint_j = (1 + scale_j) e_j + a_j sin e_j + b_j cos e_j  [+ ratio joint_2 for joint 3]
+
+with a, b = amplitude cos(phase), amplitude sin(phase). Plain floats: both ways run every cycle.
+"""
+
+from collections.abc import Sequence
+from math import cos, sin
+from typing import Final
+
+from control.model.arm import Arm
+
+RIGID_EFFECTS: Final = frozenset({"encoder_scale", "encoder_eccentricity", "belt_coupling"})
+_COUPLED, _COUPLED_TO = 2, 1  # joints 3 and 2
+_ROUNDS = 3  # Newton's; each squares an error that begins below 1e-2 rad
+Floats = tuple[float, ...]
+
+
+class EncoderChain:
+    """The rigid part of what is between encoders and joints. Angles are encoder angles and joint angles, one a joint."""
+
+    __slots__ = ("_cosine", "_gain", "_ratio", "_sine")
+
+    def __init__(self, arm: Arm) -> None:
+        n = arm.joint_count
+        self._gain, self._sine, self._cosine = [1.0] * n, [0.0] * n, [0.0] * n
+        self._ratio = 0.0
+        for effect in arm.effects:
+            p, j = effect.parameters, (effect.joint or 0) - 1
+            if effect.effect == "encoder_scale":
+                self._gain[j] += p["scale"]
+            elif effect.effect == "encoder_eccentricity":
+                self._sine[j] += p["amplitude_rad"] * cos(p["phase_rad"])
+                self._cosine[j] += p["amplitude_rad"] * sin(p["phase_rad"])
+            elif effect.effect == "belt_coupling":
+                self._ratio += p["ratio"]
+
+    def joint_of(self, joint: int, e: float) -> float:
+        """Angle of one joint (0-based) without what the belt adds."""
+        return self._gain[joint] * e + self._sine[joint] * sin(e) + self._cosine[joint] * cos(e)
+
+    def joints(self, encoder_rad: Sequence[float], offset_rad: Sequence[float]) -> Floats:
+        """Joint angles where each motor is ahead of its joint by `offset_rad`."""
+        q = [self.joint_of(j, e) - offset_rad[j] for j, e in enumerate(encoder_rad)]
+        if self._ratio:
+            q[_COUPLED] += self._ratio * q[_COUPLED_TO]
+        return tuple(q)
+
+    def encoders(
+        self, q_rad: Sequence[float], speed_rad_s: Sequence[float], acceleration_rad_s2: Sequence[float]
+    ) -> tuple[Floats, Floats, Floats]:
+        """Encoder angles, speeds and accelerations at angles, speeds and accelerations of the motors (unbelted joints)."""
+        q, speed, acceleration = list(q_rad), list(speed_rad_s), list(acceleration_rad_s2)
+        for j, wanted in enumerate(q):
+            q[j], speed[j], acceleration[j] = self._encoder(j, wanted, speed[j], acceleration[j])
+        return tuple(q), tuple(speed), tuple(acceleration)
+
+    def unbelted(self, values: Sequence[float]) -> list[float]:
+        """Angles, speeds or accelerations of the joints less what the belt does to joint 3."""
+        own = list(values)
+        if self._ratio:
+            own[_COUPLED] -= self._ratio * own[_COUPLED_TO]
+        return own
+
+    def belt(self, second: float) -> float:
+        """What the belt adds to joint 3 for an angle, speed or acceleration of joint 2."""
+        return self._ratio * second
+
+    def _encoder(self, j: int, q: float, speed: float, acceleration: float) -> tuple[float, float, float]:
+        gain, a, b = self._gain[j], self._sine[j], self._cosine[j]
+        if a == b == 0.0:
+            return q / gain, speed / gain, acceleration / gain
+        e = q / gain
+        for _ in range(_ROUNDS):
+            e -= (gain * e + a * sin(e) + b * cos(e) - q) / (gain + a * cos(e) - b * sin(e))
+        slope, bend = gain + a * cos(e) - b * sin(e), a * sin(e) + b * cos(e)
+        turned = speed / slope
+        return e, turned, (acceleration + bend * turned * turned) / slope

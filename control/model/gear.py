@@ -1,0 +1,96 @@
+"""One gear with play or a spring behind a motor: on which flank it lies, and how far its motor is to be ahead of the joint.
+
+A gear lies on the flank that the torque which it transmits points to. For a set-point that is known beforehand:
+
+- while the joint is to move, the sign of links' torque + link-side friction times direction;
+- while it is to rest, that of gravity where friction cannot turn it round, else the flank on which it came to rest;
+- near zero, the last one: a set-point makes no noise, but a model is not exact.
+
+What flank and spring ask for is followed with limited speed and acceleration, critically damped: it never jumps.
+"""
+
+from dataclasses import dataclass
+from math import copysign, sqrt
+from typing import Final
+
+DOUBT: Final = 0.05  # of the friction: a torque below that leaves the flank as it was
+PACE_rad_s: Final = 100.0  # of following: faster than the position loop (40 rad/s)
+STEP_S, MOST_STEPS = 0.002, 100  # of following; after a pause of the host it need not be exact
+_STILL_rad_s = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class GearLaw:
+    """What is known of a gear; dry friction and load friction are the link side's part."""
+
+    width_rad: float
+    compliance_rad_Nm: float
+    friction_Nm: float
+    load_fraction: float
+    speed_rad_s: float  # most, of what comes on top of the joint's motion
+    acceleration_rad_s2: float
+
+
+class Gear:
+    """The state of one gear. `offset_rad` is by how much the motor is to be ahead of the joint, with its two derivatives."""
+
+    __slots__ = ("_direction", "_flank", "_law", "acceleration_rad_s2", "offset_rad", "speed_rad_s")
+
+    def __init__(self, law: GearLaw) -> None:
+        self._law = law
+        self._flank = 0.0  # 0: not known yet
+        self._direction = 0.0  # of the last motion
+        self.offset_rad = self.speed_rad_s = self.acceleration_rad_s2 = 0.0
+
+    @property
+    def flank(self) -> int:
+        """Sign of the torque from motor to joint; 0 while nobody knows it."""
+        return int(self._flank)
+
+    def rest(self, torque_Nm: float) -> None:
+        """The joint stands, with this torque of the links; nothing is on its way."""
+        self.offset_rad = self._wanted(torque_Nm, 0.0, 0.0)
+        self.speed_rad_s = self.acceleration_rad_s2 = 0.0
+
+    def follow(
+        self, torque_Nm: float, speed_rad_s: float, acceleration_rad_s2: float, elapsed_s: float
+    ) -> None:
+        """The joint is to move so, `elapsed_s` after the last call, with this torque of the links."""
+        wanted = self._wanted(torque_Nm, speed_rad_s, acceleration_rad_s2)
+        if wanted == self.offset_rad and self.speed_rad_s == 0.0:
+            self.acceleration_rad_s2 = 0.0
+            return
+        steps = min(max(round(elapsed_s / STEP_S), 1), MOST_STEPS)
+        for _ in range(steps):
+            self._approach(wanted, min(elapsed_s / steps, STEP_S))
+
+    def _wanted(self, torque: float, speed: float, acceleration: float) -> float:
+        law = self._law
+        friction = law.friction_Nm + law.load_fraction * abs(torque)
+        is_still = -_STILL_rad_s < speed < _STILL_rad_s
+        if not is_still:
+            self._direction = copysign(1.0, speed)
+        if is_still and acceleration == 0.0:
+            if abs(torque) > friction * (1.0 + DOUBT):
+                self._flank = copysign(1.0, torque)
+        else:
+            way = copysign(1.0, acceleration) if is_still else self._direction
+            pushed = torque + friction * way
+            if abs(pushed) > DOUBT * friction:
+                self._flank = copysign(1.0, pushed)
+        transmitted = torque + friction * self._direction
+        return 0.5 * law.width_rad * self._flank + law.compliance_rad_Nm * transmitted
+
+    def _approach(self, wanted: float, step_s: float) -> None:
+        """One step of a critically damped follower whose speed leaves it room to brake."""
+        law, off = self._law, wanted - self.offset_rad
+        most = min(law.speed_rad_s, sqrt(law.acceleration_rad_s2 * abs(off)))
+        target = min(max(0.5 * PACE_rad_s * off, -most), most)
+        a = 2.0 * PACE_rad_s * (target - self.speed_rad_s)
+        limit = law.acceleration_rad_s2
+        a = min(max(a, -limit), limit)
+        self.acceleration_rad_s2 = a
+        self.speed_rad_s += a * step_s
+        self.offset_rad += self.speed_rad_s * step_s
+        if abs(off) < 1e-9 and abs(self.speed_rad_s) < 1e-7:
+            self.offset_rad, self.speed_rad_s, self.acceleration_rad_s2 = wanted, 0.0, 0.0
