@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+ON_LINKS = ("link_flexure", "link_inertia")  # the key is still `joint`, and carries the link's number
+
 
 @dataclass(frozen=True, slots=True)
 class EffectName:
@@ -18,7 +20,8 @@ class EffectName:
 
     def __str__(self) -> str:
         """As `backlash on joint 2`."""
-        return self.effect if self.joint is None else f"{self.effect} on joint {self.joint}"
+        place = "link" if self.effect in ON_LINKS else "joint"
+        return self.effect if self.joint is None else f"{self.effect} on {place} {self.joint}"
 
     def content(self) -> dict[str, object]:
         """For gap.json."""

@@ -12,6 +12,7 @@ from calib.errors import CalibrationError, UnusablePointsError
 from calib.identify.arm_model import ArmModel
 from calib.identify.frames import Frame, rotation_of
 from calib.identify.joint_effects import corrections, known_corrections
+from calib.identify.link_bending import known_bending_m
 from calib.identify.observations import Correction, Observations
 from calib.identify.parameters import Bounds
 from calib.identify.problem import ArmProblem
@@ -99,6 +100,7 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
         points.setup,
         points.point,
         (*corrections(arm, points, choice.effects), *choice.corrections),
+        known_bending_m(arm, points.q_rad, points.payload_kg),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +18,8 @@ class Correction:
     """One effect behind the encoder, linear in its parameter: joint angle = encoder angle + parameter * slope_rad.
 
     `slope_rad` (m, n) per unit of the parameter; e.g. the encoder angle itself for a scale, -flank / 2 for a backlash's
-    width. `bound` and `typical` as of a Parameter.
+    width. `slope_m` (m, 3): how the effect moves the tip beyond what joints do, base frame; a link that bends. `bound` and
+    `typical` as of a Parameter.
     """
 
     name: str
@@ -26,6 +28,12 @@ class Correction:
     bound: float
     nominal: float = 0.0
     typical: float = 0.0
+    slope_m: Array | None = None
+
+    def chosen(self, keep: npt.NDArray[np.intp]) -> Correction:
+        """The same at these poses."""
+        slope_m = None if self.slope_m is None else frozen(self.slope_m[keep])
+        return dataclasses.replace(self, slope_rad=frozen(self.slope_rad[keep]), slope_m=slope_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +41,8 @@ class Observations:
     """m poses. Arrays are read-only.
 
     q_rad (m, n) from the encoders; position_m (m, 3): where the tip was, in the frame frames[frame[i]];
-    `setup` and `point` name each pose.
+    `setup` and `point` name each pose. `known_shift_m` (m, 3): how effects that the arm has already move the tip beyond what
+    joints do.
     """
 
     q_rad: Array
@@ -43,6 +52,7 @@ class Observations:
     setup: tuple[str, ...] = ()
     point: tuple[str, ...] = ()
     corrections: tuple[Correction, ...] = field(default=())
+    known_shift_m: Array | None = None
 
     def __post_init__(self) -> None:
         """Shapes that do not fit are a programming error of whoever assembles them."""
@@ -77,8 +87,6 @@ class Observations:
             self.frames,
             tuple(self.setup[k] for k in keep) if self.setup else (),
             tuple(self.point[k] for k in keep) if self.point else (),
-            tuple(
-                Correction(c.name, c.unit, frozen(c.slope_rad[keep]), c.bound, c.nominal, c.typical)
-                for c in self.corrections
-            ),
+            tuple(c.chosen(keep) for c in self.corrections),
+            None if self.known_shift_m is None else frozen(self.known_shift_m[keep]),
         )

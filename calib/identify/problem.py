@@ -172,11 +172,20 @@ class ArmProblem:
             q = q + value * correction.slope_rad[rows]
         return q
 
+    def _bent(self, tips: Array, values: Array, rows: slice) -> Array:
+        """Tips (m, 3) moved by what no joint's angle does: links that bend."""
+        if self.observed.known_shift_m is not None:
+            tips = tips + self.observed.known_shift_m[rows]
+        for value, correction in zip(values, self.observed.corrections, strict=True):
+            if correction.slope_m is not None:
+                tips = tips + value * correction.slope_m[rows]
+        return tips
+
     def residuals(self, x: Array, rows: slice = ALL) -> Array:
         """Reference minus modelled tip, (m, 3), base frame."""
         dh, tool, moves, values = self._parts(x)
         tips = self.model.tips(dh, self._joint_rad(values, rows), tool)
-        return np.asarray(self._references(moves, rows)[0] - tips)
+        return np.asarray(self._references(moves, rows)[0] - self._bent(tips, values, rows))
 
     def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
         """Residuals (m, 3) and their derivative with respect to x, (m, 3, k)."""
@@ -200,7 +209,7 @@ class ArmProblem:
             self._frame_columns(columns[self._frames_at : self._corrections_at], moves, arms, rows)
             self._correction_columns(columns[self._corrections_at :], slopes.by_dh, rows)
         return Expansion(
-            residuals=references - slopes.tips,
+            residuals=references - self._bent(slopes.tips, values, rows),
             columns=columns,
             places=self._places,
             scale=self._scale,
@@ -256,10 +265,12 @@ class ArmProblem:
                 block[3 + axis][:, here] = -(cross_matrix(turns[:, axis]) @ arms[here].T)
 
     def _correction_columns(self, columns: Array, by_dh: Array, rows: slice) -> None:
-        """Derivatives by the corrections: through the joints' angles."""
+        """Derivatives by the corrections: through the joints' angles, and of the tip itself."""
         theta = list(self.model.theta_places)
         for column, correction in zip(columns, self.observed.corrections, strict=True):
             column[:] = np.einsum("mij,mj->im", by_dh[:, :, theta], correction.slope_rad[rows])
+            if correction.slope_m is not None:
+                column += correction.slope_m[rows].T
 
 
 def _centres(observed: Observations) -> list[Array]:

@@ -1,27 +1,29 @@
 """Every effect that could move the tip of an arm at rest, with what it would do at each pose.
 
 Laws and signs are those of control.model.effect_laws: joint angle = encoder angle + law. Each is linear in its coefficients
-at a known pose; `parameters` turns coefficients into the parameters of formats.md.
+at a known pose; what hangs on loads is in `loads`, what moves the frame of the measurement in `frame`.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 
-from calib.arrays import Array, Mask, frozen
+from calib.arrays import Array, frozen
 from calib.gap.finding import EffectName
+from calib.gap.static.candidate import Candidate, Parameters, amplitude_and_phase, inverse, plain
+from calib.gap.static.frame import of_the_frame
+from calib.gap.static.loads import of_the_loads, stated_kg
+from calib.identify.joint_laws import LAWS
 from calib.points import Points
 from control.errors import MissingModel
 from control.model.arm import Arm
 from control.model.effect_laws import backlash_rad, compliance_rad
 from control.model.static_pose import CURRENT_NOISE_A, GRAVITY_ERROR, RestingPose, resting, torque_per_A
 
-Parameters = Mapping[str, tuple[float, float]]
 # Sizes that are common on self-built arms: the prior's standard deviation, and what `nameable` is judged for.
 WIDTH_rad = 0.005
 SCALE = 0.005
@@ -29,48 +31,35 @@ AMPLITUDE_rad = 0.003
 SOFTNESS_rad_Nm = 1.0 / 800.0
 RATIO = 0.01
 DRIFT_rad = 0.003
-TIME_CONSTANTS_s = tuple(np.geomspace(30.0, 30_000.0, 13))
+TIME_CONSTANTS_s = tuple(np.geomspace(30.0, 30_000.0, 19))
 NO_TORQUE_Nm = 1e-6
 SHARE_STEP = 0.1
 LINK_SHARES = tuple((SHARE_STEP * np.arange(11)).tolist())
-DRIFT_SPAN_LEAST = (
-    0.05  # of a drift's time constant that a session must last for it to differ from a constant
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """An effect with c coefficients: `slope_rad` (c, m, n) moves joints, per unit; `size` (c,) is typical.
-
-    Candidates of one name are shapes of one effect, of which at most one applies (`shape` says which). `is_positive`: its
-    coefficients cannot be negative, a play or a softness. `unsure` (m,): poses in which nobody can tell what the effect does.
-    """
-
-    name: EffectName
-    slope_rad: Array
-    size: Array
-    parameters: Callable[[Array, Array], Parameters]
-    is_positive: bool = False
-    shape: float = 0.0
-    unsure: Mask | None = None
+WOUND_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of held friction that winds a soft gear up
+DRIFT_TIMES_SPAN = 1.5  # of a session, up to which a time constant bends its course enough to be one
 
 
 def candidates(arm: Arm, points: Points) -> tuple[Candidate, ...]:
     """All of them, those that need masses or times left out where there are none."""
-    found = [*_of_the_encoder(points)]
+    found = [*_of_the_encoder(points), *of_the_frame(arm, points)]
     try:
-        pose = resting(arm, points.q_rad, points.direction, points.current_A, _payload(points))
+        pose = resting(arm, points.q_rad, points.direction, points.current_A, stated_kg(points))
     except MissingModel:
         pose = None
     if pose is not None:
         found += _of_the_gear(points, pose, CURRENT_NOISE_A * torque_per_A(arm))
+    found += of_the_loads(arm, points)
     if np.isfinite(points.t_s).all() and np.ptp(points.t_s) > 0.0:
         found += _of_the_time(points)
-    return tuple(found)
+    return tuple(_beside_known(arm, one) for one in found)
 
 
-def _payload(points: Points) -> Array:
-    return np.nan_to_num(points.payload_kg)
+def _beside_known(arm: Arm, one: Candidate) -> Candidate:
+    """With what the arm's file has of the same effect."""
+    for effect in arm.effects:
+        if (effect.effect, effect.joint) == (one.name.effect, one.name.joint) and effect.effect in LAWS:
+            return one.beside(np.array(LAWS[effect.effect].linear(effect.parameters)))
+    return one
 
 
 def _of_the_encoder(points: Points) -> Iterator[Candidate]:
@@ -78,14 +67,13 @@ def _of_the_encoder(points: Points) -> Iterator[Candidate]:
     q, n = points.q_rad, points.joint_count
     for j in range(n):
         own = np.eye(n)[j]
-        yield _plain("encoder_scale", j + 1, q * own, SCALE, "scale")
+        yield plain("encoder_scale", j + 1, q * own, SCALE, "scale")
         both = np.stack((np.sin(q) * own, np.cos(q) * own))
         size = np.full(2, AMPLITUDE_rad)
-        yield Candidate(
-            EffectName("encoder_eccentricity", j + 1), frozen(both), frozen(size), _amplitude_and_phase
-        )
+        name = EffectName("encoder_eccentricity", j + 1)
+        yield Candidate(name, frozen(both), frozen(size), amplitude_and_phase)
     if n >= 3:
-        yield _plain("belt_coupling", None, q[:, 1:2] * np.eye(n)[2], RATIO, "ratio")
+        yield plain("belt_coupling", None, q[:, 1:2] * np.eye(n)[2], RATIO, "ratio")
 
 
 def _of_the_gear(points: Points, pose: RestingPose, noise_Nm: Array) -> Iterator[Candidate]:
@@ -95,18 +83,20 @@ def _of_the_gear(points: Points, pose: RestingPose, noise_Nm: Array) -> Iterator
         own = np.eye(n)[j]
         for share, flank in _flanks(pose, j, noise_Nm[j]):
             slope = backlash_rad(flank, 1.0)[:, None] * own
-            play = _plain("backlash", j + 1, slope, WIDTH_rad, "width_rad", is_positive=True)
+            play = plain("backlash", j + 1, slope, WIDTH_rad, "width_rad", is_positive=True)
             yield dataclasses.replace(play, shape=share, unsure=flank == 0.0)
-        slope = compliance_rad(pose.gravity_Nm, 1.0) * own
-        if np.abs(slope).max() > NO_TORQUE_Nm:
-            size = np.array([SOFTNESS_rad_Nm])
-            yield Candidate(
-                EffectName("joint_compliance", j + 1),
-                frozen(slope[None]),
-                frozen(size),
-                _stiffness,
-                is_positive=True,
-            )
+        if np.abs(pose.gravity_Nm[:, j]).max() > NO_TORQUE_Nm:
+            yield from _windings(pose, j)
+
+
+def _windings(pose: RestingPose, j: int) -> Iterator[Candidate]:
+    """A soft gear, for a row of shares of the held friction that wind it up: nobody knows that share."""
+    own = np.eye(pose.gravity_Nm.shape[1])[j]
+    name = EffectName("joint_compliance", j + 1)
+    for share in WOUND_SHARES if pose.held_Nm[:, j].any() else WOUND_SHARES[:1]:
+        slope = compliance_rad(pose.gravity_Nm + share * pose.held_Nm, 1.0) * own
+        soft = frozen([SOFTNESS_rad_Nm])
+        yield Candidate(name, frozen(slope[None]), soft, inverse("stiffness_Nm_rad"), True, share)
 
 
 def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float, Array]]:
@@ -128,12 +118,15 @@ def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float,
 
 
 def _of_the_time(points: Points) -> Iterator[Candidate]:
-    """A joint that warms up: 1 - exp(-t / T), for a row of time constants T."""
+    """A joint that warms up: 1 - exp(-t / T), for a row of time constants T.
+
+    A link that warms and turns about its joint's axis is the same to poses.
+    """
     elapsed = points.t_s - points.t_s.min()
     n = points.joint_count
     for j in range(n):
         for constant in TIME_CONSTANTS_s:
-            if elapsed.max() < DRIFT_SPAN_LEAST * constant:
+            if constant > DRIFT_TIMES_SPAN * elapsed.max():
                 continue
             course = 1.0 - np.exp(-elapsed / constant)
             yield Candidate(
@@ -149,38 +142,3 @@ def _drift(time_constant_s: float, value: Array, covariance: Array) -> Parameter
     """The coefficient, and the time constant that was tried."""
     final = (float(value[0]), float(np.sqrt(covariance[0, 0])))
     return {"final_rad": final, "time_constant_s": (time_constant_s, float("nan"))}
-
-
-def _plain(
-    effect: str,
-    joint: int | None,
-    slope: Array,
-    size: float,
-    parameter: str,
-    is_positive: bool = False,
-) -> Candidate:
-    """An effect whose only parameter is its coefficient."""
-    return Candidate(
-        EffectName(effect, joint),
-        frozen(slope[None]),
-        frozen([size]),
-        lambda value, covariance: {parameter: (float(value[0]), float(np.sqrt(covariance[0, 0])))},
-        is_positive,
-    )
-
-
-def _stiffness(value: Array, covariance: Array) -> Parameters:
-    """1 / coefficient."""
-    softness, sd = float(value[0]), float(np.sqrt(covariance[0, 0]))
-    return {"stiffness_Nm_rad": (1.0 / softness, sd / softness**2)}
-
-
-def _amplitude_and_phase(value: Array, covariance: Array) -> Parameters:
-    """Of a sin q + b cos q = A sin(q + phase)."""
-    a, b = float(value[0]), float(value[1])
-    amplitude = float(np.hypot(a, b))
-    by_amplitude, by_phase = np.array([a, b]) / amplitude, np.array([-b, a]) / amplitude**2
-    return {
-        "amplitude_rad": (amplitude, float(np.sqrt(by_amplitude @ covariance @ by_amplitude))),
-        "phase_rad": (float(np.arctan2(b, a)), float(np.sqrt(by_phase @ covariance @ by_phase))),
-    }

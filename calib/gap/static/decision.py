@@ -1,4 +1,4 @@
-"""Which effects the evidence names: every single one and every pair, judged against all its rivals.
+"""Which effects the evidence names: every single one, every pair, and more where pairs leave much, judged against all rivals.
 
 A name must beat the geometry alone, and every other explanation, by MARGIN in log evidence; a further name must pay more
 than the first. What no explanation beats clearly is given as a set that this data cannot tell apart.
@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from calib.gap.finding import EffectName
-from calib.gap.static.candidates import Candidate
+from calib.gap.static.candidate import Candidate
 from calib.gap.static.evidence import Evidence
 from calib.gap.static.linearised import places
 
@@ -24,7 +24,10 @@ MARGIN = (
 FIRST_COST = 7.0  # log prior odds against an effect: some 16 names are tried
 FURTHER_COST = 10.0  # a law of slightly wrong form leaves a remainder that a second name would soak up
 SHAPE_DOUBT = 12.0  # in log evidence: shapes of an effect that are worse by more are wrong
+STRICTER = 3.0  # what every name after the second costs beyond the one before it
 KEPT_SINGLES = 24  # the best ones, of which pairs are tried
+KEPT_SETS = 12  # the best pairs, triples, ..., to which one more effect is added
+NAMES_MOST = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,15 +69,14 @@ def decide(evidence: Evidence, candidates: Sequence[Candidate]) -> Decision:
 
 
 def hypotheses(evidence: Evidence, candidates: Sequence[Candidate]) -> list[Hypothesis]:
-    """Nothing, every single candidate, and pairs of the best of them, best first."""
+    """Nothing, every single candidate, pairs of the best of them, and the best sets with one effect more, best first."""
     at = places(candidates)
 
     def scored(chosen: tuple[int, ...]) -> Hypothesis:
-        cost = (FIRST_COST + (len(chosen) - 1) * FURTHER_COST) if chosen else 0.0
         places_of = [place for k in chosen for place in at[k]]
         if not _is_physical([candidates[k] for k in chosen], evidence, places_of):
             return Hypothesis(chosen, -np.inf)
-        return Hypothesis(chosen, evidence.log(places_of) - cost)
+        return Hypothesis(chosen, evidence.log(places_of) - cost_of(len(chosen)))
 
     singles = sorted((scored((k,)) for k in range(len(candidates))), key=lambda one: -one.score)
     helpers = _best_of_each_name(singles, candidates)
@@ -83,7 +85,32 @@ def hypotheses(evidence: Evidence, candidates: Sequence[Candidate]) -> list[Hypo
         for a, b in combinations(range(len(candidates)), 2)
         if candidates[a].name != candidates[b].name and (a in helpers or b in helpers)
     ]
-    return sorted([scored(()), *singles, *pairs], key=lambda one: -one.score)
+    found = sorted([scored(()), *singles, *pairs], key=lambda one: -one.score)
+    for count in range(2, NAMES_MOST):
+        if len(found[0].chosen) < count:
+            break
+        grown = [scored(more) for more in _one_more(found, candidates, count)]
+        found = sorted([*found, *grown], key=lambda one: -one.score)
+    return found
+
+
+def cost_of(count: int) -> float:
+    """Log prior odds against this many names."""
+    later = sum(STRICTER * k for k in range(1, count - 1))
+    return FIRST_COST * (count > 0) + FURTHER_COST * max(0, count - 1) + later
+
+
+def _one_more(
+    found: Sequence[Hypothesis], candidates: Sequence[Candidate], count: int
+) -> set[tuple[int, ...]]:
+    """The best sets of `count`, each with every candidate whose effect it does not have."""
+    best = [one for one in found if len(one.chosen) == count][:KEPT_SETS]
+    return {
+        tuple(sorted((*one.chosen, k)))
+        for one in best
+        for k in range(len(candidates))
+        if candidates[k].name not in _names(one, candidates)
+    }
 
 
 def with_doubt(evidence: Evidence, candidates: Sequence[Candidate], best: Hypothesis, k: int) -> Candidate:
@@ -102,8 +129,15 @@ def with_doubt(evidence: Evidence, candidates: Sequence[Candidate], best: Hypoth
 
 def _is_physical(chosen: Sequence[Candidate], evidence: Evidence, at: Sequence[int]) -> bool:
     """Whether every play and softness comes out positive."""
-    positive = [one.is_positive for one in chosen for _ in one.size]
-    return not any(positive) or bool(np.all(evidence.estimate(at)[0][positive] > 0.0))
+    if not any(one.is_positive for one in chosen):
+        return True
+    size = np.concatenate([one.size for one in chosen])
+    value, first = evidence.estimate(at)[0] * size, 0
+    for one in chosen:
+        if not one.physical(value[first : first + len(one.size)]):
+            return False
+        first += len(one.size)
+    return True
 
 
 def _best_of_each_name(singles: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> set[int]:

@@ -6,10 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.gap.static.candidates import Candidate
+from calib.gap.static.candidate import Candidate
 from calib.gap.static.evidence import Evidence
-from calib.gap.static.generic import Shape
+from calib.gap.static.shape import Shape
 
+WIDER, WIDER_MOST = (
+    3.0,
+    5.0,
+)  # log evidence by which a shape must lead, per column that it has more, and at most
 SAME = 0.9999  # cosine between the signatures of a shape and of an effect of the list, from which on they are one
 
 
@@ -24,7 +28,7 @@ def doubles(
     """Of the chosen candidates those that a shape could replace without loss, each with the best such shape.
 
     `evidence` holds the columns of all candidates (`at`) and shapes (`shapes_at`). A shape that is an effect of the list in
-    other words is no rival: that effect is one already.
+    other words is no rival: that effect is one already. One with more columns may contain the effect, and must lead clearly.
     """
     found = {}
     own = _same_as_an_effect(evidence, at, shapes_at)
@@ -32,7 +36,10 @@ def doubles(
         beside = [place for other in chosen if other != k for place in at[other]]
         named = evidence.log([*beside, *at[k]])
         rivals = [
-            (evidence.log([*beside, *places]), number)
+            (
+                evidence.log([*beside, *places]) - min(WIDER * max(0, len(places) - len(at[k])), WIDER_MOST),
+                number,
+            )
             for number, places in enumerate(shapes_at)
             if number not in own
         ]

@@ -38,6 +38,16 @@ class Evidence:
         pull = columns.T @ y - columns_onto.T @ y_onto
         return cls(frozen(gram), frozen(pull), float(y @ y - y_onto @ y_onto), len(y))
 
+    @classmethod
+    def empty(cls, count: int) -> Evidence:
+        """That of no measurement, for `count` columns."""
+        return cls(frozen(np.zeros((count, count))), frozen(np.zeros(count)), 0.0, 0)
+
+    def beside(self, other: Evidence) -> Evidence:
+        """That of both, from measurements that share no unknown but these columns."""
+        gram, pull = frozen(self.gram + other.gram), frozen(self.pull + other.pull)
+        return Evidence(gram, pull, self.left + other.left, self.count + other.count)
+
     def log(self, chosen: Sequence[int]) -> float:
         """Ln Z of a set of columns over the empty set."""
         if not len(chosen):

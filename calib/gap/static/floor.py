@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.arrays import Array, Mask
 from calib.points import Points
 from control.model.arm import Arm
 
@@ -26,13 +26,14 @@ class Floor:
     source: str
 
 
-def noise_floor(arm: Arm, points: Points, residual_m: Array) -> Floor:
+def noise_floor(arm: Arm, points: Points, residual_m: Array, out: Mask | None = None) -> Floor:
     """From repeats: poses of one point with the same payload and approach; else from the camera's data sheet.
 
-    residual_m (m, 3) of any fitted model: what it lacks is the same for all repeats of a point, and drops out.
+    residual_m (m, 3) of any fitted model: what it lacks is the same for all repeats of a point, and drops out. `out` (m,):
+    poses that do not count.
     """
     groups: dict[tuple[object, ...], list[int]] = {}
-    for k in range(len(points)):
+    for k in range(len(points)) if out is None else np.flatnonzero(~out).tolist():
         key = (
             points.setup[k],
             points.point[k],

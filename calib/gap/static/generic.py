@@ -1,115 +1,144 @@
-"""Shapes without a name: what a residual is tested against, so that an effect that is not in the list is noticed.
-
-They are never reported as effects. Where one of them explains what is left, its words say where the gap is.
-"""
+"""Shapes of joints that have no name: with any angle, direction, time, load and current; what the tip does is `generic_tip`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from calib.arrays import Array, frozen
+from calib.arrays import Array
+from calib.gap.static.generic_tip import of_the_tip
+from calib.gap.static.loads import stated_kg
+from calib.gap.static.shape import Shape, edges, harmonic, of_joint
 from calib.points import Points
+from control.errors import MissingModel
+from control.model.arm import Arm
+from control.model.static_pose import gravity_Nm, resting
 
-SIZE_rad = 0.003  # typical, at the shape's own scale
-STEPS_COUNT = 24  # of times and of angles where something may have changed
-
-
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """Columns (c, m, n) that move joint `joint` (1-based) with `variable`; `words` say so."""
-
-    joint: int
-    variable: str
-    words: str
-    slope_rad: Array
+HARMONICS = (4, 5, 6, 7, 8, 9, 10, 12)  # per turn, of a joint's own angle
+MOTOR_HARMONICS = (1.0, 2.0, 0.5)  # per motor turn
+TIME_PERIODS = (0.5, 1, 1.5, 2, 3, 4, 6, 8)  # of a session
+TIGHT = 0.1  # rad: how finely a joint's own angle is looked at beyond powers and harmonics
 
 
-def shapes(points: Points) -> tuple[Shape, ...]:
+def shapes(arm: Arm, points: Points) -> tuple[Shape, ...]:
     """All of them for these poses; those that are constant here are left out."""
-    found = []
+    found = [*of_the_tip(arm, points)]
+    gravity = _gravity(arm, points)
     for j in range(points.joint_count):
         found += [
             *_of_angles(points, j),
-            *_of_direction(points, j),
+            *_of_the_motor(arm, points, j),
+            *_of_direction(points, gravity, j),
             *_of_time(points, j),
-            *_of_load(points, j),
+            *_of_load(points, gravity, j),
         ]
-    return tuple(shape for shape in found if np.ptp(shape.slope_rad, axis=1).max() > 0.0)
+    return tuple(shape for shape in found if not shape.is_still)
 
 
-def _shape(points: Points, j: int, variable: str, words: str, *courses: Array) -> Shape:
-    """`courses` (m,) scaled to SIZE_rad, acting on joint j."""
-    own = np.eye(points.joint_count)[j]
-    scaled = [SIZE_rad * course / max(1e-12, float(np.abs(course).max())) for course in courses]
-    return Shape(
-        j + 1,
-        variable,
-        f"joint {j + 1}: {words}",
-        frozen(np.stack([course[:, None] * own for course in scaled])),
-    )
+def _gravity(arm: Arm, points: Points) -> Array | None:
+    try:
+        return gravity_Nm(arm, points.q_rad, stated_kg(points))
+    except MissingModel:
+        return None
 
 
 def _of_angles(points: Points, j: int) -> Iterator[Shape]:
-    """Powers and harmonics of every angle, and products of two."""
-    q = points.q_rad
-    for i in range(points.joint_count):
+    """Powers and harmonics of every angle, steps in it, and products of two."""
+    q, n = points.q_rad, points.joint_count
+    for i in range(n):
         name, angle = f"q{i + 1}", q[:, i]
-        yield _shape(points, j, name, f"follows q{i + 1} (linearly)", angle)
-        yield _shape(points, j, name, f"follows the sine of q{i + 1}", np.sin(angle), np.cos(angle))
-        yield _shape(points, j, name, f"follows the square of q{i + 1}", angle**2)
-        yield _shape(points, j, name, f"follows the cube of q{i + 1}", angle**3)
-        yield _shape(
-            points, j, name, f"follows q{i + 1} twice per turn", np.sin(2 * angle), np.cos(2 * angle)
-        )
-        yield _shape(
-            points, j, name, f"follows q{i + 1} three times per turn", np.sin(3 * angle), np.cos(3 * angle)
-        )
-        for edge in _edges(angle):
-            yield _shape(
-                points, j, name, f"steps where q{i + 1} passes {edge:.2f} rad", np.sign(angle - edge)
-            )
-    for i, k in combinations(range(points.joint_count), 2):
-        yield _shape(points, j, f"q{i + 1}q{k + 1}", f"follows q{i + 1} times q{k + 1}", q[:, i] * q[:, k])
+        yield of_joint(n, j, name, f"follows {name} (linearly)", angle)
+        yield of_joint(n, j, name, f"follows the sine of {name}", *harmonic(angle, 1))
+        yield of_joint(n, j, name, f"follows the square of {name}", angle**2)
+        yield of_joint(n, j, name, f"follows the cube of {name}", angle**3)
+        yield of_joint(n, j, name, f"follows {name} twice per turn", *harmonic(angle, 2))
+        yield of_joint(n, j, name, f"follows {name} three times per turn", *harmonic(angle, 3))
+        for order in HARMONICS if i == j else ():
+            yield of_joint(n, j, name, f"follows {name} {order} times per turn", *harmonic(angle, order))
+        for edge in edges(angle):
+            yield of_joint(n, j, name, f"steps where {name} passes {edge:.2f} rad", np.sign(angle - edge))
+    for i, k in combinations(range(n), 2):
+        yield of_joint(n, j, f"q{i + 1}q{k + 1}", f"follows q{i + 1} times q{k + 1}", q[:, i] * q[:, k])
 
 
-def _of_direction(points: Points, j: int) -> Iterator[Shape]:
-    """Direction of the last motion of any joint, alone and with its own angle."""
-    for i in range(points.joint_count):
-        last = points.direction[:, i]
-        yield _shape(points, j, f"dir{i + 1}", f"follows the last direction of joint {i + 1}", last)
-    own = points.direction[:, j]
-    yield _shape(
-        points, j, f"dir{j + 1}", "follows its last direction times its angle", own * points.q_rad[:, j]
+def _of_the_motor(arm: Arm, points: Points, j: int) -> Iterator[Shape]:
+    """What comes round with the motor's shaft."""
+    for drive in arm.drives:
+        if drive.joint == j + 1:
+            for order in MOTOR_HARMONICS:
+                courses = harmonic(points.q_rad[:, j], order * drive.gear_ratio)
+                words = f"follows its motor's angle {order:g} times per turn"
+                yield of_joint(points.joint_count, j, f"q{j + 1}", words, *courses)
+
+
+def _of_direction(points: Points, gravity: Array | None, j: int) -> Iterator[Shape]:
+    """Direction of the last motion of any joint, alone, with its own angle, and with its own load."""
+    n = points.joint_count
+    for i in range(n):
+        words = f"follows the last direction of joint {i + 1}"
+        yield of_joint(n, j, f"dir{i + 1}", words, points.direction[:, i])
+    own, variable = points.direction[:, j], f"dir{j + 1}"
+    yield of_joint(
+        n, j, variable, "follows its last direction times its angle", own * points.q_rad[:, j], own
     )
+    if gravity is not None:
+        load = np.abs(gravity[:, j])
+        yield of_joint(n, j, variable, "follows its last direction, more so under load", own * load, own)
 
 
 def _of_time(points: Points, j: int) -> Iterator[Shape]:
-    """Drifts and steps in time."""
+    """Drifts, periods and steps in time, and what adds up with the way that the joint goes."""
     if not np.isfinite(points.t_s).all() or np.ptp(points.t_s) == 0.0:
         return
+    n = points.joint_count
     time = (points.t_s - points.t_s.min()) / np.ptp(points.t_s)
-    yield _shape(points, j, "time", "drifts with time", time)
-    yield _shape(points, j, "time", "drifts with the square of time", time**2)
-    for edge in _edges(points.t_s):
-        yield _shape(points, j, "time", f"steps at {edge:.0f} s", np.sign(points.t_s - edge))
+    yield of_joint(n, j, "time", "drifts with time", time)
+    yield of_joint(n, j, "time", "drifts with time and its square", time, time**2)
+    for periods in TIME_PERIODS:
+        courses = harmonic(time, 2.0 * np.pi * periods)
+        yield of_joint(n, j, "time", f"swings {periods:g} times in the session", *courses)
+    yield of_joint(n, j, "time", "follows the way that it has gone", _way(points, j))
+    for edge in edges(points.t_s):
+        yield of_joint(n, j, "time", f"steps at {edge:.0f} s", np.sign(points.t_s - edge))
 
 
-def _of_load(points: Points, j: int) -> Iterator[Shape]:
-    """Stated payload and holding current."""
+def _way(points: Points, j: int) -> Array:
+    """How far joint j has gone in all before each pose, (m,)."""
+    order = np.argsort(points.t_s, kind="stable")
+    way = np.empty(len(points))
+    way[order] = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(points.q_rad[order, j])))))
+    return way
+
+
+def _of_load(points: Points, gravity: Array | None, j: int) -> Iterator[Shape]:
+    """Stated payload, holding currents, and the load in other ways than in proportion."""
+    n = points.joint_count
     if np.isfinite(points.payload_kg).all():
-        yield _shape(points, j, "payload", "follows the payload", points.payload_kg)
-    for i in range(points.joint_count):
+        yield of_joint(n, j, "payload", "follows the payload", points.payload_kg)
+    for i in range(n):
         current = points.current_A[:, i]
         if np.isfinite(current).all():
-            yield _shape(
-                points, j, f"i{i + 1}", f"follows the square of the current of joint {i + 1}", current**2
-            )
+            words = f"follows the square of the current of joint {i + 1}"
+            yield of_joint(n, j, f"i{i + 1}", words, current**2)
+    if gravity is None:
+        return
+    own = gravity[:, j]
+    yield of_joint(n, j, "load", "follows its load's size, whatever its sign", np.abs(own))
+    yield of_joint(n, j, "load", "follows its load, more than in proportion", own, own * np.abs(own))
+    yield of_joint(n, j, "load", "follows its load and that cubed", own, own**3)
+    yield of_joint(n, j, "load", "follows the sign of its load", np.sign(own))
+    yield of_joint(n, j, "load", "follows its load, softer one way", np.maximum(own, 0), np.minimum(own, 0))
+    for i in range(n):
+        if i != j:
+            yield of_joint(n, j, f"load{i + 1}", f"follows the load of joint {i + 1}", gravity[:, i])
 
 
-def _edges(values: Array) -> Array:
-    """Quantiles between which a step is looked for."""
-    return np.unique(np.quantile(values, np.linspace(0.0, 1.0, STEPS_COUNT + 2)[1:-1]))
+def held_Nm(arm: Arm, points: Points) -> Array | None:
+    """What motors hold beyond gravity, (m, n)."""
+    try:
+        found = resting(arm, points.q_rad, points.direction, points.current_A, stated_kg(points))
+    except MissingModel:
+        return None
+    return found.held_Nm

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from calib.arrays import Mask
 from calib.gap.finding import EffectName, Unknown
-from calib.gap.static.candidates import Candidate
+from calib.gap.static.candidate import Candidate
 from calib.gap.static.model import Fitted
 from calib.gap.static.remainder import Remainder
 
@@ -33,6 +33,7 @@ def judge(
     left: Sequence[Remainder],
     rows: Mask,
     noise_m: float,
+    scatter_m: float,
 ) -> Judgement:
     """`bare` has the geometry alone, `fit` the best explanation, in which `leader` explains most; `left` still pays beside it."""
     explained = explained_share(bare, fit, rows, noise_m)

@@ -9,9 +9,9 @@ import numpy as np
 
 from calib.arrays import Mask
 from calib.gap.static.evidence import Evidence
-from calib.gap.static.generic import Shape
 from calib.gap.static.linearised import Linearised
 from calib.gap.static.model import Fitted
+from calib.gap.static.shape import Shape
 
 CLEAR = 9.0  # log evidence, some 700 shapes being tried: by chance once in a thousand data sets
 
@@ -29,7 +29,7 @@ def remainders(fit: Fitted, rows: Mask, shapes: Sequence[Shape], noise_m: float)
     """Shapes that clearly pay beside the fitted model, best first."""
     around = Linearised.around(fit.problem, fit.x, noise_m)
     keep = np.repeat(fit.sure(rows), 3)
-    columns = [around.columns(shape.slope_rad)[keep] for shape in shapes]
+    columns = [around.columns(shape)[keep] for shape in shapes]
     ends = np.cumsum([column.shape[1] for column in columns])
     evidence = Evidence.of(around.base[keep], np.concatenate(columns, axis=1), around.y[keep])
     found = []

@@ -6,6 +6,7 @@ model, so a recording is never divided.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,12 @@ class Split:
     report: Mask
     is_divided: bool
     recordings_count: int
+
+    def without(self, out: Mask) -> Split:
+        """The same, some poses (m,) left out of everything."""
+        return dataclasses.replace(
+            self, fit=self.fit & ~out, choose=self.choose & ~out, report=self.report & ~out
+        )
 
     @property
     def known(self) -> Mask:

@@ -1,119 +1,157 @@
-"""Static recordings of the reference arm in which an effect is hidden, made without control's kinematics or dynamics."""
+"""Static recordings in which an effect is hidden, made without control's kinematics or dynamics: three arms, many designs."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from calib_arms import REFERENCE, TILTS, angles_for, board_points, deviations
+from calib_arms import REFERENCE, TILTS, ChainModel, angles_for, board_points, deviations
+from static_physics import Hidden, Poses, Rig, ahead_rad, camera_m, gravity_torques, known_wrong, shifted_m
 
 from calib.points import Points, make_points
+from control.model.arm import Arm, Camera, Drive, Link
 from control.model.description import load_arm
 
 ARM = load_arm("right")
 NOISE_m, NOISE_A = 0.00014, 0.02
-APPROACHES = ((1, 1, 1), (-1, -1, -1), (1, -1, 1), (-1, 1, -1))
 FRICTION_Nm = np.array([0.9, 0.8, 1.0])  # in the gear, on the motor's side for the most part
 LINK_SHARE = 0.3
-DESIGNS = {"full": (True, 25, 1), "thin": (True, 25, 4), "level": (False, 0, 1)}
 SEEDS_rad = np.array([0.0, -1.0, 0.0])
+PI = np.pi
+DESIGNS = {"full": (True, 25, 1), "thin": (True, 25, 4), "level": (False, 0, 1)}
+__all__ = ["ARM", "DESIGNS", "FRICTION_Nm", "NOISE_m", "Design", "Hidden", "case", "designed", "gravity_Nm"]
 
 
 @dataclass(frozen=True)
-class Hidden:
-    """An effect as formats.md names it, with the value of its first parameter (and the phase of an eccentricity)."""
+class Design:
+    """What was recorded: `free` poses and every `step`-th cavity of `tilts`, in `visits` ((approach, payload) each)."""
 
-    effect: str
-    joint: int | None
-    value: float
-    more: float = 0.0
+    rig: str = "reference"
+    tilts: tuple[str, ...] = ("normal", "roll", "pitch")
+    step: int = 4
+    free: int = 25
+    visits: int = 7
+    noise_m: float = NOISE_m
+    has_currents: bool = True
+    has_directions: bool = True
+    has_payload: bool = True
+    has_time: bool = True
+    is_noise_told: bool = True
+
+
+def _six() -> Arm:
+    """Six joints in modified DH, about the size of a Panda, with masses and drives."""
+    rows = [(0.333, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -PI / 2), (0.316, 0.0, 0.0, PI / 2), (0.0, 0.0, 0.0825, PI / 2),
+            (0.384, 0.0, -0.0825, -PI / 2), (0.1, 0.0, 0.088, PI / 2)]  # fmt: skip
+    masses = (4.0, 3.0, 2.5, 2.0, 1.2, 0.6)
+    centres = (
+        (0.0, 0.02, -0.05), (0.0, -0.05, 0.02), (0.03, 0.02, -0.06),
+        (-0.04, 0.06, 0.02), (0.0, 0.03, -0.1), (0.02, 0.0, -0.02),
+    )  # fmt: skip
+    links = tuple(
+        Link("revolute", *row, mass_kg=m, com_m=c, inertia_kg_m2=(0.01, 0.01, 0.01))
+        for row, m, c in zip(rows, masses, centres, strict=True)
+    )
+    drives = tuple(Drive(j, 100.0, 4096, 0.06, 0.3, 48.0, current_limit_A=20.0) for j in range(1, 7))
+    return Arm("six", links, dh_convention="modified", drives=drives, camera=Camera(NOISE_m))
+
+
+def _planar() -> Arm:
+    """Two joints in a vertical plane: both axes along z, gravity along -y."""
+    links = (
+        Link("revolute", 0.0, 0.0, 0.35, 0.0, 1.5, (-0.17, 0.0, 0.0), (0.01, 0.01, 0.01)),
+        Link("revolute", 0.02, 0.0, 0.3, 0.0, 0.8, (-0.15, 0.0, 0.0), (0.01, 0.01, 0.01)),
+    )
+    drives = tuple(Drive(j, 80.0, 4096, 0.05, 0.3, 24.0, current_limit_A=12.0) for j in (1, 2))
+    return Arm("planar", links, (0.0, -9.81, 0.0), drives=drives, camera=Camera(NOISE_m))
+
+
+RIGS = {
+    "reference": Rig(ARM, REFERENCE, np.array([-1.0, -1.6, -1.0]), np.array([1.0, 0.6, 1.2]), FRICTION_Nm),
+    "six": Rig(
+        _six(),
+        ChainModel((True,) * 6, modified=True),
+        np.array([-1.5, -1.2, -1.2, -2.4, -1.5, 0.3]),
+        np.array([1.5, 1.2, 1.2, -0.4, 1.5, 2.6]),
+        np.array([1.5, 1.5, 1.0, 1.0, 0.5, 0.4]),
+    ),
+    "planar": Rig(
+        _planar(), ChainModel((True, True)), np.array([-1.5, -2.0]), np.array([1.5, 2.0]), np.array([0.6, 0.4])
+    ),
+}  # fmt: skip
 
 
 def case(seed: int, hidden: tuple[Hidden, ...] = (), design: str = "thin") -> Points:
     """Three tilts from four approaches, with and without 0.5 kg, and free poses; `thin` visits every fourth cavity."""
-    rng = np.random.default_rng(seed)
-    true_dh = ARM.dh + deviations(rng, 4)
-    has_tilts, free_count, step = DESIGNS[design]
-    rows: list[tuple[str, str, int, np.ndarray, tuple[int, ...], float]] = []
-    for setup in TILTS if has_tilts else ("normal",):
-        q = angles_for(REFERENCE, true_dh, board_points(*TILTS[setup])[::step], SEEDS_rad)
-        for repeat, (approach, payload) in enumerate(_visits(setup, design), start=1):
-            rows += [(setup, str(k + 1), repeat, angles, approach, payload) for k, angles in enumerate(q)]
-    free = rng.uniform([-1.0, -1.6, -1.0], [1.0, 0.6, 1.2], (free_count, 3))
-    for repeat, (approach, payload) in enumerate(_visits("free", design), start=1):
-        rows += [("free", f"f{k}", repeat, angles, approach, payload) for k, angles in enumerate(free)]
-    return _measured(rng, true_dh, rows, hidden)
+    has_tilts, free, step = DESIGNS[design]
+    tilts = tuple(TILTS) if has_tilts else ("normal",)
+    return designed(seed, hidden, Design(tilts=tilts, step=step, free=free, visits=7 if has_tilts else 1))[1]
 
 
-def _visits(setup: str, design: str) -> list[tuple[tuple[int, ...], float]]:
-    if design == "level":
-        return [(APPROACHES[0], 0.0)]
-    unloaded = [(approach, 0.0) for approach in APPROACHES]
-    loaded = [(APPROACHES[0], 0.0), (APPROACHES[0], 0.5), (APPROACHES[1], 0.5)]  # the first is a repeat
-    return unloaded + (loaded if setup != "pitch" else [])
+def designed(seed: int, hidden: tuple[Hidden, ...], design: Design) -> tuple[Arm, Points]:
+    """The arm as it is known, and what was recorded of the real one."""
+    rng, rig = np.random.default_rng(seed), RIGS[design.rig]
+    true_dh = rig.arm.dh + deviations(rng, len(rig.arm.links))
+    rows: list[tuple[str, str, int, np.ndarray, np.ndarray, float]] = []
+    for setup in design.tilts if rig.arm is ARM else ():
+        q = angles_for(REFERENCE, true_dh, board_points(*TILTS[setup])[:: design.step], SEEDS_rad)
+        rows += _visited(rig, setup, q, design)
+    for part in range(1 if rig.arm is ARM else len(design.tilts)):
+        count = design.free if rig.arm is ARM else design.free // len(design.tilts)
+        free = rng.uniform(rig.lower, rig.upper, (count, len(rig.lower)))
+        rows += _visited(rig, "free" if rig.arm is ARM else f"view{part + 1}", free, design)
+    arm = rig.arm
+    if not design.is_noise_told:
+        arm = dataclasses.replace(arm, camera=None)
+    elif design.noise_m != NOISE_m:
+        arm = dataclasses.replace(arm, camera=Camera(design.noise_m))
+    return arm, _measured(rng, rig, true_dh, rows, hidden, design)
 
 
-def _measured(rng, true_dh: np.ndarray, rows: list, hidden: tuple[Hidden, ...]) -> Points:
-    joint_rad = np.array([row[3] for row in rows]) + rng.normal(0.0, 1e-3, (len(rows), 3))
-    direction = np.array([row[4] for row in rows], dtype=float)
-    payload = np.array([row[5] for row in rows])
-    t_s = 8.0 * np.arange(len(rows))
-    gravity = np.array([gravity_Nm(q, p) for q, p in zip(joint_rad, payload, strict=True)])
-    held = gravity + FRICTION_Nm * direction * rng.uniform(0.7, 1.0, joint_rad.shape)
+def _visited(rig: Rig, setup: str, q: np.ndarray, design: Design) -> list:
+    """Rows of one setup: visit after visit, all poses each."""
+    up, n = np.ones(len(rig.lower)), len(rig.lower)
+    mixed = np.array([1.0 if j % 2 == 0 else -1.0 for j in range(n)])
+    loaded = [(up, 0.5), (-up, 0.5)] if design.has_payload and setup != "pitch" else []
+    visits = [(up, 0.0), (-up, 0.0), (mixed, 0.0), (-mixed, 0.0), (up, 0.0), *loaded]
+    if setup == "pitch" and design.visits >= 7:
+        visits = visits[:4]
+    return [
+        (setup, f"{setup[0]}{k + 1}", repeat, angles, approach, payload)
+        for repeat, (approach, payload) in enumerate(visits[: design.visits], start=1)
+        for k, angles in enumerate(q)
+    ]
+
+
+def _measured(rng, rig: Rig, true_dh, rows: list, hidden: tuple[Hidden, ...], design: Design) -> Points:
+    m, n = len(rows), len(rig.lower)
+    joint_rad = np.array([row[3] for row in rows]) + rng.normal(0.0, 1e-3, (m, n))
+    last, stated = np.array([row[4] for row in rows]), np.array([row[5] for row in rows])
+    t_s = 8.0 * np.arange(m)
+    loads, masses, constants = known_wrong(rig, hidden)
+    gravity = gravity_torques(rig, rig.arm.dh, joint_rad, stated + loads, masses)
+    held = gravity + rig.friction_Nm * last * rng.uniform(0.7, 1.0, (m, n))
     transmitted = gravity + LINK_SHARE * (held - gravity)
-    encoder = joint_rad - sum(behind(one, joint_rad, gravity, transmitted, t_s) for one in hidden)
-    tip = REFERENCE.tips(true_dh, joint_rad) + rng.normal(0.0, NOISE_m, joint_rad.shape)
-    torque_per_A = np.array([d.gear_ratio * d.torque_constant_Nm_A for d in ARM.drives])
-    current = held / torque_per_A + rng.normal(0.0, NOISE_A, held.shape)
+    poses = Poses(
+        joint_rad, last, stated + loads, t_s, gravity, transmitted, tuple(row[0] for row in rows), rng
+    )
+    encoder = joint_rad - sum(ahead_rad(one, poses, rig) for one in hidden)
+    tip = rig.chain.tips(true_dh, joint_rad)
+    tip = tip + sum(shifted_m(one, poses, rig, true_dh, tip) for one in hidden)
+    tip = tip + rng.normal(0.0, design.noise_m, tip.shape)
+    for one in hidden:
+        tip = camera_m(one, poses, tip)
+    per_A = np.array([d.gear_ratio * d.torque_constant_Nm_A for d in rig.arm.drives]) * constants
+    current = held / per_A + rng.normal(0.0, NOISE_A, held.shape)
     return make_points(
-        [row[0] for row in rows], [row[1] for row in rows], [row[2] for row in rows], encoder, tip, direction,
-        current, t_s, payload,
+        poses.setup, [row[1] for row in rows], [row[2] for row in rows], encoder, tip,
+        last if design.has_directions else None, current if design.has_currents else None,
+        t_s if design.has_time else None, stated if design.has_payload else None,
     )  # fmt: skip
 
 
-def behind(one: Hidden, q: np.ndarray, gravity: np.ndarray, transmitted: np.ndarray, t_s: np.ndarray):
-    """How far the joints are ahead of their encoders, (m, 3)."""
-    ahead = np.zeros_like(q)
-    j = (one.joint or 3) - 1
-    if one.effect == "backlash":
-        ahead[:, j] = -0.5 * one.value * np.sign(transmitted[:, j])
-    elif one.effect == "joint_compliance":
-        ahead[:, j] = -gravity[:, j] / one.value
-    elif one.effect == "encoder_scale":
-        ahead[:, j] = q[:, j] * one.value / (1.0 + one.value)
-    elif one.effect == "encoder_eccentricity":
-        ahead[:, j] = one.value * np.sin(q[:, j] + one.more)
-    elif one.effect == "belt_coupling":
-        ahead[:, 2] = one.value * q[:, 1]
-    elif one.effect == "thermal_drift":
-        ahead[:, j] = one.value * (1.0 - np.exp(-t_s / one.more))
-    elif one.effect == "slip":  # not in the list: a joint's zero slips
-        ahead[:, j] = one.value * (t_s > one.more * t_s.max())
-    elif one.effect == "bent rail":  # not in the list: the joint follows another joint's square
-        ahead[:, j] = one.value * q[:, (j + 1) % 3] ** 2
-    else:
-        raise ValueError(one.effect)
-    return ahead
-
-
 def gravity_Nm(q: np.ndarray, payload_kg: float) -> np.ndarray:
-    """Holding torques, as the slope of the potential energy by each angle (complex step)."""
-    return np.array([_energy_J(q + 1e-30j * unit, payload_kg).imag / 1e-30 for unit in np.eye(3)])
-
-
-def _energy_J(q: np.ndarray, payload_kg: float) -> complex:
-    frame, energy, angles = np.eye(4, dtype=complex), 0.0 + 0.0j, iter(q)
-    for link in ARM.links:
-        about = link.theta_rad + (next(angles) if link.joint == "revolute" else 0.0)
-        c, s, ca, sa = np.cos(about), np.sin(about), np.cos(link.alpha_rad), np.sin(link.alpha_rad)
-        frame = frame @ np.array(
-            [
-                [c, -s * ca, s * sa, link.L_m * c],
-                [s, c * ca, -c * sa, link.L_m * s],
-                [0.0, sa, ca, link.d_m],
-                [0.0, 0.0, 0.0, 1.0],
-            ]
-        )
-        if link.mass_kg:
-            energy += 9.81 * link.mass_kg * (frame @ np.array([*link.com_m, 1.0]))[2]
-    return energy + 9.81 * payload_kg * (frame @ np.array([*ARM.tool.position_m, 1.0]))[2]
+    """Holding torques (3,) of one pose of the reference arm."""
+    rig = RIGS["reference"]
+    return gravity_torques(rig, ARM.dh, q[None], np.array([payload_kg]), {})[0]
