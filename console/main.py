@@ -54,13 +54,13 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
     """Run a command and turn what the packages raise into one message and an exit status."""
     from calib.errors import CalibrationError
     from control.errors import ArmError
-    from control.loop.client import ArmFaulted
+    from control.loop.client import ArmFaulted, MotionStopped
     from firmware_iface.errors import LinkError
     from hil_mocks.errors import MockError
 
     try:
         return command(given)
-    except ArmFaulted as fault:
+    except (ArmFaulted, MotionStopped) as fault:
         return fail(str(fault), 1)
     except (ArmError, CalibrationError, LinkError, MockError) as error:
         return fail(str(error), 2)

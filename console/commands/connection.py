@@ -15,5 +15,8 @@ def socket_path(given: argparse.Namespace, arm: Arm) -> Path:
 
 
 def connected(given: argparse.Namespace) -> ArmClient:
-    """A client of the runtime. RuntimeGone says how to start one."""
+    """A client of the runtime; of a script, its own. RuntimeGone says how to start one."""
+    if (connect := getattr(given, "connect", None)) is not None:
+        client: ArmClient = connect()
+        return client
     return ArmClient(SocketChannel(socket_path(given, load_arm(given.arm))))

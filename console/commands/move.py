@@ -18,5 +18,5 @@ def run(given: argparse.Namespace) -> int:
         from control.model.inverse import InverseKinematics
 
         target = InverseKinematics(load_arm(given.arm)).nearest(tuple(given.tip), client.status()["q_rad"])
-    client.move_joints(target, given.speed)
+    client.move_joints(target, given.speed, waits=getattr(given, "waits", True))
     return 0

@@ -21,7 +21,7 @@ def run(given: argparse.Namespace) -> int:
     sys.stdout.write(described(path))
     sys.stdout.flush()
     client.move_joints(path.q_start_rad, 0.5)
-    client.run_path(path.to_message())
+    client.run_path(path.to_message(), waits=getattr(given, "waits", True))
     return 0
 
 

@@ -2,6 +2,10 @@
 
 from console.options import ARM, JSON, LINKS, RATE, SOCKET, CommandSpec, option
 
+PLACES = option("--places", metavar="FILE", default="places.toml", help="named places (default: places.toml)")
+MOVE_SPEED = option(
+    "--speed", type=float, default=0.5, metavar="F", help="fraction of the joints' limits (default: 0.5)"
+)
 OPERATING = (
     CommandSpec(
         "serve",
@@ -37,13 +41,7 @@ OPERATING = (
                 metavar=("X", "Y", "Z"),
                 help="tip position in the base frame in m",
             ),
-            option(
-                "--speed",
-                type=float,
-                default=0.5,
-                metavar="F",
-                help="fraction of the joints' limits (default: 0.5)",
-            ),
+            MOVE_SPEED,
         ),
         "Give one of --joints and --tip.",
     ),
@@ -60,6 +58,69 @@ OPERATING = (
             ),
         ),
         "Everything is checked before anything moves: reach, joint limits, speed, acceleration, table.",
+    ),
+    CommandSpec(
+        "go",
+        "move to a named place",
+        (ARM, SOCKET, PLACES, option("name", metavar="NAME", help="as in the places file"), MOVE_SPEED),
+        "The file is TOML: [NAME] with q_rad (one a joint) or tip_m (3).",
+    ),
+    CommandSpec(
+        "mark",
+        "keep where the arm stands as a named place",
+        (ARM, SOCKET, PLACES, option("name", metavar="NAME", help="letters, digits, - and _")),
+    ),
+    CommandSpec(
+        "teach",
+        "add where the tip is to a way-point file",
+        (
+            ARM,
+            SOCKET,
+            option("file", metavar="FILE", help="CSV that `armwright run` takes; begun if it is not there"),
+        ),
+        "Guide the arm by hand (`armwright guide`), teach, go on; `hold` when done. `run` moves to the first point gently.",
+    ),
+    CommandSpec(
+        "jog",
+        "one step of a joint, or of the tip along an axis of the base frame",
+        (
+            ARM,
+            SOCKET,
+            option("--joint", type=int, metavar="J", help="a joint, from 1"),
+            option("--axis", choices=("x", "y", "z"), help="an axis of the base frame"),
+            option("--by", type=float, required=True, metavar="STEP", help="rad of a joint, m along an axis"),
+            option("--speed", type=float, metavar="V", help="rad/s or m/s (default: the limit for jogging)"),
+        ),
+        "The arm stops at once when the command is interrupted. Exit status 1 when something was in the way.",
+    ),
+    CommandSpec("pause", "slow to rest along the motion that runs, and hold on it", (ARM, SOCKET)),
+    CommandSpec("resume", "go on along the motion", (ARM, SOCKET)),
+    CommandSpec(
+        "override",
+        "pace of motions, of the one that runs and of those to come",
+        (ARM, SOCKET, option("fraction", type=float, metavar="F", help="0.01 to 1 of what was planned")),
+    ),
+    CommandSpec(
+        "wait",
+        "wait some seconds, or until the arm has come to rest",
+        (
+            ARM,
+            SOCKET,
+            option("seconds", type=float, nargs="?", metavar="S", help="without it: until the arm rests"),
+        ),
+    ),
+    CommandSpec(
+        "script",
+        "run a file of operator lines: each a subcommand with its options",
+        (
+            ARM,
+            SOCKET,
+            option("file", metavar="FILE", help="text, one line a command; - is standard input"),
+            option("--check", action="store_true", help="only say what would be done; needs no runtime"),
+            JSON,
+        ),
+        "Every line is understood before the first is run; it ends at the first that fails. A line that ends with & begins a"
+        " motion and goes on; # begins a remark.",
     ),
     CommandSpec("stop", "controlled stop, then hold", (ARM, SOCKET)),
     CommandSpec("guide", "drives off, to guide the arm by hand: somebody must hold it", (ARM, SOCKET)),

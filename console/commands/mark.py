@@ -1,0 +1,19 @@
+"""`armwright mark NAME`: keep where the arm stands as a named place."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from console.commands.connection import connected
+from console.places import keep_place
+from control.errors import ArmError
+
+
+def run(given: argparse.Namespace) -> int:
+    """Add it to the places file, or put it in the stead of the one of this name."""
+    status = connected(given).status()
+    if not status["is_homed"]:
+        raise ArmError("mark: the joint angles mean nothing yet: `armwright home`")
+    keep_place(Path(given.places), given.name, status["q_rad"])
+    sys.stdout.write(f"{given.name} in {given.places}\n")
+    return 0

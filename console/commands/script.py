@@ -1,0 +1,70 @@
+"""`armwright script FILE`: operator lines from a file, one after the other, until the end or the first that fails."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from console.commands.connection import connected
+from console.commands.table import COMMANDS
+from console.lines.grammar import Grammar, LineError
+from console.lines.replay import Outcome, replay, understood
+
+
+def run(given: argparse.Namespace) -> int:
+    """Understand the whole file first; then run it."""
+    grammar = Grammar(COMMANDS, {"arm": given.arm, "socket": given.socket})
+    try:
+        lines = understood(_text(given.file).splitlines(), grammar)
+    except LineError as error:
+        raise LineError(f"{given.file}: {error}; nothing was done") from None
+    if given.check:
+        sys.stdout.write("".join(f"{number}: {line.text}\n" for number, line in lines))
+        return 0
+    outcomes: list[Outcome] = []
+    terminal = sys.stdout
+
+    def say(outcome: Outcome) -> None:
+        outcomes.append(outcome)
+        if not given.json:
+            terminal.write(_described(outcome))
+            terminal.flush()
+
+    status = replay(lines, lambda: connected(given), say)
+    if given.json:
+        terminal.write(
+            json.dumps({"status": status, "lines": [_message(o) for o in outcomes]}, indent=2) + "\n"
+        )
+    return status
+
+
+def _text(file: str) -> str:
+    if file == "-":
+        return sys.stdin.read()
+    try:
+        return Path(file).read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise LineError(f"{file}: not UTF-8 text (byte {error.start})") from None
+
+
+def _described(outcome: Outcome) -> str:
+    done = (
+        "done"
+        if outcome.status == 0
+        else f"FAILED with status {outcome.status}: the lines after it were not run"
+    )
+    return f"{outcome.number}: {outcome.line}\n{_indented(outcome.said)}  {done} in {outcome.took_s:.1f} s\n"
+
+
+def _indented(text: str) -> str:
+    return "".join(f"  {line}\n" for line in text.splitlines())
+
+
+def _message(outcome: Outcome) -> dict[str, object]:
+    return {
+        "number": outcome.number,
+        "line": outcome.line,
+        "status": outcome.status,
+        "said": outcome.said,
+        "took_s": round(outcome.took_s, 3),
+    }

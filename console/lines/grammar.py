@@ -1,0 +1,84 @@
+"""One grammar for the shell, for scripts and for the console's command box: a line is a subcommand and its options.
+
+`move --joints 0 -0.8 0` is what `armwright move --joints 0 -0.8 0` does. A line may end with `&`: the motion is begun, and the
+next line follows at once (`wait` waits for it). Empty lines and what follows a `#` are remarks.
+"""
+
+import argparse
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NoReturn
+
+from console import options
+from console.options import CommandSpec
+from control.errors import ArmError
+
+# They run until they are ended, or read lines themselves.
+NOT_HERE = ("serve", "mock", "console", "script", "view")
+IN_BACKGROUND = ("move", "go", "run")
+BACKGROUND = "&"
+
+
+class LineError(ArmError):
+    """A line that is no command, or not one for here; says what was expected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line that was understood: the command's name, and its options as its module takes them."""
+
+    text: str
+    command: str
+    given: argparse.Namespace
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in place of ending the program."""
+
+    def error(self, message: str) -> NoReturn:
+        raise LineError(message)
+
+
+class Grammar:
+    """Understands lines. `defaults` (arm, socket) hold where a line does not say otherwise."""
+
+    def __init__(self, commands: tuple[CommandSpec, ...], defaults: Mapping[str, object]) -> None:
+        self._specs = {spec.name: spec for spec in commands if spec.name not in NOT_HERE}
+        self._elsewhere = {spec.name for spec in commands if spec.name in NOT_HERE}
+        self._defaults = dict(defaults)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The commands that a line may begin with."""
+        return tuple(self._specs)
+
+    def line(self, text: str) -> Line | None:
+        """What a line says; None for a remark. LineError."""
+        try:
+            words = shlex.split(text, comments=True)
+        except ValueError as error:
+            raise LineError(f"{text.strip()!r}: {error}") from None
+        if words[:1] == ["armwright"]:  # copied from a shell
+            words = words[1:]
+        if not words:
+            return None
+        in_background = words[-1] == BACKGROUND
+        name, *rest = (words[:-1] if in_background else words) or [BACKGROUND]
+        if in_background and name not in IN_BACKGROUND:
+            raise LineError(f"{name}: `&` begins a motion and goes on; it is for {', '.join(IN_BACKGROUND)}")
+        given = self._parser(name).parse_args(rest)
+        given.command, given.waits = name, not in_background
+        return Line(" ".join(shlex.quote(word) for word in words), name, given)
+
+    def _parser(self, name: str) -> argparse.ArgumentParser:
+        if name in self._elsewhere:
+            raise LineError(f"{name}: not from here, it runs in a terminal of its own")
+        spec = self._specs.get(name)
+        if spec is None:
+            raise LineError(f"{name}: no such command; expected one of {', '.join(self._specs)}")
+        parser = _Parser(prog=name, add_help=False)
+        options.add(parser, spec.options)
+        known = {action.dest for action in parser._actions}
+        parser.set_defaults(**{key: value for key, value in self._defaults.items() if key in known})
+        return parser

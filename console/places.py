@@ -1,0 +1,80 @@
+"""Named places: a TOML file that says joint angles, or a tip position, for each name. Kept by hand or by `armwright mark`.
+
+[above_board]
+q_rad = [0.0, -0.6, 0.2]
+
+[corner]
+tip_m = [0.5, 0.1, 0.1]
+"""
+
+import math
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from control.errors import ArmError
+
+KEYS = {"q_rad", "tip_m"}
+
+
+class PlacesError(ArmError):
+    """A places file that cannot be taken, or a place that is not in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Joint angles, or a tip position in the base frame that joint angles must be found for."""
+
+    name: str
+    q_rad: tuple[float, ...] | None
+    tip_m: tuple[float, float, float] | None
+
+
+def read_places(file: Path) -> dict[str, Place]:
+    """The places of a file by name. PlacesError names file and place."""
+    try:
+        tables = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise PlacesError(f"{file}: no TOML: {error}") from None
+    except OSError as error:
+        raise PlacesError(
+            f"{file}: cannot read places: {error.strerror}; `armwright mark NAME` makes one"
+        ) from None
+    return {name: _place(file, name, table) for name, table in tables.items()}
+
+
+def find_place(file: Path, name: str) -> Place:
+    """One place. PlacesError lists those that there are."""
+    places = read_places(file)
+    if name not in places:
+        raise PlacesError(f"{file}: no place {name!r}; there are {', '.join(places) or 'none'}")
+    return places[name]
+
+
+def keep_place(file: Path, name: str, q_rad: Sequence[float]) -> None:
+    """Add a place, or put another pose in its stead; the others stay as they are, remarks do not."""
+    import tomli_w
+
+    if not name or not name.replace("_", "").replace("-", "").isalnum():
+        raise PlacesError(f"place: expected a name of letters, digits, - and _, got {name!r}")
+    tables: dict[str, Any] = tomllib.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    tables[name] = {"q_rad": [round(q, 6) for q in q_rad]}
+    file.write_text(tomli_w.dumps(tables), encoding="utf-8")
+
+
+def _place(file: Path, name: str, table: object) -> Place:
+    if not isinstance(table, dict) or len(table) != 1 or not set(table) <= KEYS:
+        got = ", ".join(table) if isinstance(table, dict) else repr(table)
+        raise PlacesError(f"{file}, [{name}]: expected q_rad or tip_m, got {got or 'nothing'}")
+    ((key, values),) = table.items()
+    numbers = values if isinstance(values, list) else []
+    is_good = numbers and all(
+        isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in numbers
+    )
+    if not is_good or (key == "tip_m" and len(numbers) != 3):
+        raise PlacesError(f"{file}, [{name}]: expected {key} to be a list of finite numbers, got {values!r}")
+    if key == "tip_m":
+        return Place(name, None, (float(numbers[0]), float(numbers[1]), float(numbers[2])))
+    return Place(name, tuple(float(v) for v in numbers), None)

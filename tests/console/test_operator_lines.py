@@ -1,0 +1,244 @@
+"""Operator lines: what the shell takes a script takes, and nothing follows a line that failed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import pytest
+
+from console.commands import script
+from console.commands.table import COMMANDS
+from console.lines.grammar import NOT_HERE, Grammar, LineError
+from console.lines.replay import Outcome, replay, understood
+from console.main import main
+from console.places import PlacesError, find_place, keep_place, read_places
+from control.safety.table import Mode
+from tests.cell import STRETCHED, Cell, holding_cell
+
+GRAMMAR = Grammar(COMMANDS, {"arm": "right", "socket": None})
+
+
+def played(cell: Cell, *lines: str) -> list[Outcome]:
+    """Replay lines on a stepped mock arm."""
+    outcomes: list[Outcome] = []
+    replay(understood(lines, GRAMMAR), lambda: cell.client, outcomes.append)
+    return outcomes
+
+
+# ---- the grammar
+
+
+def test_a_line_is_the_subcommand_with_its_options() -> None:
+    line = GRAMMAR.line("  move --joints 0 -0.8 0.1 --speed 0.2   # gently")
+    assert line is not None
+    assert (line.command, line.given.joints, line.given.speed) == ("move", [0.0, -0.8, 0.1], 0.2)
+    assert (line.given.arm, line.given.waits) == ("right", True)
+    copied = GRAMMAR.line("armwright move --joints 0 -0.8 0.1 --speed 0.2")
+    assert copied is not None
+    assert vars(copied.given) == vars(line.given)
+
+
+@pytest.mark.parametrize("text", ["", "   ", "# nothing", "\t#move"])
+def test_remarks_are_no_lines(text: str) -> None:
+    assert GRAMMAR.line(text) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("dance", "no such command"),
+        ("move --joints zero", "invalid float value"),
+        ("move --knots 1", "unrecognized arguments"),
+        ("jog --joint 1", "--by"),
+        ("run 'unclosed", "No closing quotation"),
+        ("stop &", "`&` begins a motion"),
+        ("&", "begins a motion"),
+        *((f"{name}", "terminal of its own") for name in NOT_HERE if name in {c.name for c in COMMANDS}),
+    ],
+)
+def test_a_line_that_is_wrong_says_why(text: str, what: str) -> None:
+    with pytest.raises(LineError, match=what.replace("`", ".")):
+        GRAMMAR.line(text)
+
+
+def test_every_wrong_line_of_a_file_is_named_before_anything_is_done() -> None:
+    with pytest.raises(LineError) as error:
+        understood(["stop", "dance", "", "move --joints x"], GRAMMAR)
+    assert "line 2: dance" in str(error.value)
+    assert "line 4: argument --joints" in str(error.value)
+
+
+# ---- replay
+
+
+def test_a_script_jogs_moves_pauses_goes_on_and_marks(tmp_path: Path) -> None:
+    places = tmp_path / "places.toml"
+    with holding_cell() as cell:
+        outcomes = played(
+            cell,
+            "jog --joint 1 --by 0.05 --speed 0.3",
+            "jog --axis z --by 0.02",
+            f"mark here --places {places}",
+            "move --joints 0.8 -0.3 0.6 &",
+            "wait 0.3",
+            "pause",
+            "wait 1",
+            "status",
+            "resume",
+            "wait",
+            f"go here --places {places} --speed 1",
+        )
+        assert [outcome.status for outcome in outcomes] == [0] * 11
+        assert "PAUSED" in outcomes[7].said
+        assert cell.rig.joint_rad()[0] == pytest.approx(STRETCHED[0] + 0.05, abs=3e-3)
+        assert cell.mode is Mode.HOLDING
+
+
+def test_a_script_ends_at_the_first_line_that_fails() -> None:
+    with holding_cell() as cell:
+        before = cell.rig.joint_rad()
+        outcomes = played(cell, "move --joints 9 9 9", "move --joints 0.3 -0.5 0.3")
+        assert [outcome.status for outcome in outcomes] == [2]
+        assert "outside of its range" in outcomes[0].said
+        assert cell.rig.joint_rad() == pytest.approx(before, abs=1e-3)
+
+
+def test_nothing_follows_a_motion_that_somebody_stopped() -> None:
+    with holding_cell() as cell:
+        begun_s = cell.rig.clock.now_s()
+
+        def stop_in_between() -> None:
+            if cell.mode is Mode.MOVING and cell.rig.clock.now_s() - begun_s > 0.3:
+                cell.assembly.requests.handle({"do": "stop"}, 9)
+
+        cell.watchers.append(stop_in_between)
+        outcomes = played(cell, "move --joints 0.9 -0.3 0.6 --speed 1", "move --joints 0 -0.6 0.2")
+        assert [outcome.status for outcome in outcomes] == [1]
+        assert "stopped before its end" in outcomes[0].said
+
+
+def test_a_jog_against_the_end_of_a_range_fails_in_words() -> None:
+    with holding_cell() as cell:
+        outcomes = played(cell, "jog --joint 3 --by 2.0")
+        assert outcomes[0].status == 2
+        outcomes = played(cell, "jog --axis x --by 0.16")
+        assert outcomes[0].status in (1, 2)
+        assert "range" in outcomes[0].said or "singular" in outcomes[0].said
+
+
+def test_way_points_taught_by_hand_make_a_path_that_runs(tmp_path: Path) -> None:
+    file = tmp_path / "taught.csv"
+    with holding_cell() as cell:
+        outcomes = played(
+            cell,
+            f"teach {file}",
+            f"teach {file}",
+        )
+        assert [outcome.status for outcome in outcomes] == [0, 2]  # twice the same point
+        assert "has not moved" in outcomes[1].said
+        outcomes = played(
+            cell,
+            "move --joints 0.3 -0.6 0.2",
+            f"teach {file}",
+            "move --joints 0.3 -0.4 0.3",
+            f"teach {file}",
+            "move --joints 0.8 -0.4 0.3",
+            f"run {file} --speed 0.2",
+        )
+        assert [outcome.status for outcome in outcomes] == [0] * 6
+        assert cell.client.status()["q_rad"] == pytest.approx([0.3, -0.4, 0.3], abs=3e-3)
+
+
+def test_a_file_of_something_else_is_not_taught_into(tmp_path: Path) -> None:
+    file = tmp_path / "points.csv"
+    file.write_text("setup,point\n")
+    with holding_cell() as cell:
+        assert played(cell, f"teach {file}")[0].status == 2
+    assert file.read_text() == "setup,point\n"
+
+
+# ---- the command
+
+
+def test_check_says_what_would_be_done_and_needs_no_runtime(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "lines.txt"
+    file.write_text("# to the table\nenable\n\nmove --joints 0 -0.8 0\n")
+    assert main(["script", str(file), "--check"]) == 0
+    assert capsys.readouterr().out == "2: enable\n4: move --joints 0 -0.8 0\n"
+    file.write_text("enable\nmve\n")
+    assert main(["script", str(file), "--check"]) == 2
+    error = capsys.readouterr().err
+    assert "line 2: mve: no such command" in error
+    assert "nothing was done" in error
+
+
+def test_json_carries_status_and_words_of_every_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "lines.txt"
+    file.write_text("status\nmove --joints 9 9 9\nstop\n")
+    with holding_cell() as cell:
+        monkeypatch.setattr(script, "connected", lambda given: cell.client)
+        given = argparse.Namespace(file=str(file), arm="right", socket=None, check=False, json=True)
+        assert script.run(given) == 2
+    told = json.loads(capsys.readouterr().out)
+    assert told["status"] == 2
+    assert [(line["number"], line["status"]) for line in told["lines"]] == [(1, 0), (2, 2)]
+    assert "HOLDING" in told["lines"][0]["said"]
+
+
+def test_a_script_runs_a_whole_small_calibration(tmp_path: Path) -> None:
+    """Session with a mock arm, calibration, and what the result says: three lines of a file."""
+    answers = tmp_path / "answers.txt"
+    answers.write_text("auto\n")
+    out = tmp_path / "s"
+    lines = [
+        f"session --mock --out {out} --setups normal,roll --points 1,5,9,13,17,21,25,33 --free 8 --camera --replay {answers}",
+        f"calibrate --points {out / 'points.csv'} --out {tmp_path / 'c'}",
+        f"arm {tmp_path / 'c' / 'arm.toml'}",
+    ]
+    outcomes: list[Outcome] = []
+
+    def none() -> None:
+        raise AssertionError("no line needs a runtime")
+
+    replay(understood(lines, GRAMMAR), none, outcomes.append)  # type: ignore[arg-type]
+    assert [outcome.status for outcome in outcomes] == [0, 0, 0], outcomes[-1].said
+    assert (tmp_path / "c" / "calibration.json").exists()
+    assert "24 points recorded" in outcomes[0].said
+
+
+# ---- places
+
+
+def test_a_place_is_kept_beside_the_others(tmp_path: Path) -> None:
+    file = tmp_path / "places.toml"
+    file.write_text("[corner]\ntip_m = [0.5, 0.1, 0.1]\n")
+    keep_place(file, "rest", (0.0, 0.15, 0.75))
+    keep_place(file, "rest", (0.1, 0.15, 0.75))
+    places = read_places(file)
+    assert places["corner"].tip_m == (0.5, 0.1, 0.1)
+    assert places["rest"].q_rad == (0.1, 0.15, 0.75)
+    with pytest.raises(PlacesError, match="no place 'home'; there are corner, rest"):
+        find_place(file, "home")
+
+
+@pytest.mark.parametrize(
+    "text", ["[a]\n", "[a]\nx = 1\n", "[a]\nq_rad = 1\n", "[a]\nq_rad = []\n", "[a]\ntip_m = [1.0, 2.0]\n",
+             '[a]\nq_rad = ["1"]\n', "[a]\nq_rad = [nan]\n", "a = 1\n", "[a", "[a]\nq_rad=[1.0]\ntip_m=[1.0,2.0,3.0]\n"],
+)  # fmt: skip
+def test_a_places_file_that_is_wrong_is_refused(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "places.toml"
+    file.write_text(text)
+    with pytest.raises(PlacesError, match=r"places\.toml"):
+        read_places(file)
+
+
+@pytest.mark.parametrize("name", ["", "a b", "a.b", "[x]"])
+def test_a_name_that_toml_would_not_take_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(PlacesError, match="letters, digits"):
+        keep_place(tmp_path / "places.toml", name, (0.0,))
