@@ -1,54 +1,101 @@
-"""report.html of the gap workflow: the answer, the gap as the model grew, what could be named, what is left where."""
+"""report.html of the gap workflow: the answer, the gap as the model grew, what was added, what is left where, what could be named."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from calib.gap.finding import GapFinding
+from calib.gap.dynamic.find import DynamicOutcome
+from calib.gap.dynamic.pictures import dynamic_sections
+from calib.gap.finding import GapFinding, NamedEffect
+from calib.gap.ladder import ladder
 from calib.gap.static.find import StaticGap
 from calib.gap.static.nameable import NAMEABLE_sd, is_nameable
 from calib.gap.static.pictures import joint_picture, recordings_picture
-from calib.gap.words import in_words, listed, parameters_text
-from calib.page import Section, page, paragraph, table, tiles, verdict
+from calib.gap.words import in_words, listed
+from calib.page import Section, bullets, page, paragraph, table, tiles, verdict
+
+MOST_PARAMETERS = 12  # rows of one effect; the geometry has more
 
 
-def gap_page(found: GapFinding, static: StaticGap | None, date: str, program_version: str) -> str:
+@dataclass(frozen=True, slots=True)
+class GapReport:
+    """Everything that the page shows. `notes`: sentences about the data and about how poses and time series agree."""
+
+    finding: GapFinding
+    static: StaticGap | None
+    dynamic: DynamicOutcome | None
+    notes: tuple[str, ...]
+    date: str
+    program_version: str
+
+
+def gap_page(report: GapReport) -> str:
     """The whole page."""
-    return page("The gap", found.arm, f"{date} · {program_version}", _parts(found, static))
+    about = f"{report.date} · {report.program_version} · {', '.join(report.finding.data)}"
+    return page("The gap", report.finding.arm, about, gap_parts(report))
 
 
-def _parts(found: GapFinding, static: StaticGap | None) -> Iterator[Section | str]:
+def gap_parts(report: GapReport) -> Iterator[Section | str]:
+    """The page's parts, also for a page that tells more."""
+    found = report.finding
     yield verdict(in_words(found))
     yield tiles(_tiles(found))
+    if report.notes:
+        yield Section("To mind", bullets(report.notes))
+    yield from _ladders(report)
     yield _effects(found)
-    if static is not None:
-        yield from _static(static)
+    if report.static is not None:
+        yield from _static(report.static)
+    if report.dynamic is not None:
+        yield from dynamic_sections(report.dynamic)
     yield _nameable(found)
+    if found.next_experiment:
+        yield Section("The next experiment", paragraph(found.next_experiment))
 
 
 def _tiles(found: GapFinding) -> Iterator[tuple[str, str, str]]:
     yield "before", f"{found.gap_before:.2f}", "times the noise before, on recordings kept apart"
     yield "after", f"{found.gap_after:.2f}", "times the noise after"
-    for channel, value in found.after_si.items():
-        before = found.before_si.get(channel, float("nan"))
-        yield "", f"{value:.3g}", f"{channel} after ({before:.3g} before), root mean square"
+    names = [one for one in found.effects if one.name.effect != "link_geometry"]
+    yield "", str(len(names)), f"effect{'s' if len(names) != 1 else ''} named beside the geometry"
+    yield "", "yes" if found.unknown is not None else "no", "something left that no effect explains"
+
+
+def _ladders(report: GapReport) -> Iterator[Section]:
+    """One a level: their channels are not of one kind."""
+    for level, name in ((report.static, "Static poses"), (report.dynamic, "Time series")):
+        if level is not None:
+            yield Section(f"{name}: the gap after each step", ladder(level.finding))
 
 
 def _effects(found: GapFinding) -> Section:
-    rows = [
-        (str(effect.name), ("text", _shortened(parameters_text(effect))), f"{effect.gap_after:.3f}")
-        for effect in found.effects
-    ]
-    if not rows:
+    if not found.effects:
         return Section("Added to the model", paragraph("Nothing."))
-    return Section("Added to the model, in this order", table(("effect", "parameters", "gap after"), rows))
+    rows = [row for effect in found.effects for row in _parameter_rows(effect)]
+    header = (("text", "effect"), ("text", "parameter"), "value", "sd", "gap after")
+    return Section("Added to the model, in this order", table(header, rows))
 
 
-def _shortened(text: str) -> str:
-    parts = text.split(", ")
-    return text if len(parts) <= 4 else f"{', '.join(parts[:4])} and {len(parts) - 4} more (gap.json)"
+def _parameter_rows(effect: NamedEffect) -> Iterator[tuple[tuple[str, str] | str, ...]]:
+    largest = sorted(effect.parameters.items(), key=lambda item: -abs(item[1][0]) / max(item[1][1], 1e-12))[
+        :MOST_PARAMETERS
+    ]
+    shown = [(name, value) for name, value in effect.parameters.items() if (name, value) in largest]
+    for k, (name, (value, sd)) in enumerate(shown):
+        first = k == 0
+        yield (
+            ("text", str(effect.name) if first else ""),
+            ("text", name),
+            f"{value:.4g}",
+            f"{sd:.2g}" if sd == sd else "–",
+            f"{effect.gap_after:.3f}" if first else "",
+        )
+    more = len(effect.parameters) - len(shown)
+    if more:
+        yield ("text", ""), ("text", f"and {more} more, in gap.json"), "", "", ""
 
 
 def _static(gap: StaticGap) -> Iterator[Section]:
@@ -66,13 +113,13 @@ def _static(gap: StaticGap) -> Iterator[Section]:
         + recordings_picture(gap),
     )
     for joint in _joints(gap):
-        yield Section(f"Along joint {joint}", joint_picture(gap, joint))
+        yield Section(f"Static poses, along joint {joint}", joint_picture(gap, joint))
 
 
 def _joints(gap: StaticGap) -> Sequence[int]:
     """The joints that something was found on; the one with most left otherwise."""
     named = [3 if one.name.effect == "belt_coupling" else one.name.joint for one in gap.finding.effects]
-    found = [joint for joint in dict.fromkeys(named) if joint is not None]
+    found = [joint for joint in dict.fromkeys(named) if joint is not None and joint <= gap.points.joint_count]
     if gap.finding.unknown is not None:
         found += [
             j for j in range(1, gap.points.joint_count + 1) if f"joint {j}:" in gap.finding.unknown.where
@@ -88,7 +135,7 @@ def _nameable(found: GapFinding) -> Section:
             ("text", listed(one.confusable_with) if one.confusable_with else ""),
             ("text", "yes" if is_nameable(one) else "no"),
         )
-        for one in found.nameable
+        for one in sorted(found.nameable, key=lambda one: (one.name.effect, one.name.joint or 0))
     ]
     header = ("effect", "detectability [sd]", ("text", "not to be told from"), ("text", "would be named"))
     return Section(

@@ -17,7 +17,7 @@ from calib.gap.static.cautions import about_data, about_fit, about_outliers, req
 from calib.gap.static.currents import holding_currents
 from calib.gap.static.experiments import next_experiment
 from calib.gap.static.floor import Floor, noise_floor
-from calib.gap.static.generic import shapes
+from calib.gap.static.generic import load_of, shapes
 from calib.gap.static.linearised import Linearised
 from calib.gap.static.model import Fitted, fitted
 from calib.gap.static.nameable import nameable
@@ -38,6 +38,7 @@ class StaticGap:
     """The finding, and what its report draws: poses, their split, residuals (m, 3) as the model grows, stage by stage.
 
     `warnings`: what is odd about the data, and what the answer is worth less for. `left_out` (m,): poses that no model explains.
+    `load_Nm` (m, n): gravity's torques; None for an arm without masses.
     """
 
     finding: GapFinding
@@ -48,6 +49,7 @@ class StaticGap:
     fit: Fitted
     warnings: tuple[str, ...]
     left_out: Mask
+    load_Nm: Array | None
 
 
 def find(
@@ -95,7 +97,7 @@ def find(
         next_experiment=next_experiment(ambiguous, verdict.unknown, could, "free" in points.setup),
     )
     drawn = (("as it is", nominal), *((name, one.residual_m) for name, one in fits))
-    return StaticGap(finding, points, parts, floor, drawn, final, tuple(warnings), out)
+    return StaticGap(finding, points, parts, floor, drawn, final, tuple(warnings), out, load_of(arm, points))
 
 
 def _prepared(arm: Arm, points: Points, tried: tuple[Candidate, ...]) -> tuple[Search, Mask]:

@@ -12,6 +12,7 @@ from calib.arrays import Array, Mask
 from calib.points import Points
 from control.model.arm import Arm
 
+SAME_POSE_rad = 0.03
 REPEATS_LEAST = 12  # pairs below which a scatter is worth less than the data sheet
 QUARTILE = 1.212533  # of chi-square with three degrees of freedom
 AGREE = 0.2  # share by which two estimates of the same may differ
@@ -41,7 +42,7 @@ def noise_floor(arm: Arm, points: Points, residual_m: Array, out: Mask | None = 
             *points.direction[k].tolist(),
         )
         groups.setdefault(key, []).append(k)
-    pairs = [pair for rows in groups.values() for pair in pairwise(rows)]
+    pairs = [pair for rows in groups.values() for pair in pairwise(rows) if _is_same_pose(points, *pair)]
     sheet_m = arm.camera.position_noise_m if arm.camera is not None else 0.0
     if len(pairs) < REPEATS_LEAST:
         if sheet_m > 0.0:
@@ -49,6 +50,11 @@ def noise_floor(arm: Arm, points: Points, residual_m: Array, out: Mask | None = 
         return Floor(math.nan, "nothing: too few repeats, and no camera noise in arm.toml")
     apart = residual_m[[a for a, _ in pairs]] - residual_m[[b for _, b in pairs]]
     return _with_sheet(_scatter_m(apart), len(pairs), sheet_m)
+
+
+def _is_same_pose(points: Points, a: int, b: int) -> bool:
+    """One place in another posture is no repeat: what the model lacks differs there."""
+    return float(np.abs(points.q_rad[a] - points.q_rad[b]).max()) < SAME_POSE_rad
 
 
 def _with_sheet(scatter_m: float, pairs_count: int, sheet_m: float) -> Floor:

@@ -14,18 +14,17 @@ from calib.gap.static.shape import Shape, edges, harmonic, of_joint
 from calib.points import Points
 from control.errors import MissingModel
 from control.model.arm import Arm
-from control.model.static_pose import gravity_Nm, resting
+from control.model.static_pose import gravity_Nm
 
 HARMONICS = (4, 5, 6, 7, 8, 9, 10, 12)  # per turn, of a joint's own angle
 MOTOR_HARMONICS = (1.0, 2.0, 0.5)  # per motor turn
 TIME_PERIODS = (0.5, 1, 1.5, 2, 3, 4, 6, 8)  # of a session
-TIGHT = 0.1  # rad: how finely a joint's own angle is looked at beyond powers and harmonics
 
 
 def shapes(arm: Arm, points: Points) -> tuple[Shape, ...]:
     """All of them for these poses; those that are constant here are left out."""
     found = [*of_the_tip(arm, points)]
-    gravity = _gravity(arm, points)
+    gravity = load_of(arm, points)
     for j in range(points.joint_count):
         found += [
             *_of_angles(points, j),
@@ -37,7 +36,8 @@ def shapes(arm: Arm, points: Points) -> tuple[Shape, ...]:
     return tuple(shape for shape in found if not shape.is_still)
 
 
-def _gravity(arm: Arm, points: Points) -> Array | None:
+def load_of(arm: Arm, points: Points) -> Array | None:
+    """Gravity's torques (m, n); None for an arm without masses."""
     try:
         return gravity_Nm(arm, points.q_rad, stated_kg(points))
     except MissingModel:
@@ -133,12 +133,3 @@ def _of_load(points: Points, gravity: Array | None, j: int) -> Iterator[Shape]:
     for i in range(n):
         if i != j:
             yield of_joint(n, j, f"load{i + 1}", f"follows the load of joint {i + 1}", gravity[:, i])
-
-
-def held_Nm(arm: Arm, points: Points) -> Array | None:
-    """What motors hold beyond gravity, (m, n)."""
-    try:
-        found = resting(arm, points.q_rad, points.direction, points.current_A, stated_kg(points))
-    except MissingModel:
-        return None
-    return found.held_Nm

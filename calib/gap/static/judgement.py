@@ -10,6 +10,7 @@ from calib.gap.finding import EffectName, Unknown
 from calib.gap.static.candidate import Candidate
 from calib.gap.static.model import Fitted
 from calib.gap.static.remainder import Remainder
+from calib.gap.static.shape import WHOLE_ARM
 
 EXPLAINED_LEAST = (
     0.9  # share of the excess over the floor below which a name beside a remainder would be a proxy
@@ -33,7 +34,6 @@ def judge(
     left: Sequence[Remainder],
     rows: Mask,
     noise_m: float,
-    scatter_m: float,
 ) -> Judgement:
     """`bare` has the geometry alone, `fit` the best explanation, in which `leader` explains most; `left` still pays beside it."""
     explained = explained_share(bare, fit, rows, noise_m)
@@ -45,7 +45,16 @@ def judge(
         if explained < EXPLAINED_LEAST or any(_is_same_cause(one, two) for two in left)
     ]
     kept = tuple(one for one in accepted if one not in withdrawn)
-    return Judgement(kept, Unknown(left[0].shape.words, leader, round(explained, 3)))
+    return Judgement(kept, Unknown(_where(left), leader, round(explained, 3)))
+
+
+def _where(left: Sequence[Remainder]) -> str:
+    """The shape that explains most of what is left; where that is no joint's, also the joint that would do most."""
+    best = left[0].shape
+    joint = next((one.shape for one in left if one.shape.joint != WHOLE_ARM), None)
+    if best.joint != WHOLE_ARM or joint is None or best.words.startswith("joint"):
+        return best.words
+    return f"{best.words} (if it is a joint, then {joint.words})"
 
 
 def explained_share(bare: Fitted, fit: Fitted, rows: Mask, noise_m: float) -> float:

@@ -1,4 +1,4 @@
-"""Pictures of static residuals, before and after: by recording, and along the joint that an effect acts on."""
+"""Pictures of static residuals, before and after: by recording, by place, and along the joint that an effect acts on."""
 
 from __future__ import annotations
 
@@ -15,15 +15,51 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+NO_TORQUE_Nm = 1e-6
+ARROWS_MOST = 250  # more hide each other
+ARROW_SHARE = 0.08  # of the workspace: a long arrow
+SHOWN = 0.98  # of the points that the axis must hold
+
 
 def recordings_picture(gap: StaticGap) -> str:
     """Root mean square of every recording over the floor, with the geometry alone and with everything named."""
     return svg((10.4, 3.4), lambda figure: _draw_recordings(figure, gap))
 
 
+def places_picture(gap: StaticGap) -> str:
+    """What is left at every pose as an arrow, from above and from the side, before and after at the same scale."""
+    return svg((10.4, 7.6), lambda figure: _draw_places(figure, gap))
+
+
 def joint_picture(gap: StaticGap, joint: int) -> str:
-    """What is left along one joint (1-based), against its angle and against time, before and after."""
-    return svg((10.4, 3.4), lambda figure: _draw_joint(figure, gap, joint - 1))
+    """What is left along one joint (1-based) against its angle, time, load and last direction, before and after."""
+    return svg((10.4, 6.4), lambda figure: _draw_joint(figure, gap, joint - 1))
+
+
+def _draw_places(figure: Figure, gap: StaticGap) -> None:
+    panels = figure.subplots(2, 2)
+    figure.subplots_adjust(left=0.07, right=0.985, top=0.93, bottom=0.075, hspace=0.2, wspace=0.16)
+    some = np.arange(0, len(gap.points), max(1, len(gap.points) // ARROWS_MOST))
+    place = gap.fit.problem.references_m[some]
+    before = gap.stages[1][1][some]
+    longest = float(np.quantile(np.linalg.norm(before, axis=1), 0.95))
+    times = ARROW_SHARE * float(np.ptp(place, axis=0).max()) / max(longest, 1e-9)
+    for row, (view, a, b) in enumerate((("from above", 0, 1), ("from the side", 0, 2))):
+        for axes, (name, residual), colour in zip(
+            panels[row], (gap.stages[1], gap.stages[-1]), (BEFORE, AFTER), strict=True
+        ):
+            left = residual[some]
+            axes.plot(place[:, a], place[:, b], ".", ms=1.6, color=PLANNED)
+            axes.quiver(
+                place[:, a], place[:, b], times * left[:, a], times * left[:, b],
+                angles="xy", scale_units="xy", scale=1.0, color=colour, width=0.0026,
+            )  # fmt: skip
+            axes.set(aspect="equal", adjustable="datalim", ylabel=f"{'xyz'[b]} [m]")
+            rms = float(np.sqrt(np.mean(residual**2)))
+            axes.set_title(f"{view}, {name}: {1e3 * rms:.3f} mm", size=9)
+            axes.text(0.01, 0.97, f"arrows {times:.0f} times too long", transform=axes.transAxes, size=7)
+    for axes in panels[1]:
+        axes.set_xlabel("x [m]")
 
 
 def _draw_recordings(figure: Figure, gap: StaticGap) -> None:
@@ -52,17 +88,34 @@ def _draw_recordings(figure: Figure, gap: StaticGap) -> None:
 
 
 def _draw_joint(figure: Figure, gap: StaticGap, j: int) -> None:
-    left, right = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.07, right=0.99, top=0.88, bottom=0.15, wspace=0.16)
-    angle = np.degrees(gap.points.q_rad[:, j])
-    order = gap.points.t_s if np.isfinite(gap.points.t_s).all() else np.arange(len(angle), dtype=float)
+    panels = figure.subplots(2, 2, sharey=True)
+    figure.subplots_adjust(left=0.07, right=0.99, top=0.94, bottom=0.08, wspace=0.05, hspace=0.26)
     before, after = (along_joint_rad(gap, stage[1], j) for stage in (gap.stages[1], gap.stages[-1]))
-    for axes, at, label in ((left, angle, f"q{j + 1} [deg]"), (right, order, "time [s]")):
-        _scatter(axes, at, 1e3 * before, BEFORE, "geometry alone", "s")
-        _scatter(axes, at, 1e3 * after, AFTER, "with what is named", "o")
-        axes.set(xlabel=label, ylabel="left [mrad]")
-    left.set_title(f"what is left along joint {j + 1}")
-    left.legend(loc="best", fontsize=7)
+    reach = 1e3 * float(np.quantile(np.abs(np.concatenate((before, after))), SHOWN))
+    for axes, (at, label) in zip(panels.ravel(), _against(gap, j), strict=True):
+        _scatter(axes, at, 1e3 * before, BEFORE, gap.stages[1][0], "s")
+        _scatter(axes, at, 1e3 * after, AFTER, f"with {gap.stages[-1][0]}", "o")
+        axes.set(xlabel=label, ylim=(-1.25 * reach, 1.25 * reach))
+        axes.axhline(0.0, color=PLANNED, lw=0.8)
+    panels[1, 1].set_xticks((-1, 0, 1))
+    for axes in panels[:, 0]:
+        axes.set_ylabel(f"left along joint {j + 1} [mrad]")
+    panels[0, 0].legend(loc="best", fontsize=7)
+
+
+def _against(gap: StaticGap, j: int) -> list[tuple[Array, str]]:
+    """Four things that what is left may depend on: (m,) and its label."""
+    points, count = gap.points, len(gap.points)
+    has_time = bool(np.isfinite(points.t_s).all())
+    apart = 0.2 * (np.arange(count) % 40 / 39.0 - 0.5)  # points of one direction side by side
+    is_loaded = gap.load_Nm is not None and float(np.abs(gap.load_Nm[:, j]).max()) > NO_TORQUE_Nm
+    load = gap.load_Nm[:, j] if gap.load_Nm is not None and is_loaded else np.nan_to_num(points.payload_kg)
+    return [
+        (np.degrees(points.q_rad[:, j]), f"q{j + 1} [deg]"),
+        (points.t_s if has_time else np.arange(count, dtype=float), "time [s]" if has_time else "pose"),
+        (load, f"gravity torque of joint {j + 1} [N m]" if is_loaded else "payload [kg]"),
+        (points.direction[:, j] + apart, f"last direction of joint {j + 1}"),
+    ]
 
 
 def _scatter(axes: Axes, at: Array, values: Array, colour: str, label: str, mark: str) -> None:

@@ -93,9 +93,7 @@ class Search:
         broken = tuple(k for k in decision.best.chosen if k in broken or self.tried[k].name in vague)
         sure = {self.tried[k].name for k in decision.accepted if k not in twins and k not in broken}
         accepted = [one for one in fit.chosen if one.name in sure]
-        verdict = judge(
-            accepted, decision.leader, self.bare, fit, left, self.parts.known, self.floor.tip_m, self.noise_m
-        )
+        verdict = judge(accepted, decision.leader, self.bare, fit, left, self.parts.known, self.floor.tip_m)
         if verdict.unknown is not None or not (twins or broken):
             return verdict
         share = round(explained_share(self.bare, fit, self.parts.known, self.floor.tip_m), 3)
