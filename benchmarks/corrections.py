@@ -1,7 +1,7 @@
 """What the controller makes of an effect that was named: tip errors of the mock arm with the effect in its model and without.
 
-The mock hides friction and one effect. The tip runs a circle and a line and comes to rest at points all over the workspace; its true
-place (the plant's) is compared with where it was sent. Three runs: the arm without the effect, with it unknown, with it in arm.toml.
+The mock hides friction and one effect. The tip runs a circle and comes to rest at points all over the workspace; its true place
+is compared with where it was sent. Three runs: the arm without the effect, with it unknown, with it in arm.toml.
 Run with `python -m benchmarks.corrections`; docs/corrections.md has the table.
 """
 
@@ -19,7 +19,7 @@ from control.loop.assemble import Assembly, assemble
 from control.loop.client import ArmClient
 from control.loop.connect import connect
 from control.loop.in_process import InProcessChannel
-from control.model.arm import Arm, Effect
+from control.model.arm import Effect
 from control.model.description import load_arm
 from control.model.inverse import InverseKinematics
 from control.model.kinematics import Kinematics
@@ -103,7 +103,8 @@ def _scenario(hidden: Sequence[Effect], seed: int) -> Scenario:
 
 def _stops(rig: SteppedRig, client: ArmClient) -> Points:
     """Errors (m, 3) at rest; each stop is passed there and back, so that joints come from both sides."""
-    inverse, q = InverseKinematics(RIGHT), (0.1, -0.6, 0.2)
+    inverse = InverseKinematics(RIGHT)
+    q: tuple[float, ...] = (0.1, -0.6, 0.2)
     errors = []
     for stop in (*STOPS_m, *reversed(STOPS_m[:-1])):
         q = inverse.nearest(stop, q)

@@ -6,12 +6,18 @@ Masses by `payload` and `link_inertia`, frictions by the sign of the set-point's
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import exp, sin, tanh
-from typing import Protocol
+from typing import Final, Protocol
 
 from control.model.arm import Arm, Effect
 from control.model.dynamics import Dynamics
 from control.model.effect_laws import SMOOTH_rad_s
 
+FED_FORWARD: Final = frozenset(
+    {
+        "payload", "link_inertia", "torque_constant", "coulomb_friction", "viscous_friction", "stribeck_friction",
+        "load_friction", "asymmetric_friction", "cogging",
+    }
+)  # fmt: skip
 Torques = tuple[float, ...]
 FrictionTerm = Callable[
     [float, float, float], float

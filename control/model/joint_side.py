@@ -20,6 +20,7 @@ from control.model.feedforward import own_payload_kg, torque_constants_Nm_A, wit
 from control.model.gear import Gear, GearLaw
 
 GEAR_EFFECTS: Final = frozenset({"backlash", "joint_compliance"})
+SIDE_EFFECTS: Final = RIGID_EFFECTS | GEAR_EFFECTS
 LINK_SHARE: Final = 0.5  # of a joint's dry friction on the link's side: the middle of what it may be
 UNKNOWN_FRICTION: Final = (
     0.01  # on the link's side, of the torque at the current limit, where the arm's file says none
@@ -45,7 +46,7 @@ class JointSide:
     def of(cls, arm: Arm) -> Self | None:
         """The joint side of an arm whose file has such effects, else None. MissingModel where gears lack masses or drives."""
         names = {effect.effect for effect in arm.effects}
-        return cls(arm) if names & (RIGID_EFFECTS | GEAR_EFFECTS) else None
+        return cls(arm) if names & SIDE_EFFECTS else None
 
     @property
     def flanks(self) -> Mapping[int, int]:
@@ -54,12 +55,16 @@ class JointSide:
 
     def stand(self, encoder_rad: Sequence[float], payload_kg: float = 0.0) -> Floats:
         """Joint angles of an arm that stands where its encoders say; `aim` goes on from there without a step."""
-        if self._torque is not None:
-            torques = self._torque(encoder_rad, self._still, self._still, payload_kg)
+        joints = self.joint_rad(encoder_rad)
+        if self._torque is None:
+            return joints
+        for _ in range(2):  # gravity at the joints' angles, which it moves by a thousandth of itself
+            torques = self._torque(joints, self._still, self._still, payload_kg)
             for joint, gear in self._gears:
                 gear.rest(torques[joint])
                 self._offset[joint] = gear.offset_rad
-        return self.joint_rad(encoder_rad)
+            joints = self.joint_rad(encoder_rad)
+        return joints
 
     def aim(self, wanted: State, elapsed_s: float, payload_kg: float = 0.0) -> State:
         """Where the encoders have to be and how to go for joints that are `wanted` so, `elapsed_s` after the last call."""
