@@ -23,9 +23,11 @@ CREEP = 0.1  # of the speed of other moves
 class RuntimePort:
     """`ArmPort` and `Camera` over the runtime's client."""
 
-    def __init__(self, client: ArmClient, speed: float = 1.0) -> None:
+    def __init__(self, client: ArmClient, speed: float = 1.0, as_encoders: bool = False) -> None:
+        """`as_encoders`: moves are to encoder angles, without what the runtime knows of its gears (docs/corrections.md)."""
         self._client = client
         self._speed = speed
+        self._as_encoders = as_encoders
 
     def now_s(self) -> float:
         """The runtime's time."""
@@ -33,11 +35,11 @@ class RuntimePort:
 
     def move_to_q(self, q_rad: Sequence[float]) -> None:
         """Joint move, done when the arm holds there."""
-        self._client.move_joints(q_rad, self._speed)
+        self._client.move_joints(q_rad, self._speed, as_encoders=self._as_encoders)
 
     def creep_to_q(self, q_rad: Sequence[float]) -> None:
         """The same, slowly: for jogging."""
-        self._client.move_joints(q_rad, CREEP * self._speed)
+        self._client.move_joints(q_rad, CREEP * self._speed, as_encoders=self._as_encoders)
 
     def release(self) -> None:
         """Open the circuits for a hand that has the arm."""

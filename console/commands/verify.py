@@ -87,6 +87,11 @@ def _real(given: argparse.Namespace, pair: Pair) -> Bench:
     if status["mode"] != "HOLDING":
         raise ArmError(f"the arm is {status['mode']}: `armwright enable` and `armwright home` first")
     believed = believed_by(status, pair)
+    if not pair.calibrated.has_gears_of(believed):
+        raise ArmError(
+            f"{pair.calibrated.arm.path} knows effects between encoders and joints that the runtime does not: start"
+            f" `armwright serve --arm {pair.calibrated.arm.path}`, so that it corrects them"
+        )
     if status["camera_m"] is None:
         raise ArmError("the camera does not see the tip: a verification is nothing without (docs/camera.md)")
     recording = Path(status["recording"])

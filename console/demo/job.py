@@ -111,7 +111,7 @@ def _survey(arm: Arm, programme: Programme, file: Path) -> Survey:
 
 def _drive(survey: Survey, bench: Bench, client: ArmClient) -> None:
     """The survey's points and paths, on a runtime that believes in the same model."""
-    for _ in survey.tour(1, client, bench.speed):
+    for _ in survey.tour(1, survey.model, client, bench.speed):
         pass
     for _ in survey.run_ways(survey.model, client, bench.speed):
         pass

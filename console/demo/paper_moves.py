@@ -38,12 +38,13 @@ class Pose:
 
 
 class Mover:
-    """The bench's arm, told in encoder angles."""
+    """The bench's arm, told in encoder angles: its runtime knows the nominal arm, what is identified is corrected here."""
 
     def __init__(self, arm: Arm, bench: Bench, client: ArmClient) -> None:
         self._arm, self._client = arm, client
         self._inverse = InverseKinematics(arm)
-        self._port, self._gentle = RuntimePort(client, bench.speed), RuntimePort(client, GENTLE * bench.speed)
+        self._port = RuntimePort(client, bench.speed, as_encoders=True)
+        self._gentle = RuntimePort(client, GENTLE * bench.speed, as_encoders=True)
         self._hand = HandPort(bench.rig.hand, bench.wait)
 
     @property

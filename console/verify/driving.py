@@ -3,10 +3,13 @@
 Points are joint moves to what the model's inverse kinematics says: the loop needs no geometry for these. A path goes to the
 runtime in Cartesian space and through the runtime's own inverse kinematics, so it is handed over as the path that takes the
 joints where the model wants them: q(t) by the model, x'(t) = f(q(t)) by the runtime's forward kinematics.
+
+What is between joints and encoders (play, springs, belt, encoder errors) only the runtime can correct. For a model that has the
+same of it as the runtime's, motions are given in joint angles; for one that has none, in encoder angles.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from calib.points_writer import PointsWriter
@@ -26,6 +29,15 @@ AVERAGE_S = 0.2  # 20 camera frames
 SECTION_m = 0.01
 
 
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A path as it was run: the number of the run in the recording; `path` where the recorded set-points are not the joints'."""
+
+    number: int
+    path: PlannedPath | None = None
+    pace: float = 1.0
+
+
 def poses_at(places: Sequence[Place], model: Model, q_near_rad: Sequence[float]) -> tuple[FreePose, ...]:
     """Joint angles at the places, each on the branch of the one before; ArmError names the first out of reach."""
     poses = []
@@ -41,10 +53,15 @@ def poses_at(places: Sequence[Place], model: Model, q_near_rad: Sequence[float])
 
 
 def visit(
-    poses: Sequence[FreePose], repeat: int, client: ArmClient, speed: float, writer: PointsWriter
+    poses: Sequence[FreePose],
+    repeat: int,
+    client: ArmClient,
+    speed: float,
+    writer: PointsWriter,
+    as_encoders: bool = False,
 ) -> Iterator[Progress]:
     """One tour of the poses; the camera measures at each, and each is on the disk before the next."""
-    port = RuntimePort(client, speed)
+    port = RuntimePort(client, speed, as_encoders)
     tour = [replace(pose, repeat=repeat) for pose in poses]
     return take_free_poses(tour, port, port, writer, SessionSettings(average_s=AVERAGE_S))
 
@@ -66,11 +83,14 @@ def planned(way: Way, model: Model, speed_m_s: float, q_near_rad: Sequence[float
         raise ArmError(f"{way.name} above the board's setup {way.setup}: {error}") from error
 
 
-def run(path: PlannedPath, model: Model, believed: Model, client: ArmClient, speed: float) -> int:
-    """Go to the path's start and run it as `model` has planned it; returns the number of the run."""
-    client.move_joints(path.q_start_rad, speed)
-    client.run_path(handed_over(path, model, believed).to_message())
-    return int(client.status()["run"])
+def run(path: PlannedPath, model: Model, believed: Model, client: ArmClient, speed: float) -> Run:
+    """Go to the path's start and run it as `model` has planned it."""
+    as_encoders = not model.has_gears_of(believed)
+    client.move_joints(path.q_start_rad, speed, as_encoders=as_encoders)
+    client.run_path(handed_over(path, model, believed).to_message(), as_encoders=as_encoders)
+    status = client.status()
+    in_joints = path if believed.gears and not as_encoders else None
+    return Run(int(status["run"]), in_joints, float(status["override"]))
 
 
 def handed_over(path: PlannedPath, model: Model, believed: Model) -> PlannedPath:

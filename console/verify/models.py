@@ -14,6 +14,7 @@ from control.loop.client import Message
 from control.model.arm import Arm, Vector3
 from control.model.description import arm_names, load_arm
 from control.model.inverse import InverseKinematics
+from control.model.joint_side import SIDE_EFFECTS
 from control.model.kinematics import Kinematics
 
 SAME_TIP_m = 1e-6
@@ -36,6 +37,19 @@ class Model:
         """Of this model."""
         return InverseKinematics(self.arm)
 
+    @cached_property
+    def gears(self) -> frozenset[tuple[object, ...]]:
+        """What the model knows between joints and encoders."""
+        return frozenset(
+            (e.effect, e.joint, *sorted(e.parameters.items()))
+            for e in self.arm.effects
+            if e.effect in SIDE_EFFECTS
+        )
+
+    def has_gears_of(self, believed: "Model") -> bool:
+        """Whether the runtime that believes in the other model corrects what this one knows of its gears, no more, no less."""
+        return self.gears == believed.gears
+
     def in_base(self, point_m: Sequence[float]) -> Vector3:
         """A point of the frame of table and camera, in the model's base frame."""
         x, y, z = self.frame.to_base(np.array([point_m]))[0].tolist()
@@ -43,7 +57,11 @@ class Model:
 
     def tips(self, q_rad: np.ndarray) -> np.ndarray:
         """Tips (m, 3) of poses (m, n), in the frame of table and camera."""
-        return np.asarray((self.kinematics.tips(q_rad) - self.frame.origin_m) @ self.frame.rotation)
+        return self.seen(self.kinematics.tips(q_rad))
+
+    def seen(self, base_m: np.ndarray) -> np.ndarray:
+        """Points (m, 3) of the model's base frame, in the frame of table and camera."""
+        return np.asarray((base_m - self.frame.origin_m) @ self.frame.rotation)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +108,7 @@ def believed_by(status: Message, pair: Pair) -> Model:
     if not status["is_homed"] or status["tip_m"] is None:
         raise ArmError("the arm is not homed, so its angles mean nothing yet: `armwright home`")
     for model in (pair.calibrated, pair.nominal):
-        tip_m = model.kinematics.tip(*status["q_rad"])
+        tip_m = model.kinematics.tip(*status["joint_rad"])
         if max(abs(a - b) for a, b in zip(tip_m, status["tip_m"], strict=True)) < SAME_TIP_m:
             return model
     raise ArmError(

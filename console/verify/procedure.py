@@ -22,7 +22,9 @@ from console.verify.models import Model, Pair
 from console.verify.survey import Programme, Survey, compared, paired, raw_points
 from control.loop.client import ArmClient
 from control.model import table as tables
-from control.model.arm import Arm
+from control.model.arm import Arm, Effect
+from control.model.feedforward import FED_FORWARD
+from control.model.joint_side import SIDE_EFFECTS
 
 Advance = Callable[[str, float], None]
 """Called with what is being done and how much of the whole is done, 0 to 1."""
@@ -59,7 +61,7 @@ class Drive:
     def _steps(self, believed: Model, client: ArmClient, speed: float) -> Iterator[str]:
         for repeat in range(1, self.programme.repeats + 1):
             for survey, name in self._named():
-                for step in survey.tour(repeat, client, speed):
+                for step in survey.tour(repeat, believed, client, speed):
                     yield f"{name}: {step.setup} {step.point}, visit {repeat}"
         for survey, name in self._named():
             for way in survey.run_ways(believed, client, speed):
@@ -140,7 +142,7 @@ def _verification(
         paths,
         (*_arm_files(nominal, calibrated), *more),
         how,
-        (*used.warnings, *notes, *_left_out(calibrated, is_driven)),
+        (*used.warnings, *notes, *_left_out(nominal, calibrated, is_driven)),
         is_driven,
         datetime.datetime.now(datetime.UTC).date().isoformat(),
         f"armwright {version('armwright')}",
@@ -156,15 +158,23 @@ def _arm_files(nominal: Arm, calibrated: Arm) -> tuple[InputFile, ...]:
     )
 
 
-def _left_out(calibrated: Arm, is_driven: bool) -> tuple[str, ...]:
-    """Effects of the calibrated arm that play no part: inverse kinematics knows none, predictions know the static ones."""
-    known = {"base_frame"} if is_driven else {"base_frame", *LAWS}
-    names = [
-        f"{effect.effect} of {effect.joint}" if effect.joint else effect.effect
-        for effect in calibrated.effects
-        if effect.effect not in known
-    ]
-    return (f"effects of the calibrated arm that play no part here: {', '.join(names)}",) if names else ()
+def _left_out(nominal: Arm, calibrated: Arm, is_driven: bool) -> tuple[str, ...]:
+    """Effects that play no part: the runtime corrects and feeds forward what it can, predictions know the static ones."""
+    known = {"base_frame"} | (SIDE_EFFECTS | FED_FORWARD if is_driven else set(LAWS))
+    notes = []
+    names = [_named(effect) for effect in calibrated.effects if effect.effect not in known]
+    if names:
+        notes.append(f"effects of the calibrated arm that play no part here: {', '.join(names)}")
+    was = [_named(effect) for effect in nominal.effects if effect.effect in SIDE_EFFECTS]
+    if is_driven and was and not Model(nominal).has_gears_of(Model(calibrated)):
+        notes.append(
+            f"the nominal arm's {', '.join(was)} played no part when it was driven: the runtime corrects by one arm's file"
+        )
+    return tuple(notes)
+
+
+def _named(effect: Effect) -> str:
+    return f"{effect.effect} of {effect.joint}" if effect.joint else effect.effect
 
 
 def write(verification: Verification, out: Path) -> None:

@@ -11,7 +11,7 @@ from calib.points_writer import PointsWriter
 from calib.session.sequence import Progress
 from calib.tracks import Track, TrackPair
 from calib.verify import Comparison, compare_repeated
-from console.verify.driving import planned, poses_at, run, visit
+from console.verify.driving import Run, planned, poses_at, run, visit
 from console.verify.models import Model
 from console.verify.places import Place, Way
 from console.verify.tracks import track_of
@@ -40,17 +40,18 @@ class Survey:
         self._poses = poses_at(programme.places, model, q_near_rad)
         near = self._poses[0].q_rad if self._poses else q_near_rad
         self._paths = [planned(way, model, programme.path_speed_m_s, near) for way in programme.ways]
-        self._runs: list[tuple[Way, int]] = []
+        self._runs: list[tuple[Way, Run]] = []
 
     @property
     def q_rad(self) -> np.ndarray:
         """The poses that it goes to, (m, n)."""
         return np.array([pose.q_rad for pose in self._poses])
 
-    def tour(self, repeat: int, client: ArmClient, speed: float) -> Iterator[Progress]:
+    def tour(self, repeat: int, believed: Model, client: ArmClient, speed: float) -> Iterator[Progress]:
         """Every place once."""
+        as_encoders = not self.model.has_gears_of(believed)
         with PointsWriter(self._file, self.model.arm.joint_count) as writer:
-            yield from visit(self._poses, repeat, client, speed, writer)
+            yield from visit(self._poses, repeat, client, speed, writer, as_encoders)
 
     def run_ways(self, believed: Model, client: ArmClient, speed: float) -> Iterator[Way]:
         """Every way once; yields what it has run."""
@@ -64,7 +65,7 @@ class Survey:
 
     def tracks(self, recording: Path) -> list[Track]:
         """The ways as they were run."""
-        return [track_of(recording, self.model, number, way.name) for way, number in self._runs]
+        return [track_of(recording, self.model, ran, way.name) for way, ran in self._runs]
 
 
 def compared(programme: Programme, before: Points, after: Points) -> Comparison:

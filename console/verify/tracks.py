@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.arrays import frozen
 from calib.tracks import Track
+from console.verify.driving import Run
 from console.verify.models import Model
 from control.errors import ArmError
 from control.loop.record import Layout, Recording
@@ -19,28 +20,41 @@ PATIENCE_S = 5.0  # of a recording's writer, which is another process
 _NUMPY = {"d": "f8", "f": "f4", "I": "u4", "i": "i4", "B": "u1"}
 
 
-def track_of(recording: Path, model: Model, run: int, name: str) -> Track:
-    """The tip along run number `run`: set-points through the model that planned it, measured by the camera.
+def track_of(recording: Path, model: Model, ran: Run, name: str) -> Track:
+    """The tip along a run: planned by the model, measured by the camera.
 
-    In the frame of table and camera. A camera's frames arrive late by a constant delay. It is estimated as the one under which
-    the measured path follows the planned one best, and taken out, so that the error is that of the arm.
+    Planned is where the recorded set-points take the tip; where those are of encoders that are not the joints', where the path
+    was at that time of the run. In the frame of table and camera. A camera's frames arrive late by a constant delay. It is
+    estimated as the one under which the measured path follows the planned one best, and taken out, so that the error is that of
+    the arm.
     """
     rows = recorded(recording)
-    rows = rows[(rows["run"] == run) & (rows["mode"] == MOVING)]
+    rows = rows[(rows["run"] == ran.number) & (rows["mode"] == MOVING)]
     if not len(rows):
-        raise ArmError(f"{recording}: holds no run {run}")
+        raise ArmError(f"{recording}: holds no run {ran.number}")
     time_s = np.asarray(rows["t_s"])
-    joints = range(1, model.arm.joint_count + 1)
-    planned_m = model.tips(np.column_stack([rows[f"q{joint}_set_rad"] for joint in joints]))
+    planned_m = _planned_m(rows, model, ran)
     seen_m = np.column_stack([rows[name] for name in ("x_m", "y_m", "z_m")])
     seen = ~np.isnan(seen_m).any(axis=1)
     if not seen.any():
-        raise ArmError(f"{recording}: no camera frame in run {run}: was the camera on?")
+        raise ArmError(f"{recording}: no camera frame in run {ran.number}: was the camera on?")
     taken_s = time_s[seen] - _camera_delay_s(time_s, planned_m, time_s[seen], seen_m[seen])
     within = taken_s >= time_s[0]  # the first frames to arrive were taken before the run
     at_s = taken_s[within]
     planned_at_m = _at(at_s, time_s, planned_m)
     return Track(name, frozen(at_s - time_s[0]), frozen(planned_at_m), frozen(seen_m[seen][within]))
+
+
+def _planned_m(rows: np.ndarray, model: Model, ran: Run) -> np.ndarray:
+    """Planned tips (m, 3) at the rows' times. The first row of a run is one cycle into it."""
+    if ran.path is None:
+        joints = range(1, model.arm.joint_count + 1)
+        return model.tips(np.column_stack([rows[f"q{joint}_set_rad"] for joint in joints]))
+    time_s = np.asarray(rows["t_s"])
+    period_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+    spline = ran.path.spline
+    at_s = (ran.pace * (time_s - time_s[0] + period_s)).tolist()
+    return model.seen(np.array([spline.at(t)[0] for t in at_s]))
 
 
 def recorded(recording: Path) -> np.ndarray:

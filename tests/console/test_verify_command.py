@@ -16,7 +16,7 @@ from console.commands import verify as verify_command
 from console.main import main
 from console.verify import places as verify_places
 from console.verify import procedure
-from console.verify.driving import handed_over, planned, poses_at
+from console.verify.driving import Run, handed_over, planned, poses_at
 from console.verify.models import Model, Pair, believed_by, nominal_of
 from console.verify.places import places, ways
 from console.verify.tracks import MOVING, recorded, track_of, wait_until_recorded
@@ -241,7 +241,7 @@ def test_a_calibrated_base_frame_and_tool_are_driven_too() -> None:
 
 def status(arm: Arm, **changes: object) -> dict[str, object]:
     q_rad = [0.1, -0.5, 0.2]
-    return {"is_homed": True, "q_rad": q_rad, "tip_m": list(Kinematics(arm).tip(*q_rad))} | changes
+    return {"is_homed": True, "joint_rad": q_rad, "tip_m": list(Kinematics(arm).tip(*q_rad))} | changes
 
 
 def test_what_the_runtime_believes_is_found_out_and_never_assumed() -> None:
@@ -287,12 +287,12 @@ def recording(path: Path, delay_s: float, offset_m: float) -> np.ndarray:
 def test_a_cameras_delay_is_no_error_of_the_arm(tmp_path: Path) -> None:
     """30 ms late at some 0.3 m/s would be 9 mm; the delay is known to half a millisecond then, 0.15 mm."""
     recording(tmp_path / "a.armlog", 0.03, 0.004)
-    track = track_of(tmp_path / "a.armlog", Model(RIGHT), 2, "run")
+    track = track_of(tmp_path / "a.armlog", Model(RIGHT), Run(2), "run")
     error = track.measured_m - track.planned_m
     np.testing.assert_allclose(error, 0.004, atol=0.0002)
     assert len(track.time_s) == 197  # three frames were taken before the run
     with pytest.raises(ArmError, match="holds no run 7"):
-        track_of(tmp_path / "a.armlog", Model(RIGHT), 7, "run")
+        track_of(tmp_path / "a.armlog", Model(RIGHT), Run(7), "run")
 
 
 def test_a_growing_recording_is_read_as_far_as_it_is_whole(tmp_path: Path) -> None:
