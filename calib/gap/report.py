@@ -1,4 +1,4 @@
-"""report.html of the gap workflow: the answer, the gap as the model grew, what was added, what is left where, what could be named."""
+"""report.html of the gap workflow: the answer, the gap as the model grew, what was added, what is left, what could be named."""
 
 from __future__ import annotations
 

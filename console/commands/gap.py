@@ -1,110 +1,162 @@
 """`armwright gap`: where simulation and measurement disagree, what is missing, and the model with it."""
 
 import argparse
-import dataclasses
-import datetime
+import contextlib
 import json
 import sys
-from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calib.errors import CalibrationError
-from calib.gap.both import disagreements, merged
-from calib.gap.dynamic.find import examine
-from calib.gap.finding import GapFinding, gap_content, write_gap_json
-from calib.gap.log import joined_logs, read_log
-from calib.gap.model_update import updated_arm
-from calib.gap.report import gap_page
-from calib.gap.static.find import StaticGap, find
+from calib.gap.finding import gap_content
 from calib.gap.words import in_words
-from calib.points import joined, read_points
-from calib.report_data import input_file
+from console.commands.connection import connected
 from console.commands.progress import Bar
+from console.gap.workflow import Outcome, known_effects, look, read_inputs, require_free, say_warnings, write
 from control.errors import ArmError
-from control.model.arm import Arm, Calibration
-from control.model.description import load_arm, save_arm
-from control.model.effects import EFFECTS
+from control.model.arm import Arm
+from control.model.description import load_arm
 
-RESULTS = ("gap.json", "arm.toml", "report.html")
+if TYPE_CHECKING:
+    from calib.gap.plan.plan import RecordingPlan
+
+REAL_SPEED = 0.5  # of a real arm's joint limits, between poses
+MOCK_PAYLOAD_kg = 0.5
+CAMERA_LOOK_s = 0.5
+MINUTES_MOST = 600.0
 
 
 def run(given: argparse.Namespace) -> int:
-    """Read, look, name, write. Nothing is written before everything is read and found usable."""
+    """Record if that is wanted, look, name, write. Nothing is written before everything is read and found usable."""
     arm, out = load_arm(given.arm), Path(given.out)
-    for name in RESULTS:
-        if (out / name).exists():
-            raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
-    without = _without(given.without or [])
+    without = known_effects(given.without or [])
+    require_free(out)
+    if given.record:
+        return _record(given, arm, out, without)
+    for name in (
+        "mock",
+        "plan_only",
+        "record_only",
+        "quick",
+        "minutes",
+        "payload",
+        "only",
+        "scenario",
+        "seed",
+    ):
+        if getattr(given, name) not in (None, False):
+            raise CalibrationError(f"--{name.replace('_', '-')} belongs to --record, which was not given")
+    return _look(given, arm, given.points or [], given.log or [], without, out)
+
+
+def _look(
+    given: argparse.Namespace,
+    arm: Arm,
+    points: list[str],
+    logs: list[str],
+    without: tuple[str, ...],
+    out: Path,
+) -> int:
+    inputs = read_inputs(arm, points, logs)
     with Bar("gap") as bar:
-        gap = _static(given, arm, without, bar) if given.points else None
-        dynamic = _dynamic(given, arm, without, bar) if given.log else None
-    finding = _together(gap, dynamic)
-    _write(finding, gap, arm, given, out)
-    if given.json:
-        sys.stdout.write(json.dumps(gap_content(finding), indent=2, allow_nan=False) + "\n")
-    else:
-        sys.stdout.write("".join(f"{sentence}\n" for sentence in in_words(finding)))
-        sys.stdout.write(f"\nreport  {out / 'report.html'}\nmodel   {out / 'arm.toml'}\n")
+        outcome = look(arm, inputs, without, bar.advance)
+    write(outcome, arm, inputs, out)
+    _say(given, outcome, out)
     return 0
 
 
-def _together(gap: StaticGap | None, dynamic: GapFinding | None) -> GapFinding:
-    """One finding; what the two halves disagree about is said."""
-    if gap is None:
-        if dynamic is None:
-            raise CalibrationError("gap: give --points for static poses, --log for time series, or both")
-        return dynamic
-    if dynamic is None:
-        return gap.finding
-    for sentence in disagreements(gap.finding, dynamic):
-        sys.stderr.write(f"armwright: warning: {sentence}\n")
-    return merged(gap.finding, dynamic)
+def _say(given: argparse.Namespace, outcome: Outcome, out: Path) -> None:
+    say_warnings(outcome)
+    if given.json:
+        sys.stdout.write(json.dumps(gap_content(outcome.finding), indent=2, allow_nan=False) + "\n")
+        return
+    sys.stdout.write("".join(f"{sentence}\n" for sentence in in_words(outcome.finding)))
+    sys.stdout.write(f"\nreport  {out / 'report.html'}\nmodel   {out / 'arm.toml'}\n")
 
 
-def _without(names: list[str]) -> tuple[str, ...]:
-    for name in names:
-        if name not in EFFECTS:
-            raise CalibrationError(f'--without: expected some of {", ".join(EFFECTS)}, got "{name}"')
-    return tuple(names)
+def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, ...]) -> int:
+    """Plan, say it, record, and look at what was recorded."""
+    from calib.gap.plan import foresight
+    from calib.gap.plan.plan import Wish, recording_plan
+
+    _require_recording_options(given)
+    payload_kg = given.payload if given.payload is not None else MOCK_PAYLOAD_kg * bool(given.mock)
+    wish = Wish(given.only != "motion", given.only != "static", payload_kg, bool(given.quick), given.minutes)
+    plan = recording_plan(arm, wish, 1.0 if given.mock else REAL_SPEED)
+    if given.plan_only:
+        sys.stdout.write("".join(f"{line}\n" for line in foresight.in_words(arm, plan, payload_kg)))
+        return 0
+    sys.stderr.write(f"{foresight.in_short(arm, plan)}\n")
+    try:
+        if given.mock:
+            from console.gap.mock import record_on_mock
+
+            with Bar("record") as bar:
+                record_on_mock(arm, given.scenario or "demo", given.seed, plan, out, bar.advance)
+        else:
+            _record_real(given, arm, plan, out)
+    except BaseException as error:
+        if (out / "plan.json").exists():
+            sys.stderr.write(
+                f"\narmwright: what was recorded is in {out}; the same command goes on with it\n"
+            )
+        if isinstance(error, ArmError | CalibrationError) and (out / "points.csv").exists():
+            sys.stderr.write(f"armwright: {error}\n")
+            return 1  # the arm has moved: not the exit status 2 of wrong input
+        raise
+    points = [str(out / "points.csv")] if plan.visits else []
+    logs = [str(out / "log.csv")] if plan.runs else []
+    if given.record_only:
+        sys.stdout.write("".join(f"recorded  {name}\n" for name in (*points, *logs)))
+        return 0
+    return _look(given, arm, points, logs, without, out)
 
 
-def _static(given: argparse.Namespace, arm: Arm, without: tuple[str, ...], bar: Bar) -> StaticGap:
-    """The poses of every points file together."""
-    parts = []
-    for name in given.points:
-        part, warnings = read_points(Path(name), arm.joint_count)
-        parts.append(part)
-        sys.stderr.writelines(f"armwright: warning: {warning}\n" for warning in warnings)
-    source = tuple(Path(name).name for name in given.points)
-    found = find(arm, joined(parts), bar.advance, without)
-    return dataclasses.replace(found, finding=dataclasses.replace(found.finding, data=source))
+def _require_recording_options(given: argparse.Namespace) -> None:
+    """CalibrationError for what does not go together."""
+    if given.points or given.log:
+        raise CalibrationError("--record makes its own recordings: leave --points and --log out")
+    if given.minutes is not None and not 0.0 < given.minutes <= MINUTES_MOST:
+        raise CalibrationError(
+            f"--minutes: expected a number above 0 and up to {MINUTES_MOST:g}, got {given.minutes:g}"
+        )
+    if given.payload is not None and not 0.0 <= given.payload <= 20.0:
+        raise CalibrationError(f"--payload: expected a mass from 0 to 20 kg, got {given.payload:g}")
+    if (given.scenario or given.seed is not None) and not given.mock:
+        raise CalibrationError("--scenario and --seed say what a mock arm hides: give --mock, too")
 
 
-def _dynamic(given: argparse.Namespace, arm: Arm, without: tuple[str, ...], bar: Bar) -> GapFinding:
-    """The runs of every log together."""
-    logs = []
-    for name in given.log:
-        log, warnings = read_log(Path(name), arm.joint_count)
-        logs.append(log)
-        sys.stderr.writelines(f"armwright: warning: {warning}\n" for warning in warnings)
-    tried = [name for name in EFFECTS if name not in without] if without else None
-    outcome = examine(arm, joined_logs(tuple(logs)), bar.advance, tried)
-    sys.stderr.writelines(f"armwright: warning: {warning}\n" for warning in outcome.warnings)
-    return dataclasses.replace(outcome.finding, data=tuple(Path(name).name for name in given.log))
+def _record_real(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path) -> None:
+    """On the connected arm, which is homed and holds."""
+    from console.gap.recording import Bench, note_plan, record
+
+    with contextlib.closing(connected(given)) as client:
+        status = client.status()
+        if status["mode"] != "HOLDING" or not status["is_homed"]:
+            raise ArmError(
+                f"the arm is {status['mode']}{'' if status['is_homed'] else ' and not homed'}: recording takes an arm that"
+                " holds and is homed (`armwright enable`, `armwright home`)"
+            )
+        sees_tip = bool(client.average(CAMERA_LOOK_s).camera_frames)
+        if plan.visits and not sees_tip:
+            raise ArmError(
+                f"no camera frame came within {CAMERA_LOOK_s:g} s: poses away from the board need a camera that sees the tip"
+                " (docs/camera.md); `--only motion` records currents and voltages without one"
+            )
+        if any(step.payload_kg for step in plan.steps) and not sys.stdin.isatty():
+            raise CalibrationError("--payload is hung by hand: run this on a terminal, or leave it out")
+        note_plan(out, plan, arm)
+        bench = Bench(arm, client, Path(status["recording"]), _hang_by_hand, sees_tip, REAL_SPEED)
+        try:
+            with Bar("record") as bar:
+                record(bench, plan, out, bar.advance)
+        except KeyboardInterrupt:
+            client.stop()
+            raise
 
 
-def _write(
-    finding: GapFinding, gap: StaticGap | None, arm: Arm, given: argparse.Namespace, out: Path
-) -> None:
-    """gap.json, the model with what was named, report.html."""
-    date = datetime.datetime.now(datetime.UTC).date().isoformat()
-    program = f"armwright {version('armwright')}"
-    files = [*(given.points or []), *(given.log or [])]
-    inputs = {Path(name).name: input_file(Path(name), "").sha256 for name in files}
-    source = arm.path.name if arm.path is not None else arm.name
-    made = Calibration(source, inputs, date, "gap workflow", program)
-    out.mkdir(parents=True, exist_ok=True)
-    write_gap_json(out / "gap.json", finding)
-    dh = gap.fit.solution.dh if gap is not None else None
-    save_arm(updated_arm(arm, finding, dh, made), out / "arm.toml")
-    (out / "report.html").write_text(gap_page(finding, gap, date, program), encoding="utf-8")
+def _hang_by_hand(mass_kg: float) -> None:
+    what = f"hang {mass_kg:.3f} kg at the tip" if mass_kg else "take the load off"
+    sys.stderr.write(f"\n{what}, then press Enter: ")
+    sys.stderr.flush()
+    sys.stdin.readline()

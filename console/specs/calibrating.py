@@ -152,8 +152,37 @@ CALIBRATING = (
                 help="leave an effect out of the list of those that are tried",
             ),
             JSON,
+            option(
+                "--record",
+                action="store_true",
+                help="plan and record poses and motions first; the same --out goes on after an interruption",
+            ),
+            option("--mock", action="store_true", help="with --record: on a mock arm in this process"),
+            option(
+                "--scenario", metavar="S", help="what the mock arm hides: a file or a name (default: demo)"
+            ),
+            option("--seed", type=int, metavar="N", help="of what the mock arm hides"),
+            option("--quick", action="store_true", help="with --record: fewer poses, shorter motions"),
+            option("--minutes", type=float, metavar="M", help="with --record: as much as fits into so long"),
+            option(
+                "--payload",
+                type=float,
+                metavar="KG",
+                help="a mass that is hung at the tip for part of the recording (default: none; mock: 0.5)",
+            ),
+            option("--only", choices=("static", "motion"), help="with --record: poses only, or motions only"),
+            option(
+                "--plan-only",
+                action="store_true",
+                help="with --record: say what would be recorded and what it would make nameable; nothing moves",
+            ),
+            option("--record-only", action="store_true", help="with --record: do not look at it yet"),
+            SOCKET,
         ),
-        "Writes gap.json, arm.toml with what was named, and report.html to the folder; nothing is overwritten.",
+        "Writes gap.json, arm.toml with what was named, and report.html to the folder; nothing is overwritten."
+        " `armwright gap --points points.csv --log log.csv --out out/gap` looks at files;"
+        " `armwright gap --record --plan-only --out out/gap` says what it would record;"
+        " `armwright gap --record --mock --quick --out out/gap` tries it on a mock arm.",
     ),
     CommandSpec(
         "iso9283",

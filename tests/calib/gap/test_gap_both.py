@@ -1,56 +1,188 @@
-"""Poses and time series of one arm: every name once, and what they disagree about is said."""
+"""Poses and time series of one arm: they must agree about what both can see, and one resolves what the other leaves open."""
 
 import math
 
 import pytest
 
-from calib.gap.both import disagreements, merged
+from calib.gap.both import brought_together, disagreements
 from calib.gap.finding import EffectName, GapFinding, Nameable, NamedEffect, Unknown, gap_content
 
-PLAY, DRAG = EffectName("backlash", 1), EffectName("coulomb_friction", 2)
+PLAY, SPRING = EffectName("backlash", 1), EffectName("joint_compliance", 1)
+DRAG, SCALE = EffectName("coulomb_friction", 2), EffectName("encoder_scale", 1)
+GEOMETRY = EffectName("link_geometry")
+SEES_PLAY, SEES_SPRING = Nameable(PLAY, 100.0), Nameable(SPRING, 100.0)
 
 
-def finding(channel: str, effects=(), nameable=(), unknown=None, gap=(2.0, 1.0)) -> GapFinding:
+def finding(channel: str, effects=(), nameable=(), unknown=None, gap=(2.0, 1.0), ambiguous=()) -> GapFinding:
     return GapFinding(
         "right", (f"{channel}.csv",), {channel: 1e-3}, *gap, {channel: 2e-3}, {channel: 1e-3}, tuple(effects),
-        unknown=unknown, nameable=tuple(nameable),
+        unknown=unknown, nameable=tuple(nameable), ambiguous=tuple(ambiguous),
     )  # fmt: skip
 
 
-def play(width: float, sd: float) -> NamedEffect:
-    return NamedEffect(PLAY, {"width_rad": (width, sd)}, 1.0)
+def play(width: float, sd: float, gap_after: float = 1.0) -> NamedEffect:
+    return NamedEffect(PLAY, {"width_rad": (width, sd)}, gap_after, {"margin": 9.0})
 
 
-def test_an_effect_of_both_is_listed_once_with_the_parameter_that_is_known_better() -> None:
-    both = merged(
+def spring(stiffness: float = 800.0) -> NamedEffect:
+    return NamedEffect(SPRING, {"stiffness_Nm_rad": (stiffness, 5.0)}, 1.0)
+
+
+def names(found: GapFinding) -> list[EffectName]:
+    return [effect.name for effect in found.effects]
+
+
+def test_one_level_alone_stays_as_it_is() -> None:
+    poses = finding("tip_m", [play(0.005, 1e-4)])
+    assert brought_together(poses, None) == (poses, ())
+    assert brought_together(None, poses) == (poses, ())
+    with pytest.raises(ValueError, match="at least one level"):
+        brought_together(None, None)
+
+
+def test_an_effect_of_both_is_listed_once_with_the_parameter_that_is_known_better_and_both_in_its_evidence() -> (
+    None
+):
+    both, said = brought_together(
         finding("tip_m", [play(0.0050, 1e-4)]),
         finding("current_A", [play(0.0051, 1e-3), NamedEffect(DRAG, {"torque_Nm": (0.5, 0.01)}, 1.0)]),
     )
-    assert [effect.name for effect in both.effects] == [PLAY, DRAG]
+    assert names(both) == [PLAY, DRAG]
     assert both.effects[0].parameters["width_rad"] == (0.0050, 1e-4)
+    assert both.effects[0].evidence["width_rad by poses"] == 0.0050
+    assert both.effects[0].evidence["width_rad by time series"] == 0.0051
     assert both.data == ("tip_m.csv", "current_A.csv")
     assert set(both.noise_floor) == {"tip_m", "current_A"}
     assert gap_content(both)["format"] == "gap/1"
+    assert said == ()
 
 
 def test_the_gap_of_both_is_their_root_mean_square() -> None:
-    both = merged(finding("tip_m", gap=(3.0, 1.0)), finding("current_A", gap=(4.0, 1.0)))
+    both, _ = brought_together(finding("tip_m", gap=(3.0, 1.0)), finding("current_A", gap=(4.0, 1.0)))
     assert both.gap_before == pytest.approx(5.0 / math.sqrt(2.0))
     assert both.gap_after == pytest.approx(1.0)
 
 
 def test_what_either_cannot_explain_stays_unknown_and_nameable_is_what_either_sees() -> None:
     unknown = Unknown("joint 2: steps at 10 s", None, 0.0)
-    both = merged(
-        finding("tip_m", nameable=[Nameable(PLAY, 3.0)]),
-        finding("current_A", nameable=[Nameable(PLAY, 30.0)], unknown=unknown),
+    both, _ = brought_together(
+        finding("tip_m", nameable=[Nameable(PLAY, 3.0), Nameable(SPRING, 90.0, (PLAY,))]),
+        finding("current_A", nameable=[Nameable(PLAY, 30.0), Nameable(SPRING, 20.0)], unknown=unknown),
     )
-    assert both.unknown == unknown
-    assert both.nameable == (Nameable(PLAY, 30.0),)
+    assert both.unknown == Unknown("joint 2: steps at 10 s", None, 0.0)
+    assert both.nameable == (Nameable(PLAY, 30.0), Nameable(SPRING, 20.0))  # told apart counts more than size
 
 
 @pytest.mark.parametrize(("width", "sd", "count"), [(0.0052, 1e-5, 0), (0.0080, 1e-5, 1), (0.0080, 2e-3, 0)])
-def test_parameters_that_cannot_both_be_right_are_said(width, sd, count) -> None:
+def test_parameters_that_cannot_both_be_right_are_said_and_the_name_is_kept(width, sd, count) -> None:
     """20 % or three standard deviations are allowed."""
-    said = disagreements(finding("tip_m", [play(0.0050, 1e-5)]), finding("current_A", [play(width, sd)]))
+    levels = finding("tip_m", [play(0.0050, 1e-5)]), finding("current_A", [play(width, sd)])
+    assert len(disagreements(*levels)) == count
+    both, said = brought_together(*levels)
+    assert names(both) == [PLAY]
     assert len(said) == count
+
+
+def test_phases_that_differ_by_a_turn_agree() -> None:
+    def cogging(phase: float) -> NamedEffect:
+        return NamedEffect(EffectName("encoder_eccentricity", 1), {"phase_rad": (phase, 0.01)}, 1.0)
+
+    levels = finding("tip_m", [cogging(math.pi - 0.01)]), finding("current_A", [cogging(-math.pi + 0.01)])
+    assert disagreements(*levels) == ()
+
+
+@pytest.mark.parametrize("is_swapped", [False, True])
+def test_a_set_that_one_level_leaves_open_is_resolved_by_the_other(is_swapped: bool) -> None:
+    unsure, sure = finding("tip_m", ambiguous=[(PLAY, SCALE)]), finding("current_A", [play(0.005, 1e-4)])
+    both, said = brought_together(*((sure, unsure) if is_swapped else (unsure, sure)))
+    assert names(both) == [PLAY]
+    assert both.ambiguous == ()
+    assert "alone cannot tell backlash on joint 1, encoder_scale on joint 1 apart" in said[0]
+
+
+def test_two_open_sets_become_what_they_share() -> None:
+    both, _ = brought_together(
+        finding("tip_m", ambiguous=[(PLAY, SCALE, SPRING)]),
+        finding("current_A", ambiguous=[(PLAY, SPRING, DRAG)]),
+    )
+    assert both.ambiguous == ((PLAY, SPRING),)
+    assert both.effects == ()
+
+
+def test_sets_that_share_nothing_both_stay_open() -> None:
+    both, _ = brought_together(
+        finding("tip_m", ambiguous=[(PLAY, SCALE)]), finding("current_A", ambiguous=[(SPRING, DRAG)])
+    )
+    assert both.ambiguous == ((PLAY, SCALE), (SPRING, DRAG))
+
+
+def test_another_name_in_the_same_role_on_the_same_joint_leaves_neither() -> None:
+    both, said = brought_together(
+        finding(
+            "tip_m",
+            [NamedEffect(GEOMETRY, {}, 1.6), play(0.005, 1e-4)],
+            [SEES_PLAY, SEES_SPRING],
+            gap=(8.0, 1.0),
+        ),
+        finding("current_A", [spring()], [SEES_PLAY, SEES_SPRING]),
+    )
+    assert names(both) == [GEOMETRY]
+    assert both.unknown is not None
+    assert "both cannot be right" in both.unknown.where
+    assert "wrong about backlash on joint 1 and joint_compliance on joint 1" in str(both.next_experiment)
+    assert any("joint_compliance on joint 1 in its place" in sentence for sentence in said)
+    # the gap is that of the model without them: 1.6 for the poses, 2 for the time series
+    assert both.gap_after == pytest.approx(math.hypot(1.6, 2.0) / math.sqrt(2.0))
+
+
+def test_another_name_on_another_joint_is_no_contradiction() -> None:
+    elsewhere = NamedEffect(EffectName("joint_compliance", 2), {"stiffness_Nm_rad": (900.0, 5.0)}, 1.0)
+    both, said = brought_together(finding("tip_m", [play(0.005, 1e-4)]), finding("current_A", [elsewhere]))
+    assert names(both) == [PLAY, elsewhere.name]
+    assert said == ()
+
+
+def test_friction_beside_play_on_one_joint_is_no_contradiction() -> None:
+    drag = NamedEffect(EffectName("coulomb_friction", 1), {"torque_Nm": (0.5, 0.01)}, 1.0)
+    both, said = brought_together(finding("tip_m", [play(0.005, 1e-4)]), finding("current_A", [drag]))
+    assert names(both) == [PLAY, drag.name]
+    assert said == ()
+
+
+def test_a_level_that_surely_would_see_an_effect_and_does_not_takes_its_name_away() -> None:
+    both, said = brought_together(
+        finding("tip_m", [play(0.005, 1e-4)]), finding("current_A", [], [SEES_PLAY])
+    )
+    assert both.effects == ()
+    assert both.unknown is not None
+    assert both.unknown.nearest == PLAY
+    assert "would show it too, and do not" in said[0]
+
+
+@pytest.mark.parametrize(
+    "silent",
+    [
+        finding("current_A", [], [Nameable(PLAY, 6.0)]),  # it might just miss it
+        finding("current_A", [], [Nameable(PLAY, 100.0, (SPRING,))]),  # it cannot tell it from another
+        finding("current_A"),  # it does not know of it
+        finding("current_A", [], [SEES_PLAY], Unknown("the tip", None, 0.0)),  # it sees something
+        finding("current_A", [], [SEES_PLAY], ambiguous=[(PLAY, SPRING)]),  # it sees it, or the other
+    ],
+)
+def test_a_level_that_could_miss_an_effect_does_not_contradict(silent: GapFinding) -> None:
+    both, _ = brought_together(finding("tip_m", [play(0.005, 1e-4)]), silent)
+    assert names(both) == [PLAY]
+
+
+def test_the_geometry_of_the_poses_is_never_contradicted() -> None:
+    both, said = brought_together(
+        finding("tip_m", [NamedEffect(GEOMETRY, {"link1_d_m": (0.001, 1e-5)}, 1.0)]),
+        finding(
+            "current_A",
+            [NamedEffect(GEOMETRY, {"link1_d_m": (0.009, 1e-6)}, 1.0)],
+            [Nameable(GEOMETRY, 100.0)],
+        ),
+    )
+    assert names(both) == [GEOMETRY]
+    assert both.effects[0].parameters["link1_d_m"] == (0.001, 1e-5)
+    assert said == ()

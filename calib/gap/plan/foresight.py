@@ -1,0 +1,108 @@
+"""What a plan would make nameable, before anything moves: the workflow on poses as they would be recorded, nothing hidden."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.gap.finding import Nameable
+from calib.gap.plan.plan import SETUP, AVERAGE_s, RecordingPlan, Visit
+from calib.gap.static.find import find
+from calib.gap.static.nameable import is_nameable
+from calib.points import Points, make_points
+from control.errors import MissingModel
+from control.model.arm import Arm
+from control.model.kinematics import Kinematics
+from control.model.static_pose import ASSUMED_FRICTION, gravity_Nm, torque_per_A
+
+CAMERA_Hz = 100.0
+NOISE_m = 0.0003  # where the arm's file says nothing about its camera
+SEEN_BY = {
+    "ramps": "Coulomb, viscous and asymmetric friction",
+    "slow ramps": "Stribeck friction and cogging",
+    "swing": "inertias and torque constants",
+    "fast": "viscous friction and supply sag",
+    "shake": "compliance and command delay",
+    "wide": "load friction and masses",
+}
+
+
+def foreseen(arm: Arm, plan: RecordingPlan) -> tuple[Nameable, ...]:
+    """Every static effect with how well the planned poses would show it; empty without poses."""
+    visits = plan.visits
+    if not visits:
+        return ()
+    return find(arm, as_recorded(arm, visits, plan.duration_s)).finding.nameable
+
+
+def as_recorded(arm: Arm, visits: tuple[Visit, ...], duration_s: float) -> Points:
+    """The visits' points.csv of an arm that is as its file says: camera noise of an average, friction by direction."""
+    draw = np.random.default_rng(0)
+    q = np.array([visit.q_rad for visit in visits])
+    direction = np.array([visit.direction for visit in visits], dtype=np.float64)
+    payload = np.array([visit.payload_kg for visit in visits])
+    noise = arm.camera.position_noise_m if arm.camera and arm.camera.position_noise_m > 0.0 else NOISE_m
+    tips = Kinematics(arm).tips(q) + draw.normal(0.0, noise / np.sqrt(AVERAGE_s * CAMERA_Hz), (len(q), 3))
+    try:
+        per_A = torque_per_A(arm)
+        limits_A = np.array([arm.drive(j + 1).current_limit_A for j in range(arm.joint_count)])
+        friction_A = ASSUMED_FRICTION * np.where(np.isfinite(limits_A), limits_A, 0.0)
+        current = gravity_Nm(arm, q, payload) / per_A + friction_A * direction
+    except MissingModel:
+        current = np.full(q.shape, np.nan)
+    return make_points(
+        [SETUP] * len(q),
+        [visit.point for visit in visits],
+        [visit.repeat for visit in visits],
+        q,
+        tips,
+        direction,
+        current,
+        np.linspace(0.0, duration_s, len(q)),
+        payload,
+    )
+
+
+def in_short(arm: Arm, plan: RecordingPlan) -> str:
+    """One sentence about how much there is to record."""
+    loads = sorted({step.payload_kg for step in plan.steps if step.payload_kg})
+    loaded = f", some of them with {loads[0]:g} kg at the tip" if loads else ""
+    return (
+        f"Arm {arm.name}: {len(plan.visits)} poses and {len(plan.runs)} motions{loaded}: about {plan.duration_s / 60.0:.1f}"
+        " minutes. All of it is inside the joints' ranges and limits and clear of floor and board."
+    )
+
+
+def in_words(arm: Arm, plan: RecordingPlan, payload_kg: float) -> tuple[str, ...]:
+    """The plan for an operator: what is recorded, how long it takes, what it would make nameable, what not and why."""
+    said = [in_short(arm, plan)]
+    ranges = ", ".join(
+        f"q{j + 1} {a:.2f} to {b:.2f}"
+        for j, (a, b) in enumerate(zip(plan.room.lower_rad, plan.room.upper_rad, strict=True))
+    )
+    said.append(f"Room: {ranges} rad; a few poses outside of it are reached from its middle.")
+    could = foreseen(arm, plan)
+    if could:
+        yes = [str(one.name) for one in could if is_nameable(one)]
+        said.append(f"The poses would name, of usual size: {', '.join(yes) or 'nothing'}.")
+        said += [
+            f"They would not name {one.name}: {_why(one, payload_kg)}."
+            for one in could
+            if not is_nameable(one)
+        ]
+    kinds = dict.fromkeys(run.kind for run in plan.runs)
+    if kinds:
+        said.append("The motions show " + "; ".join(f"{SEEN_BY[kind]} ({kind})" for kind in kinds) + ".")
+        if not payload_kg:
+            said.append(
+                "Without --payload friction under load, torque constants and masses are hard to tell apart."
+            )
+    return tuple(said)
+
+
+def _why(one: Nameable, payload_kg: float) -> str:
+    if one.confusable_with:
+        return f"it looks like {', '.join(map(str, one.confusable_with))}"
+    more = "" if payload_kg else "; a --payload would help" if one.name.effect == "joint_compliance" else ""
+    if one.name.effect == "thermal_drift":
+        more = "; a longer session (--minutes) would help"
+    return f"it would stand out by {one.detectability:.1f} standard deviations only{more}"

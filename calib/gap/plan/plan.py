@@ -1,0 +1,254 @@
+"""The whole recording as a list of steps in the order in which they are taken, with the time that they need.
+
+Poses come in a shuffled order, each from two opposite sides, with a reference pose again and again between them, so that what
+changes with time is not taken for what changes with the pose. What needs another load comes last, so that it is hung once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.errors import CalibrationError
+from calib.gap.plan.motions import Limits, demand, multisine, poses_of, ramps, shake
+from calib.gap.plan.poses import APPROACH_rad, Extent, Pose, static_poses
+from calib.gap.plan.room import Room, clear, room_of
+from control.model.arm import Arm
+from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import JointMove
+from control.motion.joint_path import JointPath
+
+SETUP = "free"
+REFERENCE = "ref"
+EVERY = 4  # poses between two visits of the reference
+GENTLE = 0.25  # of the joints' limits, for the last way: braking harder throws gears onto the other flank
+SETTLE_s, AVERAGE_s = 0.25, 0.2  # after a move; 20 camera frames
+SHARE_LOADED = 0.4  # of the poses that are taken again with the load
+MARGIN_rad = 0.02  # of the room that a controller's error may use
+LOADED_FROM = 501  # repeats are counted from here with the load, so that no two records have one key
+SEED = 0  # of the shuffling: the same plan every time, so that a recording can go on
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """A static pose, approached by all joints with these signs; `via_rad`: where to come from and go back to."""
+
+    point: str
+    repeat: int
+    q_rad: tuple[float, ...]
+    direction: tuple[int, ...]
+    payload_kg: float
+    via_rad: tuple[float, ...] | None = None
+
+    @property
+    def start_rad(self) -> tuple[float, ...]:
+        """Where its approach begins."""
+        return tuple(q - APPROACH_rad * d for q, d in zip(self.q_rad, self.direction, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A motion from rest; `name` is that of its run in log.csv."""
+
+    name: str
+    kind: str
+    path: JointPath
+    payload_kg: float
+
+
+Step = Visit | Run
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What is asked for: poses, motions or both, how long, and with which load (0: none)."""
+
+    has_poses: bool = True
+    has_motions: bool = True
+    payload_kg: float = 0.0
+    is_quick: bool = False
+    minutes: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingPlan:
+    """Steps in order, the room that they stay in, and the time that the arm needs for them."""
+
+    room: Room
+    steps: tuple[Step, ...]
+    duration_s: float
+
+    @property
+    def visits(self) -> tuple[Visit, ...]:
+        """The static poses."""
+        return tuple(step for step in self.steps if isinstance(step, Visit))
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The motions."""
+        return tuple(step for step in self.steps if isinstance(step, Run))
+
+
+def recording_plan(arm: Arm, wish: Wish, speed: float = 1.0) -> RecordingPlan:
+    """Plan it; CalibrationError or ArmError where the arm has no room, or the time does not do. Nothing moves.
+
+    `speed`: of the joints' limits, for moves between poses.
+    """
+    room = room_of(arm)
+    extent, run_s, spare = (QUICK, 6.0, 1) if wish.is_quick else (FULL, 8.0, 2)
+    steps = _steps(arm, room, wish, extent, run_s, spare)
+    plan = RecordingPlan(room, steps, _duration_s(arm, steps, speed))
+    if wish.minutes is not None:
+        plan = _of_length(arm, room, wish, plan, run_s, speed)
+    _require_clear(arm, plan)
+    return plan
+
+
+FULL = Extent()
+QUICK = Extent(levels=2, spread=8, outside=3, pulled=1)
+LEAST = Extent(levels=2, spread=2, outside=0, pulled=1)
+
+
+def _of_length(
+    arm: Arm, room: Room, wish: Wish, plan: RecordingPlan, run_s: float, speed: float
+) -> RecordingPlan:
+    """More or fewer poses and runs, until the time is used. CalibrationError where the least takes longer."""
+    wanted_s = 60.0 * (wish.minutes or 0.0)
+    best = None
+    for spread in (2, 4, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256):
+        extent = dataclasses.replace(LEAST if spread < 8 else QUICK if spread < 16 else FULL, spread=spread)
+        steps = _steps(arm, room, wish, extent, run_s, max(0, spread // 8))
+        length_s = _duration_s(arm, steps, speed)
+        if length_s > wanted_s:
+            if best is None:
+                raise CalibrationError(
+                    f"--minutes {wish.minutes:g}: the least that tells anything takes {length_s / 60.0:.1f} minutes"
+                )
+            break
+        best = RecordingPlan(room, steps, length_s)
+        if not wish.has_poses and spread >= 32:
+            break
+    return best or plan
+
+
+def _steps(arm: Arm, room: Room, wish: Wish, extent: Extent, run_s: float, spare: int) -> tuple[Step, ...]:
+    empty: list[Step] = []
+    loaded: list[Step] = []
+    if wish.has_poses:
+        poses = static_poses(arm, room.inset(MARGIN_rad), extent)
+        order = np.random.default_rng(SEED).permutation(len(poses)).tolist()
+        shuffled = [poses[k] for k in order]
+        empty += _visits(shuffled, room, 0.0, 1)
+        if wish.payload_kg > 0.0:
+            some = shuffled[:: max(1, round(1.0 / SHARE_LOADED))]
+            loaded += _visits(some, room, wish.payload_kg, LOADED_FROM)
+    if wish.has_motions:
+        runs = list(_runs(arm, room.inset(MARGIN_rad), wish.payload_kg, run_s, spare))
+        empty += [run for run in runs if not run.payload_kg]
+        loaded += [run for run in runs if run.payload_kg]
+    return (*empty, *loaded)
+
+
+def _visits(poses: Sequence[Pose], room: Room, payload_kg: float, first: int) -> Iterator[Step]:
+    """Every pose from two opposite sides, every other one from the other pair of sides; the reference in between."""
+    n = len(room.lower_rad)
+    reference = Pose(REFERENCE, tuple(round(float(q), 6) for q in room.middle_rad))
+    straight = tuple([1] * n)
+    crossed = tuple(1 if j % 2 == 0 else -1 for j in range(n))
+    count = first
+    for k, pose in enumerate(poses):
+        if k % EVERY == 0:
+            yield from _both_ways(reference, straight, payload_kg, count)
+            count += 1
+        yield from _both_ways(pose, crossed if k % 2 else straight, payload_kg, first)
+    yield from _both_ways(reference, straight, payload_kg, count)
+
+
+def _both_ways(pose: Pose, sign: tuple[int, ...], payload_kg: float, repeat: int) -> Iterator[Visit]:
+    """The second way's repeat number is told from the first's by its sign alone."""
+    against = tuple(-s for s in sign)
+    yield Visit(pose.name, 2 * repeat - 1, pose.q_rad, sign, payload_kg, pose.via_rad)
+    yield Visit(pose.name, 2 * repeat, pose.q_rad, against, payload_kg, pose.via_rad)
+
+
+def _runs(arm: Arm, room: Room, payload_kg: float, run_s: float, spare: int) -> Iterator[Run]:
+    """Several kinds of motion, each at its own speed; some twice, for the noise; some with the load."""
+    limits = Limits.of(arm)
+    leg_s = run_s / 10.0
+    quick = ramps(room, limits, (0.06, 0.12, 0.25, 0.5), leg_s)
+    slow = ramps(room, limits, (0.015, 0.03), 2.0 * leg_s)
+    swings = [multisine(room, limits, (0.15, 1.2), 0.6, run_s, k) for k in range(2 + spare)]
+    wide = multisine(room, limits, (0.12, 0.3), 1.0, run_s, 2)
+    todo: list[tuple[str, JointPath, float]] = [
+        ("ramps", quick, 0.0),
+        ("slow ramps", slow, 0.0),
+        ("swing", swings[0], 0.0),
+        ("fast", multisine(room, limits, (0.3, 1.6), 0.95, run_s, 1), 0.0),
+        ("shake", shake(room, limits, (2.0, 9.0), run_s, 1), 0.0),
+        ("wide", wide, 0.0),
+        ("ramps", quick, 0.0),
+        *(("swing", path, 0.0) for path in swings[1:-1]),
+        ("swing", swings[0], 0.0),
+    ]
+    if spare > 1:
+        todo.insert(5, ("slow ramps", ramps(room, limits, (0.015, 0.03), 2.0 * leg_s, _aside(room)), 0.0))
+    load = payload_kg if payload_kg > 0.0 else 0.0
+    if load:
+        todo += [("swing", swings[-1], load), ("wide", wide, load)]
+        if spare > 1:
+            todo.append(("ramps", quick, load))
+    else:
+        todo.append(("swing", swings[-1], 0.0))
+    for number, (kind, path, mass) in enumerate(todo, start=1):
+        yield Run(f"{number}", kind, path, mass)
+
+
+def _aside(room: Room) -> tuple[float, ...]:
+    """Another place for slow ramps, where gravity pulls otherwise."""
+    return tuple(0.3 if j % 2 else 0.7 for j in range(len(room.lower_rad)))
+
+
+def _duration_s(arm: Arm, steps: Sequence[Step], speed: float) -> float:
+    """What the arm needs, without hanging loads."""
+    limits = JointLimits.of(arm)
+    quick, gentle = limits.scaled(speed), limits.scaled(GENTLE * speed)
+    here = arm.rest.q_rad if arm.rest is not None else steps[0].q_rad if isinstance(steps[0], Visit) else None
+    total_s = 0.0
+    for step in steps:
+        if isinstance(step, Run):
+            start = step.path.knots[0].q_rad
+            total_s += (
+                (JointMove(here, start, quick).duration_s if here else 0.0) + step.path.duration_s + SETTLE_s
+            )
+            here = step.path.knots[-1].q_rad
+            continue
+        stops = [step.via_rad, step.start_rad] if step.via_rad else [step.start_rad]
+        for stop in stops:
+            total_s += JointMove(here, stop, quick).duration_s if here else 0.0
+            here = stop
+        total_s += JointMove(step.start_rad, step.q_rad, gentle).duration_s + SETTLE_s + 2 * AVERAGE_s
+        here = step.q_rad
+    return total_s
+
+
+def _require_clear(arm: Arm, plan: RecordingPlan) -> None:
+    """Everything that the arm will go through, looked at once more as a whole, before anything moves."""
+    limits = Limits.of(arm)
+    for run in plan.runs:
+        if not plan.room.holds(poses_of(run.path)) or demand(run.path, limits) > 1.0:
+            raise CalibrationError(
+                f"run {run.name} ({run.kind}) leaves its room or a limit; nothing was moved"
+            )
+    visits = [np.array((visit.start_rad, visit.q_rad)) for visit in plan.visits]
+    if not visits:
+        return
+    poses = np.concatenate(visits)
+    lower, upper = np.array(arm.limits_rad).T
+    is_inside = ((poses >= lower) & (poses <= upper)).all()
+    if not is_inside or not clear(arm, poses).all():
+        raise CalibrationError(
+            "a planned pose leaves the joints' ranges or comes near the floor; nothing was moved"
+        )

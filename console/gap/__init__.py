@@ -1,0 +1,1 @@
+"""Recording what the gap workflow needs, on an arm or its mock."""
