@@ -57,7 +57,7 @@ def _listed(arm: Arm, recording: Recording) -> Iterator[Candidate]:
             yield from _frictions(joint)
             yield _simple("torque_constant", joint, (0.0,))
         if moves or recording.has_tip:
-            yield _many("joint_compliance", joint, [(c, 0.3) for c in SPRINGS_rad_Nm])
+            yield _many("joint_compliance", joint, [(c, 0.3, 0.0) for c in SPRINGS_rad_Nm])
             yield _many("backlash", joint, [(w, 0.0) for w in WIDTHS_rad])
         if recording.has_tip:
             yield _encoder("encoder_eccentricity", joint, (0.0, 0.0))

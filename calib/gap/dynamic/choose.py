@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,6 @@ SHARE_MARGIN = (
 )
 WORTH = 0.25  # of the best first-order gain: candidates below it are not refined
 WIDTH_SHARES = (0.7, 1.0, 1.4, 1.8, 2.3)  # of the width that the tip at rest would need
-RESTITUTIONS = (0.0, 0.5)  # of an impact: starts
 LOOKED_AT = 8  # starts, the best first
 HOPE = 0.5  # of the bar: refinement may gain as much again
 MOST_STEPS = 5
@@ -88,8 +87,24 @@ class Choice:
             if sum(not s.best.candidate.is_listed for s in done) >= UNEXPLAINED_STEPS:
                 break
             done.append(step)
-            fitted = step.best.fitted
+            fitted = self._without_flights(done)
         return done
+
+    def _without_flights(self, done: list[Step]) -> Fitted:
+        """After a play is added: go on without the rows that it cannot speak of; earlier claims by what is left."""
+        fitted = done[-1].best.fitted
+        if done[-1].best.candidate.name.effect != "backlash":
+            return fitted
+        resting = self.rows.resting((*self.known, *fitted.terms))
+        self.split = self.split.only(resting)
+        self.screen.picked = self.split.deciding
+        self.first = self.refined(())
+        for k, step in enumerate(done):
+            claims = self.by_cell(step.before.residual) - self.by_cell(step.best.fitted.residual)
+            done[k] = replace(step, claims=claims)
+        last = replace(done[-1].best, fitted=self.refined(fitted.terms))
+        done[-1] = replace(done[-1], best=last)
+        return last.fitted
 
     def nearest(self, fitted: Fitted) -> tuple[EffectName | None, float]:
         """The effect of the list that comes nearest to what a fit leaves, and the share of the excess, to first order."""
@@ -145,7 +160,7 @@ class Choice:
         if term.form != "backlash":
             return term
         deciding, beside = self.split.deciding, (*self.known, *fitted.terms)
-        tried = [term.at((term.values[0] * share, e)) for share in WIDTH_SHARES for e in RESTITUTIONS]
+        tried = [term.at((term.values[0] * share, 0.0)) for share in WIDTH_SHARES]
         self.rows.physics.foresee(beside, tried)
 
         def left(one: Term) -> float:

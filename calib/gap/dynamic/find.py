@@ -78,6 +78,7 @@ def examine(
     before = rows.residual(known)
     accepted = choice.refined(terms_of(steps, verdict))
     after = accepted.residual
+    parts = choice.split
     finding = GapFinding(
         arm=arm.name,
         data=log.sources,
@@ -94,7 +95,7 @@ def examine(
     )
     told("done", 1.0)
     names = tuple(run.name for run in recording.runs)
-    warnings = (*recording.warnings, *_doubts(before, rows.table))
+    warnings = (*recording.warnings, *_doubts(before, rows.table), *_flying(rows, known, accepted))
     ratios = tuple(drive.gear_ratio for drive in arm.drives)
     return DynamicOutcome(finding, warnings, rows.table, before, after, parts, names, ratios)
 
@@ -110,6 +111,20 @@ def _doubts(before: Array, table: RowTable) -> tuple[str, ...]:
         f"nearly every channel disagrees by more than {FAR_OFF:.0f} times its noise: "
         "are the arm's file and the log of the same arm?",
     )
+
+
+def _flying(rows: Rows, known: Sequence[Term], accepted: Fitted) -> tuple[str, ...]:
+    """Said where rows are left out because a loose link is between its flanks."""
+    resting = rows.resting((*known, *accepted.terms))
+    said = []
+    for cell in rows.table.cells:
+        share = 1.0 - float(np.mean(resting[cell.rows])) if resting[cell.rows].size else 0.0
+        if share > 0.0:
+            said.append(
+                f"{cell}: {share:.0%} of the rows are left out, as the link flies from flank to flank or lands there:"
+                " when follows from the play, how hard does not"
+            )
+    return tuple(said)
 
 
 def gap(residual: Array, table: RowTable, picked: Picked) -> float:

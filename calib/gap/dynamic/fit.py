@@ -14,7 +14,6 @@ from calib.gap.dynamic.terms import STEP, Term
 
 Picked = npt.NDArray[np.bool_]
 ITERATIONS = 8
-MOST_RESTITUTION = 0.9
 PROMISED = 1e-4  # of the sum of squares: a step that promises less is not tried
 ENOUGH = 1e-3  # of the sum of squares: a step that gains less is the last
 
@@ -133,10 +132,10 @@ def bounded(term: Term, values: Array) -> Array:
         case "joint_compliance":
             result[0] = min(max(result[0], 1e-6), 0.05)
             result[1] = min(max(result[1], 0.0), 20.0)
+            result[2:] = np.clip(result[2:], 0.0, 1.0)
         case "backlash":
             result[0] = min(max(result[0], 0.0), 0.2)
-            if len(result) > 1:
-                result[1] = min(max(result[1], 0.0), MOST_RESTITUTION)
+            result[1:] = np.clip(result[1:], 0.0, 1.0)
         case "thermal_drift" | "thermal_drift seen":
             result[1] = min(max(result[1], 0.1), 1e5)
         case "torque_constant":

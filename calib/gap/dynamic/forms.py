@@ -42,7 +42,7 @@ def from_file(name: EffectName, given: Mapping[str, float]) -> Term | None:
         return Term(name, effect, (given["scale"] - 1.0,))
     if effect == "joint_compliance":
         stiffness = given["stiffness_Nm_rad"]
-        return Term(name, effect, (1.0 / stiffness, given.get("damping_Nm_s_rad", 0.0)))
+        return Term(name, effect, (1.0 / stiffness, given.get("damping_Nm_s_rad", 0.0), 0.0))
     if effect == "encoder_eccentricity":
         amplitude, phase = given["amplitude_rad"], given["phase_rad"]
         return Term(name, effect, (amplitude * math.cos(phase), amplitude * math.sin(phase)))

@@ -11,22 +11,26 @@ T/2 - L/R earlier: shifting the voltage part of i by that much is what `_mean_cu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.dynamic.angles import ANGLES, STILL, MotorAhead, angle_error, joint_ahead
+from calib.gap.dynamic.angles import ANGLES, BEHIND, STILL, MotorAhead, angle_error, joint_ahead
 from calib.gap.dynamic.body import Body, Load
 from calib.gap.dynamic.laws import friction_Nm
 from calib.gap.dynamic.play import Followed, Follower, elastics, looses
-from calib.gap.dynamic.recording import Motion, Recording
+from calib.gap.dynamic.recording import Flags, Motion, Recording
 from calib.gap.dynamic.terms import Term
 from control.model.arm import Arm
 from control.model.kinematics import Kinematics
 
 SHORTEST_SPRING_rad_Nm = 1e-8
+SHARED = ("coulomb_friction", "viscous_friction")  # part of it may act behind an elastic or loose gear
+RESTING_rad_s = 0.002  # between link and motor: slower, a loose link lies on its flank
 FOLLOWED_KEPT = 16  # motions of elastic joints, some 1.5 MB each
+
+Rubbed = tuple[tuple[Term, tuple[float, float]], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +56,20 @@ class _Parts:
     electrical: list[Term] = field(default_factory=list)
     tip: list[Term] = field(default_factory=list)
 
+    def rubbing(self, j: int) -> tuple[float, float]:
+        """Coulomb and viscous friction of a joint (0-based) in all."""
+        sums = dict.fromkeys(SHARED, 0.0)
+        for term in self.friction:
+            if term.index == j and term.form in sums:
+                sums[term.form] += term.values[0]
+        return sums["coulomb_friction"], sums["viscous_friction"]
+
+    def behind(self, term: Term) -> float:
+        """The share of a friction that acts behind its elastic or loose gear."""
+        if term.form not in SHARED:
+            return 0.0
+        return sum(gear.values[-1] for gear in self.elastic if gear.index == term.index)
+
 
 class Physics:
     """Evaluates models on one recording."""
@@ -68,9 +86,9 @@ class Physics:
         self._period = 1.0 / recording.filters.rate_Hz
         self._voltage = [recording.filters.states(run.voltage_V) for run in recording.runs]
         self._torques: dict[Load, list[Array]] = {}
-        self._moved: dict[tuple[Load, tuple[Term, ...]], list[tuple[Array, Array]]] = {}
+        self._moved: dict[tuple[Load, Rubbed], list[tuple[Array, Array]]] = {}
         self._follow: dict[tuple[Load, int], Follower] = {}
-        self._followed_terms: dict[tuple[Load, Term], Followed] = {}
+        self._followed_terms: dict[tuple[Load, tuple[float, float], Term], Followed] = {}
         self._tips = [
             self._kinematics.tips(run.q_raw[run.frames]) if recording.has_tip else np.zeros((0, 3))
             for run in recording.runs
@@ -119,6 +137,9 @@ class Physics:
             if parts.angles:
                 ahead, turns = angle_error(parts.angles, run)
                 link = link - torques[k] + self.body.moved(parts.load, run, *turns)
+                for term in parts.angles:
+                    if term.form == "belt_coupling" + BEHIND:  # motor 3 pulls at joint 2 through its belt
+                        link[:, 1] += term.values[0] * link[:, 2]
             mechanical = self._current(parts, run, k, link, ahead)
             electrical = self._electrical(parts, run, k, ahead)
             result.append(Prediction(mechanical, electrical, self._tip(parts, run, k, offset)))
@@ -129,7 +150,8 @@ class Physics:
         wanted = link + self.body.rotor_kg_m2 * (run.acceleration + ahead.acceleration_rad_s2)
         for term in parts.friction:
             j = term.index
-            wanted[:, j] += friction_Nm(term, run, j, link[:, j], float(self._gear[j]))
+            own = friction_Nm(term, run, j, link[:, j], float(self._gear[j]))
+            wanted[:, j] += own * (1.0 - parts.behind(term))
         scale = np.ones(len(self._K))
         for j, value in parts.scale.items():
             scale[j] += value
@@ -189,7 +211,7 @@ class Physics:
 
     def _follow_all(self, parts: _Parts) -> list[tuple[Array, Array]]:
         """Link torques and angles beyond the encoders', with the motion of elastic or loose joints in them."""
-        key = (parts.load, tuple(parts.elastic))
+        key = (parts.load, tuple((term, parts.rubbing(term.index)) for term in parts.elastic))
         if key not in self._moved:
             if len(self._moved) > 6:
                 self._moved.pop(next(iter(self._moved)))
@@ -213,30 +235,45 @@ class Physics:
             result.append((link, offset))
         return result
 
+    def flights(self, model: Sequence[Term]) -> dict[int, list[Flags]]:
+        """Samples (m,) of each run at which a loose joint (0-based) of the model lies on neither flank or just lands."""
+        parts = _sorted(model)
+        found = {}
+        for term in parts.elastic:
+            if term.form == "backlash":
+                moving = np.abs(self._followed(parts, term).speed_rad_s) > RESTING_rad_s
+                found[term.index] = [moving[: len(run), k] for k, run in enumerate(self.recording.runs)]
+        return found
+
     def foresee(self, model: Sequence[Term], variants: Sequence[Term]) -> None:
         """Follow one joint's elastic or loose gear with several values at once, for `predict` to find them done."""
-        self._foresee(_sorted(model).load, variants)
+        self._foresee(_sorted(model), variants)
 
-    def _foresee(self, load: Load, variants: Sequence[Term]) -> None:
-        missing = [term for term in variants if (load, term) not in self._followed_terms]
+    def _foresee(self, parts: _Parts, variants: Sequence[Term]) -> None:
+        rubbing = parts.rubbing(variants[0].index)
+        missing = [term for term in variants if (parts.load, rubbing, term) not in self._followed_terms]
         if not missing:
             return
-        of = self._follower(load, missing[0].index)
-        plays = [(max(t.values[0], 0.0), t.values[1] if len(t.values) > 1 else 0.0) for t in missing]
+        of = replace(
+            self._follower(parts.load, missing[0].index), coulomb_Nm=rubbing[0], viscous_Nm_s_rad=rubbing[1]
+        )
+        values = [t.values for t in missing]
         if missing[0].form == "backlash":
-            found = looses(of, plays)
+            found = looses(of, [(max(w, 0.0), share) for w, share in values])
         else:
-            found = elastics(of, [(1.0 / max(c, SHORTEST_SPRING_rad_Nm), max(d, 0.0)) for c, d in plays])
+            springs = [(1.0 / max(c, SHORTEST_SPRING_rad_Nm), max(d, 0.0), share) for c, d, share in values]
+            found = elastics(of, springs)
         while len(self._followed_terms) > FOLLOWED_KEPT:
             self._followed_terms.pop(next(iter(self._followed_terms)))
         for term, one in zip(missing, found, strict=True):
-            self._followed_terms[load, term] = one
+            self._followed_terms[parts.load, rubbing, term] = one
 
     def _followed(self, parts: _Parts, term: Term) -> Followed:
-        if (parts.load, term) not in self._followed_terms:
+        key = parts.load, parts.rubbing(term.index), term
+        if key not in self._followed_terms:
             # The slopes by its values are asked for next, and cost nothing beside it.
-            self._foresee(parts.load, [term, *(neighbour for neighbour, _ in term.neighbours())])
-        return self._followed_terms[parts.load, term]
+            self._foresee(parts, [term, *(neighbour for neighbour, _ in term.neighbours())])
+        return self._followed_terms[key]
 
     def _follower(self, load: Load, j: int) -> Follower:
         key = (load, j)
@@ -249,6 +286,7 @@ class Physics:
                 _side_by_side(self.body.own_inertia(load, j)),
                 _side_by_side(self.body.gravity_slope(load, j)),
                 self._period,
+                _side_by_side([run.speed[:, j] for run in self.recording.runs]),
             )
         return self._follow[key]
 

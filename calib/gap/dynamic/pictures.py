@@ -218,11 +218,11 @@ def _amplitudes(residual: Array, turn: Array, orders: Array) -> Array:
 
 def _cell_of(outcome: DynamicOutcome, name: EffectName) -> Cell | None:
     """Where an effect took most: its own joint's cells first."""
-    taken = {
-        cell: float(np.sum(outcome.before[cell.rows] ** 2) - np.sum(outcome.after[cell.rows] ** 2))
+    taken = [
+        (float(np.sum(outcome.before[cell.rows] ** 2) - np.sum(outcome.after[cell.rows] ** 2)), cell)
         for cell in outcome.rows.cells
         if outcome.before[cell.rows].size >= FEWEST_ROWS
-    }
-    own = [cell for cell in taken if name.joint is None or cell.joint in (name.joint - 1, -1)]
-    found = max(own or list(taken), key=lambda cell: taken[cell], default=None)
-    return found if found is not None and taken[found] > 0.0 else None
+    ]
+    own = [one for one in taken if name.joint is None or one[1].joint in (name.joint - 1, -1)]
+    most, found = max(own or taken, key=lambda one: one[0], default=(0.0, None))
+    return found if most > 0.0 else None

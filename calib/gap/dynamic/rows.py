@@ -20,6 +20,7 @@ from calib.gap.dynamic.recording import Flags, Motion, Recording
 from calib.gap.dynamic.terms import Term
 
 SLOW_rad_s = 0.008  # below, friction of real joints is pre-sliding, and no law here speaks of that
+LANDING_s = 0.04  # the reach of a row's filter around an impact
 NOISE_SPEEDS = 4.0  # standard deviations of the measured speed that count as rest
 
 
@@ -64,6 +65,23 @@ class Rows:
     def residual(self, model: Sequence[Term]) -> Array:
         """Rows (k,): model less measurement over the floor."""
         return np.asarray(self._raw(model) / self.table.scale)
+
+    def resting(self, model: Sequence[Term]) -> Flags:
+        """Rows (k,) that a model with play can speak of: not those of a current while its joint flies and lands.
+
+        How hard a flank is decides an impact's current, and nothing here measures that; when it happens follows from
+        the model alone, never from the residual.
+        """
+        result = np.ones(len(self.table.run), dtype=bool)
+        filters = self.recording.filters
+        for j, runs in self.physics.flights(model).items():
+            reach = round(LANDING_s * filters.rate_Hz)
+            near = [_near(moving[:, None], reach)[filters.places(len(moving)), 0] for moving in runs]
+            kept = np.concatenate([~flags[self._masks[k][:, j]] for k, flags in enumerate(near)])
+            for cell in self.table.cells:
+                if cell.channel == "current_A" and cell.joint == j:
+                    result[cell.rows] = kept
+        return result
 
     def friction_slope(self, term: Term) -> Array:
         """What a friction or cogging term of these values adds to the rows (k,), other terms apart."""

@@ -58,14 +58,14 @@ class Screen:
     """Slopes of all candidates' starts; those that do not depend on the model are computed once."""
 
     def __init__(self, rows: Rows, known: Sequence[Term], picked: Picked) -> None:
-        self._rows, self._known, self._picked = rows, tuple(known), picked
+        self._rows, self._known, self.picked = rows, tuple(known), picked
         self._at_known = rows.residual(self._known)
         self._slopes: dict[Term, Array] = {}
 
     def best_start(self, candidate: Candidate, fitted: Fitted) -> Start:
         """The start that takes most off the fitted model's residual, the model's own values refitted beside it."""
-        base = _orthogonal(fitted.slopes[self._picked])
-        residual = fitted.residual[self._picked]
+        base = _orthogonal(fitted.slopes[self.picked])
+        residual = fitted.residual[self.picked]
         starts = [self._start(candidate, term, fitted, base, residual) for term in self._of(candidate)]
         starts.sort(key=lambda start: -start.gain)
         best = starts[0]
@@ -86,10 +86,10 @@ class Screen:
             term.form in ("joint_compliance", "backlash") and not self._rows.recording.has_tip
         )
         if is_far:
-            ahead = self._rows.residual((*self._known, *fitted.terms, term))[self._picked]
+            ahead = self._rows.residual((*self._known, *fitted.terms, term))[self.picked]
             ahead = ahead - base @ (base.T @ ahead)
             return Start(candidate, term, float(residual @ residual - ahead @ ahead), term, ())
-        slopes = self.slopes(term)[self._picked]
+        slopes = self.slopes(term)[self.picked]
         slopes = slopes - base @ (base.T @ slopes)
         values, gain = _solved(slopes, residual)
         if term.form in NONNEGATIVE and values[0] < 0.0:

@@ -25,6 +25,11 @@ class Split:
     reporting: Picked
     report_runs: tuple[str, ...]
 
+    def only(self, rows: Picked) -> Split:
+        """The same without other rows."""
+        groups = tuple(group & rows for group in self.groups)
+        return Split(groups, self.deciding & rows, self.reporting & rows, self.report_runs)
+
 
 def split(recording: Recording, table: RowTable) -> Split:
     """Report on a group of repeats of middling speed and on one run of each load that others carry too."""

@@ -18,7 +18,7 @@ SUFFICIENT = 0.99  # of what a cell showed beyond its floor, and the effect clai
 SUFFICIENT_ROUGH = {  # laws whose form differs between real joints, and impacts that no step resolves
     "stribeck_friction": 0.97,
     "joint_compliance": 0.97,
-    "backlash": 0.90,
+    "backlash": 0.97,
 }
 MANY_VALUES = 2
 SHARE_EXACT = 0.002  # of the evidence, where both effects are geometry
@@ -32,7 +32,6 @@ GEOMETRIC = {
 }
 AT_FLOOR = 1.3  # mean square over the floor's: models without any hidden effect reach this in single cells
 LEFT = 1.5  # of the floor's square, and
-LEFT_SHARE_IMPACTS = 0.25  # the same beside a named play
 LEFT_SHARE = 0.05  # of what a cell showed at first: less than both is nothing unknown
 SHADOW = 0.5  # a name needs at least this share of what something unknown takes in the same cell
 
@@ -156,9 +155,7 @@ def _unknown(choice: Choice, steps: Sequence[Step], rejected: Sequence[int], lef
     counts = choice.counts()
     first = np.maximum(choice.by_cell(choice.first.residual) - counts, 0.0)
     beyond = choice.by_cell(_last(choice, steps)) - counts
-    has_play = any(step.best.candidate.name.effect == "backlash" for step in steps)
-    share = LEFT_SHARE_IMPACTS if has_play else LEFT_SHARE
-    over = beyond > np.maximum(LEFT * counts, share * first)
+    over = beyond > np.maximum(LEFT * counts, LEFT_SHARE * first)
     if not np.any(over):
         return None
     cell = int(np.argmax(np.where(over, beyond / np.maximum(counts, 1.0), 0.0)))
