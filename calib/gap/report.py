@@ -13,7 +13,7 @@ from calib.gap.finding import GapFinding, NamedEffect
 from calib.gap.ladder import ladder
 from calib.gap.static.find import StaticGap
 from calib.gap.static.nameable import NAMEABLE_sd, is_nameable
-from calib.gap.static.pictures import joint_picture, recordings_picture
+from calib.gap.static.pictures import joint_picture, places_picture, recordings_picture
 from calib.gap.words import in_words, listed
 from calib.page import Section, bullets, page, paragraph, table, tiles, verdict
 
@@ -112,6 +112,7 @@ def _static(gap: StaticGap) -> Iterator[Section]:
         )
         + recordings_picture(gap),
     )
+    yield Section("Static poses, by place", places_picture(gap))
     for joint in _joints(gap):
         yield Section(f"Static poses, along joint {joint}", joint_picture(gap, joint))
 
