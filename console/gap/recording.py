@@ -86,8 +86,8 @@ class _Recorder:
         self._bench, self._out = bench, out
         self._points = PointsWriter(out / "points.csv", bench.arm.joint_count)
         self._rows = RunRows(bench.recording)
-        self._port = RuntimePort(bench.client, bench.speed)
-        self._gentle = RuntimePort(bench.client, GENTLE * bench.speed)
+        self._port = RuntimePort(bench.client, bench.speed, as_encoders=True)
+        self._gentle = RuntimePort(bench.client, GENTLE * bench.speed, as_encoders=True)
         self._load_kg = 0.0
         self._stands_out_of: tuple[float, ...] | None = None  # where to go back to before anywhere else
 
@@ -145,7 +145,7 @@ class _Recorder:
         self._port.move_to_q(step.path.knots[0].q_rad)
         client.wait(SETTLE_s)
         self._rows.skip()
-        client.run_joints(step.path.to_message())
+        client.run_joints(step.path.to_message(), as_encoders=True)
         client.wait(FLUSH_s)
         rows = self._rows.of_run(int(client.status()["run"]))
         if not len(rows):

@@ -183,9 +183,9 @@ class ArmClient:
         if self.until(modes, timeout_s)["was_stopped"]:
             raise MotionStopped("the motion was stopped before its end; the arm holds where it came to rest")
 
-    def run_joints(self, path: Message) -> None:
-        """Run a path of the joints (JointPath.to_message()); the arm must stand at its first knot."""
-        answer = self.ask("run_joints", path=path)
+    def run_joints(self, path: Message, as_encoders: bool = False) -> None:
+        """Run a path of the joints (JointPath.to_message()); the arm must stand at its first knot. `as_encoders`: as move_joints."""
+        answer = self.ask("run_joints", path=path, as_encoders=as_encoders)
         self.arrive(answer["duration_s"] + 5.0)
 
     def jog(self, timeout_s: float = 60.0, **step: Any) -> str:
