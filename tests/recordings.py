@@ -50,5 +50,5 @@ def write_recording(
         file.write(layout.header(about))
         for k in range(cycles):
             row = row_of(k, joint_count, **(changes or {}).get(k, {}))
-            file.write(layout.packing.pack(*(row[name] for name in layout.names)))
+            file.write(layout.packing.pack(*(row.get(name, 0) for name in layout.names)))
     return path

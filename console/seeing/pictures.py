@@ -15,6 +15,7 @@ import numpy as np
 from console.seeing.merit import drive_of, tip_error_m
 from console.seeing.series import Array, Series
 from console.seeing.thinning import SHORTEST, envelope, orders, spectrum, with_gaps
+from console.seeing.traces import tips_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -272,7 +273,7 @@ def draw_tip(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
     step = max(1, len(series) // PATH_POINTS)
     kinematics = Kinematics(series.arm)
     placed = np.where(series.is_placed[:, None], 1.0, np.nan)
-    paths = [_tips(kinematics, (placed * angles)[::step]) for angles in (series.q_rad, series.q_set_rad)]
+    paths = [tips_of(kinematics, (placed * angles)[::step]) for angles in (series.q_rad, series.q_set_rad)]
     camera = series.tip_m[np.isfinite(series.tip_m).all(axis=1)]
     camera = camera[:: 1 + len(camera) // CAMERA_MARKS_MOST]
     for column, (i, j, seen) in enumerate(((0, 1, "from above"), (0, 2, "from the side"))):
@@ -296,15 +297,6 @@ def draw_tip(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
         _name(axes, f"camera from model: rms {_rms(error[seen_rows]):.3g} mm")
     _say_if_empty(axes)
     axes.set(xlabel="time [s]", ylabel="distance [mm]")
-
-
-def _tips(kinematics: Any, angles: Array) -> Array:
-    """Tips (m, 3); NaN where an angle is."""
-    found = np.full((len(angles), 3), np.nan)
-    rows = np.isfinite(angles).all(axis=1)
-    if rows.any():
-        found[rows] = kinematics.tips(angles[rows])
-    return found
 
 
 def draw_lateness(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:

@@ -1,6 +1,6 @@
 """Commands that show what the arm did or does, and completion for the shell."""
 
-from console.options import JSON, CommandSpec, option
+from console.options import JSON, SOCKET, CommandSpec, option
 
 LOG_HELP = "a .armlog recording, a log.csv or log.csv.gz, or an MCAP of `armwright export`"
 
@@ -30,5 +30,40 @@ SEEING = (
         ),
         "Prints following errors, currents, saturation, tip error and punctuality; --json without --out draws nothing."
         " docs/seeing.md.",
+    ),
+    CommandSpec(
+        "view",
+        "the arm in MuJoCo's viewer, recorded or live: commanded solid, measured as a ghost, with their paths",
+        (
+            option("log", nargs="?", metavar="LOG", help=f"{LOG_HELP} (default: the arm as it moves now)"),
+            option("--arm", metavar="A", help="the arm (default: the one that was recorded; live: right)"),
+            SOCKET,
+            option(
+                "--speed", type=float, default=1.0, metavar="X", help="times as fast as it was (default: 1)"
+            ),
+            option("--run", metavar="N", help="one run by its number or name (default: all)"),
+            option("--from", dest="from_s", type=float, metavar="S", help="from this time on, in s"),
+            option("--to", dest="to_s", type=float, metavar="S", help="up to this time, in s"),
+            option(
+                "--render",
+                metavar="FILE|DIR",
+                help="no window: FILE.png of the last moment, FILE.gif, or a folder with a PNG each; needs no display",
+            ),
+            option(
+                "--fps",
+                type=float,
+                default=25.0,
+                metavar="N",
+                help="pictures a second of --render (default: 25)",
+            ),
+            option(
+                "--rerun",
+                nargs="?",
+                const="",
+                metavar="FILE.rrd",
+                help="to a Rerun viewer, or into a file; takes the extra `rerun` (docs/seeing.md)",
+            ),
+        ),
+        "Nothing moves by it: live it only asks the runtime for its status. docs/seeing.md.",
     ),
 )

@@ -15,8 +15,8 @@ import pytest
 from control.loop import mcap_scene as scene
 from control.loop.export import to_mcap
 from control.loop.mcap_events import Events
-from control.loop.mcap_schemas import FOXGLOVE
-from control.loop.record import Recording
+from control.loop.mcap_schemas import FOXGLOVE, TOPICS, columns_of
+from control.loop.record import Layout, Recording
 from control.loop.recorded_arm import recorded_arm
 from control.model.arm import Arm, Link, Tool
 from control.model.description import arm_text, load_arm
@@ -264,6 +264,11 @@ def test_the_arm_is_that_of_the_header_then_of_its_file_then_of_its_name(tmp_pat
         arm = recorded_arm(Recording.open(path))
         assert arm is not None
         assert arm.name == expected
+
+
+def test_every_column_of_a_recording_is_in_its_topic() -> None:
+    carried = [name for topic in TOPICS for name in columns_of(topic, 3)]
+    assert sorted(carried) == sorted(Layout.of(3).names)
 
 
 def test_foxglove_knows_its_messages_by_their_titles() -> None:

@@ -1,0 +1,157 @@
+"""`armwright view [LOG]`: the arm in MuJoCo's viewer, as recorded or as it moves now; as pictures; or in Rerun."""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from console.commands.connection import connected
+from console.commands.progress import Bar
+from console.seeing.moments import Moment, live, moment_at, moment_of, recorded
+from console.seeing.reading import read_series
+from console.seeing.render import FRAMES_MOST, Image, frames, painter_of, write_images
+from console.seeing.series import Series, chosen
+from console.seeing.traces import Traces, Trail, traces_of
+from control.errors import ArmError
+from control.loop.client import RuntimeGone
+from control.model.arm import Arm
+from control.model.description import load_arm
+from control.model.kinematics import Kinematics
+from firmware_iface.clock import MonotonicClock
+
+LIVE_PERIOD_s = 1.0 / 30.0  # the loop serves a request a cycle at most, and hardly notices these
+RERUN_PERIOD_s = 0.02
+
+
+def run(given: argparse.Namespace) -> int:
+    """Recorded with a LOG, else live."""
+    if not 0.0 < given.speed < 1e3:
+        raise ArmError(f"--speed: expected a factor above 0 and below 1000, got {given.speed:g}")
+    if not 0.0 < given.fps <= 100.0:
+        raise ArmError(f"--fps: expected above 0 and at most 100 pictures a second, got {given.fps:g}")
+    if given.render and given.rerun is not None:
+        raise ArmError("--render and --rerun contradict each other: give one of them")
+    return _live(given) if given.log is None else _recorded(given)
+
+
+def _recorded(given: argparse.Namespace) -> int:
+    wanted = load_arm(given.arm) if given.arm else None
+    with Bar("read") as bar:
+        whole = read_series(Path(given.log), wanted, lambda done: bar.advance("read", done))
+    sys.stderr.writelines(f"armwright: warning: {note}\n" for note in whole.notes)
+    if not len(whole):
+        raise ArmError(f"{given.log}: recorded nothing: a header and no cycles")
+    if whole.arm is None:
+        raise ArmError(f"{given.log}: its arm is not known: give it with --arm")
+    series = chosen(whole, given.run, given.from_s, given.to_s)
+    arm = whole.arm
+    if given.render:
+        return _render(given, arm, series)
+    if given.rerun is not None:
+        from console.seeing.rerun_stream import stream
+
+        rows, _ = recorded(series, RERUN_PERIOD_s)
+        count = stream(arm, (moment_at(series, int(row)) for row in rows), _file(given.rerun))
+        sys.stdout.write(f"{count} moments sent to Rerun\n")
+        return 0
+    _play(given, arm, series)
+    return 0
+
+
+def _play(given: argparse.Namespace, arm: Arm, series: Series) -> None:
+    from console.seeing.scene import ArmScene
+    from console.seeing.window import open_window, play
+
+    rows = _rows(series, 1.0 / 60.0)
+    scene = ArmScene(arm)
+    sys.stdout.write(
+        "solid: commanded; ghost: measured. Space pauses, arrows: a second on or back, faster or slower; home: again\n"
+    )
+    play(scene, series, rows, traces_of(series, scene.kinematics), given.speed, MonotonicClock(), open_window)
+
+
+def _rows(series: Series, period_s: float) -> Sequence[int]:
+    rows, _ = recorded(series, period_s)
+    if not len(rows):
+        raise ArmError(f"{series.name}: no moment in it has all joint angles")
+    return [int(row) for row in rows]
+
+
+def _render(given: argparse.Namespace, arm: Arm, series: Series) -> int:
+    """One picture of the last moment, or one each `--speed`/`--fps` seconds of the recording."""
+    out = _picture_path(given.render)
+    rows = _rows(series, given.speed / given.fps)
+    if out.suffix == ".png":
+        rows = rows[-1:]
+    if len(rows) > FRAMES_MOST:
+        raise ArmError(
+            f"--render: {len(rows)} pictures; at most {FRAMES_MOST}: choose a part with --run, --from and --to, or raise --speed"
+        )
+    paint = painter_of(arm, _warn)
+    images = frames(series, rows, traces_of(series, Kinematics(arm)), paint)
+    with Bar("render") as bar:
+        files = write_images(out, _told(images, len(rows), bar), 1.0 / given.fps)
+    sys.stdout.write(f"written: {out} ({len(files)} file{'s' * (len(files) != 1)}, {len(rows)} moments)\n")
+    return 0
+
+
+def _told(images: Iterator[tuple[float, Image]], count: int, bar: Bar) -> Iterator[tuple[float, Image]]:
+    for number, image in enumerate(images):
+        bar.advance("render", number / count)
+        yield image
+
+
+def _picture_path(text: str) -> Path:
+    path = Path(text)
+    if path.suffix not in ("", ".png", ".gif"):
+        raise ArmError(
+            f"--render: expected FILE.png (the last moment), FILE.gif, or a folder for a PNG each; got {text}."
+            " A film: ffmpeg -framerate 25 -i FOLDER/frame-%05d.png film.mp4"
+        )
+    return path
+
+
+def _live(given: argparse.Namespace) -> int:
+    for name in ("run", "from_s", "to_s"):
+        if getattr(given, name) is not None:
+            raise ArmError("--run, --from and --to choose a part of a LOG: give one, or none of them")
+    given.arm = given.arm or "right"
+    arm, client = load_arm(given.arm), connected(given)
+    if given.render:
+        return _snapshot(given, arm, moment_of(client.status()))
+    moments = live(client, MonotonicClock(), LIVE_PERIOD_s)
+    try:
+        if given.rerun is not None:
+            from console.seeing.rerun_stream import stream
+
+            stream(arm, moments, _file(given.rerun))
+        else:
+            from console.seeing.scene import ArmScene
+            from console.seeing.window import follow, open_window
+
+            follow(ArmScene(arm), moments, open_window)
+    except RuntimeGone as gone:
+        sys.stdout.write(f"the runtime has ended ({gone})\n")
+    finally:
+        client.close()
+    return 0
+
+
+def _snapshot(given: argparse.Namespace, arm: Arm, moment: Moment) -> int:
+    """Where the arm is now, as one picture."""
+    out = _picture_path(given.render)
+    if out.suffix != ".png":
+        raise ArmError("--render without a LOG draws where the arm is now: give a FILE.png")
+    traces: Traces = Trail(Kinematics(arm)).add(moment)
+    image = painter_of(arm, _warn)(moment, traces)
+    write_images(out, iter([(moment.t_s, image)]), 1.0)
+    sys.stdout.write(f"written: {out}\n")
+    return 0
+
+
+def _file(text: str) -> Path | None:
+    return Path(text) if text else None
+
+
+def _warn(text: str) -> None:
+    sys.stderr.write(f"armwright: warning: {text}\n")
