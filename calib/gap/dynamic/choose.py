@@ -36,6 +36,7 @@ UNEXPLAINED_STEPS = (
     2  # after this many steps that only unlisted candidates could take, the rest is unknown too
 )
 FIRST_LAWS = ("coulomb_friction", "viscous_friction")
+CAMERA_TIME = "camera time"
 ELASTIC = ("joint_compliance", "backlash")
 
 Advance = Callable[[str, float], None]
@@ -61,6 +62,11 @@ class Step:
     claims: Array
 
 
+def _is_unexplained(step: Step) -> bool:
+    candidate = step.best.candidate
+    return not candidate.is_listed and candidate.name.effect != CAMERA_TIME
+
+
 class Choice:
     """The search over one recording."""
 
@@ -84,7 +90,7 @@ class Choice:
             step = self._step(fitted, done, self.pool)
             if step is None:
                 break
-            if sum(not s.best.candidate.is_listed for s in done) >= UNEXPLAINED_STEPS:
+            if sum(_is_unexplained(s) for s in done) >= UNEXPLAINED_STEPS:
                 break
             done.append(step)
             fitted = self._without_flights(done)
@@ -97,7 +103,7 @@ class Choice:
             return fitted
         resting = self.rows.resting((*self.known, *fitted.terms))
         self.split = self.split.only(resting)
-        self.screen.picked = self.split.deciding
+        self.screen.pick(self.split.deciding)
         self.first = self.refined(())
         for k, step in enumerate(done):
             claims = self.by_cell(step.before.residual) - self.by_cell(step.best.fitted.residual)

@@ -10,15 +10,16 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.dynamic import forms
 from calib.gap.dynamic.catalogue import candidates as all_candidates
-from calib.gap.dynamic.choose import Choice, Step
+from calib.gap.dynamic.choose import CAMERA_TIME, Choice, Step
 from calib.gap.dynamic.fit import Fitted
 from calib.gap.dynamic.nameable import nameable
 from calib.gap.dynamic.physics import Physics
+from calib.gap.dynamic.plausible import plausible
 from calib.gap.dynamic.recording import Recording, prepare
 from calib.gap.dynamic.rows import Cell, Rows, RowTable
 from calib.gap.dynamic.split import Picked, Split, split
 from calib.gap.dynamic.terms import Term, known_terms
-from calib.gap.dynamic.verdict import Verdict, judge, terms_of
+from calib.gap.dynamic.verdict import Verdict, corrections, judge, terms_of
 from calib.gap.finding import GapFinding, NamedEffect
 from calib.gap.log import Log
 from control.model.arm import Arm
@@ -64,7 +65,7 @@ def examine(
     """`find`, with what a report shows beside the finding."""
     told = advance or _silent
     told("reading the runs", 0.0)
-    recording = prepare(arm, log)
+    recording = plausible(arm, prepare(arm, log))
     known = known_terms(arm)
     rows = Rows(Physics(arm, recording), known)
     parts = split(recording, rows.table)
@@ -76,7 +77,8 @@ def examine(
     verdict = judge(choice, steps, arm)
     told("the gap on runs used for nothing else", 0.95)
     before = rows.residual(known)
-    accepted = choice.refined(terms_of(steps, verdict))
+    corrected = corrections(steps, verdict)
+    accepted = choice.refined((*terms_of(steps, verdict), *corrected))
     after = accepted.residual
     parts = choice.split
     finding = GapFinding(
@@ -95,7 +97,12 @@ def examine(
     )
     told("done", 1.0)
     names = tuple(run.name for run in recording.runs)
-    warnings = (*recording.warnings, *_doubts(before, rows.table), *_flying(rows, known, accepted))
+    warnings = (
+        *recording.warnings,
+        *_doubts(before, rows.table),
+        *_flying(rows, known, accepted),
+        *_corrected(accepted),
+    )
     ratios = tuple(drive.gear_ratio for drive in arm.drives)
     return DynamicOutcome(finding, warnings, rows.table, before, after, parts, names, ratios)
 
@@ -125,6 +132,16 @@ def _flying(rows: Rows, known: Sequence[Term], accepted: Fitted) -> tuple[str, .
                 " when follows from the play, how hard does not"
             )
     return tuple(said)
+
+
+def _corrected(accepted: Fitted) -> tuple[str, ...]:
+    """Said where the camera's clock differs: an offset is no effect of the arm, and is taken off."""
+    return tuple(
+        f"the camera's times are {1e3 * abs(term.values[0]):.2f} ms {'early' if term.values[0] < 0.0 else 'late'}:"
+        " taken into account"
+        for term in accepted.terms
+        if term.form == CAMERA_TIME
+    )
 
 
 def gap(residual: Array, table: RowTable, picked: Picked) -> float:
@@ -172,7 +189,7 @@ def _named(
     parts: Split,
 ) -> tuple[NamedEffect, ...]:
     begins = np.cumsum([0, *(len(term.values) for term in accepted.terms)])
-    result, model = [], list(known)
+    result, model = [], [*known, *accepted.terms[len(verdict.named) :]]  # with what was found of the sensors
     for place, k in enumerate(verdict.named):
         term, own = accepted.terms[place], slice(int(begins[place]), int(begins[place + 1]))
         model.append(term)

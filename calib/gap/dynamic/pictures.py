@@ -27,7 +27,7 @@ TITLES = {
 MOST_CELLS = 4  # drawn in time
 HIGHEST_ORDER = 24.0  # periods per motor turn
 FEWEST_ROWS = 60
-POINTS = 3000  # of a cloud: more are not seen, and the page stays small
+POINTS = 1500  # of a cloud: more are not seen, and the page stays small
 
 
 def dynamic_sections(outcome: DynamicOutcome) -> Iterator[Section]:
@@ -50,7 +50,7 @@ def dynamic_sections(outcome: DynamicOutcome) -> Iterator[Section]:
 
 
 def _about(outcome: DynamicOutcome) -> str:
-    kept = ", ".join(outcome.split.report_runs)
+    kept = ", ".join(name for name in outcome.run_names if name in outcome.split.report_runs)
     text = (
         f"The noise floor comes from {outcome.rows.floor_source}; runs {kept} were kept apart for the report."
     )
@@ -87,7 +87,7 @@ def _rms(values: Array) -> float:
 
 def _draw_gap(figure: Figure, outcome: DynamicOutcome) -> None:
     left, right = figure.subplots(1, 2, width_ratios=(2, 3))
-    figure.subplots_adjust(left=0.07, right=0.99, top=0.87, bottom=0.36, wspace=0.18)
+    figure.subplots_adjust(left=0.07, right=0.99, top=0.89, bottom=0.24, wspace=0.18)
     found = outcome.finding
     steps = ["as it is", *(str(effect.name).replace(" on joint ", " ") for effect in found.effects)]
     gaps = [found.gap_before, *(effect.gap_after for effect in found.effects)]
@@ -97,10 +97,19 @@ def _draw_gap(figure: Figure, outcome: DynamicOutcome) -> None:
     left.set_xticks(np.arange(len(steps)), steps, rotation=20, ha="right", size=8)
     left.set(ylabel="gap, RMS over the noise", xlim=(-0.5, len(steps) - 0.5))
     left.set_ylim(0.8 * min(1.0, *gaps), 1.6 * max(gaps))
-    left.set_yscale("log")
+    _times(left)
     left.axhline(1.0, color=PLANNED, lw=1.0, ls="--")
     left.set_title("the model as it grows")
     _draw_cells(right, outcome)
+
+
+def _times(axes: Axes) -> None:
+    """A logarithmic axis whose ticks are plain numbers."""
+    from matplotlib.ticker import NullFormatter, StrMethodFormatter
+
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _draw_cells(axes: Axes, outcome: DynamicOutcome) -> None:
@@ -113,7 +122,7 @@ def _draw_cells(axes: Axes, outcome: DynamicOutcome) -> None:
         each = [_rms(residual[cell.rows][picked[cell.rows]]) for cell in cells]
         axes.plot(place + shift, each, mark, color=colour, ms=6, label=label)
     axes.set_xticks(place, [_short(cell) for cell in cells], rotation=20, ha="right", size=8)
-    axes.set_yscale("log")
+    _times(axes)
     axes.axhline(1.0, color=PLANNED, lw=1.0, ls="--")
     axes.legend(loc="best", fontsize=8)
     axes.set(ylabel="RMS over the noise")

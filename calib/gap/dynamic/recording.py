@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,6 +86,7 @@ def prepare(arm: Arm, log: Log) -> Recording:
     period = float(np.median(np.concatenate([np.diff(log.runs[k].t_s) for k in long_enough])))
     filters = filters_for(1.0 / period)
     runs = tuple(_motion(arm, log.runs[k], filters, period, warnings) for k in long_enough)
+    warnings += _saturation(arm, [log.runs[k] for k in long_enough])
     new_index = {k: place for place, k in enumerate(long_enough)}
     repeats = tuple(
         tuple(new_index[k] for k in group if k in new_index)
@@ -155,7 +157,7 @@ def _motion(arm: Arm, run: Run, filters: Filters, period: float, warnings: list[
     current, slope, _ = filters.states(current_raw)
     held = np.searchsorted(run.t_s, times + 0.5 * period * JITTER, side="right") - 1
     voltage = run.voltage_V[np.clip(held, 0, len(run) - 1)]
-    is_limited = _limited(arm, run, warnings)[np.clip(held, 0, len(run) - 1)]
+    is_limited = _limited(arm, run)[np.clip(held, 0, len(run) - 1)]
     reach = (len(filters.state[0]) - 1) // 2
     usable = sound[:, None] & ~_spread(is_limited, reach)
     usable[: round(min(SETTLING_s, SETTLING_SHARE * (times[-1] - times[0])) / period)] = False
@@ -205,7 +207,7 @@ def _grid(run: Run, period: float, warnings: list[str]) -> tuple[Array, Flags]:
     return times, sound
 
 
-def _limited(arm: Arm, run: Run, warnings: list[str]) -> Flags:
+def _limited(arm: Arm, run: Run) -> Flags:
     """Where a drive's current or voltage is at its limit."""
     flags = np.zeros(run.q_rad.shape, dtype=bool)
     for drive in arm.drives:
@@ -213,12 +215,21 @@ def _limited(arm: Arm, run: Run, warnings: list[str]) -> Flags:
         with np.errstate(invalid="ignore"):
             flags[:, j] |= np.abs(run.current_A[:, j]) >= AT_LIMIT * drive.current_limit_A
             flags[:, j] |= np.abs(run.voltage_V[:, j]) > drive.supply_V * 1.0001
-        share = float(np.mean(flags[:, j]))
-        if share > 0.0:
-            warnings.append(
-                f"run {run.name}: drive {drive.joint} is at its limit in {share:.1%} of the samples: not used"
-            )
     return flags
+
+
+def _saturation(arm: Arm, runs: Sequence[Run]) -> Iterator[str]:
+    """One sentence a drive that is at its limit somewhere."""
+    shares = [_limited(arm, run).mean(axis=0) for run in runs]
+    for drive in arm.drives:
+        own = {run.name: share[drive.joint - 1] for run, share in zip(runs, shares, strict=True)}
+        worst = max(own, key=lambda name: own[name])
+        if own[worst] > 0.0:
+            count = sum(share > 0.0 for share in own.values())
+            yield (
+                f"drive {drive.joint} is at its limit in {count} runs (run {worst}: {own[worst]:.2%} of the samples):"
+                " those samples are not used"
+            )
 
 
 def _spread(flags: Flags, reach: int) -> Flags:

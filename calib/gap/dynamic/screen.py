@@ -58,14 +58,15 @@ class Screen:
     """Slopes of all candidates' starts; those that do not depend on the model are computed once."""
 
     def __init__(self, rows: Rows, known: Sequence[Term], picked: Picked) -> None:
-        self._rows, self._known, self.picked = rows, tuple(known), picked
+        self._rows, self._known, self._picked = rows, tuple(known), picked
         self._at_known = rows.residual(self._known)
         self._slopes: dict[Term, Array] = {}
+        self._narrow: dict[Term, tuple[slice, Array]] = {}
 
     def best_start(self, candidate: Candidate, fitted: Fitted) -> Start:
         """The start that takes most off the fitted model's residual, the model's own values refitted beside it."""
-        base = _orthogonal(fitted.slopes[self.picked])
-        residual = fitted.residual[self.picked]
+        base = _orthogonal(fitted.slopes[self._picked])
+        residual = fitted.residual[self._picked]
         starts = [self._start(candidate, term, fitted, base, residual) for term in self._of(candidate)]
         starts.sort(key=lambda start: -start.gain)
         best = starts[0]
@@ -86,18 +87,33 @@ class Screen:
             term.form in ("joint_compliance", "backlash") and not self._rows.recording.has_tip
         )
         if is_far:
-            ahead = self._rows.residual((*self._known, *fitted.terms, term))[self.picked]
+            ahead = self._rows.residual((*self._known, *fitted.terms, term))[self._picked]
             ahead = ahead - base @ (base.T @ ahead)
             return Start(candidate, term, float(residual @ residual - ahead @ ahead), term, ())
-        slopes = self.slopes(term)[self.picked]
-        slopes = slopes - base @ (base.T @ slopes)
-        values, gain = _solved(slopes, residual)
+        where, slopes = self._picked_slopes(term)
+        inside = base[where]
+        seen = inside.T @ slopes
+        values, gain = _solved(slopes.T @ slopes, seen, slopes.T @ residual[where])
         if term.form in NONNEGATIVE and values[0] < 0.0:
             return Start(candidate, term, -TRIED, term, ())
         full = list(term.values)
         for place, value in enumerate(values[: len(full)]):
             full[place] = float(value)
         return Start(candidate, term.at(tuple(full)), gain, term, tuple(values.tolist()))
+
+    def pick(self, picked: Picked) -> None:
+        """Look at these rows from now on."""
+        self._picked = picked
+        self._narrow.clear()
+
+    def _picked_slopes(self, term: Term) -> tuple[slice, Array]:
+        """Which of the picked rows a term changes, and its slopes there: a friction shows in one cell alone."""
+        if term not in self._narrow:
+            slopes = self.slopes(term)[self._picked]
+            changed = np.flatnonzero(np.any(slopes != 0.0, axis=1))
+            where = slice(int(changed[0]), int(changed[-1]) + 1) if len(changed) else slice(0, 0)
+            self._narrow[term] = where, np.ascontiguousarray(slopes[where])
+        return self._narrow[term]
 
     def slopes(self, term: Term) -> Array:
         """Slopes by those values that the rows are linear in, (rows, values)."""
@@ -131,14 +147,20 @@ def _orthogonal(slopes: Array) -> Array:
     return np.asarray(u[:, s > 1e-6 * s[0]])
 
 
-def _solved(slopes: Array, residual: Array) -> tuple[Array, float]:
-    """Values of least squares, and what they take off the sum of squares."""
-    size = np.linalg.norm(slopes, axis=0)
-    if not np.any(size > 0.0):
-        return np.zeros(slopes.shape[1]), 0.0
-    scaled = slopes / np.where(size > 0.0, size, 1.0)
-    square, pull = scaled.T @ scaled, scaled.T @ residual
-    values, vectors = np.linalg.eigh(square)
+def _solved(square: Array, seen: Array, pull: Array) -> tuple[Array, float]:
+    """Values of least squares beside a base, and what they take off the sum of squares.
+
+    `square`, `pull`: the slopes' products with themselves and the residual; `seen`: the base's with the slopes. The
+    residual is orthogonal to the base already.
+    """
+    own = np.diag(square)
+    free = square - seen.T @ seen
+    is_free = np.diag(free) > 1e-9 * np.maximum(own, 1e-300)
+    if not np.any(is_free):
+        return np.zeros(len(own)), 0.0
+    size = np.sqrt(np.where(is_free, np.diag(free), 1.0))
+    scaled, pulled = free / np.outer(size, size), np.where(is_free, pull, 0.0) / size
+    values, vectors = np.linalg.eigh(scaled)
     inverse = np.where(values > 1e-8 * values[-1], 1.0 / np.maximum(values, 1e-300), 0.0)
-    solution = -(vectors * inverse) @ (vectors.T @ pull)
-    return np.asarray(solution / np.where(size > 0.0, size, 1.0)), float(-solution @ pull)
+    solution = -(vectors * inverse) @ (vectors.T @ pulled)
+    return np.asarray(solution / size), float(-solution @ pulled)

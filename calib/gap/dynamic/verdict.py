@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.dynamic.catalogue import Candidate
-from calib.gap.dynamic.choose import FIRST_LAWS, MARGIN, SHARE_MARGIN, Choice, Step
+from calib.gap.dynamic.choose import CAMERA_TIME, FIRST_LAWS, MARGIN, SHARE_MARGIN, Choice, Step
 from calib.gap.dynamic.terms import Term
 from calib.gap.finding import EffectName, Unknown
 from control.model.arm import Arm
@@ -44,6 +44,7 @@ class Verdict:
     ambiguous: tuple[tuple[EffectName, ...], ...]
     unknown: Unknown | None
     explained: tuple[float, ...]
+    corrected: tuple[int, ...] = ()  # steps that say something of the sensors, not of the arm
 
 
 def judge(choice: Choice, steps: Sequence[Step], arm: Arm) -> Verdict:
@@ -54,7 +55,11 @@ def judge(choice: Choice, steps: Sequence[Step], arm: Arm) -> Verdict:
     explained = tuple(_explained(step.claims, left) for step in steps)
     sound: list[int] = []
     rejected: list[int] = []
+    corrected: list[int] = []
     for k, step in enumerate(steps):
+        if _is_correction(step, explained[k]):
+            corrected.append(k)
+            continue
         is_sound = step.best.candidate.is_listed and _suffices(step, explained[k], arm)
         is_first = is_sound and _is_first_law(step.best.candidate.name, arm)
         if is_sound and (is_first or not _in_shadow(steps, rejected, k)):
@@ -67,20 +72,27 @@ def judge(choice: Choice, steps: Sequence[Step], arm: Arm) -> Verdict:
         for k in sound
         if _in_shadow(steps, rejected, k) and not _is_first_law(steps[k].best.candidate.name, arm)
     ]
-    sound, fallen = _alone(choice, steps, [k for k in sound if k not in shadowed], arm)
+    sound, fallen = _alone(choice, steps, [k for k in sound if k not in shadowed], corrected, arm)
     rivals = {k: _rivals(choice, steps[k]) for k in sound}
     named = [k for k in sound if not rivals[k] or _is_first_law(steps[k].best.candidate.name, arm)]
     ambiguous = tuple((steps[k].best.candidate.name, *rivals[k]) for k in sound if k not in named)
     unknown = _unknown(choice, steps, rejected + shadowed + fallen, left)
-    return Verdict(tuple(named), ambiguous, unknown, explained)
+    return Verdict(tuple(named), ambiguous, unknown, explained, tuple(corrected))
 
 
-def _alone(choice: Choice, steps: Sequence[Step], named: list[int], arm: Arm) -> tuple[list[int], list[int]]:
+def _is_correction(step: Step, explained: float) -> bool:
+    """An offset of the camera's clock that suffices: no effect of the arm, but no unknown either."""
+    return step.best.candidate.name.effect == CAMERA_TIME and explained >= SUFFICIENT
+
+
+def _alone(
+    choice: Choice, steps: Sequence[Step], named: list[int], corrected: list[int], arm: Arm
+) -> tuple[list[int], list[int]]:
     """Names that also suffice without what is not named: something unlisted beside them may have hidden what is left."""
     fallen: list[int] = []
     named = list(named)
-    while named and len(named) < len(steps):
-        terms = [steps[-1].best.fitted.terms[k] for k in named]
+    while named and len(named) + len(corrected) < len(steps):
+        terms = [steps[-1].best.fitted.terms[k] for k in (*named, *corrected)]
         residual = choice.refined(terms).residual
         left = np.maximum(choice.by_cell(residual) - AT_FLOOR * choice.counts(), 0.0)
         weak = [k for k in named if not _suffices(steps[k], _explained(steps[k].claims, left), arm)]
@@ -225,3 +237,8 @@ def _binned(values: Array, by: Array, bins: int = 16) -> float:
 def terms_of(steps: Sequence[Step], verdict: Verdict) -> list[Term]:
     """The named terms with the values of the last fit."""
     return [steps[-1].best.fitted.terms[k] for k in verdict.named]
+
+
+def corrections(steps: Sequence[Step], verdict: Verdict) -> list[Term]:
+    """What was found of the sensors, with the values of the last fit."""
+    return [steps[-1].best.fitted.terms[k] for k in verdict.corrected]
