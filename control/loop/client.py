@@ -184,7 +184,7 @@ class ArmClient:
             raise MotionStopped("the motion was stopped before its end; the arm holds where it came to rest")
 
     def run_joints(self, path: Message, as_encoders: bool = False) -> None:
-        """Run a path of the joints (JointPath.to_message()) from its first knot, where the arm stands. `as_encoders`: as move_joints."""
+        """Run a path of the joints (JointPath.to_message()) from where the arm stands. `as_encoders`: as move_joints."""
         answer = self.ask("run_joints", path=path, as_encoders=as_encoders)
         self.arrive(answer["duration_s"] + 5.0)
 
