@@ -66,4 +66,10 @@ SEEING = (
         ),
         "Nothing moves by it: live it only asks the runtime for its status. docs/seeing.md.",
     ),
+    CommandSpec(
+        "completion",
+        "print a script that completes armwright's commands, options and files in your shell",
+        (option("shell", choices=("bash", "zsh", "fish", "tcsh"), help="for which shell"),),
+        "docs/seeing.md says where to put it.",
+    ),
 )

@@ -30,7 +30,6 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("q{}_rad", "rad", "angle by its encoder"),
         Field("speed{}_rad_s", "rad/s", "speed by its encoder and the board's clock"),
         Field("count{}", "1", "encoder count"),
-        Field("counted{}_s", "s", "when the count was taken, on the loop's clock"),
     ),
     SET_POINT: (
         Field("q{}_set_rad", "rad", "set-point of the angle"),

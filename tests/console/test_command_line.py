@@ -16,7 +16,21 @@ from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
 from tests.cell import RIGHT, scenario, wired_to, with_drive
 
-HEAVY = ("numpy", "scipy", "mujoco", "matplotlib", "can", "serial", "msgspec", "rich", "ruckig")
+HEAVY = (
+    "numpy",
+    "scipy",
+    "mujoco",
+    "matplotlib",
+    "can",
+    "serial",
+    "msgspec",
+    "rich",
+    "ruckig",
+    "textual",
+    "shtab",
+    "mcap",
+    "PIL",
+)
 RIGHT_TOML = Path(__file__).parents[2] / "control" / "arms" / "right.toml"
 
 

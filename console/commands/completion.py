@@ -1,0 +1,77 @@
+"""`armwright completion SHELL`: a script that completes subcommands, options, choices, arms and files."""
+
+import argparse
+import sys
+from typing import Any, Final
+
+from console import main
+from control.model.description import arm_names
+from hil_mocks.scenario import shipped_scenarios
+
+FOLDERS: Final = ("DIR",)
+FILES: Final = (
+    "FILE", "LOG", "P", "L", "M", "B", "SCRIPT", "PATH", "URL", "DIR|FILE", "FILE|DIR", "N|FILE", "FILE.rrd", "NEW.toml",
+)  # fmt: skip
+ARM, SCENARIO = "A", "S"
+WHERE: Final = {
+    "bash": "armwright completion bash > ~/.local/share/bash-completion/completions/armwright",
+    "zsh": "armwright completion zsh > FOLDER/_armwright, with FOLDER in $fpath before compinit",
+    "fish": "armwright completion fish > ~/.config/fish/completions/armwright.fish",
+    "tcsh": "armwright completion tcsh > ~/.armwright.tcsh, and `source ~/.armwright.tcsh` in ~/.tcshrc",
+}
+
+
+def run(given: argparse.Namespace) -> int:
+    """Print the script; on a terminal, where to put it, too."""
+    sys.stdout.write(script(given.shell))
+    if sys.stdout.isatty():
+        sys.stderr.write(f"\nTo install: {WHERE[given.shell]}\n")
+    return 0
+
+
+def script(shell: str) -> str:
+    """The completion script of the whole command line for bash, zsh, fish or tcsh."""
+    import shtab
+
+    parser = main.parser()
+    for action in _actions(parser):
+        if (completes := _completion(action)) is not None:
+            action.complete = completes  # type: ignore[attr-defined]  # shtab reads it
+    text: str = shtab.complete(parser, shell=shell, preamble={"bash": _named_in_bash()}.get(shell, ""))
+    return text
+
+
+def _actions(parser: argparse.ArgumentParser) -> list[argparse.Action]:
+    found = []
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for sub in action.choices.values():
+                found += _actions(sub)
+        elif action.nargs != 0 and not action.choices and action.type is None:
+            found.append(action)
+    return found
+
+
+def _completion(action: argparse.Action) -> dict[str, Any] | None:
+    """What completes a value: told by its metavar, which says what it is; None where nothing can be offered."""
+    import shtab
+
+    kind = str(action.metavar)
+    if kind in FOLDERS:
+        return dict(shtab.DIRECTORY)
+    if kind == ARM:
+        return {**shtab.FILE, "bash": "_armwright_arms"}
+    if kind == SCENARIO:
+        return {**shtab.FILE, "bash": "_armwright_scenarios"}
+    return dict(shtab.FILE) if kind in FILES else None
+
+
+def _named_in_bash() -> str:
+    """Functions that offer what ships by name, beside files."""
+    return "".join(
+        f'{function}() {{\n  compgen -W "{" ".join(names)}" -- "$1"\n  compgen -f -- "$1"\n}}\n'
+        for function, names in (
+            ("_armwright_arms", arm_names()),
+            ("_armwright_scenarios", shipped_scenarios()),
+        )
+    )
