@@ -25,7 +25,7 @@ from benchmarks.gap_dynamic_plant import Chain, Plant, Recorded, Simulation, rne
 Array = npt.NDArray[np.float64]
 
 SECONDS = 8.0
-TOGETHER = 24  # cases simulated side by side: more costs memory, not time
+TOGETHER = 44  # cases simulated side by side: more costs memory, not time
 GAINS = (60.0, 1.2, 100.0)  # V/rad, V s/rad, V/(rad s)
 PAYLOAD_kg = 0.5
 CURRENT_NOISE_A, CAMERA_NOISE_m, CAMERA_Hz = 0.01, 0.00014, 100

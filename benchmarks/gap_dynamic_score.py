@@ -213,16 +213,21 @@ def scores(
 ) -> Iterator[Score]:
     """Every case's score; those that `kept` has already are read from it."""
     known = _read(kept)
-    for group in groups:
-        asked = plan(group, first_seed, count)
-        missing = [one for one in asked if (group, one.seed) not in known]
-        yield from (known[group, one.seed] for one in asked if (group, one.seed) in known)
-        for case in made(missing, under):
-            one = score(group, case.asked.seed, arm_of(case.arm_toml), log_of(case), case.truth)
-            if kept is not None:
-                with kept.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(one)) + "\n")
-            yield one
+    asked = _interleaved([[(group, one) for one in plan(group, first_seed, count)] for group in groups])
+    yield from (known[group, one.seed] for group, one in asked if (group, one.seed) in known)
+    missing = [(group, one) for group, one in asked if (group, one.seed) not in known]
+    for (group, _), case in zip(missing, made([one for _, one in missing], under), strict=True):
+        one = score(group, case.asked.seed, arm_of(case.arm_toml), log_of(case), case.truth)
+        if kept is not None:
+            with kept.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(one)) + "\n")
+        yield one
+
+
+def _interleaved(lists: Sequence[Sequence[tuple[str, Asked]]]) -> list[tuple[str, Asked]]:
+    """Of every list its share, so that a run that is broken off has seen something of each."""
+    placed = [((k + 0.5) / len(some), one) for some in lists for k, one in enumerate(some)]
+    return [one for _, one in sorted(placed, key=lambda pair: pair[0])]
 
 
 def _read(kept: Path | None) -> dict[tuple[str, int], Score]:

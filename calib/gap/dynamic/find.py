@@ -137,7 +137,7 @@ def _flying(rows: Rows, known: Sequence[Term], accepted: Fitted) -> tuple[str, .
 def _corrected(accepted: Fitted) -> tuple[str, ...]:
     """Said where the camera's clock differs: an offset is no effect of the arm, and is taken off."""
     return tuple(
-        f"the camera's times are {1e3 * abs(term.values[0]):.2f} ms {'early' if term.values[0] < 0.0 else 'late'}:"
+        f"the camera's times are {1e3 * abs(term.values[0]):.2f} ms {'late' if term.values[0] < 0.0 else 'early'}:"
         " taken into account"
         for term in accepted.terms
         if term.form == CAMERA_TIME

@@ -94,7 +94,7 @@ def _wrong_current(arm: Arm, recording: Recording) -> str:
         wet = known.get("viscous_friction", {}).get("coefficient_Nm_s_rad", 0.0)
         expected, measured = [], []
         for run, torque in zip(recording.runs, torques, strict=True):
-            v, keep = run.speed[:, j], run.usable[:, j] & (np.abs(run.speed[:, j]) > MOVING_rad_s)
+            v, keep = run.speed[:, j], np.abs(run.speed[:, j]) > MOVING_rad_s
             whole = torque[:, j] + body.rotor_kg_m2[j] * run.acceleration[:, j] + dry * np.sign(v) + wet * v
             expected.append(whole[keep] / (drive.torque_constant_Nm_A * drive.gear_ratio))
             measured.append(run.current_A[keep, j])

@@ -18,6 +18,7 @@ Flags = npt.NDArray[np.bool_]
 JITTER = 0.02  # of the period: less is the clock's printing
 GAP = 2.5  # periods between samples: more is a gap, and its neighbourhood is not used
 AT_LIMIT = 0.985  # of the current limit
+ANOTHER_UNIT = 1.5  # times a limit
 SHORTEST_s = 0.5
 SETTLING_s = 1.5  # how the arm came to rest before a run is not known: what it rings with has gone by then
 SETTLING_SHARE = 0.2  # of a run at most
@@ -213,8 +214,11 @@ def _limited(arm: Arm, run: Run) -> Flags:
     for drive in arm.drives:
         j = drive.joint - 1
         with np.errstate(invalid="ignore"):
-            flags[:, j] |= np.abs(run.current_A[:, j]) >= AT_LIMIT * drive.current_limit_A
-            flags[:, j] |= np.abs(run.voltage_V[:, j]) > drive.supply_V * 1.0001
+            # Far beyond its limit is no drive: that is another unit.
+            current = np.abs(run.current_A[:, j]) / drive.current_limit_A
+            voltage = np.abs(run.voltage_V[:, j]) / drive.supply_V
+            flags[:, j] |= (current >= AT_LIMIT) & (current < ANOTHER_UNIT)
+            flags[:, j] |= (voltage > 1.0001) & (voltage < ANOTHER_UNIT)
     return flags
 
 
