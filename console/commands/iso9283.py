@@ -84,6 +84,9 @@ def _evaluate(
     found, warnings = evaluate_files(arm, points, has_runs, others, programme, given.band_m, out, notes)
     for warning in warnings:
         sys.stderr.write(f"armwright: {warning}\n")
+    if given.json:
+        sys.stdout.write((out / "iso9283.json").read_text(encoding="utf-8"))
+        return 0
     sys.stdout.write(
         f"{summary_text(found.criteria)}\n\n  report  {out / 'iso9283.html'}\n  figures {out / 'iso9283.json'}\n"
     )

@@ -23,13 +23,13 @@ def run(given: argparse.Namespace) -> int:
     for warning in markers.warnings:
         sys.stderr.write(f"armwright: warning: {warning}\n")
     found = register_boards(markers, cavities)
-    for setup, board in found.items():
-        sys.stdout.write(described(setup, board))
+    if not given.json:
+        sys.stdout.write("".join(described(setup, board) for setup, board in found.items()))
     inputs = {file.name: hashlib.sha256(file.read_bytes()).hexdigest()}
     out = Path(given.out) / "boards.json"
     date = datetime.datetime.now(datetime.UTC).date().isoformat()
     write_boards(out, arm.name, found, inputs, date, f"armwright {version('armwright')}")
-    sys.stdout.write(f"written: {out}\n")
+    sys.stdout.write(out.read_text(encoding="utf-8") if given.json else f"written: {out}\n")
     return 0
 
 

@@ -42,7 +42,7 @@ def run(given: argparse.Namespace) -> int:
     calibrated = load_arm(given.arm)
     pair = Pair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
     if given.points is not None:
-        return _finish(on_recorded(pair, Path(given.points)), free_folder(Path(given.out)))
+        return _finish(given, on_recorded(pair, Path(given.points)), free_folder(Path(given.out)))
     programme, notes = _programme(given, calibrated)
     out = free_folder(Path(given.out))
     drive = Drive.planned(pair, programme, _near(calibrated), out)
@@ -60,7 +60,7 @@ def run(given: argparse.Namespace) -> int:
         ) as error:  # something has moved: not the exit status 2 of wrong input
             sys.stderr.write(f"armwright: {error}\n  what was measured is in {out}\n")
             return 1
-    return _finish(verification, out)
+    return _finish(given, verification, out)
 
 
 def _programme(given: argparse.Namespace, arm: Arm) -> tuple[Programme, tuple[str, ...]]:
@@ -126,8 +126,11 @@ def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) ->
     return Bench(client, pair.calibrated, bench.speed, bench.stop)
 
 
-def _finish(verification: Verification, out: Path) -> int:
+def _finish(given: argparse.Namespace, verification: Verification, out: Path) -> int:
     write(verification, out)
+    if given.json:
+        sys.stdout.write((out / "verify.json").read_text(encoding="utf-8"))
+        return 1 if verification.is_worse else 0
     warnings = "".join(f"note: {line}\n" for line in verification.warnings)
     verdict = "\n".join(verification.verdict)
     sys.stdout.write(

@@ -93,6 +93,7 @@ CALIBRATING = (
                 help="the nominal arm (default: what the calibrated one says it comes from)",
             ),
             OUT,
+            JSON,
             option("--points", metavar="FILE", help="recorded poses with measured tips; then nothing moves"),
             option("--mock", action="store_true", help="on a stepped mock of the nominal arm"),
             option(
@@ -210,6 +211,7 @@ CALIBRATING = (
             option("--record", action="store_true", help="run the test programmes on the connected arm"),
             option("--mock", action="store_true", help="run them on a mock arm in this process"),
             OUT,
+            JSON,
             SOCKET,
             option(
                 "--scenario",

@@ -112,6 +112,7 @@ RECORDING = (
                 help="a markers.csv: setup,marker,x_m,y_m,z_m in the base frame; markers are cavities by name",
             ),
             OUT,
+            JSON,
         ),
         "Prints the residual of every marker, names those that disagree, writes boards.json.",
     ),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -93,8 +95,10 @@ def evaluated(recorded: Recorded, *more: str) -> dict[str, Criterion]:
     arguments = [
         "--points", str(recorded.out / "points.csv"), "--log", str(recorded.out / "log.csv"), "--out", str(out),
     ]  # fmt: skip
-    assert main(["iso9283", *arguments, *more]) == 0
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        assert main(["iso9283", *arguments, *more, "--json"]) == 0
     document = json.loads((out / "iso9283.json").read_text("utf-8"))
+    assert json.loads(printed.getvalue()) == document
     assert (out / "iso9283.html").stat().st_size > 10_000
     return {criterion["name"]: criterion for criterion in document["criteria"]}
 

@@ -130,8 +130,11 @@ def test_a_board_that_the_camera_measures_is_found_where_it_was_hidden(
         "--out",
         str(files / "r"),
     ]
-    assert main(["register", *given]) == 0
-    again = json.loads((files / "r" / "boards.json").read_text())["boards"]["normal"]
+    capsys.readouterr()
+    assert main(["register", *given, "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((files / "r" / "boards.json").read_text())
+    again = printed["boards"]["normal"]
     np.testing.assert_allclose(again["origin_m"], entry["origin_m"], atol=1e-7)
 
 

@@ -97,6 +97,16 @@ def test_recorded_points_show_that_the_calibrated_arm_is_better(
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_another_program_gets_the_figures_and_nothing_else(
+    calibrated: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    given = ["--arm", str(calibrated), "--points", str(measured), "--out", str(out), "--json"]
+    assert main(["verify", *given]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads((out / "verify.json").read_text("utf-8"))
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_an_arm_that_is_worse_ends_with_status_1(
     calibrated: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
