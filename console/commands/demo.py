@@ -1,24 +1,31 @@
-"""`armwright demo`: the whole job on a mock arm, or the paper's experiment."""
+"""`armwright demo`: the whole job on a mock arm, the paper's experiment, or a hidden effect found and corrected."""
 
 import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from calib.errors import CalibrationError
 from console.commands.progress import Bar
 from console.demo import job
 from console.demo.bench import Bench, RealTimeBench, SteppedBench
 from console.folders import free_folder
 from console.scenario_file import seeded_scenario
 from control.model.arm import Arm
-from control.model.description import load_arm
+from control.model.description import load_arm, save_arm
 
+GAP_SEED = 1  # of what `demo gap` hides by default
 Conduct = Callable[[Arm, Bench, Path, job.Advance], str]
 """Does a demo on the bench's arm; returns what is printed about it."""
 
 
 def run(given: argparse.Namespace) -> int:
     """Run the demo and print what it found."""
+    if given.what == "gap":
+        return _gap(given)
+    for name in ("effect", "joint"):
+        if getattr(given, name) is not None:
+            raise CalibrationError(f"--{name} belongs to `armwright demo gap`")
     arm = load_arm(given.arm)
     conduct, out_name, scenario_name = _DEMOS[given.what]
     can_home = all(drive.home is not None for drive in arm.drives)
@@ -74,6 +81,40 @@ def _paper(arm: Arm, bench: Bench, out: Path, advance: job.Advance) -> str:
         f"  figures   {outcome.figures}\n"
         f"  points    {out / 'points.csv'}\n"
     )
+
+
+def _gap(given: argparse.Namespace) -> int:
+    """An effect is hidden, found, added and corrected; exit status 1 where it was not found as it is."""
+    from console.demo import gap
+    from console.demo.gap_hidden import beyond_known, drawn, with_known_friction
+    from console.demo.gap_page import findings, write_page
+
+    for name in ("scenario", "realtime"):
+        if getattr(given, name):
+            raise CalibrationError(
+                f"--{name} belongs to the other demos: this one hides an effect of its own"
+            )
+    seed = given.seed if given.seed is not None else GAP_SEED
+    hidden = drawn(seed, given.effect, given.joint)
+    arm = with_known_friction(load_arm(given.arm))
+    out = free_folder(Path(given.out or "out/demo-gap"))
+    out.mkdir(parents=True)
+    save_arm(arm, out / "nominal.toml")
+    arm = load_arm(str(out / "nominal.toml"))
+    scenario = out / "scenario.toml"
+    scenario.write_text(beyond_known(hidden, arm).as_scenario("gap", seed), encoding="utf-8")
+    can_home = all(drive.home is not None for drive in arm.drives)
+    scenario.write_bytes(seeded_scenario(str(scenario), seed, was_homed=not can_home))
+    bench = SteppedBench(arm, scenario, out / "log")
+    try:
+        with Bar("demo") as bar:
+            circle = gap.run(arm, bench, hidden, out, bar.advance)
+    finally:
+        bench.close()
+    report = write_page(circle, out)
+    sys.stdout.write("\n" + "".join(f"{sentence}\n" for sentence in findings(circle)))
+    sys.stdout.write(f"\n  report  {report}\n  model   {out / 'gap' / 'arm.toml'}\n")
+    return 0 if circle.is_right else 1
 
 
 _DEMOS: dict[str, tuple[Conduct, str, str]] = {

@@ -44,7 +44,7 @@ def run(given: argparse.Namespace) -> int:
         "scenario",
         "seed",
     ):
-        if getattr(given, name) not in (None, False):
+        if getattr(given, name) is not None and getattr(given, name) is not False:
             raise CalibrationError(f"--{name.replace('_', '-')} belongs to --record, which was not given")
     return _look(given, arm, given.points or [], given.log or [], without, out)
 

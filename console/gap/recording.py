@@ -22,6 +22,7 @@ from control.errors import ArmError
 from control.loop.client import ArmClient
 from control.model.arm import Arm
 
+REST_s = 0.1  # of a run after its motion
 FLUSH_s = 0.3  # after a run, until its rows are on the disk: two writes of the recorder
 
 Advance = Callable[[str, float], None]
@@ -152,6 +153,7 @@ class _Recorder:
             raise ArmError(
                 f"{self._bench.recording}: holds no rows of the run that has just ended: is the disk full?"
             )
+        rows = rows[rows["t_s"] <= rows["t_s"][0] + step.path.duration_s + REST_s]
         RunFile.write(file, rows, self._bench.arm.joint_count, step.payload_kg)
 
     def _hang(self, mass_kg: float) -> None:

@@ -10,14 +10,15 @@ TRYING = (
             option(
                 "what",
                 nargs="?",
-                choices=("job", "paper"),
+                choices=("job", "paper", "gap"),
                 default="job",
-                help="the whole job (default), or the paper's experiment beside its published figures",
+                help="the whole job (default), the paper's experiment beside its published figures, or an effect that is"
+                " hidden in the arm, found, added to the model and corrected",
             ),
             option(
                 "--out",
                 metavar="DIR",
-                help="where the results go (default: out/demo, or out/demo-paper)",
+                help="where the results go (default: out/demo, out/demo-paper or out/demo-gap)",
             ),
             option(
                 "--realtime",
@@ -34,6 +35,8 @@ TRYING = (
                 metavar="S",
                 help="a scenario file or the name of one that ships (default: demo, or paper)",
             ),
+            option("--effect", metavar="NAME", help="demo gap: what is hidden (default: drawn by the seed)"),
+            option("--joint", type=int, metavar="J", help="demo gap: where it is hidden (default: drawn)"),
             ARM,
         ),
         "Nothing is connected and nothing real moves.",

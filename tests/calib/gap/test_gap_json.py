@@ -1,0 +1,167 @@
+"""gap.json as formats.md has it, held by a strict schema; what the model becomes where it knew a part already."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from calib.gap.finding import EffectName, GapFinding, Nameable, NamedEffect, Unknown, write_gap_json
+from calib.gap.model_update import updated_arm
+from control.model.arm import Calibration, Effect
+from control.model.description import load_arm, save_arm
+
+MADE = Calibration("right.toml", {"points.csv": "0" * 64}, "2026-11-21", "gap workflow", "armwright test")
+
+
+class Name(msgspec.Struct, forbid_unknown_fields=True):
+    effect: str
+    joint: int | None
+
+
+class Value(msgspec.Struct, forbid_unknown_fields=True):
+    value: float
+    sd: float | None
+
+
+class Named(msgspec.Struct, forbid_unknown_fields=True):
+    effect: str
+    joint: int | None
+    parameters: dict[str, Value]
+    gap_after: float | None
+    evidence: dict[str, float | None]
+
+
+class Gap(msgspec.Struct, forbid_unknown_fields=True):
+    before: float | None
+    after: float | None
+    before_si: dict[str, float | None]
+    after_si: dict[str, float | None]
+
+
+class Left(msgspec.Struct, forbid_unknown_fields=True):
+    where: str
+    nearest: Name | None
+    explained: float | None
+
+
+class Could(msgspec.Struct, forbid_unknown_fields=True):
+    effect: str
+    joint: int | None
+    detectability: float | None
+    confusable_with: list[Name]
+
+
+class GapJson(msgspec.Struct, forbid_unknown_fields=True):
+    """The format gap/1."""
+
+    format: str
+    arm: str
+    data: list[str]
+    noise_floor: dict[str, float | None]
+    gap: Gap
+    effects: list[Named]
+    ambiguous: list[list[Name]]
+    unknown: Left | None
+    nameable: list[Could]
+    next_experiment: str | None
+
+
+def full() -> GapFinding:
+    play, spring = EffectName("backlash", 1), EffectName("joint_compliance", 1)
+    return GapFinding(
+        "right",
+        ("points.csv", "log.csv"),
+        {"tip_m": 1.4e-4},
+        12.4,
+        float("nan"),
+        {"tip_m": 2e-3},
+        {"tip_m": float("inf")},
+        (NamedEffect(play, {"width_rad": (0.005, float("nan"))}, 1.05, {"margin": 9.0}),),
+        ((play, spring),),
+        Unknown("joint 2: in steps", spring, 0.3),
+        (Nameable(play, 12.0, (spring,)), Nameable(EffectName("payload"), 5.0)),
+        "Record more.",
+    )
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        full(),
+        dataclasses.replace(
+            full(), effects=(), ambiguous=(), unknown=None, nameable=(), next_experiment=None
+        ),
+        dataclasses.replace(full(), unknown=Unknown("the whole", None, 0.0)),
+    ],
+)
+def test_gap_json_has_all_keys_of_the_format_and_no_others(found: GapFinding, tmp_path: Path) -> None:
+    write_gap_json(tmp_path / "gap.json", found)
+    text = (tmp_path / "gap.json").read_text()
+    read = msgspec.json.decode(text, type=GapJson)
+    assert read.format == "gap/1"
+    assert len(read.effects) == len(found.effects)
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    assert list(json.loads(text)) == list(GapJson.__struct_fields__)  # in the order of the format
+
+
+def found_with(*effects: tuple[str, int | None, dict[str, float]]) -> GapFinding:
+    named = tuple(
+        NamedEffect(EffectName(name, joint), {key: (value, 0.0) for key, value in values.items()}, 1.0)
+        for name, joint, values in effects
+    )
+    return dataclasses.replace(full(), effects=named)
+
+
+@pytest.mark.parametrize(
+    ("effect", "joint", "known", "found", "sum_"),
+    [
+        ("backlash", 1, {"width_rad": 0.003}, {"width_rad": 0.002}, {"width_rad": 0.005}),
+        ("coulomb_friction", 2, {"torque_Nm": 1.2}, {"torque_Nm": 0.4}, {"torque_Nm": 1.6}),
+        ("belt_coupling", None, {"ratio": 0.01}, {"ratio": -0.004}, {"ratio": 0.006}),
+        (
+            "joint_compliance",
+            2,
+            {"stiffness_Nm_rad": 600.0},
+            {"stiffness_Nm_rad": 300.0},
+            {"stiffness_Nm_rad": 200.0},
+        ),
+        ("torque_constant", 1, {"scale": 0.95}, {"scale": 1.02}, {"scale": 0.969}),
+        (
+            "encoder_eccentricity",
+            1,
+            {"amplitude_rad": 0.003, "phase_rad": 0.0},
+            {"amplitude_rad": 0.004, "phase_rad": 1.5707963267948966},
+            {"amplitude_rad": 0.005, "phase_rad": 0.9272952180016122},
+        ),
+        (
+            "stribeck_friction",
+            3,
+            {"torque_Nm": 0.5, "speed_rad_s": 0.1},
+            {"torque_Nm": 0.7, "speed_rad_s": 0.05},
+            {"torque_Nm": 0.7, "speed_rad_s": 0.05},
+        ),
+    ],
+)
+def test_what_is_found_comes_on_top_of_what_the_file_knows(
+    effect, joint, known, found, sum_, tmp_path
+) -> None:
+    arm = dataclasses.replace(load_arm("right"), effects=(Effect(effect, joint, known),))
+    model = updated_arm(arm, found_with((effect, joint, found)), None, MADE)
+    assert len(model.effects) == 1
+    assert dict(model.effects[0].parameters) == pytest.approx(sum_)
+    save_arm(model, tmp_path / "arm.toml")
+    assert load_arm(tmp_path / "arm.toml").effects == model.effects
+
+
+def test_an_effect_of_another_joint_is_added_beside_what_is_known() -> None:
+    arm = dataclasses.replace(load_arm("right"), effects=(Effect("backlash", 1, {"width_rad": 0.003}),))
+    model = updated_arm(
+        arm, found_with(("backlash", 2, {"width_rad": 0.002}), ("link_geometry", None, {})), None, MADE
+    )
+    assert [(one.effect, one.joint) for one in model.effects] == [("backlash", 1), ("backlash", 2)]
+    assert model.calibration == MADE

@@ -1,0 +1,194 @@
+"""`armwright gap --record` on a stepped mock arm: every step once, resumed after an interruption, in the interchange formats."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.errors import CalibrationError
+from calib.gap.log import Log, read_log
+from calib.gap.plan.motions import Limits, multisine
+from calib.gap.plan.plan import RecordingPlan, Run, Visit
+from calib.gap.plan.room import room_of
+from calib.points import Points, read_points
+from console.demo.bench import SteppedBench
+from console.gap.recording import Bench, note_plan, record
+from console.main import main
+from control.model.description import load_arm
+
+RIGHT = load_arm("right")
+POSES = ((0.10, 0.20, 0.30), (0.16, 0.14, 0.36))
+SCENARIO = """
+name = "tiny"
+[start]
+homed = true
+q_rad = [0.1, 0.2, 0.3]
+[plant]
+timestep_s = 0.001
+"""
+
+
+class Interrupted(Exception):
+    """Somebody ends the program."""
+
+
+@dataclass
+class Recorded:
+    """What is on the disk, and what the arm was told."""
+
+    out: Path
+    points: Points
+    log: Log
+    hung: list[float]
+    done_before: int
+
+
+def tiny() -> RecordingPlan:
+    """Two poses from two sides, one of them loaded, a short swing with and without the load."""
+    room = room_of(RIGHT)
+    near = dataclasses.replace(room, lower_rad=np.array([0.0, 0.1, 0.2]), upper_rad=np.array([0.2, 0.3, 0.4]))
+    swing = multisine(near, Limits.of(RIGHT), (1.0, 3.0), 1.0, 1.8, 1)
+    steps = (
+        Visit("p1", 1, POSES[0], (1, 1, 1), 0.0),
+        Visit("p1", 2, POSES[0], (-1, -1, -1), 0.0),
+        Run("1", "swing", swing, 0.0),
+        Visit("p2", 1001, POSES[1], (1, -1, 1), 0.4),
+        Run("2", "swing", swing, 0.4),
+    )
+    return RecordingPlan(room, steps, 12.0)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recorded]:
+    """Interrupted before the third step, and gone on with."""
+    folder = tmp_path_factory.mktemp("gap_record")
+    scenario, out = folder / "scenario.toml", folder / "recorded"
+    scenario.write_text(SCENARIO)
+    bench = SteppedBench(RIGHT, scenario, folder / "log")
+    try:
+        client = bench.start(RIGHT)
+        client.enable()
+        client.home()
+        hung: list[float] = []
+
+        def hang(mass_kg: float) -> None:
+            hung.append(mass_kg)
+            bench.rig.set_payload(mass_kg)
+
+        mine = Bench(RIGHT, client, next((folder / "log").glob("*.armlog")), hang)
+
+        def advance(what: str, share: float) -> None:
+            if what.startswith("run 1"):
+                raise Interrupted
+
+        with pytest.raises(Interrupted):
+            record(mine, tiny(), out, advance)
+        before = len(read_points(out / "points.csv", 3)[0])
+        record(mine, tiny(), out, lambda *_: None)
+        bench.stop()
+        points, warnings = read_points(out / "points.csv", 3)
+        log, log_warnings = read_log(out / "log.csv", 3)
+        assert (warnings, log_warnings) == ((), ())
+        yield Recorded(out, points, log, hung, before)
+    finally:
+        bench.close()
+
+
+def test_an_interrupted_recording_goes_on_and_holds_every_pose_once(recorded: Recorded) -> None:
+    assert recorded.done_before == 2
+    assert recorded.points.point == ("p1", "p1", "p2")
+    assert recorded.points.payload_kg.tolist() == [0.0, 0.0, 0.4]
+    assert set(recorded.points.setup) == {"free"}
+    assert recorded.hung == [0.4, 0.0]
+
+
+def test_poses_are_reached_and_their_directions_are_those_of_the_approach(recorded: Recorded) -> None:
+    assert np.abs(recorded.points.q_rad - np.array([POSES[0], POSES[0], POSES[1]])).max() < 2e-3
+    assert recorded.points.direction.tolist() == [[1, 1, 1], [-1, -1, -1], [1, -1, 1]]
+    assert np.isfinite(recorded.points.tip_m).all()
+    assert np.isfinite(recorded.points.t_s).all()
+    assert np.isfinite(recorded.points.current_A).all()
+
+
+def test_runs_are_whole_on_one_clock_and_repeats_are_told_by_their_set_points(recorded: Recorded) -> None:
+    first, second = recorded.log.runs
+    assert (first.name, second.name) == ("1", "2")
+    assert first.t_s[0] == 0.0
+    assert np.diff(first.t_s) == pytest.approx(0.002, abs=1e-6)
+    assert first.t_s[-1] == pytest.approx(tiny().runs[0].path.duration_s + 0.1, abs=0.01)
+    assert (first.payload, second.payload) == (0.0, 0.4)
+    assert np.isfinite(first.voltage_V).all()
+    assert 150 < np.isfinite(first.tip_m[:, 0]).sum() < 190  # 100 frames a second
+    # the same motion, so the same set-points in the same rows: repeats but for the load
+    assert np.abs(first.q_set_rad - second.q_set_rad[: len(first)]).max() < 1e-6
+    assert np.abs(first.q_rad - first.q_set_rad).max() < 0.01
+
+
+def test_the_folder_of_another_plan_is_left_alone(recorded: Recorded) -> None:
+    other = dataclasses.replace(tiny(), steps=tiny().steps[:2])
+    before = (recorded.out / "plan.json").read_bytes()
+    with pytest.raises(CalibrationError, match="another plan or arm"):
+        note_plan(recorded.out, other, RIGHT)
+    assert (recorded.out / "plan.json").read_bytes() == before
+
+
+def test_plan_json_says_every_step(recorded: Recorded) -> None:
+    content = json.loads((recorded.out / "plan.json").read_text())
+    assert [step.get("point") or f"run {step['run']}" for step in content["steps"]] == [
+        "p1", "p1", "run 1", "p2", "run 2",
+    ]  # fmt: skip
+
+
+def test_the_plan_alone_is_said_and_nothing_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [
+        "gap",
+        "--record",
+        "--mock",
+        "--plan-only",
+        "--quick",
+        "--only",
+        "static",
+        "--out",
+        str(tmp_path / "d"),
+    ]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    assert "78 poses and 0 motions, some of them with 0.5 kg at the tip" in said
+    assert "backlash on joint 2" in said
+    assert not (tmp_path / "d").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--mock"], "--mock belongs to --record"),
+        (["--quick"], "--quick belongs to --record"),
+        (["--minutes", "3"], "--minutes belongs to --record"),
+        (["--seed", "0"], "--seed belongs to --record"),
+        (["--record", "--mock", "--points", "p.csv"], "leave --points and --log out"),
+        (["--record", "--mock", "--minutes", "-1"], "--minutes: expected a number above 0"),
+        (["--record", "--mock", "--minutes", "nan"], "--minutes: expected a number above 0"),
+        (["--record", "--mock", "--minutes", "0.1"], "the least that tells anything takes"),
+        (["--record", "--mock", "--payload", "-0.5"], "--payload: expected a mass"),
+        (["--record", "--mock", "--payload", "nan"], "--payload: expected a mass"),
+        (["--record", "--scenario", "demo"], "give --mock, too"),
+        (
+            ["--record", "--socket", "/nowhere/at.all", "--only", "motion"],
+            "no runtime answers at /nowhere/at.all",
+        ),
+    ],
+)
+def test_what_makes_no_sense_is_one_clear_error_and_nothing_is_written(
+    arguments: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["gap", *arguments, "--out", str(tmp_path / "d")]) == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "d").exists()

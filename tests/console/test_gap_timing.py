@@ -1,0 +1,107 @@
+"""Rows of a recording on one clock: the ages of angles and camera frames are found, and what is left is the arm's own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from console.gap.timing import MEAN_s, Raw, aligned, clocks_of
+from control.model.description import load_arm
+from control.model.kinematics import Kinematics
+
+ARM = load_arm("right")
+PERIOD_s, LENGTH_s = 0.002, 6.0
+OFFSET_s, RATE = 37.2, 20e-6  # of the board's clock
+CAMERA_s = 0.0093
+
+
+def angle(t: np.ndarray, order: int = 0) -> np.ndarray:
+    """Joint angles (m, 3) and their derivatives: three sines a joint, the fastest of 7 Hz."""
+    total = np.zeros((len(t), 3))
+    for j in range(3):
+        for k, (size, hertz) in enumerate(((0.2, 0.4), (0.03, 1.9), (0.0015, 7.0))):
+            w = 2.0 * np.pi * hertz * (1.0 + 0.07 * j)
+            total[:, j] += size * w**order * np.sin(w * t + 0.6 * j + k + 0.5 * np.pi * order)
+    return total
+
+
+def run(start_s: float, noise: float = 1.0, seed: int = 0, has_camera: bool = True) -> Raw:
+    """What the runtime would record of an arm that moves like that: staircase voltages, a current mean, a board's own clock."""
+    draw = np.random.default_rng((seed, round(start_s)))
+    t = start_s + PERIOD_s * np.arange(round(LENGTH_s / PERIOD_s))
+    counted = (
+        np.floor(((t - OFFSET_s) * (1.0 + RATE) + 4e-4) * 1000.0) / 1000.0 - 1e-3
+    )  # newest report of each millisecond
+    latched = counted / (1.0 + RATE) + OFFSET_s
+    q = angle(latched) + noise * draw.normal(0.0, 8e-6, (len(t), 3))
+    current = np.zeros((len(t), 3))
+    voltage = np.zeros((len(t), 3))
+    for j, drive in enumerate(ARM.drives):
+        constant, r = drive.torque_constant_Nm_A * drive.gear_ratio, drive.resistance_ohm
+        lag = drive.inductance_H / r
+        asked = 1.3 * np.sign(angle(t, 1)[:, j]) + angle(t, 2)[:, j] / 6.0  # friction and inertia
+        voltage[:, j] = r * asked + constant * angle(t, 1)[:, j]
+        # Held over a cycle; the current is the mean of the last millisecond before the next command, one row later.
+        ends = t - PERIOD_s
+        held = np.roll(voltage[:, j], 2)
+        current[:, j] = (held - constant * angle(ends - lag - 0.5 * MEAN_s, 1)[:, j]) / r
+    current += noise * draw.normal(0.0, 5e-3, current.shape)
+    tip = np.full((len(t), 3), np.nan)
+    if has_camera:
+        frames = np.arange(4, len(t), 5)
+        seen = Kinematics(ARM).tips(angle(t[frames] - CAMERA_s))
+        tip[frames] = seen + noise * draw.normal(0.0, 1.4e-4, seen.shape) + 0.004  # a frame that is displaced
+    return Raw(t, q, angle(t), current, voltage, np.repeat(counted[:, None], 3, axis=1), tip, 0.0)
+
+
+RUNS = [run(start) for start in (40.0, 60.0, 95.0)]
+
+
+def test_ages_of_angles_and_frames_are_found_within_microseconds() -> None:
+    clocks = clocks_of(ARM, RUNS)
+    for raw in RUNS:
+        true = raw.counted_s[:, 0] / (1.0 + RATE) + OFFSET_s
+        # noise of currents leaves about 10 us
+        assert np.abs(clocks.encoder[0].loop_s(raw.counted_s[:, 0]) - true).max() < 4e-5
+    assert clocks.camera_s == pytest.approx(CAMERA_s, abs=1e-4)
+    assert "9.3 ms" in clocks.in_words()[0]
+
+
+def test_aligned_rows_are_the_arms_own_motion_and_tips() -> None:
+    clocks = clocks_of(ARM, RUNS)
+    for raw in RUNS:
+        got = aligned(ARM, raw, clocks)
+        at = raw.t_s[1:-1]
+        assert got.t_s[0] == 0.0
+        assert np.abs(got.q_rad - angle(at)).max() < 1e-4  # 40 us at 1 rad/s, noise of 8e-6
+        assert np.sqrt(np.mean((got.q_rad - angle(at)) ** 2)) < 3e-5
+        seen = np.isfinite(got.tip_m[:, 0])
+        assert seen.sum() > 0.19 * len(at)
+        apart = got.tip_m[seen] - 0.004 - Kinematics(ARM).tips(angle(at[seen]))
+        assert np.sqrt(np.mean(apart**2)) < 2.0e-4  # the camera's noise is 1.4e-4
+
+
+def test_the_current_is_brought_to_the_moment_of_the_command() -> None:
+    raw = run(40.0, noise=0.0)
+    got = aligned(ARM, raw, clocks_of(ARM, [run(s, 0.0) for s in (40.0, 60.0, 95.0)]))
+    drive = ARM.drives[0]
+    constant, lag = drive.torque_constant_Nm_A * drive.gear_ratio, drive.inductance_H / drive.resistance_ohm
+    at = raw.t_s[1:-1]
+    held = np.roll(raw.voltage_V[:, 0], 1)[1:-1]
+    true = (held - constant * angle(at - lag, 1)[:, 0]) / drive.resistance_ohm
+    inner = slice(50, -50)
+    assert np.abs(got.current_A[inner, 0] - true[inner]).max() < 3e-3  # the mean alone is 20 mA off
+
+
+def test_without_voltages_angles_count_as_half_a_cycle_old_and_without_frames_there_is_no_camera() -> None:
+    bare = [
+        replace(raw, voltage_V=np.full_like(raw.voltage_V, np.nan), tip_m=np.full_like(raw.tip_m, np.nan))
+        for raw in RUNS[:1]
+    ]
+    clocks = clocks_of(ARM, bare)
+    assert clocks.angle_age_s == pytest.approx(0.5 * PERIOD_s, abs=1e-6)
+    assert np.isnan(clocks.camera_s)
+    assert "camera" not in clocks.in_words()[0]
+    assert np.isnan(aligned(ARM, bare[0], clocks).tip_m).all()
