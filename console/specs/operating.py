@@ -22,7 +22,30 @@ OPERATING = (
     CommandSpec(
         "check",
         "find the boards that arm.toml names and compare their identities; nothing moves",
-        (ARM, *LINKS),
+        (ARM, *LINKS, JSON),
+    ),
+    CommandSpec(
+        "console",
+        "a full-screen view of the arm, with keys to jog, move, teach and calibrate it",
+        (
+            ARM,
+            SOCKET,
+            PLACES,
+            option(
+                "--teach",
+                metavar="FILE",
+                default="taught.csv",
+                help="way-points taught by hand (default: taught.csv)",
+            ),
+            option("--keep", metavar="FILE", help="keep every line that was done, for `armwright script`"),
+            option(
+                "--sessions",
+                metavar="DIR",
+                default="sessions",
+                help="calibration sessions (default: sessions)",
+            ),
+        ),
+        "Space stops the arm, always. `?` shows the keys. It is a client: `armwright serve` runs the arm.",
     ),
     CommandSpec("status", "what the arm does now, and what is wrong", (ARM, SOCKET, JSON)),
     CommandSpec("enable", "drives on, holding where the arm stands", (ARM, SOCKET)),

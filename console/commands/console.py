@@ -1,0 +1,24 @@
+"""`armwright console`: the operator's screen."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from console.commands.connection import socket_path
+from control.errors import ArmError
+from control.model.description import load_arm
+
+
+def run(given: argparse.Namespace) -> int:
+    """Run the screen until ctrl+q; the arm is held then."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise ArmError("console: it needs a terminal; for files of lines there is `armwright script`")
+    from console.screen.app import ConsoleApp, Files
+
+    arm = load_arm(given.arm)
+    socket = socket_path(given, arm)
+    files = Files(
+        Path(given.places), Path(given.teach), Path(given.keep) if given.keep else None, Path(given.sessions)
+    )
+    ConsoleApp(arm, socket, files, {"--arm": given.arm, "--socket": str(socket)}).run()
+    return 0

@@ -1,0 +1,111 @@
+"""The console as a Textual application: the link, the operator, and the space bar before everything else."""
+
+import asyncio
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from textual import events
+from textual.app import App
+from textual.binding import Binding, BindingType
+from textual.widgets import Input
+
+from console.commands.table import COMMANDS
+from console.lines.grammar import Grammar
+from console.screen.link import Message, RuntimeLink
+from console.screen.operating import OperatingScreen
+from console.screen.operator import MOVING, Operator
+from console.screen.picture import Skeleton
+from control.model.arm import Arm
+from control.motion.jog_limits import JogLimits
+
+COMMAND_KEYS = ("colon", "slash")
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """Where the console reads and writes: named places, way-points taught, lines done, sessions."""
+
+    places: Path
+    taught: Path
+    kept: Path | None = None
+    sessions: Path = Path("sessions")
+
+
+class ConsoleApp(App[None]):
+    """`armwright console`. Exits with the arm held: its connection ends, and with it its motion."""
+
+    CSS_PATH = "style.tcss"
+    ENABLE_COMMAND_PALETTE = False
+    TITLE = "armwright"
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+q", "quit", show=False, priority=True)]
+
+    def __init__(self, arm: Arm, socket: Path, files: Files, shared: Mapping[str, str]) -> None:
+        """`shared`: options that every subcommand is given, such as --arm and --socket."""
+        super().__init__(ansi_color=False)
+        self.arm, self.files = arm, files
+        self.jog_limits = JogLimits.of(arm)
+        self.has_jogged = False
+        self.link = RuntimeLink(socket, self._on_status)
+        grammar = Grammar(COMMANDS, {flag.lstrip("-"): value for flag, value in shared.items()})
+        words = [word for pair in shared.items() for word in pair]
+        self.operator = Operator(self.link, grammar, words, self.say, files.kept)
+        self.operating = OperatingScreen(Skeleton(arm))
+
+    def on_mount(self) -> None:
+        """The main screen, and the link."""
+        self.push_screen(self.operating)
+        self.run_worker(self.link.run(), group="link")
+
+    async def on_event(self, event: events.Event) -> None:
+        """Space stops before any screen, dialog or box sees it; a box gets it where nothing moves.
+
+        The colon, too, is taken here: what is typed behind it must not be taken for keys that move the arm, however fast it
+        comes.
+        """
+        if isinstance(event, events.Key) and not event.is_forwarded:
+            is_typing = isinstance(self.focused, Input)
+            if event.key == "space":
+                self._stopping = asyncio.create_task(self.action_stop())  # keys behind it wait for nothing
+                if not (is_typing and self._is_resting()):
+                    return
+            elif event.key in COMMAND_KEYS and not is_typing and self.screen is self.operating:
+                self.operating.action_command()
+                return
+        await super().on_event(event)
+
+    async def on_app_blur(self, _: events.AppBlur) -> None:
+        """The terminal lost the focus: whoever holds a key holds it elsewhere."""
+        await self.operating.let_go()
+
+    async def action_stop(self) -> None:
+        """Controlled stop, and the end of the line that runs."""
+        await self.operator.stop()
+
+    async def action_quit(self) -> None:
+        """Leave; the arm is held."""
+        self.operator.end_line()
+        self.exit()
+
+    def say(self, text: str, is_bad: bool = False) -> None:
+        """A line in the log."""
+        if self.operating.is_mounted:
+            self.operating.say(text, is_bad)
+
+    def open_session(self) -> None:
+        """The calibration session."""
+
+    def _is_resting(self) -> bool:
+        return self.link.status is not None and self.link.status["mode"] not in MOVING
+
+    async def _on_status(self, status: Message | None) -> None:
+        if status is None:
+            await self.operating.let_go()
+        elif status["mode"] != "JOGGING" and self.has_jogged:
+            self.has_jogged = False
+            if status["is_homed"] and status["mode"] == "HOLDING":
+                angles = " ".join(f"{q:.5f}" for q in status["joint_rad"])
+                self.operator.kept(f"move --joints {angles} --speed 0.2")
+        if self.operating.is_mounted:
+            self.operating.show(status)

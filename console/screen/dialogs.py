@@ -1,0 +1,103 @@
+"""Questions over the screen. Space stops the arm in them as everywhere."""
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Vertical
+from textual.screen import ModalScreen
+from textual.widgets import Input, OptionList, Static
+
+HELP = """\
+[b]space[/]      STOPS the arm, everywhere, and whatever line runs
+
+[b]1[/]-[b]9[/]        jog joint 1 ...            [b]x y z[/]   jog the tip along an axis
+[b]← →[/]        jog it: hold the key; the arm moves while the key repeats
+[b]t[/]          step or hold               [b], .[/]     smaller, larger steps
+[b]- +[/]        jog slower, faster         [b]< >[/]     pace of motions down, up
+[b]n[/]          drives on, and hold        [b]o[/]       off: stop, hold, lower, drives off
+[b]h[/]          home                       [b]g[/]       go to a named place
+[b]f[/]          run a way-point file       [b]p[/]       pause on the path, go on
+[b]u[/]          guide by hand              [b]r[/]       record a way-point
+[b]k[/]          keep this place by name    [b]a[/]       acknowledge faults
+[b]c[/]          calibration session        [b]:[/]       command box (escape leaves it)
+[b]ctrl+q[/]     leave the console: its motion is stopped, the arm is held
+
+Escape closes this."""
+
+
+class HelpDialog(ModalScreen[None]):
+    """The keys."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape,enter,question_mark", "dismiss", show=False)]
+
+    def compose(self) -> ComposeResult:
+        """Text."""
+        with Vertical(classes="dialog"):
+            yield Static(HELP)
+
+
+class Confirm(ModalScreen[bool]):
+    """Yes (Enter or y) or no (anything else)."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("enter,y", "answer(True)", show=False),
+        Binding("escape,n", "answer(False)", show=False),
+    ]
+
+    def __init__(self, question: str) -> None:
+        super().__init__()
+        self._question = question
+
+    def compose(self) -> ComposeResult:
+        """The question and the keys."""
+        with Vertical(classes="dialog"):
+            yield Static(self._question)
+            yield Static("\n[b]Enter[/] yes    [b]Escape[/] no    [b]space[/] stop")
+
+    def action_answer(self, is_so: bool) -> None:
+        """Close with the answer."""
+        self.dismiss(is_so)
+
+
+class AskText(ModalScreen[str | None]):
+    """A line of text; Escape is none."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "dismiss(None)", show=False)]
+
+    def __init__(self, question: str, value: str = "") -> None:
+        super().__init__()
+        self._question, self._value = question, value
+
+    def compose(self) -> ComposeResult:
+        """The question and a box."""
+        with Vertical(classes="dialog"):
+            yield Static(self._question)
+            yield Input(self._value, compact=True)
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Close with what was typed."""
+        event.stop()
+        self.dismiss(event.value.strip() or None)
+
+
+class Choose(ModalScreen[str | None]):
+    """One of some names; Escape is none."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "dismiss(None)", show=False)]
+
+    def __init__(self, question: str, names: Sequence[str]) -> None:
+        super().__init__()
+        self._question, self._names = question, list(names)
+
+    def compose(self) -> ComposeResult:
+        """The question and a list."""
+        with Vertical(classes="dialog"):
+            yield Static(self._question)
+            yield OptionList(*self._names)
+
+    def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
+        """Close with the name."""
+        event.stop()
+        self.dismiss(self._names[event.option_index])

@@ -1,0 +1,118 @@
+"""The console's connection to the runtime, on asyncio: asks, polls the status, and comes back by itself when it was lost.
+
+Requests are sent at once, one behind the other; answers are matched by their number. Motions of this connection end with it, so
+a console that dies, hangs up or loses its link leaves no moving arm behind: the runtime sees to that.
+"""
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+Message = dict[str, Any]
+POLL_S = 0.05
+ANSWER_S = 1.0  # a loop that does not answer within this is taken for lost
+RETRY_S = 0.5
+_LONGEST_LINE_bytes = 1 << 20
+
+
+class LinkLost(Exception):
+    """Nobody answers; the text says what the console then says."""
+
+
+class RuntimeLink:
+    """A runtime's socket as seen from an event loop. `on_status(status or None)` is called after every poll, None: lost."""
+
+    def __init__(self, path: Path, on_status: Callable[[Message | None], Awaitable[None]]) -> None:
+        self.path = path
+        self.status: Message | None = None
+        self.why_lost = "not connected yet"
+        self._on_status = on_status
+        self._writer: asyncio.StreamWriter | None = None
+        self._waiting: dict[int, asyncio.Future[Message]] = {}
+        self._numbers = 0
+
+    @property
+    def is_up(self) -> bool:
+        """Whether the runtime answered just now."""
+        return self.status is not None
+
+    async def run(self) -> None:
+        """Connect, poll, and again when lost; until cancelled."""
+        while True:
+            try:
+                await self._session()
+            except (OSError, LinkLost) as error:
+                self.why_lost = str(error) or type(error).__name__
+            finally:
+                self._hang_up()
+            await self._on_status(None)
+            await asyncio.sleep(RETRY_S)
+
+    async def ask(self, do: str, **arguments: Any) -> Message:
+        """One request and its answer, which may be a refusal (`ok` false, `error`). LinkLost."""
+        writer = self._writer
+        if writer is None:
+            raise LinkLost(self.why_lost)
+        self._numbers += 1
+        number = self._numbers
+        future: asyncio.Future[Message] = asyncio.get_running_loop().create_future()
+        self._waiting[number] = future
+        try:
+            writer.write(msgspec.json.encode({"do": do, **arguments, "id": number}) + b"\n")
+            async with asyncio.timeout(ANSWER_S):
+                return await future
+        except TimeoutError:
+            raise LinkLost(f"the runtime does not answer within {ANSWER_S:g} s") from None
+        finally:
+            self._waiting.pop(number, None)
+
+    async def _session(self) -> None:
+        try:
+            reader, self._writer = await asyncio.open_unix_connection(
+                str(self.path), limit=_LONGEST_LINE_bytes
+            )
+        except OSError as error:
+            raise LinkLost(
+                f"no runtime at {self.path} ({error.strerror or error}); `armwright serve` starts one"
+            ) from None
+        answers = asyncio.create_task(self._read(reader))
+        try:
+            while True:
+                begun_s = asyncio.get_running_loop().time()
+                answer = await self.ask("status")
+                self.status = answer
+                await self._on_status(answer)
+                elapsed_s = asyncio.get_running_loop().time() - begun_s
+                await asyncio.sleep(max(POLL_S - elapsed_s, 0.005))
+        finally:
+            answers.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await answers
+
+    async def _read(self, reader: asyncio.StreamReader) -> None:
+        while line := await reader.readline():
+            answer: Message = msgspec.json.decode(line)
+            future = self._waiting.get(int(answer.get("id", 0)))
+            if future is not None and not future.done():
+                future.set_result(answer)
+        self.why_lost = "the runtime closed the connection"
+        self._close()
+
+    def _fail(self, error: LinkLost) -> None:
+        for future in self._waiting.values():
+            if not future.done():
+                future.set_exception(error)
+
+    def _hang_up(self) -> None:
+        self.status = None
+        self._close()
+
+    def _close(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+        self._fail(LinkLost(self.why_lost))

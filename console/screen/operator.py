@@ -1,0 +1,231 @@
+"""What the operator does, without a screen: lines, jogs and the stop, over the console's link.
+
+What the runtime answers at once goes over the link; every other line is a subcommand in a process of its own, one at a time,
+so that planning, homing or a session never keeps the console from hearing the space bar. The stop ends that process, too:
+what was to follow the motion must not.
+"""
+
+import asyncio
+import contextlib
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from console.lines.grammar import Grammar, Line, LineError
+from console.screen.link import LinkLost, Message, RuntimeLink
+
+RENEW_S = 0.05  # of a step, which ends by itself
+QUICK = ("enable", "hold", "guide", "stop", "acknowledge", "pause", "resume", "override", "off")
+MOVING = ("MOVING", "HOMING", "JOGGING", "PAUSED", "STOPPING", "GUIDING")
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What is jogged: a joint (1-based) or an axis of the base frame."""
+
+    joint: int | None
+    axis: str | None
+
+    @property
+    def name(self) -> str:
+        """As the screen shows it: J1 ... or X, Y, Z."""
+        return f"J{self.joint}" if self.joint is not None else str(self.axis).upper()
+
+
+class Operator:
+    """Says what it does with `say(text, is_bad)`; keeps every line that was done in `keep`, for replay."""
+
+    def __init__(
+        self,
+        link: RuntimeLink,
+        grammar: Grammar,
+        shared: list[str],
+        say: Callable[[str, bool], None],
+        keep: Path | None = None,
+    ) -> None:
+        """`shared`: options of every subcommand (--arm, --socket)."""
+        self.link = link
+        self.running = ""  # the line whose process runs
+        self._grammar = grammar
+        self._shared = shared
+        self._say = say
+        self._keep = keep
+        self._process: asyncio.subprocess.Process | None = None
+        self._stepping: asyncio.Task[None] | None = None
+
+    async def line(self, text: str) -> bool:
+        """Do what a line says; returns whether it was begun (a process) or done."""
+        try:
+            line = self._grammar.line(text)
+        except LineError as error:
+            self._say(str(error), True)
+            return False
+        if line is None:
+            return False
+        if line.command == "jog":
+            return await self._step_line(line)
+        if line.command in QUICK and not getattr(line.given, "quit", False):
+            arguments = {"fraction": line.given.fraction} if line.command == "override" else {}
+            done = await self.ask(line.command, **arguments)
+            if done:
+                self.kept(line.text)
+            return done
+        return await self._begin(line)
+
+    async def ask(self, do: str, **arguments: Any) -> bool:
+        """One request; a refusal or a lost link is said. Returns whether it was taken."""
+        return await self._asked(do, **arguments) is not None
+
+    async def stop(self) -> None:
+        """Stop the arm, and whatever line runs; always legal."""
+        stopping = asyncio.ensure_future(self.ask("stop"))
+        if self._stepping is not None:
+            self._stepping.cancel()
+        self.end_line()
+        await stopping
+
+    def end_line(self) -> None:
+        """End the line's process as Ctrl-C would; its motion ends with its connection."""
+        if self._process is not None and self._process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                self._process.send_signal(signal.SIGINT)
+
+    # ---- jogging
+
+    async def jog(self, target: Target, speed: float, joint_count: int) -> None:
+        """Ask for a speed (rad/s or m/s, with its sign) until the runtime's dead man's switch ends it."""
+        answer = await self._asked("jog", **_velocity(target, speed, joint_count))
+        if answer is not None and answer["limited"]:
+            self._say(str(answer["limited"]), True)
+
+    async def let_go(self, target: Target, joint_count: int) -> None:
+        """Nobody wants the jog any more: to rest now."""
+        status = self.link.status
+        if status is not None and status["mode"] == "JOGGING":
+            with contextlib.suppress(LinkLost):
+                await self.link.ask("jog", **_velocity(target, 0.0, joint_count))
+
+    def step(self, target: Target, by: float, speed: float) -> None:
+        """One step, renewed until it has ended; while one runs another is not begun."""
+        if self._stepping is None or self._stepping.done():
+            self._stepping = asyncio.create_task(
+                self._step(_step_of(target, by, speed), _step_line(target, by, speed))
+            )
+
+    async def _step(self, wish: Message, text: str) -> None:
+        answer = await self._asked("jog", **wish)
+        if answer is None:
+            return
+        limited = str(answer["limited"])
+        with contextlib.suppress(LinkLost):
+            while (answer := await self.link.ask("jog_on"))["ok"]:
+                limited = str(answer["limited"]) or limited
+                await asyncio.sleep(RENEW_S)
+        if limited:
+            self._say(limited, True)
+        self.kept(text)
+
+    async def _step_line(self, line: Line) -> bool:
+        given = line.given
+        if (given.joint is None) == (given.axis is None):
+            self._say("jog: give either --joint or --axis", True)
+            return False
+        self.step(Target(given.joint, given.axis), given.by, given.speed or 0.0)
+        return True
+
+    # ---- processes
+
+    async def _begin(self, line: Line) -> bool:
+        if self.running:
+            self._say(f"`{self.running}` still runs; space stops it", True)
+            return False
+        self.running = line.text
+        words = [sys.executable, "-m", "console.main", line.command, *_words(line), *self._options(line)]
+        try:
+            self._process = await asyncio.create_subprocess_exec(
+                *words,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.STDOUT,
+                start_new_session=True,  # the terminal's Ctrl-C is the console's
+            )
+        except OSError as error:
+            self.running = ""
+            self._say(f"{line.command}: {error}", True)
+            return False
+        self._say(f"> {line.text}", False)
+        self._follower = asyncio.create_task(self._follow(line, self._process))
+        return True
+
+    def _options(self, line: Line) -> list[str]:
+        known = vars(line.given)
+        pairs = zip(self._shared[::2], self._shared[1::2], strict=True)
+        return [word for flag, value in pairs if flag.lstrip("-") in known for word in (flag, value)]
+
+    async def _follow(self, line: Line, process: asyncio.subprocess.Process) -> None:
+        if process.stdout is not None:
+            async for row in process.stdout:
+                self._say(f"  {row.decode(errors='replace').rstrip()}", False)
+        status = await process.wait()
+        self.running = ""
+        if status == 0:
+            self.kept(line.text)
+        self._say(
+            f"  {line.command}: {'done' if status == 0 else f'ended with status {status}'}", status != 0
+        )
+
+    async def wait(self) -> None:
+        """Until the line's process and the step have ended."""
+        if self._process is not None:
+            await self._follower
+        if self._stepping is not None:
+            await asyncio.wait([self._stepping])
+
+    # ---- words
+
+    def kept(self, text: str) -> None:
+        """Add a line to the file that `armwright script` replays."""
+        if self._keep is not None:
+            with self._keep.open("a", encoding="utf-8") as file:
+                file.write(f"{text}\n")
+
+    async def _asked(self, do: str, **arguments: Any) -> Message | None:
+        try:
+            answer = await self.link.ask(do, **arguments)
+        except LinkLost as error:
+            self._say(f"{do}: {error}", True)
+            return None
+        if not answer["ok"]:
+            self._say(str(answer["error"]), True)
+            return None
+        return answer
+
+
+def _velocity(target: Target, speed: float, joint_count: int) -> Message:
+    if target.joint is not None:
+        return {"joint_speed_rad_s": [speed if j + 1 == target.joint else 0.0 for j in range(joint_count)]}
+    return {"tip_velocity_m_s": [speed if axis == target.axis else 0.0 for axis in ("x", "y", "z")]}
+
+
+def _step_of(target: Target, by: float, speed: float) -> Message:
+    if target.joint is not None:
+        wish: Message = {"joint": target.joint, "by_rad": by}
+        return {**wish, "speed_rad_s": speed} if speed else wish
+    wish = {"axis": target.axis, "by_m": by}
+    return {**wish, "speed_m_s": speed} if speed else wish
+
+
+def _step_line(target: Target, by: float, speed: float) -> str:
+    what = f"--joint {target.joint}" if target.joint is not None else f"--axis {target.axis}"
+    return f"jog {what} --by {by:g}" + (f" --speed {speed:g}" if speed else "")
+
+
+def _words(line: Line) -> list[str]:
+    """The line's own words, without its command."""
+    import shlex
+
+    words = shlex.split(line.text)
+    return words[1:-1] if words[-1] == "&" else words[1:]

@@ -1,0 +1,118 @@
+"""The console's own widgets: buttons that are held, and the command box."""
+
+from typing import ClassVar
+
+from textual import events
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal
+from textual.message import Message
+from textual.widgets import Input, Static
+
+from console.screen.operator import Target
+
+
+class HeldButton(Static):
+    """A button that says so when the mouse goes down on it, and when it is let go or leaves."""
+
+    class Held(Message):
+        """The mouse went down, or up again."""
+
+        def __init__(self, target: Target, sign: int, is_down: bool) -> None:
+            super().__init__()
+            self.target, self.sign, self.is_down = target, sign, is_down
+
+    def __init__(self, target: Target, sign: int) -> None:
+        super().__init__("[b]−[/]" if sign < 0 else "[b]+[/]", classes="held")
+        self._target, self._sign, self._is_down = target, sign, False
+
+    def on_mouse_down(self, event: events.MouseDown) -> None:
+        """Held from now on."""
+        event.stop()
+        self._is_down = True
+        self.capture_mouse()
+        self.post_message(self.Held(self._target, self._sign, True))
+
+    def on_mouse_up(self, event: events.MouseUp) -> None:
+        """Let go."""
+        event.stop()
+        self.let_go()
+
+    def on_mouse_release(self, _: events.MouseRelease) -> None:
+        """Somebody else has the mouse."""
+        self.let_go()
+
+    def let_go(self) -> None:
+        """Held no more, for whatever reason."""
+        if self._is_down:
+            self._is_down = False
+            self.release_mouse()
+            self.post_message(self.Held(self._target, self._sign, False))
+
+
+class PressButton(Static):
+    """A button that runs one of the screen's actions."""
+
+    def __init__(self, label: str, action: str, **keys: str) -> None:
+        super().__init__(f" {label} ", classes="press", **keys)  # type: ignore[arg-type]
+        self._action = action
+
+    async def on_click(self, event: events.Click) -> None:
+        """Do it."""
+        event.stop()
+        await self.screen.run_action(self._action)
+
+
+class JogPad(Horizontal):
+    """A pair of held buttons for each joint and axis, and the others."""
+
+    def __init__(self, targets: list[Target]) -> None:
+        super().__init__(id="pad")
+        self._targets = targets
+
+    def compose(self) -> ComposeResult:
+        """Buttons in one row."""
+        yield PressButton("■ STOP", "app.stop", id="stop")
+        for target in self._targets:
+            yield HeldButton(target, -1)
+            yield Static(target.name, classes="name")
+            yield HeldButton(target, 1)
+        yield PressButton("pause", "pause")
+        yield PressButton("home", "home")
+
+
+class CommandBox(Input):
+    """The command line. Escape leaves it; up and down bring back what was typed before."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("escape", "leave", show=False),
+        Binding("up", "recall(-1)", show=False),
+        Binding("down", "recall(1)", show=False),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__(
+            placeholder=": a line, as in `armwright script`, e.g. move --joints 0 -0.8 0",
+            id="command",
+            compact=True,
+        )
+        self._lines: list[str] = []
+        self._at = 0
+
+    def take(self) -> str:
+        """What was typed; the box is empty then."""
+        text, self.value = self.value.strip(), ""
+        if text:
+            self._lines.append(text)
+        self._at = len(self._lines)
+        return text
+
+    def action_leave(self) -> None:
+        """Back to the jog keys."""
+        self.screen.set_focus(None)
+
+    def action_recall(self, by: int) -> None:
+        """An earlier or a later line."""
+        self._at = min(max(self._at + by, 0), len(self._lines))
+        self.value = self._lines[self._at] if self._at < len(self._lines) else ""
+        self.cursor_position = len(self.value)

@@ -1,0 +1,147 @@
+"""The real console, headless, over a real socket to a runtime on a stepped mock arm; all on one event loop.
+
+Time of the arm runs with the host's, in small steps between what the console does, so that a dead man's switch means what it
+means; `pump` may run it faster.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+from textual import events
+from textual.pilot import Pilot
+from textual.widget import Widget
+
+from console.screen.app import ConsoleApp, Files
+from control.loop.server import Server
+from control.model.arm import Arm
+from tests.cell import PERIOD_S, RIGHT, Cell
+
+STEP_S = 0.01
+CHARACTERS = {
+    "space": " ",
+    "full_stop": ".",
+    "underscore": "_",
+    "minus": "-",
+    "greater_than_sign": ">",
+    "colon": ":",
+}
+NAMES = {char: name for name, char in CHARACTERS.items()}
+
+
+class Served:
+    """A cell whose runtime answers on a socket while the event loop runs."""
+
+    def __init__(self, cell: Cell, folder: Path) -> None:
+        self.cell = cell
+        self.path = folder / "runtime.sock"
+        self.server: Server | None = self._listen()
+        self.is_frozen = False
+
+    def _listen(self) -> Server:
+        requests = self.cell.assembly.requests
+        return Server(self.path, requests.handle, requests.on_gone)
+
+    async def run(self) -> None:
+        """Until cancelled: cycles as the host's time passes, a request after each."""
+        loop = asyncio.get_running_loop()
+        last_s = loop.time()
+        while True:
+            await asyncio.sleep(STEP_S / 2)
+            now_s = loop.time()
+            cycles = min(int((now_s - last_s) / PERIOD_S), 25)  # a busy host slows the arm down, no more
+            last_s = now_s
+            if self.is_frozen:
+                continue
+            for _ in range(cycles):
+                self.cell.run(PERIOD_S)
+                if self.server is not None:
+                    self.server.poll()
+
+    def vanish(self) -> None:
+        """The runtime's process is gone, with its socket."""
+        if self.server is not None:
+            self.server.close()
+            self.server = None
+
+    def return_(self) -> None:
+        """It is back."""
+        self.server = self._listen()
+
+
+@contextlib.asynccontextmanager
+async def console_on(
+    cell: Cell, folder: Path, size: tuple[int, int] = (80, 24), arm: Arm = RIGHT
+) -> AsyncIterator[tuple[ConsoleApp, Pilot[Any], Served]]:
+    """The console, connected."""
+    served = Served(cell, folder)
+    files = Files(folder / "places.toml", folder / "taught.csv", folder / "kept.txt", folder / "sessions")
+    app = ConsoleApp(arm, served.path, files, {"--arm": "right", "--socket": str(served.path)})
+    pump = asyncio.create_task(served.run())
+    try:
+        async with app.run_test(size=size) as pilot:
+            await until(pilot, lambda: "homed" in shown(app, "head"))
+            yield app, pilot, served
+            app.link.path = Path("/nowhere")
+    finally:
+        pump.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await pump
+        served.vanish()
+
+
+async def until(pilot: Pilot[Any], is_so: Any, limit_s: float = 20.0) -> None:
+    """Let the event loop run until something is so."""
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + limit_s
+    while not is_so():
+        await asyncio.sleep(0.01)
+        if loop.time() > end_s:
+            app: Any = pilot.app
+            mode = app.link.status and app.link.status["mode"]
+            raise AssertionError(
+                f"not so within {limit_s} s: {mode}, {app.screen}, {app.focused}: {said(app)}"
+            )
+
+
+async def press(pilot: Pilot[Any], *keys: str) -> None:
+    """Keys as a terminal sends them. Pilot.press waits for an idle process, which one with an arm in it never is."""
+    for key in keys:
+        name = NAMES.get(key, key)
+        char = CHARACTERS.get(name, key if len(key) == 1 else None)
+        pilot.app.post_message(events.Key(name, char))
+        await asyncio.sleep(0.005)
+
+
+async def hold_key(pilot: Pilot[Any], key: str, duration_s: float, repeat_s: float = 0.03) -> None:
+    """As a terminal does it when a key has been held for a while: repeats."""
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + duration_s
+    while loop.time() < end_s:
+        await press(pilot, key)
+        await asyncio.sleep(repeat_s)
+
+
+def mouse(pilot: Pilot[Any], widget: Widget, kind: type[events.MouseEvent]) -> None:
+    """A mouse event in the middle of a widget."""
+    x, y = widget.region.x + widget.region.width // 2, widget.region.y
+    pilot.app.screen._forward_event(kind(widget, x, y, 0, 0, 1, False, False, False, x, y))
+
+
+def said(app: Any) -> str:
+    """What the log shows."""
+    from textual.widgets import RichLog
+
+    log = app.operating.query_one("#said", RichLog)
+    return "\n".join(strip.text.rstrip() for strip in log.lines)
+
+
+def shown(app: Any, panel: str) -> str:
+    """What a panel shows, without colours."""
+    from textual.widgets import Static
+
+    return str(app.operating.query_one(f"#{panel}", Static).render())
