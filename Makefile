@@ -19,6 +19,9 @@ install: .venv/installed  ## create .venv and install what is pinned
 demo: install  ## the whole job on the mock arm: move, calibrate, verify; writes out/demo/report.html
 	$(BIN)/armwright demo --out out/demo
 
+demo-gap: install  ## an effect hidden in the mock arm, found, added to the model and corrected on the arm; some three minutes
+	$(BIN)/armwright demo gap --out out/demo-gap
+
 lint: install  ## ruff, format check, mypy strict, import contracts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -50,4 +53,4 @@ lock: install  ## pin again what pyproject.toml names (needs uv)
 clean:  ## remove what make made
 	rm -rf .venv .venv-peers out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help install demo lint test format bench coverage-study solver-study gap-score lock clean
+.PHONY: help install demo demo-gap lint test format bench coverage-study solver-study gap-score lock clean
