@@ -32,7 +32,7 @@ class Body:
 
     def __init__(self, arm: Arm, recording: Recording) -> None:
         self._arm, self._recording = arm, recording
-        self._dynamics: dict[Load, Dynamics] = {}
+        self._loaded: dict[Load, Dynamics] = {}
         self.rotor_kg_m2 = np.array([d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives])
         self.links = [k for k, link in enumerate(arm.links) if link.mass_kg and link.com_m is not None]
 
@@ -42,7 +42,7 @@ class Body:
 
     def moved(self, load: Load, run: Motion, q: Array, speed: Array, acceleration: Array) -> Array:
         """Link torques (m, n) of one run for another motion of the links."""
-        dynamics = self._of(load)
+        dynamics = self.dynamics(load)
         payload = np.maximum(run.payload_kg + load.payload_kg, 0.0)
         return dynamics.torques(q, speed, acceleration, payload) - self.rotor_kg_m2 * acceleration
 
@@ -67,13 +67,14 @@ class Body:
         with_push = self.moved(load, run, run.q, run.speed, pushed)
         return np.asarray((with_push - self.moved(load, run, run.q, run.speed, run.acceleration))[:, joint])
 
-    def _of(self, load: Load) -> Dynamics:
+    def dynamics(self, load: Load) -> Dynamics:
+        """The arm that carries this, but for a payload at its tip."""
         key = dataclasses.replace(load, payload_kg=0.0)
-        if key not in self._dynamics:
-            if len(self._dynamics) > 40:
-                self._dynamics.clear()
-            self._dynamics[key] = Dynamics(_loaded(self._arm, load))
-        return self._dynamics[key]
+        if key not in self._loaded:
+            if len(self._loaded) > 40:
+                self._loaded.clear()
+            self._loaded[key] = Dynamics(_loaded(self._arm, load))
+        return self._loaded[key]
 
 
 def _loaded(arm: Arm, load: Load) -> Arm:

@@ -12,6 +12,7 @@ from calib.gap.dynamic import forms
 from calib.gap.dynamic.catalogue import candidates as all_candidates
 from calib.gap.dynamic.choose import CAMERA_TIME, Choice, Step
 from calib.gap.dynamic.fit import Fitted
+from calib.gap.dynamic.motion import MotionGap, motion_gap
 from calib.gap.dynamic.nameable import nameable
 from calib.gap.dynamic.physics import Physics
 from calib.gap.dynamic.plausible import plausible
@@ -81,14 +82,15 @@ def examine(
     accepted = choice.refined((*terms_of(steps, verdict), *corrected))
     after = accepted.residual
     parts = choice.split
+    moved = motion_gap(rows.physics, known, (*known, *accepted.terms), parts.report_runs)
     finding = GapFinding(
         arm=arm.name,
         data=log.sources,
-        noise_floor=_floors(rows.table, arm),
+        noise_floor={**_floors(rows.table, arm), **_in_rad(moved, "floor_rad")},
         gap_before=gap(before, rows.table, parts.reporting),
         gap_after=gap(after, rows.table, parts.reporting),
-        before_si=_in_si(before, rows.table, parts.reporting, arm),
-        after_si=_in_si(after, rows.table, parts.reporting, arm),
+        before_si={**_in_si(before, rows.table, parts.reporting, arm), **_in_rad(moved, "before_rad")},
+        after_si={**_in_si(after, rows.table, parts.reporting, arm), **_in_rad(moved, "after_rad")},
         effects=_named(steps, verdict, accepted, rows, known, parts),
         ambiguous=verdict.ambiguous,
         unknown=verdict.unknown,
@@ -102,9 +104,14 @@ def examine(
         *_doubts(before, rows.table),
         *_flying(rows, known, accepted),
         *_corrected(accepted),
+        *_grown(finding),
     )
     ratios = tuple(drive.gear_ratio for drive in arm.drives)
     return DynamicOutcome(finding, warnings, rows.table, before, after, parts, names, ratios)
+
+
+def _in_rad(moved: MotionGap | None, which: str) -> dict[str, float]:
+    return {} if moved is None else {"q_rad": float(getattr(moved, which))}
 
 
 def _doubts(before: Array, table: RowTable) -> tuple[str, ...]:
@@ -132,6 +139,16 @@ def _flying(rows: Rows, known: Sequence[Term], accepted: Fitted) -> tuple[str, .
                 " when follows from the play, how hard does not"
             )
     return tuple(said)
+
+
+def _grown(finding: GapFinding) -> tuple[str, ...]:
+    """Said where the runs kept apart do not bear out what the others accepted."""
+    if not finding.effects or finding.gap_after <= finding.gap_before:
+        return ()
+    return (
+        f"on the runs kept apart the gap grows from {finding.gap_before:.2f} to {finding.gap_after:.2f}: what was named helps"
+        " the other runs alone",
+    )
 
 
 def _corrected(accepted: Fitted) -> tuple[str, ...]:

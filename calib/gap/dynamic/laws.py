@@ -5,17 +5,38 @@ The latter are there to be recognised as not in the list: what they explain bett
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.dynamic.recording import Motion
 from calib.gap.dynamic.terms import Term
 from control.model import effect_laws as laws
 
 REST_rad_s = 0.003  # the sign of a measured speed below this is the noise's; such samples are not used
 
 
-def friction_Nm(term: Term, run: Motion, j: int, link_Nm: Array, gear_ratio: float) -> Array:
+class Moving(Protocol):
+    """Angles, speeds and accelerations (m, n) at times (m,)."""
+
+    @property
+    def q(self) -> Array:
+        """Angles."""
+
+    @property
+    def speed(self) -> Array:
+        """Speeds."""
+
+    @property
+    def acceleration(self) -> Array:
+        """Accelerations."""
+
+    @property
+    def t_s(self) -> Array:
+        """Times."""
+
+
+def friction_Nm(term: Term, run: Moving, j: int, link_Nm: Array, gear_ratio: float) -> Array:
     """Torque (m,) that the motor has to add for this term."""
     speed, q = run.speed[:, j], run.q[:, j]
     sign = np.tanh(speed / REST_rad_s)

@@ -43,7 +43,7 @@ class Prediction:
 
 
 @dataclass(slots=True)
-class _Parts:
+class Parts:
     """Terms by where they act."""
 
     load: Load = field(default_factory=Load)
@@ -104,6 +104,21 @@ class Physics:
         """K, joint torque per ampere (n,)."""
         return self._K
 
+    @property
+    def resistance_ohm(self) -> Array:
+        """R of the windings (n,)."""
+        return self._R
+
+    @property
+    def lag_s(self) -> Array:
+        """L/R of the windings (n,)."""
+        return self._lag
+
+    @property
+    def gear_ratios(self) -> tuple[float, ...]:
+        """Motor turns a joint turn."""
+        return tuple(float(ratio) for ratio in self._gear)
+
     def link_torques(self, load: Load) -> list[Array]:
         """Link torques of each run (m, n), kept for the loads seen last."""
         if load not in self._torques:
@@ -125,7 +140,7 @@ class Physics:
 
     def predict(self, model: Sequence[Term]) -> list[Prediction]:
         """The model's residuals on every run."""
-        parts = _sorted(model)
+        parts = sorted_terms(model)
         torques = self.link_torques(parts.load)
         moved = self._follow_all(parts) if parts.elastic else []
         result = []
@@ -145,20 +160,18 @@ class Physics:
             result.append(Prediction(mechanical, electrical, self._tip(parts, run, k, offset)))
         return result
 
-    def _current(self, parts: _Parts, run: Motion, k: int, link: Array, ahead: MotorAhead) -> Array:
+    def _current(self, parts: Parts, run: Motion, k: int, link: Array, ahead: MotorAhead) -> Array:
         """Mean current expected from the motion, less the measured one."""
         wanted = link + self.body.rotor_kg_m2 * (run.acceleration + ahead.acceleration_rad_s2)
         for term in parts.friction:
             j = term.index
             own = friction_Nm(term, run, j, link[:, j], float(self._gear[j]))
             wanted[:, j] += own * (1.0 - parts.behind(term))
-        scale = np.ones(len(self._K))
-        for j, value in parts.scale.items():
-            scale[j] += value
+        scale = self.scales(parts)
         measured = self._mean_current(parts, run, k, scale, ahead)
         return np.asarray(wanted / (self._K * scale) - measured)
 
-    def _mean_current(self, parts: _Parts, run: Motion, k: int, scale: Array, ahead_of: MotorAhead) -> Array:
+    def _mean_current(self, parts: Parts, run: Motion, k: int, scale: Array, ahead_of: MotorAhead) -> Array:
         K = self._K * scale
         if not self.recording.has_current:
             value, slope, _ = self._voltage[k]
@@ -173,16 +186,13 @@ class Physics:
         ahead = 0.5 * self._period - self._lag - within + mixed * self._period
         return np.asarray(run.current_A + ahead * (run.current_slope + K * run.acceleration / self._R))
 
-    def _electrical(self, parts: _Parts, run: Motion, k: int, ahead: MotorAhead) -> Array:
+    def _electrical(self, parts: Parts, run: Motion, k: int, ahead: MotorAhead) -> Array:
         """Sampled current expected from voltage and speed, less the measured one."""
         if not (self.recording.has_current and self.recording.has_voltage):
             return np.zeros((len(run), 0))
-        scale = np.ones(len(self._K))
-        for j, value in parts.scale.items():
-            scale[j] += value
-        seen = self._held(self._voltage[k][0], parts.delay_s)
-        for form, resistance in parts.sag:
-            seen = seen * (1.0 - resistance * self._drawn(form, seen, run) / self._supply)
+        scale = self.scales(parts)
+        held = self._held(self._voltage[k][0], parts.delay_s)
+        seen = self.sagged(parts, held, run.current_A)
         speed = run.speed + ahead.speed_rad_s - self._lag * run.acceleration
         expected = (seen - self._K * scale * speed) / self._R
         for term in parts.electrical:
@@ -204,12 +214,24 @@ class Physics:
         one, two, three = (_earlier(voltage, n + back) for back in (1, 2, 3))
         return np.asarray((1 - newest) * one + newest * (1 - whole) * two + newest * whole * three)
 
-    def _drawn(self, form: str, voltage: Array, run: Motion) -> Array:
-        if form == "supply_sag":  # a bridge draws duty times motor current
-            return np.asarray(np.sum(voltage / self._supply * run.current_A, axis=1, keepdims=True))
-        return np.asarray(np.sum(np.abs(run.current_A), axis=1, keepdims=True))
+    def sagged(self, parts: Parts, voltage: Array, current: Array) -> Array:
+        """What of a commanded voltage (m, n) reaches the windings of motors that draw current (m, n)."""
+        for form, resistance in parts.sag:
+            if form == "supply_sag":  # a bridge draws duty times motor current
+                drawn = np.sum(voltage / self._supply * current, axis=1, keepdims=True)
+            else:
+                drawn = np.sum(np.abs(current), axis=1, keepdims=True)
+            voltage = voltage * (1.0 - resistance * drawn / self._supply)
+        return voltage
 
-    def _follow_all(self, parts: _Parts) -> list[tuple[Array, Array]]:
+    def scales(self, parts: Parts) -> Array:
+        """What the torque constants are of their nominal values (n,)."""
+        scale = np.ones(len(self._K))
+        for j, value in parts.scale.items():
+            scale[j] += value
+        return scale
+
+    def _follow_all(self, parts: Parts) -> list[tuple[Array, Array]]:
         """Link torques and angles beyond the encoders', with the motion of elastic or loose joints in them."""
         key = (parts.load, tuple((term, parts.rubbing(term.index)) for term in parts.elastic))
         if key not in self._moved:
@@ -218,7 +240,7 @@ class Physics:
             self._moved[key] = self._follow_anew(parts)
         return self._moved[key]
 
-    def _follow_anew(self, parts: _Parts) -> list[tuple[Array, Array]]:
+    def _follow_anew(self, parts: Parts) -> list[tuple[Array, Array]]:
         followed = {term.index: self._followed(parts, term) for term in parts.elastic}
         result = []
         for k, run in enumerate(self.recording.runs):
@@ -237,7 +259,7 @@ class Physics:
 
     def flights(self, model: Sequence[Term]) -> dict[int, list[Flags]]:
         """Samples (m,) of each run at which a loose joint (0-based) of the model lies on neither flank or just lands."""
-        parts = _sorted(model)
+        parts = sorted_terms(model)
         found = {}
         for term in parts.elastic:
             if term.form == "backlash":
@@ -247,9 +269,9 @@ class Physics:
 
     def foresee(self, model: Sequence[Term], variants: Sequence[Term]) -> None:
         """Follow one joint's elastic or loose gear with several values at once, for `predict` to find them done."""
-        self._foresee(_sorted(model), variants)
+        self._foresee(sorted_terms(model), variants)
 
-    def _foresee(self, parts: _Parts, variants: Sequence[Term]) -> None:
+    def _foresee(self, parts: Parts, variants: Sequence[Term]) -> None:
         rubbing = parts.rubbing(variants[0].index)
         missing = [term for term in variants if (parts.load, rubbing, term) not in self._followed_terms]
         if not missing:
@@ -268,7 +290,7 @@ class Physics:
         for term, one in zip(missing, found, strict=True):
             self._followed_terms[parts.load, rubbing, term] = one
 
-    def _followed(self, parts: _Parts, term: Term) -> Followed:
+    def _followed(self, parts: Parts, term: Term) -> Followed:
         key = parts.load, parts.rubbing(term.index), term
         if key not in self._followed_terms:
             # The slopes by its values are asked for next, and cost nothing beside it.
@@ -290,7 +312,7 @@ class Physics:
             )
         return self._follow[key]
 
-    def _tip(self, parts: _Parts, run: Motion, k: int, offset: Array) -> Array:
+    def _tip(self, parts: Parts, run: Motion, k: int, offset: Array) -> Array:
         if not self.recording.has_tip:
             return np.zeros((0, 3))
         q = run.q_raw[run.frames]
@@ -318,8 +340,9 @@ class Physics:
         return np.asarray(shift + np.cross(turn, self._tips[k]))
 
 
-def _sorted(model: Sequence[Term]) -> _Parts:
-    parts = _Parts()
+def sorted_terms(model: Sequence[Term]) -> Parts:
+    """A model's terms by where they act."""
+    parts = Parts()
     payload, masses, inertias = 0.0, [], []
     for term in model:
         match term.form:

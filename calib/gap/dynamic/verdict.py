@@ -73,8 +73,8 @@ def judge(choice: Choice, steps: Sequence[Step], arm: Arm) -> Verdict:
         if _in_shadow(steps, rejected, k) and not _is_first_law(steps[k].best.candidate.name, arm)
     ]
     sound, fallen = _alone(choice, steps, [k for k in sound if k not in shadowed], corrected, arm)
-    rivals = {k: _rivals(choice, steps[k]) for k in sound}
-    named = [k for k in sound if not rivals[k] or _is_first_law(steps[k].best.candidate.name, arm)]
+    rivals = {k: _rivals(steps[k], arm) for k in sound}
+    named = [k for k in sound if not rivals[k]]
     ambiguous = tuple((steps[k].best.candidate.name, *rivals[k]) for k in sound if k not in named)
     unknown = _unknown(choice, steps, rejected + shadowed + fallen, left)
     return Verdict(tuple(named), ambiguous, unknown, explained, tuple(corrected))
@@ -133,8 +133,9 @@ def _in_shadow(steps: Sequence[Step], unknowns: Sequence[int], k: int) -> bool:
     return any(other != k and np.any(own[main] < SHADOW * steps[other].claims[main]) for other in unknowns)
 
 
-def _rivals(choice: Choice, step: Step) -> tuple[EffectName, ...]:
+def _rivals(step: Step, arm: Arm) -> tuple[EffectName, ...]:
     """Listed rivals that the margin does not beat."""
+    is_first = _is_first_law(step.best.candidate.name, arm)
     if step.margin >= max(MARGIN, SHARE_MARGIN * step.evidence):
         return ()
     lead = step.best.fitted.held_out
@@ -143,17 +144,19 @@ def _rivals(choice: Choice, step: Step) -> tuple[EffectName, ...]:
     return tuple(
         trial.candidate.name
         for trial in listed
-        if (trial.fitted.held_out - lead) * per_loss < _bar(step, trial.candidate)
+        if (trial.fitted.held_out - lead) * per_loss < _bar(step, trial.candidate, is_first)
     )
 
 
-def _bar(step: Step, rival: Candidate) -> float:
+def _bar(step: Step, rival: Candidate, is_first: bool) -> float:
     """Evidence over a rival that settles it.
 
     Laws of friction are never exact, so that rivals within a share of the evidence are not told apart; geometry is. A
     rival that needs many more values to come as near would have to be so by chance.
     """
     best = step.best.candidate
+    if is_first:  # every gear has both frictions, but which of them these runs show has to be seen
+        return MARGIN if rival.name.effect in FIRST_LAWS else 0.0
     if len(rival.starts[0].values) > MANY_VALUES * len(best.starts[0].values):
         return MARGIN
     is_exact = best.name.effect in GEOMETRIC and rival.name.effect in GEOMETRIC

@@ -17,6 +17,7 @@ from calib.gap.dynamic.find import DynamicOutcome, examine, find
 from calib.gap.dynamic.recording import UnusableLogError
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log, Run
+from control.model.kinematics import Kinematics
 
 ARM = arm_with_friction()
 FEW = (
@@ -193,3 +194,25 @@ def test_progress_is_told_from_start_to_end() -> None:
     assert shares[0] == 0.0
     assert shares[-1] == 1.0
     assert shares == sorted(shares)
+
+
+def test_the_motion_from_voltage_comes_closer_with_what_was_named() -> None:
+    """Windows of 0.2 s from measured states: a check in radians that took no part in naming."""
+    found = hiding(on_joint(2, lambda j, q, speed, link: 0.2 * np.abs(link) * np.sign(speed)))
+    assert found.after_si["q_rad"] < 0.5 * found.before_si["q_rad"]
+    assert found.noise_floor["q_rad"] < found.after_si["q_rad"]
+
+
+def test_a_tip_that_warms_up_is_named_with_its_joint_and_time() -> None:
+    def warm(run: Run) -> Run:
+        seen = np.isfinite(run.tip_m[:, 0])
+        turned = np.array(run.q_rad[seen])
+        turned[:, 1] += 0.004 * (1.0 - np.exp(-run.t_s[seen] / 1.5))
+        tip = np.array(run.tip_m)
+        tip[seen] += Kinematics(ARM).tips(turned) - Kinematics(ARM).tips(run.q_rad[seen])
+        return replace(run, tip_m=tip)
+
+    found = find(ARM, changed(log_of(ARM), warm), candidates=("thermal_drift", "encoder_scale"))
+    assert names(found) == [EffectName("thermal_drift", 2)]
+    assert found.effects[0].parameters["final_rad"][0] == pytest.approx(0.004, rel=0.1)
+    assert found.effects[0].parameters["time_constant_s"][0] == pytest.approx(1.5, rel=0.1)

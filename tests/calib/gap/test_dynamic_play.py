@@ -57,3 +57,23 @@ def test_an_impact_passes_on_the_momentum_of_the_link() -> None:
     pushed = float(np.sum(found.transmitted_Nm[101:150, 0]) * PERIOD_s)
     free = np.sum(torque[101:150]) * PERIOD_s
     assert pushed == pytest.approx(free, abs=0.02)
+
+
+def test_friction_behind_a_spring_is_transmitted_by_it() -> None:
+    """A link that its motor turns steadily: what the spring carries is the torque and the link's own friction."""
+    torque = np.full((2000, 1), 1.0)
+    drive = Follower(
+        torque, np.full_like(torque, 0.05), 0.0 * torque, PERIOD_s, np.full_like(torque, 0.5), 0.4, 0.2
+    )
+    found = elastic(drive, 600.0, 2.0, share=0.5)
+    assert found.transmitted_Nm[-1, 0] == pytest.approx(1.0 + 0.5 * (0.4 + 0.2 * 0.5), rel=1e-3)
+    assert elastic(drive, 600.0, 2.0).transmitted_Nm[-1, 0] == pytest.approx(1.0, rel=1e-3)
+
+
+def test_friction_on_a_loose_link_decides_its_flank() -> None:
+    """Without a load of its own a rubbing link drags behind its motor."""
+    still = np.zeros((1000, 1))
+    drive = Follower(still, still + 0.05, still, PERIOD_s, still + 0.3, 0.4, 0.0)
+    found = loose(drive, 0.01, share=1.0)
+    assert found.delta_rad[-1, 0] == pytest.approx(-0.005)
+    assert found.transmitted_Nm[-1, 0] == pytest.approx(0.4, rel=1e-3)
