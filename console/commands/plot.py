@@ -75,13 +75,18 @@ def _written(
 ) -> list[Path]:
     """Files in a folder, or one file if `out` names one."""
     if out is None:
-        return write_each(free_folder(USUAL_OUT), pictures, series, joints)
+        return _drawn(free_folder(USUAL_OUT), pictures, series, joints)
     path = Path(out)
     if path.suffix in FORMS:
         return write_sheet(path, pictures, series, joints)
     if path.suffix and not path.is_dir():
         raise ArmError(f"--out: expected a folder, or a file that ends in {', '.join(FORMS)}; got {out}")
-    return write_each(path, pictures, series, joints)
+    return _drawn(path, pictures, series, joints)
+
+
+def _drawn(folder: Path, pictures: Sequence[Picture], series: Series, joints: Sequence[int]) -> list[Path]:
+    with Bar("draw") as bar:
+        return write_each(folder, pictures, series, joints, bar.advance)
 
 
 def _say(

@@ -49,7 +49,7 @@ class Bar:
         step = int(done * LINES)
         if step != self._said:
             self._said = step
-            sys.stderr.write(
-                f"{self._title}: {done:4.0%} after {time.monotonic() - self._began_s:.0f} s: {what}\n"
-            )
+            passed_s = time.monotonic() - self._began_s
+            left = f", about {passed_s * (1.0 - done) / done:.0f} s left" if 0.0 < done < 1.0 else ""
+            sys.stderr.write(f"{self._title}: {done:4.0%} after {passed_s:.0f} s{left}: {what}\n")
             sys.stderr.flush()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -14,20 +14,30 @@ from control.errors import ArmError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
 
+Report = Callable[[str, float], None]
 WIDTH_in: Final = 10.4
 DOTS_PER_in: Final = 110
 WITHOUT_WINDOWS: Final = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")
 FORMS: Final = (".png", ".svg", ".pdf")
 
 
+def _tell_nobody(what: str, done: float) -> None:
+    """Where nobody watches."""
+
+
 def write_each(
-    folder: Path, pictures: Sequence[Picture], series: Series, joints: Sequence[int]
+    folder: Path,
+    pictures: Sequence[Picture],
+    series: Series,
+    joints: Sequence[int],
+    report: Report = _tell_nobody,
 ) -> list[Path]:
-    """One PNG a picture into `folder`; returns the files."""
+    """One PNG a picture into `folder`; returns the files. `report` is told each title and the share done."""
     files = [folder / f"{picture.name}.png" for picture in pictures]
     _require_free(files)
     folder.mkdir(parents=True, exist_ok=True)
-    for file, picture in zip(files, pictures, strict=True):
+    for k, (file, picture) in enumerate(zip(files, pictures, strict=True)):
+        report(picture.title, k / len(pictures))
         _save(file, [picture], series, joints)
     return files
 
