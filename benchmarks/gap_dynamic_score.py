@@ -13,7 +13,7 @@ import os
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -24,9 +24,10 @@ import numpy as np
 
 from benchmarks.gap_dynamic_cases import USUAL, Asked, Case, Conditions, made
 from benchmarks.gap_dynamic_hidden import FOREIGN, LISTED, LISTED_BY_JOINT
+from benchmarks.gap_matrix import Answer, Hidden, Truth, answer
 from calib.gap.dynamic.find import examine
 from calib.gap.dynamic.sizes import is_nameable
-from calib.gap.finding import GapFinding
+from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log, Run, read_log
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -222,6 +223,25 @@ def scores(
             with kept.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(asdict(one)) + "\n")
         yield one
+
+
+def answers(cases: int, advance: Callable[[str, float], None]) -> list[Answer]:
+    """So many fresh cases, of every group its share, as `gap_matrix` prints them."""
+    everything = _interleaved([[(group, one) for one in plan(group, FIRST_SEED)] for group in GROUPS])
+    # A camera that is late is said and corrected: no answer of the matrix is the right one.
+    asked = [(group, one) for group, one in everything if one.effects != "camera_delay"][:cases]
+    result: list[Answer] = []
+    for (group, one), case in zip(asked, made([one for _, one in asked]), strict=True):
+        advance(f"{group} {one.effects}", len(result) / max(len(asked), 1))
+        began = time.process_time()
+        hidden = tuple(Hidden(EffectName(*_key(entry)), entry["parameters"]) for entry in case.truth)
+        names = [name for name in EFFECTS if name not in one.effects.split("+")] if group == "own" else None
+        found = examine(arm_of(case.arm_toml), log_of(case), candidates=names).finding
+        could = {possible.name for possible in found.nameable if is_nameable(possible)}
+        seconds = time.process_time() - began
+        truth = Truth(hidden, group not in ("own", "foreign"))
+        result.append(answer(f"{group} {one.seed}", truth, found, could, seconds))
+    return result
 
 
 def _interleaved(lists: Sequence[Sequence[tuple[str, Asked]]]) -> list[tuple[str, Asked]]:
