@@ -33,4 +33,37 @@ BRINGUP = (
         ),
         "Nothing is energised, nothing moves. Exit status 1 when something must be mended first.",
     ),
+    CommandSpec(
+        "bringup",
+        "joint by joint at low current: wiring, signs, counts, gear, friction, stops; writes a new arm.toml",
+        (
+            ARM,
+            *LINKS,
+            *MOCK,
+            option(
+                "--out", metavar="NEW.toml", required=True, help="the arm.toml to write; never overwritten"
+            ),
+            option(
+                "--joint", type=int, metavar="J", action="append", help="only this joint (again for another)"
+            ),
+            option(
+                "--current",
+                type=float,
+                metavar="A",
+                help="most that a motor gets (default: what gravity takes by the draft, and some for friction)",
+            ),
+            option(
+                "--speed",
+                type=float,
+                default=0.3,
+                metavar="RAD_S",
+                help="at which joints creep to their end stops (default: 0.3)",
+            ),
+            option("--no-stops", action="store_true", help="do not go to the end stops"),
+            option(
+                "--yes", action="store_true", help="begin motions without waiting for Enter; questions remain"
+            ),
+        ),
+        "Somebody stands beside the arm with the emergency stop. Interrupted, the same command goes on where it was.",
+    ),
 )

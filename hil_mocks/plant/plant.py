@@ -75,6 +75,7 @@ class Plant:
         )
         self._steps = 0
         self._free_damping: dict[int, float] = {}
+        self._blocked_by: dict[int, set[str]] = {}
         self._delay_steps = round(effects.command_delay_s / options.timestep_s)
         self._pending: deque[tuple[int, int, int, float]] = deque()
         self._load_friction = tuple(
@@ -171,11 +172,13 @@ class Plant:
         """An outside torque on the link side of joint j, until it is changed."""
         self._data.qfrc_applied[self._at.link_hinge[j]] = torque_Nm - self._offset_Nm(self._at.link_hinge[j])
 
-    def block(self, j: int, is_blocked: bool) -> None:
-        """Jam the gear of joint j, or free it again."""
+    def block(self, j: int, is_blocked: bool, by: str = "jam") -> None:
+        """Jam the gear of joint j, or free it again: it turns when nothing blocks it any more."""
+        holders = self._blocked_by.setdefault(j, set())
+        (holders.add if is_blocked else holders.discard)(by)
         for dof in {self._at.motor_hinge[j], self._at.link_hinge[j]}:
             free = self._free_damping.setdefault(dof, float(self._model.dof_damping[dof]))
-            self._model.dof_damping[dof] = _JAMMED_Nm_s_rad if is_blocked else free
+            self._model.dof_damping[dof] = _JAMMED_Nm_s_rad if holders else free
 
     def _post(self, j: int, mode: int, value: float) -> None:
         if self._delay_steps == 0:

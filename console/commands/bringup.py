@@ -1,0 +1,127 @@
+"""`armwright bringup`: joint by joint, from a draft of arm.toml to one that fits the arm that is there."""
+
+import argparse
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from console.bringup.bench import Bench
+from console.bringup.diagnosis import Diagnosis
+from console.bringup.journal import Journal, brought_up
+from console.bringup.opening import Setting, opened
+from console.bringup.operator import Operator, Stopped
+from console.bringup.procedure import Options, Outcome, bring_up, serial_numbers
+from console.bringup.terminal import TerminalOperator
+from control.errors import ArmError
+from control.model.arm import Arm
+from control.model.description import save_arm
+
+FASTEST_rad_s = 1.0
+PREFACE = """Bring-up of arm {name}. One motor at a time gets a low current; all others stay off with shorted windings.
+Keep the emergency stop in hand, the way of every joint free, the arm near an upright pose and its links supported.
+"""
+
+
+def run(given: argparse.Namespace) -> int:
+    """Measure, then write the new arm.toml."""
+    out = Path(given.out)
+    if out.exists():
+        raise ArmError(
+            f"--out {out}: it is there already, and an arm.toml is never overwritten: take another name"
+        )
+    if not out.parent.is_dir():
+        raise ArmError(f"--out {out}: there is no folder {out.parent}")
+    if not 0.02 <= given.speed <= FASTEST_rad_s:
+        raise ArmError(f"--speed: expected 0.02 to {FASTEST_rad_s:g} rad/s, got {given.speed:g}")
+    with opened(given) as setting:
+        journal = Journal(out.with_suffix(".bringup.json"), setting.draft)
+        options = _options(given, setting.draft, journal)
+        with _operator(given, setting) as operator:
+            return _bring_up(setting, operator, journal, options, out)
+
+
+def _options(given: argparse.Namespace, arm: Arm, journal: Journal) -> Options:
+    known = [drive.joint for drive in arm.drives]
+    wanted = given.joint or [joint for joint in known if joint not in journal.passed()]
+    for joint in wanted:
+        if joint not in known:
+            raise ArmError(f"--joint {joint}: the draft has joints {', '.join(map(str, known))}")
+    if given.current is not None:
+        largest = min(drive.current_limit_A for drive in arm.drives)
+        if not 0.05 <= given.current <= largest:
+            raise ArmError(
+                f"--current: expected 0.05 to {largest:g} A (the smallest current_limit_A), got {given.current:g}"
+            )
+    return Options(tuple(wanted), given.current, given.speed, not given.no_stops)
+
+
+@contextlib.contextmanager
+def _operator(given: argparse.Namespace, setting: Setting) -> Iterator[Operator]:
+    if setting.rig is not None:
+        from console.bringup.mock_operator import MockOperator
+
+        yield MockOperator(setting.rig)
+        return
+    with TerminalOperator(given.yes) as operator:
+        yield operator
+
+
+def _bring_up(setting: Setting, operator: Operator, journal: Journal, options: Options, out: Path) -> int:
+    operator.say(PREFACE.format(name=setting.draft.name))
+    if journal.passed():
+        operator.say(
+            f"From {journal.path}: joints {', '.join(map(str, journal.passed()))} have passed before."
+        )
+    try:
+        with Bench(setting.arm, setting.clock, operator) as bench:
+            outcome = Outcome()
+            if options.joints:
+                outcome = bring_up(setting.arm, bench, operator, journal, options, operator.say)
+            serials = serial_numbers(bench)
+    except Stopped as stopped:
+        sys.stderr.write(
+            f"armwright: {stopped}; the drives are off. The same command goes on from {journal.path}\n"
+        )
+        return 1
+    for joint, result in sorted(outcome.diagnoses.items()):
+        operator.say(_figures(joint, result))
+    if outcome.problems:
+        _say_problems(outcome, journal, out)
+        return 1
+    save_arm(brought_up(setting.draft, journal, serials), out)
+    left = [drive.joint for drive in setting.draft.drives if drive.joint not in journal.passed()]
+    unchecked = f" Joints {', '.join(map(str, left))} are the draft's, unchecked." if left else ""
+    operator.say(f"\nwritten: {out} (the draft is as it was; measured values in {journal.path}).{unchecked}")
+    return 0
+
+
+def _say_problems(outcome: Outcome, journal: Journal, out: Path) -> None:
+    sys.stderr.write(f"armwright: {len(outcome.problems)} to mend first, so {out} was not written:\n")
+    for problem in outcome.problems:
+        sys.stderr.write(f"  - {problem}\n")
+    sys.stderr.write(
+        f"Joints that passed are kept in {journal.path}: the same command goes on with the others.\n"
+    )
+
+
+def _figures(joint: int, result: Diagnosis) -> str:
+    """One line of what was measured."""
+    figures, drive = result.figures, result.drive
+    parts = [
+        f"joint {joint}: node {drive.motor_node} ({drive.motor_direction:+d}), channel {drive.encoder_channel}"
+        f" ({drive.encoder_direction:+d})"
+    ]
+    for key, text in (
+        ("index_spacing_counts", "{:.0f} counts a turn"),
+        ("gear_ratio", "gear {:.2f}"),
+        ("coulomb_Nm", "friction {:.2f} Nm"),
+        ("viscous_Nm_s_rad", "+ {:.2f} Nm s/rad"),
+        ("lower_stop_rad", "stops {:+.3f}"),
+        ("upper_stop_rad", "to {:+.3f} rad"),
+        ("torque_constant_Nm_A", "k {:.4f} Nm/A"),
+        ("resistance_ohm", "{:.3f} ohm"),
+    ):
+        if figures.get(key) is not None:
+            parts.append(text.format(figures[key]))
+    return ", ".join(parts)
