@@ -175,9 +175,62 @@ def table(cases: Sequence[Case]) -> list[str]:
     return lines
 
 
+FED_FORWARD = (
+    case("coulomb_friction", 2, torque_Nm=2.0),
+    case("viscous_friction", 1, coefficient_Nm_s_rad=6.0),
+    case("stribeck_friction", 1, torque_Nm=1.0, speed_rad_s=0.3),
+    case("asymmetric_friction", 1, torque_Nm=0.8),
+    case("load_friction", 2, fraction=0.25),
+    case("cogging", 3, amplitude_Nm=0.6, order=2.0, phase_rad=0.4),
+    case("torque_constant", 3, scale=0.7),
+    case("payload", None, mass_kg=0.5),
+    case("link_inertia", 2, mass_kg=1.0),
+)
+
+
+def tracking_rad(hidden: Sequence[Effect], believed: Sequence[Effect], joint: int) -> float:
+    """RMS following error of a joint (1-based) on slow moves there and back."""
+    arm = dataclasses.replace(RIGHT, effects=tuple(believed))
+    errors: list[float] = []
+    with SteppedRig(RIGHT, _scenario(hidden, 7)) as rig:
+        connection = connect(wired_to(arm, rig), rig.clock, PERIOD_S)
+        assembly = assemble(arm, connection.hardware, PERIOD_S, stopwatch_s=rig.clock.now_s)
+        client, runtime = ArmClient(InProcessChannel(assembly, rig.clock)), assembly.runtime
+        original = runtime.cycle
+
+        def cycle(now_s: float, late_s: float, missed: int, missed_in_row: int) -> bool:
+            goes_on = original(now_s, late_s, missed, missed_in_row)
+            if runtime.monitor.mode is Mode.MOVING:
+                errors.append(runtime.parts.measurement.q_rad[joint - 1] - runtime.aim.q_rad[joint - 1])
+            return goes_on
+
+        runtime.cycle = cycle  # type: ignore[method-assign]
+        client.wait(0.05)
+        client.enable()
+        client.home()
+        for target in ((0.3, -0.8, 0.5), (0.1, -0.6, 0.2)):
+            client.move_joints(target, 0.3)
+        connection.close()
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def forward_table(cases: Sequence[Case]) -> list[str]:
+    """Markdown rows: following error [mrad] without the effect, with it unknown, with it named; dry friction is known in all."""
+    lines = ["| effect | without it | unknown | named |", "| --- | --- | --- | --- |"]
+    for one in cases:
+        joint = one.effects[0].joint or 2
+        keys = [(e.effect, e.joint) for e in one.effects]
+        rest = tuple(e for e in FRICTION if (e.effect, e.joint) not in keys)
+        hidden = (*rest, *one.effects)
+        runs = ((rest, rest), (hidden, rest), (hidden, hidden))
+        cells = [f"{1e3 * tracking_rad(hides, knows, joint):.2f}" for hides, knows in runs]
+        lines.append(f"| {one.name} (joint {joint}) | {' | '.join(cells)} |")
+    return lines
+
+
 def _mm(rms_m: float, most_m: float) -> str:
     return f"{1e3 * rms_m:.3f} ({1e3 * most_m:.3f})"
 
 
 if __name__ == "__main__":
-    print("\n".join(table(GEOMETRIC)))
+    print("\n".join([*table(GEOMETRIC), "", *forward_table(FED_FORWARD)]))

@@ -76,8 +76,8 @@ def table_says(arm: Arm, points: Points) -> tuple[str, ...]:
 
 def with_friction(model: Model, arm: Arm, points: Points) -> Arm:
     """The model's arm with the dry friction that its motors showed, which tells flanks before anything moves."""
-    held = points.current_A * torque_per_A(arm) - gravity_Nm(arm, points.q_rad)
-    level, _ = friction_Nm(arm, held)
+    gravity = gravity_Nm(arm, points.q_rad)
+    level, _ = friction_Nm(arm, points.current_A * torque_per_A(arm) - gravity, gravity)
     shown = tuple(
         Effect("coulomb_friction", joint, {"torque_Nm": float(torque)})
         for joint, torque in enumerate(level, 1)

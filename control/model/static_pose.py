@@ -69,7 +69,7 @@ def resting(
     gravity = gravity_Nm(arm, q, payload_kg)
     current = np.full(q.shape, np.nan) if current_A is None else np.asarray(current_A, dtype=np.float64)
     held = current * torque_per_A(arm) - gravity
-    level, is_known = friction_Nm(arm, held)
+    level, is_known = friction_Nm(arm, held, gravity)
     held = np.where(is_known & (level == 0.0), 0.0, held)  # noise is no friction
     is_seen = np.isfinite(held)
     is_led = is_seen & is_known & (np.abs(held) < LED * level)
@@ -96,10 +96,12 @@ def torque_per_A(arm: Arm) -> Array:
     return np.array(torque_constants_Nm_A(arm))
 
 
-def friction_Nm(arm: Arm, held_Nm: Array) -> tuple[Array, Flags]:
+def friction_Nm(arm: Arm, held_Nm: Array, gravity_Nm: Array | None = None) -> tuple[Array, Flags]:
     """Dry friction of each joint (n,), and whether it is known rather than assumed.
 
-    It shows in held_Nm (m, n), what the motors hold beyond gravity (NaN unknown); else the arm's effects say it.
+    It shows in held_Nm (m, n), what the motors hold beyond gravity_Nm (NaN unknown); else the arm's effects say it. A motor that
+    holds nothing of gravity, or pushes with it, may do so by friction; where a hand holds the link, the motor may stand inside
+    its play and feel nothing. Such poses tell nothing of friction and do not count while there are others.
     """
     per_A = torque_per_A(arm)
     modelled = np.zeros(arm.joint_count)
@@ -109,13 +111,22 @@ def friction_Nm(arm: Arm, held_Nm: Array) -> tuple[Array, Flags]:
     seen = np.isfinite(held_Nm).any(axis=0)
     shown = np.zeros(arm.joint_count)
     if seen.any():
-        shown[seen] = np.nanquantile(np.abs(held_Nm[:, seen]), FRICTION_QUANTILE, axis=0)
+        counted = held_Nm if gravity_Nm is None else _without_unloaded(held_Nm, gravity_Nm, per_A)
+        shown[seen] = np.nanquantile(np.abs(counted[:, seen]), FRICTION_QUANTILE, axis=0)
     shown[shown < 3.0 * CURRENT_NOISE_A * per_A] = 0.0
     limits_A = np.array([arm.drive(joint).current_limit_A for joint in range(1, arm.joint_count + 1)])
     assumed = ASSUMED_FRICTION * per_A * np.where(np.isfinite(limits_A), limits_A, 0.0)
     known = np.where(shown > 0.0, shown, modelled)
     is_known = seen | (known > 0.0)
     return np.where(is_known, known, assumed), is_known
+
+
+def _without_unloaded(held: Array, gravity: Array, per_A: Array) -> Array:
+    """`held` (m, n), NaN where the motor does not hold the gravity that there is; all of a joint's where that is everywhere."""
+    is_unloaded = (held * gravity < 0.0) & (np.abs(held) > np.abs(gravity))
+    is_unloaded &= np.abs(gravity) > 3.0 * CURRENT_NOISE_A * per_A
+    left = np.where(is_unloaded, np.nan, held)
+    return np.where(np.isfinite(left).any(axis=0), left, held)
 
 
 def _driven_range(

@@ -17,9 +17,10 @@ from console.main import main
 from console.verify import places as verify_places
 from console.verify import procedure
 from console.verify.driving import Run, handed_over, planned, poses_at
+from console.verify.driving import run as run_way
 from console.verify.models import Model, Pair, believed_by, nominal_of
 from console.verify.places import places, ways
-from console.verify.tracks import MOVING, recorded, track_of, wait_until_recorded
+from console.verify.tracks import MOVING, _planned_m, recorded, track_of, wait_until_recorded
 from control.errors import ArmError
 from control.loop import stillness
 from control.loop.record import FileSink, Layout
@@ -220,6 +221,46 @@ def test_a_path_takes_the_joints_where_its_model_wants_them_whatever_the_runtime
             ours, theirs = wanted.at(float(time_s)), run.at(float(time_s))
             np.testing.assert_allclose(theirs.q_rad, ours.q_rad, atol=2e-7)
             np.testing.assert_allclose(theirs.speed_rad_s, ours.speed_rad_s, atol=1e-4)
+
+
+GEARED = Model(replace(TRUE, effects=(Effect("backlash", 1, {"width_rad": 0.01}),)))
+
+
+class Asked:
+    """A client that notes what it is asked for."""
+
+    def __init__(self) -> None:
+        self.as_encoders: list[bool] = []
+
+    def move_joints(self, q_rad: object, speed: float, as_encoders: bool = False) -> None:
+        self.as_encoders.append(as_encoders)
+
+    def run_path(self, path: object, as_encoders: bool = False) -> None:
+        self.as_encoders.append(as_encoders)
+
+    def status(self) -> dict[str, float]:
+        return {"run": 4, "override": 0.5}
+
+
+def test_gears_are_corrected_by_the_runtime_for_the_model_that_knows_them_and_not_for_the_other() -> None:
+    way = ways(TABLE, ("normal",))[1]
+    for model, as_encoders in ((PAIR.nominal, True), (GEARED, False)):
+        asked = Asked()
+        path = planned(way, model, 0.15, NEAR)
+        ran = run_way(path, model, GEARED, asked, 0.5)  # type: ignore[arg-type]
+        assert asked.as_encoders == [as_encoders, as_encoders]
+        assert (ran.number, ran.pace) == (4, 0.5)
+        assert (ran.path is path) is not as_encoders
+
+
+def test_where_recorded_set_points_are_encoders_the_path_says_what_was_planned(tmp_path: Path) -> None:
+    path = planned(ways(TABLE, ("normal",))[1], GEARED, 0.15, NEAR)
+    rows = np.zeros(50, dtype=[("t_s", "f8")])
+    rows["t_s"] = 3.0 + 0.002 * np.arange(50)
+    planned_m = _planned_m(rows, GEARED, Run(1, path, 0.5))
+    for k in (0, 20, 49):
+        expected = GEARED.seen(np.array([path.spline.at(0.5 * 0.002 * (k + 1))[0]]))[0]
+        assert planned_m[k] == pytest.approx(expected, abs=1e-12)
 
 
 def test_points_are_reached_by_either_model_on_one_branch() -> None:
