@@ -1,15 +1,18 @@
 """`armwright check`: are the boards there, and are they the right ones? Nothing moves."""
 
 import argparse
+import json
 import sys
+from typing import Any
 
 from console.commands.serve import camera_port, link_options
-from control.loop.connect import connect, with_links
+from control.loop.connect import Connection, connect, with_links
 from control.loop.scheduling import punctuality_remedy
 from control.model.description import load_arm
 from firmware_iface.clock import MonotonicClock
 
 PERIOD_S = 0.002
+FORMAT = "check/1"
 
 
 def run(given: argparse.Namespace) -> int:
@@ -17,24 +20,58 @@ def run(given: argparse.Namespace) -> int:
     arm = with_links(load_arm(given.arm), link_options(given))
     connection = connect(arm, MonotonicClock(), PERIOD_S, camera_port(given, arm))
     try:
-        for encoder in connection.encoders:
-            if (found := encoder.identity) is not None:
-                _say(
-                    f"{encoder.where}: serial number {found.serial_number}, firmware {found.firmware >> 8}."
-                    f"{found.firmware & 255}, {found.channels} channels, {found.encoder_bits}-bit counters"
-                )
-        for motor in connection.motors:
-            if (who := motor.identity) is not None:
-                _say(
-                    f"{motor.where}: serial number {who.serial_number}, firmware {who.firmware >> 8}."
-                    f"{who.firmware & 255}, {who.encoder_counts_per_turn} counts a turn"
-                )
+        found = found_boards(connection)
     finally:
         connection.close()
     remedy = punctuality_remedy()
-    _say(f"real-time rights: {remedy or 'granted'}")
-    _say(f"arm {arm.name}: all boards are there and are the right ones")
+    if given.json:
+        content = {"format": FORMAT, "arm": arm.name, **found, "rights": remedy or "granted"}
+        _say(json.dumps(content, indent=2))
+    else:
+        _say(described(found))
+        _say(f"real-time rights: {remedy or 'granted'}")
+        _say(f"arm {arm.name}: all boards are there and are the right ones")
     return 0
+
+
+def found_boards(connection: Connection) -> dict[str, list[dict[str, Any]]]:
+    """Every board that answered, by kind, with what it says of itself."""
+    encoders = [
+        {
+            "where": encoder.where, "serial_number": found.serial_number, "firmware": _version(found.firmware),
+            "channels": found.channels, "encoder_bits": found.encoder_bits,
+        }
+        for encoder in connection.encoders
+        if (found := encoder.identity) is not None
+    ]  # fmt: skip
+    motors = [
+        {
+            "where": motor.where, "serial_number": who.serial_number, "firmware": _version(who.firmware),
+            "encoder_counts_per_turn": who.encoder_counts_per_turn,
+        }
+        for motor in connection.motors
+        if (who := motor.identity) is not None
+    ]  # fmt: skip
+    return {"encoder_boards": encoders, "motor_boards": motors}
+
+
+def described(found: dict[str, list[dict[str, Any]]]) -> str:
+    """The same for people, a board a line."""
+    lines = [
+        f"{one['where']}: serial number {one['serial_number']}, firmware {one['firmware']}, {one['channels']} channels,"
+        f" {one['encoder_bits']}-bit counters"
+        for one in found["encoder_boards"]
+    ]
+    lines += [
+        f"{one['where']}: serial number {one['serial_number']}, firmware {one['firmware']},"
+        f" {one['encoder_counts_per_turn']} counts a turn"
+        for one in found["motor_boards"]
+    ]
+    return "\n".join(lines)
+
+
+def _version(firmware: int) -> str:
+    return f"{firmware >> 8}.{firmware & 255}"
 
 
 def _say(text: str) -> None:

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 from control.loop.assemble import Assembly, assemble
@@ -106,6 +107,7 @@ def _start_writer(arm: Arm, options: ServeOptions) -> tuple[Path, "subprocess.Po
             "arm": arm.name,
             "arm_file": str(arm.path),
             "arm_toml": arm_text(arm),
+            "program": f"armwright {version('armwright')}",
             "started_unix_s": started_s,
             "period_s": options.period_s,
         }
