@@ -2,11 +2,8 @@
 
 from pathlib import Path
 
-from calib.iso9283.checks import Iso9283Error
-from console.demo.bench import SteppedBench
-from console.folders import free_folder
 from console.iso9283.recording import Advance, Bench, Planned, record
-from console.scenario_file import seeded_scenario
+from console.kept_mock import kept_mock
 from control.model.arm import Arm
 
 
@@ -14,26 +11,6 @@ def record_on_mock(
     arm: Arm, scenario: str, seed: int | None, planned: Planned, out: Path, speed: float, advance: Advance
 ) -> None:
     """Home a mock of `arm` and run what was planned; its scenario is kept in `out`, its recordings in `out`/log."""
-    can_home = all(drive.home is not None for drive in arm.drives)
-    drawn = seeded_scenario(scenario, seed, was_homed=not can_home)
-    out.mkdir(parents=True, exist_ok=True)
-    kept = out / "scenario.toml"
-    if kept.exists() and kept.read_bytes() != drawn:
-        raise Iso9283Error(
-            f"{kept}: the records here are of another mock arm: choose another folder with --out"
-        )
-    kept.write_bytes(drawn)
-    log = free_folder(out / "log")
-    bench = SteppedBench(arm, kept, log)
-    try:
-        advance("homing", 0.0)
-        client = bench.start(arm)
-        client.enable()
-        client.home()
-        recording = next(log.glob("*.armlog"))
+    advance("homing", 0.0)
+    with kept_mock(arm, scenario, seed, out, speed) as (bench, client, recording):
         record(Bench(arm, client, recording, bench.rig.set_payload, speed), planned, out, advance)
-        if arm.rest is not None:
-            client.move_joints(arm.rest.q_rad, speed)
-        bench.stop()
-    finally:
-        bench.close()
