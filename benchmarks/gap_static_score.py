@@ -74,6 +74,8 @@ def score_named(first: int, cases: int) -> None:
             value = parameters.get(FIRST_PARAMETER.get(hidden.effect, ""), next(iter(parameters.values())))[0]
             errors.append(abs(value / hidden.value - 1.0))
             gaps.append(found.finding.gap_after)
+            if gaps[-1] > 1.1:
+                _say(f"  seed {seed}: {hidden} right, and the gap after is {gaps[-1]:.2f}")
         else:
             _miss(seed, (hidden,), found)
     _table(matrix)

@@ -37,7 +37,7 @@ class Candidate:
     @property
     def moves_tip(self) -> bool:
         """Whether the tip shows it."""
-        return bool(self.slope_rad.any()) or (self.slope_m is not None and bool(self.slope_m.any()))
+        return self.slope_Nm is None or bool(self.slope_rad.any())
 
     def physical(self, value: Array) -> bool:
         """Whether coefficients (c,) are those of a real thing, the known part included."""

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from calib.arrays import Array, frozen
+from calib.arrays import Array, Mask, frozen
 from calib.gap.finding import EffectName
 from calib.gap.static.candidate import Candidate, Parameters, amplitude_and_phase, inverse, plain
 from calib.gap.static.frame import of_the_frame
@@ -81,10 +81,10 @@ def _of_the_gear(points: Points, pose: RestingPose, noise_Nm: Array) -> Iterator
     n = points.joint_count
     for j in range(n):
         own = np.eye(n)[j]
-        for share, flank in _flanks(pose, j, noise_Nm[j]):
+        for share, flank, unsure in _flanks(pose, j, noise_Nm[j]):
             slope = backlash_rad(flank, 1.0)[:, None] * own
             play = plain("backlash", j + 1, slope, WIDTH_rad, "width_rad", is_positive=True)
-            yield dataclasses.replace(play, shape=share, unsure=flank == 0.0)
+            yield dataclasses.replace(play, shape=share, unsure=unsure)
         if np.abs(pose.gravity_Nm[:, j]).max() > NO_TORQUE_Nm:
             yield from _windings(pose, j)
 
@@ -99,22 +99,23 @@ def _windings(pose: RestingPose, j: int) -> Iterator[Candidate]:
         yield Candidate(name, frozen(slope[None]), soft, inverse("stiffness_Nm_rad"), True, share)
 
 
-def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float, Array]]:
-    """The flank of joint j in every pose, (m,), for a row of shares of its friction that act on the link's side.
+def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float, Array, Mask]]:
+    """The flank of joint j in every pose, (m,), and where it is a guess, for a row of shares of its friction on the link's side.
 
     Nobody knows that share; it decides only poses where friction outweighs gravity. Joints that a hand led keep the flank that
-    their motor shows. 0 where the torque is too small to have a sign.
+    their motor shows. Where the torque is too small to have a sign, its sign is a guess: it may count for a share, not in a fit.
     """
     told: list[Array] = []
     for share in LINK_SHARES:
         gravity, held = pose.gravity_Nm[:, j], pose.held_Nm[:, j]
         torque = gravity + share * held
         doubt = GRAVITY_ERROR * np.abs(gravity) + 0.5 * SHARE_STEP * np.abs(held) + 3.0 * share * noise_Nm
-        driven = np.where(np.abs(torque) > doubt, np.sign(torque), 0.0)
-        flank = np.where(pose.is_led[:, j], pose.flank[:, j], driven)
-        if flank.any() and not any(np.array_equal(flank, other) for other in told):
+        flank = np.where(pose.is_led[:, j], pose.flank[:, j], np.sign(torque))
+        flank = np.where(np.abs(torque) > NO_TORQUE_Nm, flank, 0.0)
+        unsure = (flank == 0.0) | (~pose.is_led[:, j] & (np.abs(torque) <= doubt))
+        if not unsure.all() and not any(np.array_equal(flank, other) for other in told):
             told.append(flank)
-            yield share, flank
+            yield share, flank, unsure
 
 
 def _of_the_time(points: Points) -> Iterator[Candidate]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
 
-from calib.arrays import Mask
+from calib.arrays import Array, Mask, frozen
+from calib.errors import UnusablePointsError
 from calib.gap.static.currents import SATURATED
 from calib.gap.static.floor import Floor
+from calib.gap.static.generic import load_of
 from calib.gap.static.model import Fitted
 from calib.gap.static.split import RECORDINGS_LEAST, Split, recordings
 from calib.identify.assembly import problem_of
@@ -20,12 +23,47 @@ FEW_POSES = 24
 GAP_SHARE = 0.4  # of a joint's travel without a single pose
 AT_BOUND = 0.999
 BOUND_TOLD = 3
+UNBEARABLE = 5.0  # times what a drive holds at its current limit
+MILLI = 10.0  # times the limit
 INFLATED = 1.3  # times the floor, from which on what the list leaves is worth saying
 
 
 def require_posed(arm: Arm, points: Points) -> tuple[str, ...]:
     """UnusablePointsError for points that are misread or too few; warnings otherwise."""
-    return require_usable(arm, points, problem_of(arm, points))
+    warnings = require_usable(arm, points, problem_of(arm, points))
+    _require_bearable(arm, points)
+    return warnings
+
+
+def _require_bearable(arm: Arm, points: Points) -> None:
+    """A payload that no drive could hold was not written in kilograms."""
+    load = load_of(arm, points)
+    if load is None or len(arm.drives) < points.joint_count or not np.nan_to_num(points.payload_kg).any():
+        return
+    drives = [arm.drive(j + 1) for j in range(points.joint_count)]
+    most = np.array([d.current_limit_A * d.gear_ratio * d.torque_constant_Nm_A for d in drives])
+    joint = int(np.argmax(np.abs(load).max(axis=0) / most))
+    torque = float(np.abs(load[:, joint]).max())
+    if torque > UNBEARABLE * most[joint]:
+        heaviest = float(np.nanmax(points.payload_kg))
+        raise UnusablePointsError(
+            f"payload_kg reaches {heaviest:g}: joint {joint + 1} would hold {torque:.0f} N m, its drive gives"
+            f" {most[joint]:.0f} at its limit; grams? Expected kilograms"
+        )
+
+
+def cleaned(points: Points) -> Points:
+    """The same, currents that never change taken out: nobody measured them."""
+    current = np.array(points.current_A)
+    for own in current.T:
+        if _is_constant(own):
+            own[:] = np.nan
+    return dataclasses.replace(points, current_A=frozen(current))
+
+
+def _is_constant(own: Array) -> bool:
+    known = own[np.isfinite(own)]
+    return len(known) > 1 and bool(np.ptp(known) == 0.0)
 
 
 def about_data(arm: Arm, points: Points) -> Iterator[str]:
@@ -85,14 +123,15 @@ def _about_currents(arm: Arm, points: Points) -> Iterator[str]:
     for drive in arm.drives:
         own = points.current_A[:, drive.joint - 1]
         count = int(np.sum(np.abs(own) >= SATURATED * drive.current_limit_A))
-        if count:
+        if count > 0 and np.nanmedian(np.abs(own)) > MILLI * drive.current_limit_A:
+            yield f"i{drive.joint}_A is far beyond the drive's limit of {drive.current_limit_A:g} A: milliamperes? Not used"
+        elif count:
             yield (
                 f"i{drive.joint}_A is at the drive's limit of {drive.current_limit_A:g} A in {count} poses: the joint may not"
                 " have stood where it was sent, and these currents are not used"
             )
-        known = own[np.isfinite(own)]
-        if len(known) > 1 and np.ptp(known) == 0.0:
-            yield f"i{drive.joint}_A never changes: the column seems not to be measured"
+        if _is_constant(own):
+            yield f"i{drive.joint}_A never changes: the column seems not to be measured, and is not used"
 
 
 def _about_loads(arm: Arm, points: Points) -> Iterator[str]:

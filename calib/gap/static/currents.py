@@ -29,13 +29,15 @@ SWAY = 3.0  # of a joint's largest torque: the prior of the friction's part
 
 @dataclass(frozen=True, slots=True)
 class Currents:
-    """torque_Nm (m, n): motor torque minus gravity; `usable` (m, n); friction (n, m, b) and the scatter sd_Nm (n,)."""
+    """torque_Nm (m, n): motor torque minus gravity; `usable` (m, n); friction (n, m, b) and the scatter sd_Nm (n,); the model's
+    gravity_Nm (m, n).
+    """
 
     torque_Nm: Array
     usable: Mask
     friction: Array
     sd_Nm: Array
-    noise_A: Array
+    gravity_Nm: Array
 
     def evidence(self, candidates: Sequence[Candidate], rows: Mask) -> Evidence:
         """Of every candidate's columns in typical sizes, from the poses `rows` (m,)."""
@@ -76,7 +78,7 @@ def holding_currents(arm: Arm, points: Points, tried: Sequence[Candidate]) -> Cu
     sd = np.array(
         [_scatter(friction[j], every[:, :, j], torque[:, j], usable[:, j]) for j in range(len(friction))]
     )
-    return Currents(torque, usable, friction, CAUTION * sd, sd / per_A)
+    return Currents(torque, usable, friction, CAUTION * sd, gravity)
 
 
 def _friction(points: Points, gravity: Array, torque: Array, j: int) -> Array:

@@ -13,6 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.gap.finding import EffectName
 from calib.gap.static.candidate import Candidate
 from calib.gap.static.evidence import Evidence
@@ -28,6 +29,7 @@ STRICTER = 3.0  # what every name after the second costs beyond the one before i
 KEPT_SINGLES = 24  # the best ones, of which pairs are tried
 KEPT_SETS = 12  # the best pairs, triples, ..., to which one more effect is added
 NAMES_MOST = 4
+LOADS_MOST = 1  # of what only holding currents tell: any two loads look like a third
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,28 +72,37 @@ def decide(evidence: Evidence, candidates: Sequence[Candidate]) -> Decision:
 
 def hypotheses(evidence: Evidence, candidates: Sequence[Candidate]) -> list[Hypothesis]:
     """Nothing, every single candidate, pairs of the best of them, and the best sets with one effect more, best first."""
-    at = places(candidates)
-
-    def scored(chosen: tuple[int, ...]) -> Hypothesis:
-        places_of = [place for k in chosen for place in at[k]]
-        if not _is_physical([candidates[k] for k in chosen], evidence, places_of):
-            return Hypothesis(chosen, -np.inf)
-        return Hypothesis(chosen, evidence.log(places_of) - cost_of(len(chosen)))
-
-    singles = sorted((scored((k,)) for k in range(len(candidates))), key=lambda one: -one.score)
+    singles = sorted(
+        _scored(evidence, candidates, [(k,) for k in range(len(candidates))]), key=lambda one: -one.score
+    )
     helpers = _best_of_each_name(singles, candidates)
     pairs = [
-        scored((a, b))
+        (a, b)
         for a, b in combinations(range(len(candidates)), 2)
         if candidates[a].name != candidates[b].name and (a in helpers or b in helpers)
     ]
-    found = sorted([scored(()), *singles, *pairs], key=lambda one: -one.score)
+    both = _scored(evidence, candidates, pairs)
+    found = sorted([Hypothesis((), 0.0), *singles, *both], key=lambda one: -one.score)
     for count in range(2, NAMES_MOST):
         if len(found[0].chosen) < count:
             break
-        grown = [scored(more) for more in _one_more(found, candidates, count)]
+        grown = _scored(evidence, candidates, sorted(_one_more(found, candidates, count)))
         found = sorted([*found, *grown], key=lambda one: -one.score)
     return found
+
+
+def _scored(
+    evidence: Evidence, candidates: Sequence[Candidate], sets: Sequence[tuple[int, ...]]
+) -> list[Hypothesis]:
+    """Each set with its log evidence and the cost of its names; out of the question where it is not physical."""
+    at = places(candidates)
+    logs, values = evidence.log_each([[place for k in chosen for place in at[k]] for chosen in sets])
+    return [
+        Hypothesis(
+            chosen, float(log) - cost_of(len(chosen)) if _is_physical(candidates, chosen, value) else -np.inf
+        )
+        for chosen, log, value in zip(sets, logs, values, strict=True)
+    ]
 
 
 def cost_of(count: int) -> float:
@@ -127,14 +138,13 @@ def with_doubt(evidence: Evidence, candidates: Sequence[Candidate], best: Hypoth
     return dataclasses.replace(own, unsure=doubt)
 
 
-def _is_physical(chosen: Sequence[Candidate], evidence: Evidence, at: Sequence[int]) -> bool:
-    """Whether every play and softness comes out positive."""
-    if not any(one.is_positive for one in chosen):
-        return True
-    size = np.concatenate([one.size for one in chosen])
-    value, first = evidence.estimate(at)[0] * size, 0
-    for one in chosen:
-        if not one.physical(value[first : first + len(one.size)]):
+def _is_physical(candidates: Sequence[Candidate], chosen: Sequence[int], value: Array) -> bool:
+    """Whether every play and softness comes out positive, and no more loads are named than can be."""
+    some, first = [candidates[k] for k in chosen], 0
+    if len(some) > LOADS_MOST and sum(not one.moves_tip for one in some) > LOADS_MOST:
+        return False
+    for one in some:
+        if one.is_positive and not one.physical(value[first : first + len(one.size)] * one.size):
             return False
         first += len(one.size)
     return True

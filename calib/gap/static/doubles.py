@@ -10,10 +10,9 @@ from calib.gap.static.candidate import Candidate
 from calib.gap.static.evidence import Evidence
 from calib.gap.static.shape import Shape
 
-WIDER, WIDER_MOST = (
-    3.0,
-    5.0,
-)  # log evidence by which a shape must lead, per column that it has more, and at most
+LEAD = 3.0  # log evidence, 20 to 1, by which a name must lead every shape
+WIDER = 3.0  # by which a shape must lead a name, for every column that it has more
+WIDER_MOST = 8.0
 SAME = 0.9999  # cosine between the signatures of a shape and of an effect of the list, from which on they are one
 
 
@@ -25,10 +24,10 @@ def doubles(
     chosen: Sequence[int],
     shapes: Sequence[Shape],
 ) -> dict[int, Shape]:
-    """Of the chosen candidates those that a shape could replace without loss, each with the best such shape.
+    """Of the chosen candidates those that a shape could replace with hardly a loss, each with the best such shape.
 
     `evidence` holds the columns of all candidates (`at`) and shapes (`shapes_at`). A shape that is an effect of the list in
-    other words is no rival: that effect is one already. One with more columns may contain the effect, and must lead clearly.
+    other words is no rival: that effect is one already. One with more columns may contain the effect, and must itself lead.
     """
     found = {}
     own = _same_as_an_effect(evidence, at, shapes_at)
@@ -36,10 +35,7 @@ def doubles(
         beside = [place for other in chosen if other != k for place in at[other]]
         named = evidence.log([*beside, *at[k]])
         rivals = [
-            (
-                evidence.log([*beside, *places]) - min(WIDER * max(0, len(places) - len(at[k])), WIDER_MOST),
-                number,
-            )
+            (evidence.log([*beside, *places]) - _must_lead(len(places) - len(at[k])), number)
             for number, places in enumerate(shapes_at)
             if number not in own
         ]
@@ -47,6 +43,11 @@ def doubles(
         if best >= named:
             found[k] = shapes[number]
     return found
+
+
+def _must_lead(more: int) -> float:
+    """Log evidence by which a shape with `more` columns than a name must lead it to replace it; below 0 it may lag."""
+    return -LEAD if more <= 0 else min(WIDER * more, WIDER_MOST)
 
 
 def _same_as_an_effect(

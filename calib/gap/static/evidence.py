@@ -57,6 +57,20 @@ class Evidence:
         half = np.linalg.solve(inner, self.pull[k])
         return float(0.5 * half @ half - np.sum(np.log(np.diag(inner))))
 
+    def log_each(self, sets: Sequence[Sequence[int]]) -> tuple[Array, list[Array]]:
+        """Ln Z of many sets at once, and each one's coefficients in typical sizes."""
+        logs, values = np.zeros(len(sets)), [np.zeros(0)] * len(sets)
+        for size in {len(one) for one in sets if len(one)}:
+            which = [k for k, one in enumerate(sets) if len(one) == size]
+            k = np.array([sets[w] for w in which])
+            inner = np.eye(size) + self.gram[k[:, :, None], k[:, None, :]]
+            pull = self.pull[k]
+            value = np.linalg.solve(inner, pull[:, :, None])[:, :, 0]
+            logs[which] = 0.5 * np.sum(pull * value, axis=1) - 0.5 * np.linalg.slogdet(inner)[1]
+            for w, own in zip(which, value, strict=True):
+                values[w] = own
+        return logs, values
+
     def estimate(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Coefficients (k,) of a set of columns, in typical sizes, and their covariance (k, k)."""
         k = list(chosen)

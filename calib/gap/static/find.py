@@ -13,17 +13,17 @@ from calib.errors import UnusablePointsError
 from calib.gap.finding import GapFinding
 from calib.gap.static.candidate import Candidate
 from calib.gap.static.candidates import candidates
-from calib.gap.static.cautions import about_data, about_fit, about_outliers, require_posed
+from calib.gap.static.cautions import about_data, about_fit, about_outliers, cleaned, require_posed
 from calib.gap.static.currents import holding_currents
 from calib.gap.static.experiments import next_experiment
 from calib.gap.static.floor import Floor, noise_floor
-from calib.gap.static.generic import load_of, shapes
+from calib.gap.static.generic import load_of
 from calib.gap.static.linearised import Linearised
 from calib.gap.static.model import Fitted, fitted
 from calib.gap.static.nameable import nameable
 from calib.gap.static.naming import named, rms, stages
 from calib.gap.static.outlying import outlying
-from calib.gap.static.search import Search, working_noise_m
+from calib.gap.static.search import Search, shapes_beside, working_noise_m
 from calib.gap.static.split import Split, split
 from calib.points import Points
 from control.model.arm import Arm
@@ -65,6 +65,7 @@ def find(
     """
     advance("reading the poses", 0.0)
     warnings = [*require_posed(arm, points), *about_data(arm, points)]
+    points = cleaned(points)
     advance("fitting the geometry", 0.05)
     tried = tuple(one for one in candidates(arm, points) if one.name.effect not in without)
     search, out = _prepared(arm, points, tried)
@@ -114,7 +115,7 @@ def _prepared(arm: Arm, points: Points, tried: tuple[Candidate, ...]) -> tuple[S
         floor = _from_the_richest(bare, parts, tried)
     noise = working_noise_m(bare, parts.known, tried, floor.tip_m)
     currents = holding_currents(arm, points, tried)
-    some = shapes(arm, points)
+    some = shapes_beside(tried, arm, points)
     return Search(arm, points, parts, tried, some, bare, floor, noise, currents), out
 
 

@@ -48,6 +48,10 @@ def noise_floor(arm: Arm, points: Points, residual_m: Array, out: Mask | None = 
         if sheet_m > 0.0:
             return Floor(sheet_m, "the camera's data sheet in arm.toml; there are too few repeats")
         return Floor(math.nan, "nothing: too few repeats, and no camera noise in arm.toml")
+    if sheet_m > 0.0 and not points.direction.any():
+        return Floor(
+            sheet_m, "the camera's data sheet in arm.toml; repeats whose approach is unknown may hold play"
+        )
     apart = residual_m[[a for a, _ in pairs]] - residual_m[[b for _, b in pairs]]
     return _with_sheet(_scatter_m(apart), len(pairs), sheet_m)
 

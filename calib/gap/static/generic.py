@@ -14,22 +14,25 @@ from calib.gap.static.shape import Shape, edges, harmonic, of_joint
 from calib.points import Points
 from control.errors import MissingModel
 from control.model.arm import Arm
-from control.model.static_pose import gravity_Nm
+from control.model.static_pose import gravity_Nm, resting
 
 HARMONICS = (4, 5, 6, 7, 8, 9, 10, 12)  # per turn, of a joint's own angle
 MOTOR_HARMONICS = (1.0, 2.0, 0.5)  # per motor turn
 TIME_PERIODS = (0.5, 1, 1.5, 2, 3, 4, 6, 8)  # of a session
 
 
-def shapes(arm: Arm, points: Points) -> tuple[Shape, ...]:
-    """All of them for these poses; those that are constant here are left out."""
-    found = [*of_the_tip(arm, points)]
-    gravity = load_of(arm, points)
+def shapes(arm: Arm, points: Points, has_bending: bool = False) -> tuple[Shape, ...]:
+    """All of them for these poses; those that are constant here are left out.
+
+    `has_bending`: with links that bend, for a list that lacks them.
+    """
+    found = [*of_the_tip(arm, points, has_bending)]
+    gravity, held = load_of(arm, points), held_of(arm, points)
     for j in range(points.joint_count):
         found += [
             *_of_angles(points, j),
             *_of_the_motor(arm, points, j),
-            *_of_direction(points, gravity, j),
+            *_of_direction(points, gravity, held, j),
             *_of_time(points, j),
             *_of_load(points, gravity, j),
         ]
@@ -42,6 +45,15 @@ def load_of(arm: Arm, points: Points) -> Array | None:
         return gravity_Nm(arm, points.q_rad, stated_kg(points))
     except MissingModel:
         return None
+
+
+def held_of(arm: Arm, points: Points) -> Array | None:
+    """What the motors hold beyond gravity, (m, n); None for an arm without masses or drives."""
+    try:
+        found = resting(arm, points.q_rad, points.direction, points.current_A, stated_kg(points))
+    except MissingModel:
+        return None
+    return found.held_Nm
 
 
 def _of_angles(points: Points, j: int) -> Iterator[Shape]:
@@ -73,7 +85,7 @@ def _of_the_motor(arm: Arm, points: Points, j: int) -> Iterator[Shape]:
                 yield of_joint(points.joint_count, j, f"q{j + 1}", words, *courses)
 
 
-def _of_direction(points: Points, gravity: Array | None, j: int) -> Iterator[Shape]:
+def _of_direction(points: Points, gravity: Array | None, held: Array | None, j: int) -> Iterator[Shape]:
     """Direction of the last motion of any joint, alone, with its own angle, and with its own load."""
     n = points.joint_count
     for i in range(n):
@@ -86,6 +98,8 @@ def _of_direction(points: Points, gravity: Array | None, j: int) -> Iterator[Sha
     if gravity is not None:
         load = np.abs(gravity[:, j])
         yield of_joint(n, j, variable, "follows its last direction, more so under load", own * load, own)
+    if held is not None:  # a soft gear that friction winds up: without gravity nobody can tell its stiffness
+        yield of_joint(n, j, variable, "follows the friction that its motor holds", held[:, j])
 
 
 def _of_time(points: Points, j: int) -> Iterator[Shape]:
@@ -125,10 +139,13 @@ def _of_load(points: Points, gravity: Array | None, j: int) -> Iterator[Shape]:
     if gravity is None:
         return
     own = gravity[:, j]
+    yield of_joint(n, j, "load", "follows its load", own)
     yield of_joint(n, j, "load", "follows its load's size, whatever its sign", np.abs(own))
     yield of_joint(n, j, "load", "follows its load, more than in proportion", own, own * np.abs(own))
     yield of_joint(n, j, "load", "follows its load and that cubed", own, own**3)
     yield of_joint(n, j, "load", "follows the sign of its load", np.sign(own))
+    root = np.sign(own) * np.sqrt(np.abs(own))
+    yield of_joint(n, j, "load", "follows its load, less than in proportion", root)
     yield of_joint(n, j, "load", "follows its load, softer one way", np.maximum(own, 0), np.minimum(own, 0))
     for i in range(n):
         if i != j:

@@ -10,8 +10,10 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from calib.arrays import Array
+from calib.gap.static.loads import stated_kg
 from calib.gap.static.shape import Shape, edges, harmonic, of_tip
 from calib.identify.arm_model import ArmModel
+from calib.identify.link_bending import beams, bending_m
 from calib.identify.link_frames import LinkFrames, link_frames
 from calib.points import Points
 from control.model.arm import Arm
@@ -22,13 +24,15 @@ RECORDING_STEPS = 3  # the same within one setup
 RIGID_POSES_LEAST = 4
 
 
-def of_the_tip(arm: Arm, points: Points) -> Iterator[Shape]:
-    """All of them, at the nominal geometry."""
+def of_the_tip(arm: Arm, points: Points, has_bending: bool) -> Iterator[Shape]:
+    """All of them, at the nominal geometry; links that bend where they are not candidates (`has_bending`)."""
     frames = link_frames(ArmModel(arm), arm.dh, points.q_rad)
     yield from _of_the_camera(points, frames.tip_m)
     yield from _of_setups(points, frames.tip_m)
     yield from _of_the_axes(arm, points, frames)
     yield from _of_the_tool(arm, points, frames)
+    if has_bending:
+        yield from _of_the_links(arm, points)
     if len(points) > 1:
         before = np.roll(frames.tip_m, 1, axis=0) - frames.tip_m
         before[0] = 0.0
@@ -109,11 +113,23 @@ def _of_the_axes(arm: Arm, points: Points, frames: LinkFrames) -> Iterator[Shape
             yield of_tip(points.joint_count, f"q{j + 1}", words, *shifts)
 
 
+def _of_the_links(arm: Arm, points: Points) -> Iterator[Shape]:
+    """Links that give way between their joints: a soft gear passes for one, and the other way round."""
+    if not any(link.mass_kg for link in arm.links):
+        return
+    for link in beams(arm):
+        moved = bending_m(arm, arm.dh, points.q_rad, stated_kg(points), link)
+        words = f"link {link}: gives way between its joint and the next"
+        yield of_tip(points.joint_count, "load", words, moved)
+
+
 def _of_the_tool(arm: Arm, points: Points, frames: LinkFrames) -> Iterator[Shape]:
     """A tool that is loose: it falls to one side or the other as gravity turns round."""
     axes, down = frames.axes[:, -1], np.asarray(arm.gravity_m_s2)
     for k in range(3):
         side = np.sign(axes[:, :, k] @ down)[:, None]
+        words = f"the tool: slides from side to side with gravity along its {AXES[k]}"
+        yield of_tip(points.joint_count, "tool", words, side * axes[:, :, k])
         moves = [side * axes[:, :, c] for c in range(3)]
         words = f"the tool: falls from side to side with gravity along its {AXES[k]}"
         yield of_tip(points.joint_count, "tool", words, *moves)

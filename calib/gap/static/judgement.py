@@ -38,7 +38,9 @@ def judge(
     """`bare` has the geometry alone, `fit` the best explanation, in which `leader` explains most; `left` still pays beside it."""
     explained = explained_share(bare, fit, rows, noise_m)
     if not left:
-        return Judgement(tuple(accepted), _unstructured(fit, rows, noise_m, accepted, explained))
+        unknown = _unstructured(fit, rows, noise_m, accepted, explained)
+        is_little = unknown is not None and explained < EXPLAINED_LEAST
+        return Judgement(() if is_little else tuple(accepted), unknown)
     withdrawn = [
         one
         for one in accepted

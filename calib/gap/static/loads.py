@@ -7,7 +7,6 @@ both directions the former can be told.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -15,7 +14,9 @@ import numpy as np
 from calib.arrays import Array, frozen
 from calib.gap.finding import EffectName
 from calib.gap.static.candidate import Candidate, inverse, only
+from calib.identify.arm_model import ArmModel
 from calib.identify.link_bending import FLEXURE, beams, bending_m
+from calib.identify.link_frames import LinkFrames, link_frames
 from calib.points import Points
 from control.errors import MissingModel
 from control.model.arm import Arm
@@ -41,7 +42,7 @@ def of_the_loads(arm: Arm, points: Points) -> tuple[Candidate, ...]:
         return ()
     found = [*_bending(arm, points)]
     if np.isfinite(points.current_A).any():
-        found += [*_constants(gravity), *_masses(arm, points, gravity)]
+        found += [*_constants(gravity), *_masses(arm, points)]
     return tuple(found)
 
 
@@ -76,18 +77,28 @@ def _constants(gravity: Array) -> Iterator[Candidate]:
             )
 
 
-def _masses(arm: Arm, points: Points, gravity: Array) -> Iterator[Candidate]:
+def _masses(arm: Arm, points: Points) -> Iterator[Candidate]:
     """A mass at the tip that nobody stated, and links that are heavier than nominal."""
-    loaded = gravity_Nm(arm, points.q_rad, stated_kg(points) + 1.0) - gravity
-    yield _mass(arm, EffectName("payload"), loaded, PAYLOAD_kg)
-    for k, link in enumerate(arm.links):
+    frames = link_frames(ArmModel(arm), arm.dh, points.q_rad)
+    yield _mass(arm, EffectName("payload"), _torque_Nm(arm, frames, frames.tip_m, len(arm.links)), PAYLOAD_kg)
+    for k, link in enumerate(arm.links, start=1):
         if link.mass_kg and link.com_m is not None:
-            heavier = list(arm.links)
-            heavier[k] = dataclasses.replace(link, mass_kg=link.mass_kg + 1.0)
-            changed = dataclasses.replace(arm, links=tuple(heavier))
-            torque = gravity_Nm(changed, points.q_rad, stated_kg(points)) - gravity
+            torque = _torque_Nm(arm, frames, frames.point_m(k, np.asarray(link.com_m)), k)
             if np.ptp(torque, axis=0).max() > NO_TORQUE_Nm:
-                yield _mass(arm, EffectName("link_inertia", k + 1), torque, MASS_kg)
+                yield _mass(arm, EffectName("link_inertia", k), torque, MASS_kg)
+
+
+def _torque_Nm(arm: Arm, frames: LinkFrames, place_m: Array, link: int) -> Array:
+    """What a kilogram at a place (m, 3) of a link (1-based) asks of every joint, (m, n)."""
+    torque = np.zeros((len(place_m), arm.joint_count))
+    turning = [k for k, one in enumerate(arm.links, start=1) if one.joint == "revolute"]
+    before = 0 if arm.dh_convention == "modified" else 1
+    for j, k in enumerate(turning):
+        if k <= link:
+            axis, origin = frames.axes[:, k - before, :, 2], frames.origin_m[:, k - before]
+            moment = np.cross(place_m - origin, np.asarray(arm.gravity_m_s2))
+            torque[:, j] = -np.sum(axis * moment, axis=1)
+    return torque
 
 
 def _mass(arm: Arm, name: EffectName, torque_Nm: Array, size_kg: float) -> Candidate:

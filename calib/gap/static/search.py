@@ -13,17 +13,20 @@ from calib.gap.finding import Unknown
 from calib.gap.static.candidate import Candidate
 from calib.gap.static.candidates import candidates
 from calib.gap.static.currents import Currents
-from calib.gap.static.decision import Decision, decide, with_doubt
+from calib.gap.static.decision import FURTHER_COST, Decision, decide, with_doubt
 from calib.gap.static.doubles import doubles
 from calib.gap.static.evidence import Evidence
 from calib.gap.static.floor import Floor
+from calib.gap.static.generic import shapes
 from calib.gap.static.held_out import unborne
 from calib.gap.static.judgement import Judgement, explained_share, judge
 from calib.gap.static.linearised import Linearised
+from calib.gap.static.load_shapes import contradiction
 from calib.gap.static.model import Fitted, fitted, unsound
-from calib.gap.static.remainder import remainders
+from calib.gap.static.remainder import Remainder, remainders
 from calib.gap.static.shape import Shape
 from calib.gap.static.split import Split
+from calib.identify.link_bending import FLEXURE
 from calib.points import Points
 from control.model.arm import Arm
 
@@ -69,37 +72,46 @@ class Search:
             if stays and look != 1:
                 break
             fit = fitted(self.arm, self.points, self.parts.known, chosen)
-            if unsound(fit, self.parts.known, self.noise_m):
-                fit = fitted(self.arm, self.points, self.parts.known, plain)
+            for more in (plain, tuple(dataclasses.replace(one, unsure=None) for one in plain)):
+                if not unsound(fit, self.parts.known, self.noise_m):
+                    break
+                fit = fitted(self.arm, self.points, self.parts.known, more)  # the evidence tells the rest
             if look == LOOKS - 1 or not chosen:
                 break
             search = search._around_geometry(fit)
         return search, decision, fit
 
     def _around_geometry(self, fit: Fitted) -> Search:
-        """With candidates at the geometry of a fit."""
-        known = {one.name for one in self.tried}
-        moved = candidates(self.arm.with_dh(fit.solution.dh), self.points)
-        return dataclasses.replace(self, tried=tuple(one for one in moved if one.name in known))
+        """With candidates and shapes at the geometry of a fit."""
+        known, moved = {one.name for one in self.tried}, self.arm.with_dh(fit.solution.dh)
+        tried = tuple(one for one in candidates(moved, self.points) if one.name in known)
+        return dataclasses.replace(self, tried=tried, shapes=shapes_beside(tried, moved, self.points))
 
     def judged(self, decision: Decision, fit: Fitted) -> Judgement:
         """What of the decision is kept: not what other recordings do not bear out, what a shape without a name would replace,
         nor what the remainder contradicts.
         """
         left = remainders(fit, self.parts.known, self.shapes, self.noise_m)
-        twins = self._twins(decision, fit)
+        twins, orphans = self._replaceable(decision, fit, left)
         broken = unborne(self.around(fit.geometry_x), self.tried, decision.best.chosen, self.parts)
         vague = unsound(fit, self.parts.known, self.noise_m)
         broken = tuple(k for k in decision.best.chosen if k in broken or self.tried[k].name in vague)
-        sure = {self.tried[k].name for k in decision.accepted if k not in twins and k not in broken}
+        loads = [self.tried[k] for k in decision.best.chosen if not self.tried[k].moves_tip]
+        against = contradiction(self.currents, loads, self.points.q_rad, self.parts.known)
+        if against is not None:
+            vague |= {one.name for one in loads}
+            broken = tuple(k for k in decision.best.chosen if k in broken or self.tried[k].name in vague)
+        sure = {self.tried[k].name for k in decision.accepted if k not in {*twins, *orphans, *broken}}
         accepted = [one for one in fit.chosen if one.name in sure]
         verdict = judge(accepted, decision.leader, self.bare, fit, left, self.parts.known, self.floor.tip_m)
-        if verdict.unknown is not None or not (twins or broken):
+        if verdict.unknown is not None or not (twins or broken):  # orphans come with one of these
             return verdict
         share = round(explained_share(self.bare, fit, self.parts.known, self.floor.tip_m), 3)
         for number, shape in twins.items():
             return Judgement(verdict.kept, Unknown(shape.words, self.tried[number].name, share))
         name = self.tried[broken[0]].name
+        if against is not None:
+            return Judgement(verdict.kept, Unknown(against, loads[0].name, share))
         where = (
             f"what {name} would explain shows in too few poses to tell its size"
             if name in vague
@@ -107,19 +119,46 @@ class Search:
         )
         return Judgement(verdict.kept, Unknown(where, name, share))
 
-    def _twins(self, decision: Decision, fit: Fitted) -> dict[int, Shape]:
-        """Accepted names that a shape without a name would replace."""
-        if not decision.accepted:
-            return {}
-        around = self.around(fit.geometry_x)
+    def _replaceable(
+        self, decision: Decision, fit: Fitted, left: Sequence[Remainder]
+    ) -> tuple[dict[int, Shape], set[int]]:
+        """Names that a shape without a name would replace, and names that pay only beside such, or beside what is left."""
         seen = [k for k in decision.best.chosen if self.tried[k].moves_tip]
+        if not seen:
+            return {}, set()
+        evidence, at, shapes_at = self._evidence_with_shapes(fit)
+        twins = doubles(evidence, at, shapes_at, self.tried, seen, self.shapes)
+        number = {id(shape): k for k, shape in enumerate(self.shapes)}
+        instead = [number[id(shape)] for shape in twins.values()]
+        instead += [number[id(one.shape)] for one in left[:1]]
+        if not instead:
+            return twins, set()
+        beside = [place for k in dict.fromkeys(instead) for place in shapes_at[k]]
+        rest = [k for k in seen if k not in twins]
+        whole = evidence.log([*beside, *(place for k in rest for place in at[k])])
+        orphans = {
+            k
+            for k in rest
+            if whole - evidence.log([*beside, *(place for o in rest if o != k for place in at[o])])
+            < FURTHER_COST
+        }
+        return twins, orphans
+
+    def _evidence_with_shapes(self, fit: Fitted) -> tuple[Evidence, list[list[int]], list[list[int]]]:
+        """Of all candidates and all shapes at once, and where each has its columns."""
+        around = self.around(fit.geometry_x)
         columns = [around.columns(c) * c.size for c in self.tried]
         columns += [around.columns(shape) for shape in self.shapes]
         ends = np.cumsum([column.shape[1] for column in columns])
         at = [list(range(end - column.shape[1], end)) for column, end in zip(columns, ends, strict=True)]
         keep, count = np.repeat(self.parts.known, 3), len(self.tried)
         evidence = Evidence.of(around.base[keep], np.concatenate(columns, axis=1)[keep], around.y[keep])
-        return doubles(evidence, at[:count], at[count:], self.tried, seen, self.shapes)
+        return evidence, at[:count], at[count:]
+
+
+def shapes_beside(tried: Sequence[Candidate], arm: Arm, points: Points) -> tuple[Shape, ...]:
+    """The shapes without a name; links that bend among them where the list lacks these."""
+    return shapes(arm, points, has_bending=all(one.name.effect != FLEXURE for one in tried))
 
 
 def working_noise_m(bare: Fitted, rows: Mask, tried: Sequence[Candidate], floor_m: float) -> float:

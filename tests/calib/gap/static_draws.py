@@ -31,7 +31,13 @@ FOREIGN: dict[str, tuple[tuple[int | None, ...], float, float, float, float]] = 
     "asymmetric compliance": ((2, 3), 0.0007, 0.003, 0.0, 1.0),
     "lost counts": ((1, 2, 3), 0.0001, 0.0005, 0.0, 1.0),
     "wobble": ((1, 2, 3), 0.001, 0.006, -3.0, 3.0),
-    "loose tool": ((None,), 0.0004, 0.002, 0.0, 2.0),
+    "loose tool": (
+        (None,),
+        0.0004,
+        0.002,
+        0.6,
+        2.4,
+    ),  # across the forearm it is play of joint 3 in other words
     "camera scale": ((None,), 0.001, 0.01, 0.0, 1.0),
     "camera lens": ((None,), 0.001, 0.01, 0.0, 1.0),
     "camera skew": ((None,), 0.002, 0.01, 0.0, 1.0),
