@@ -44,8 +44,8 @@ coverage-study: install  ## do 95 % intervals of the calibration cover the truth
 solver-study: install  ## is the optimum of an identification a real one? 200 fresh cases an objective, some 40 minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.solver_study
 
-gap-score: install  ## how often the gap workflow names the right effect, nothing, or unknown: fresh cases, some five minutes
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/gap_static_score.py
+gap-score: install  ## how often the gap workflow is right on poses, time series and the mock arm: fresh cases, ten to fifteen minutes; CASES=60 of each sort
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap_score $(if $(CASES),--cases $(CASES))
 
 lock: install  ## pin again what pyproject.toml names (needs uv)
 	uv pip compile --universal --generate-hashes --no-emit-index-url --no-header --extra dev -o requirements.lock pyproject.toml

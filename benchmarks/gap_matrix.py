@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.gap.finding import EffectName, GapFinding
 
-GEOMETRY = ("link_geometry", "base_frame")  # refitted beside everything, so that naming them is no claim
+GEOMETRY = "link_geometry"  # in poses it is refitted beside everything, and naming it is no claim
 COLUMNS = ("right", "doubts", "part", "set with", "set without", "unknown", "nothing", "wrong")
 LEGEND = (
     "right: all that is hidden and nothing else; doubts: that, but also unknown or a set; part: some of it; "
@@ -35,10 +35,14 @@ class Hidden:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What is hidden in a case; `is_listed`: every hidden effect is among those that may be named."""
+    """What is hidden in a case; `is_listed`: every hidden effect is among those that may be named.
+
+    `is_crooked`: the geometry is off, too, and may be listed among the effects.
+    """
 
     hidden: tuple[Hidden, ...]
     is_listed: bool = True
+    is_crooked: bool = False
 
     @property
     def sort(self) -> str:
@@ -94,7 +98,7 @@ def answer(
     """Compare what was said with what is hidden; `could_name`: what the workflow called nameable beforehand."""
     wanted = {one.name for one in truth.hidden}
     listed = wanted if truth.is_listed else set()
-    named = {e.name for e in found.effects if e.name in wanted or e.name.effect not in GEOMETRY}
+    named = {e.name for e in found.effects if not (truth.is_crooked and e.name.effect == GEOMETRY)}
     return Answer(
         case,
         truth.sort,
@@ -145,7 +149,7 @@ def _worst(truth: Truth, found: GapFinding) -> float:
 
 def said(found: GapFinding) -> str:
     """The finding in one line."""
-    parts = [str(effect.name) for effect in found.effects if effect.name.effect not in GEOMETRY]
+    parts = [str(effect.name) for effect in found.effects if effect.name.effect != GEOMETRY]
     parts += ["{" + ", ".join(str(name) for name in names) + "}" for names in found.ambiguous]
     if found.unknown is not None:
         near = found.unknown.nearest

@@ -73,7 +73,8 @@ class MockCase:
     @property
     def truth(self) -> Truth:
         """For the score."""
-        return Truth(tuple(Hidden(EffectName(e.effect, e.joint or None), e.parameters) for e in self.hidden))
+        hidden = tuple(Hidden(EffectName(e.effect, e.joint or None), e.parameters) for e in self.hidden)
+        return Truth(hidden, is_crooked=self.level == "static")
 
     def __str__(self) -> str:
         """As `mock static backlash1 small, seed 3`."""

@@ -17,7 +17,7 @@ NEAR, FREE = 10, 16  # poses
 PAYLOAD_kg = 0.5
 GEOMETRY_m, GEOMETRY_rad = 0.003, 0.012
 FRICTION_Nm = 0.035  # of the stall torque: dry friction that arm.toml does not know of
-TRAVEL_rad_s, RUN_UP_rad, APPROACH_S, SETTLE_S = 2.0, 0.04, 0.5, 0.25
+TRAVEL_rad_s, RUN_UP_rad, PAUSE_S, APPROACH_S, SETTLE_S = 2.0, 0.04, 0.25, 1.0, 0.25
 STEP_S, RATE_Hz = 1e-3, 250.0  # slow motions: nothing here needs more
 MARGIN = 0.12  # of a joint's range, kept at both ends
 
@@ -59,10 +59,14 @@ def _visits(arm: Arm, rng: np.random.Generator) -> list[Visit]:
 
 
 def _visit(rig: MockRig, place: Array, target: Array, direction: Array) -> Reading:
-    """Travel to beside the target, approach it gently from there, let it settle."""
+    """Travel to beside the target, approach it gently from there, let it settle.
+
+    A swinging link would come to rest anywhere within its friction, or on either flank of a play.
+    """
     beside = target - RUN_UP_rad * direction
     travel_s = max(0.2, 1.875 * float(np.abs(beside - place).max()) / TRAVEL_rad_s)
     rig.follow(eased(place, beside, travel_s, RATE_Hz))
+    rig.follow(np.tile(beside, (round(PAUSE_S * RATE_Hz), 1)))
     rig.follow(eased(beside, target, APPROACH_S, RATE_Hz))
     rig.follow(np.tile(target, (round(SETTLE_S * RATE_Hz), 1)))
     return rig.reading()
