@@ -79,8 +79,8 @@ class QuasiStaticBench:
             "temperature_C": [None] * len(self._last),
         }
 
-    def move_joints(self, q_rad: Sequence[float], speed: float = 1.0) -> None:
-        """The motors go there; each link follows on the flank of gravity torque and its share of friction."""
+    def move_joints(self, q_rad: Sequence[float], speed: float = 1.0, as_encoders: bool = False) -> None:
+        """The motors go there, as those of a runtime that knows no gears always do; each link follows on the flank of gravity torque and its share of friction."""
         assert self.mode == "HOLDING"
         self.moves += 1
         target = np.array(q_rad)
