@@ -80,7 +80,10 @@ class QuasiStaticBench:
         }
 
     def move_joints(self, q_rad: Sequence[float], speed: float = 1.0, as_encoders: bool = False) -> None:
-        """The motors go there, as those of a runtime that knows no gears always do; each link follows on the flank of gravity torque and its share of friction."""
+        """The motors go there; each link follows on the flank of gravity torque and its share of friction.
+
+        Its runtime knows no gears, so that joint and encoder angles are the same to it.
+        """
         assert self.mode == "HOLDING"
         self.moves += 1
         target = np.array(q_rad)
