@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -220,11 +221,18 @@ def test_check_names_every_board_of_an_arm_that_is_well(
     out = capsys.readouterr().out
     for name in ("enc0", "joint 1", "joint 2", "joint 3", "all boards are there"):
         assert name in out
+    with SteppedRig(RIGHT, scenario()) as rig:
+        save_arm(wired_to(RIGHT, rig), tmp_path / "arm-2.toml")
+        monkeypatch.setattr("console.commands.check.MonotonicClock", lambda: rig.clock)
+        arguments = ["check", "--arm", str(tmp_path / "arm-2.toml"), "--camera-port", str(rig.camera_port)]
+        assert main([*arguments, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found) == {"format", "arm", "encoder_boards", "motor_boards", "rights"}
+    assert [board["channels"] for board in found["encoder_boards"]] == [3]
+    assert [board["encoder_counts_per_turn"] for board in found["motor_boards"]] == [2048] * 3
 
 
 def test_an_arm_is_described_for_people_and_programs(capsys: pytest.CaptureFixture[str]) -> None:
-    import json
-
     assert main(["arm", "right"]) == 0
     assert "arm right" in capsys.readouterr().out
     assert main(["arm", "left", "--json"]) == 0
