@@ -29,6 +29,8 @@ def run(given: argparse.Namespace) -> int:
         raise ArmError(f"--speed: expected a factor above 0 and below 1000, got {given.speed:g}")
     if not 0.0 < given.fps <= 100.0:
         raise ArmError(f"--fps: expected above 0 and at most 100 pictures a second, got {given.fps:g}")
+    if given.rerun:
+        _file(given.rerun)
     if given.render and given.rerun is not None:
         raise ArmError("--render and --rerun contradict each other: give one of them")
     return _live(given) if given.log is None else _recorded(given)
@@ -150,6 +152,11 @@ def _snapshot(given: argparse.Namespace, arm: Arm, moment: Moment) -> int:
 
 
 def _file(text: str) -> Path | None:
+    """The file of `--rerun FILE.rrd`, None for a viewer; a LOG that stands behind --rerun is no file to write to."""
+    if text and Path(text).suffix != ".rrd":
+        raise ArmError(
+            f"--rerun: expected FILE.rrd, got {text}; a LOG stands before it: armwright view LOG --rerun"
+        )
     return Path(text) if text else None
 
 

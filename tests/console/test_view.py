@@ -262,7 +262,7 @@ def test_without_a_display_the_way_without_a_window_is_named(
     [
         (["--render", "film.mp4"], "ffmpeg"), (["--speed", "0"], "--speed"), (["--fps", "nan"], "--fps"),
         (["--render", "a.png", "--rerun"], "contradict"), (["--render", "x"], "at most 3:"),
-        (["--from", "9"], "it holds"),
+        (["--from", "9"], "it holds"), (["--rerun", "b.armlog"], "expected FILE.rrd"),
     ],
 )  # fmt: skip
 def test_a_bad_option_is_one_message(
