@@ -371,7 +371,7 @@ class Runtime:
         aim = SetPoint(*side.aim(self.set_point, self._elapsed_s, self.parts.servo.torque_model.payload_kg))
         if self._is_of_encoders:
             return self.set_point
-        if self.monitor.mode not in _ON_PATH:
+        if self.monitor.mode not in (*_ON_PATH, Mode.JOGGING):
             return aim
         allowed = limit_set_point(
             aim.q_rad, self.aim.q_rad, self.aim.speed_rad_s, self.parts.aim_limits, self._elapsed_s

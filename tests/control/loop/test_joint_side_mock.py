@@ -146,6 +146,8 @@ def test_set_points_of_the_encoders_keep_their_limits_all_the_way() -> None:
         cell.run(0.4)
         cell.client.stop()
         cell.run(0.3)
+        cell.client.jog(joint=2, by_rad=-0.1)
+        assert not cell.faults
     speed = np.diff(aims, axis=0) / 0.002
     acceleration = np.diff(speed, axis=0) / 0.002
     assert np.abs(speed).max() <= 2.0 * (1.155 + 0.25)
