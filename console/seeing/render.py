@@ -136,7 +136,7 @@ def write_images(out: Path, images: Iterator[tuple[float, Image]], period_s: flo
         return [out]
     if out.suffix == ".gif":
         out.parent.mkdir(parents=True, exist_ok=True)
-        pictures = [Pillow.fromarray(image).quantize(64) for _, image in images]
+        pictures = [Pillow.fromarray(image).quantize(256) for _, image in images]
         pictures[0].save(
             out, save_all=True, append_images=pictures[1:], duration=max(20, round(1e3 * period_s)), loop=0
         )

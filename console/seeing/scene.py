@@ -22,7 +22,7 @@ from control.model.table import cavities
 
 Colour = tuple[float, float, float, float]
 COMMANDED: Final[Colour] = (0.835, 0.369, 0.0, 1.0)  # Okabe and Ito
-GHOST: Final[Colour] = (0.337, 0.706, 0.914, 0.28)
+GHOST: Final[Colour] = (0.337, 0.706, 0.914, 0.2)
 MEASURED: Final[Colour] = (0.0, 0.447, 0.698, 0.45)
 CAMERA: Final[Colour] = (0.0, 0.62, 0.451, 1.0)
 BOARD: Final[Colour] = (0.78, 0.76, 0.72, 1.0)
@@ -30,7 +30,7 @@ CAVITY: Final[Colour] = (0.25, 0.25, 0.28, 1.0)
 GHOST_THICKER: Final = 1.25
 PREFIX: Final = "measured/"
 LINE_m, MARK_m = 0.0016, 0.003  # radii of lines and marks
-LINE_PIECES, MARKS_MOST = 400, 300
+LINE_PIECES, MARKS_MOST = 250, 150
 SIZE_pixels: Final = (960, 720)
 
 
