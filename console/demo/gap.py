@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.design.reach import spread_poses
-from calib.gap.finding import EffectName, NamedEffect
+from calib.gap.finding import EffectName, GapFinding, NamedEffect
 from calib.gap.plan.plan import RecordingPlan, Wish, recording_plan
 from calib.gap.plan.room import room_of
 from calib.tracks import TrackPair
@@ -59,7 +59,7 @@ class Circle:
     outcome: Outcome
     model: Arm
     nominal: Arm
-    plan: RecordingPlan
+    plans: tuple[RecordingPlan, ...]
     geometry_alone: Comparison
     corrected: Comparison
     paths: tuple[TrackPair, ...]
@@ -68,7 +68,7 @@ class Circle:
     @property
     def named(self) -> tuple[NamedEffect, ...]:
         """What the run named, the geometry apart."""
-        return tuple(one for one in self.outcome.finding.effects if one.name.effect not in NO_NAMES)
+        return named_in(self.outcome.finding)
 
     @property
     def is_right(self) -> bool:
@@ -78,19 +78,35 @@ class Circle:
 
 def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> Circle:
     """Do it all on the bench's arm; `arm` is the nominal one. Results in `out`."""
-    plan = recording_plan(arm, Wish(payload_kg=PAYLOAD_kg, is_quick=True), bench.speed)
+    plans = {
+        "poses": recording_plan(
+            arm, Wish(has_motions=False, payload_kg=PAYLOAD_kg, is_quick=True), bench.speed
+        ),
+        "motions": recording_plan(
+            arm, Wish(has_poses=False, payload_kg=PAYLOAD_kg, is_quick=True), bench.speed
+        ),
+    }
     programme = programme_of(arm)
     advance("homing", 0.0)
     client = bench.start(arm)
     client.enable()
     client.home()
     first = _newest(out)
-    _record(arm, bench, client, plan, first, out, advance)
-    advance("driving by the nominal model", 0.55)
+    own = RecordingBench(arm, client, first, bench.rig.set_payload, speed=bench.speed)
+    record(own, plans["poses"], out / "poses", lambda what, done: advance(what, 0.02 + 0.38 * done))
+    inputs = read_inputs(arm, [out / "poses" / "points.csv"], [])
+    outcome = look(arm, inputs, (), lambda what, done: advance(what, 0.4 + 0.02 * done))
+    has_motions = not named_in(outcome.finding)
+    if has_motions:  # poses alone tell nothing: what is missing shows in motion, if anywhere
+        record(own, plans["motions"], out / "motions", lambda what, done: advance(what, 0.42 + 0.18 * done))
+        inputs = read_inputs(arm, inputs.point_files, [out / "motions" / "log.csv"])
+    advance("driving by the nominal model", 0.6)
     before = _driven("nominal", arm, arm, programme, client, first, bench, out)
     _put_away(arm, client, bench)
 
-    outcome, model = _looked(arm, out, advance)
+    if has_motions:
+        outcome = look(arm, inputs, (), lambda what, done: advance(what, 0.65 + 0.15 * done))
+    model = write(outcome, arm, inputs, out / "gap")
     advance("driving with the correction off", 0.8)
     client = bench.start(model)
     client.enable()
@@ -108,12 +124,17 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
         outcome,
         model,
         arm,
-        plan,
+        (plans["poses"], plans["motions"]) if has_motions else (plans["poses"],),
         compared(programme, off.survey.points(), on.survey.points()),
         compared(programme, before.survey.points(), on.survey.points()),
         paired(programme, before.survey.tracks(before.recording), on.survey.tracks(on.recording)),
         (before.following_rad, on.following_rad),
     )
+
+
+def named_in(found: GapFinding) -> tuple[NamedEffect, ...]:
+    """What a finding names, the geometry apart."""
+    return tuple(one for one in found.effects if one.name.effect not in NO_NAMES)
 
 
 def programme_of(arm: Arm) -> Programme:
@@ -134,26 +155,6 @@ def programme_of(arm: Arm) -> Programme:
         if np.abs(solved - pose).max() < 1e-3 and np.linalg.norm(pose - near) > 0.0:
             found.append(Place("free", f"v{len(found) + 1}", (tip[0], tip[1], tip[2])))
     return Programme(tuple(found), ways(tables.table_of(arm), ("normal",)))
-
-
-def _record(
-    arm: Arm,
-    bench: Bench,
-    client: ArmClient,
-    plan: RecordingPlan,
-    recording: Path,
-    out: Path,
-    advance: Advance,
-) -> None:
-    own = RecordingBench(arm, client, recording, bench.rig.set_payload, speed=bench.speed)
-    record(own, plan, out, lambda what, done: advance(what, 0.02 + 0.53 * done))
-
-
-def _looked(arm: Arm, out: Path, advance: Advance) -> tuple[Outcome, Arm]:
-    """The workflow, on nothing but the nominal arm and the two files."""
-    inputs = read_inputs(arm, [out / "points.csv"], [out / "log.csv"])
-    outcome = look(arm, inputs, (), lambda what, done: advance(what, 0.6 + 0.2 * done))
-    return outcome, write(outcome, arm, inputs, out / "gap")
 
 
 def _driven(

@@ -85,10 +85,12 @@ def _tiles(circle: Circle) -> Iterator[tuple[str, str, str]]:
 
 
 def _steps(circle: Circle) -> Iterator[str]:
-    plan = circle.plan
+    minutes = sum(plan.duration_s for plan in circle.plans) / 60.0
+    motions = sum(len(plan.runs) for plan in circle.plans)
+    more = f", and as these named nothing, {motions} motions" if motions else ""
     yield (
-        f"Recorded {len(plan.visits)} poses and {len(plan.runs)} motions on the mock arm, {plan.duration_s / 60.0:.1f} minutes"
-        " of its time, by the nominal model."
+        f"Recorded {len(circle.plans[0].visits)} poses on the mock arm by the nominal model{more}: {minutes:.1f} minutes of its"
+        " time."
     )
     yield "Drove to places that nothing was recorded at, along a circle and a line, by the nominal model; the camera measured."
     yield "Looked at the recordings with nothing but the nominal arm.toml: what is missing, named and added to a new arm.toml."
