@@ -11,8 +11,8 @@ from calib.gap.static.evidence import Evidence
 from calib.gap.static.shape import Shape
 
 LEAD = 3.0  # log evidence, 20 to 1, by which a name must lead every shape
-WIDER = 3.0  # by which a shape must lead a name, for every column that it has more
-WIDER_MOST = 8.0
+WIDER = 2.0  # by which a shape must lead a name, for every column that it has more
+WIDER_MOST = 6.0
 SAME = 0.9999  # cosine between the signatures of a shape and of an effect of the list, from which on they are one
 
 

@@ -10,7 +10,7 @@ from calib.gap.finding import EffectName, Unknown
 from calib.gap.static.candidate import Candidate
 from calib.gap.static.model import Fitted
 from calib.gap.static.remainder import Remainder
-from calib.gap.static.shape import WHOLE_ARM
+from calib.gap.static.shape import WHOLE_ARM, Shape
 
 EXPLAINED_LEAST = (
     0.9  # share of the excess over the floor below which a name beside a remainder would be a proxy
@@ -75,6 +75,11 @@ def _unstructured(
         return None
     where = f"everywhere alike: without any structure, {times:.2f} times the noise floor that was given"
     return Unknown(where, accepted[0].name if accepted else None, round(explained, 3))
+
+
+def is_same_joint(one: Candidate, shape: Shape) -> bool:
+    """Whether a shape acts on the joint of an effect: a guess there makes every name there a guess."""
+    return shape.joint == (3 if one.name.effect == "belt_coupling" else one.name.joint)
 
 
 def _is_same_cause(one: Candidate, remainder: Remainder) -> bool:

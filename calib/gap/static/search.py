@@ -19,7 +19,7 @@ from calib.gap.static.evidence import Evidence
 from calib.gap.static.floor import Floor
 from calib.gap.static.generic import shapes
 from calib.gap.static.held_out import unborne
-from calib.gap.static.judgement import Judgement, explained_share, judge
+from calib.gap.static.judgement import Judgement, explained_share, is_same_joint, judge
 from calib.gap.static.linearised import Linearised
 from calib.gap.static.load_shapes import contradiction
 from calib.gap.static.model import Fitted, fitted, unsound
@@ -102,7 +102,11 @@ class Search:
             vague |= {one.name for one in loads}
             broken = tuple(k for k in decision.best.chosen if k in broken or self.tried[k].name in vague)
         sure = {self.tried[k].name for k in decision.accepted if k not in {*twins, *orphans, *broken}}
-        accepted = [one for one in fit.chosen if one.name in sure]
+        accepted = [
+            one
+            for one in fit.chosen
+            if one.name in sure and not any(is_same_joint(one, shape) for shape in twins.values())
+        ]
         verdict = judge(accepted, decision.leader, self.bare, fit, left, self.parts.known, self.floor.tip_m)
         if verdict.unknown is not None or not (twins or broken):  # orphans come with one of these
             return verdict
