@@ -13,6 +13,11 @@ TOLD_APART_BY = {
     "encoder_scale": "poses over the whole travel of that joint",
     "encoder_eccentricity": "poses over more than 120 degrees of that joint",
     "belt_coupling": "poses in which joint 2 moves while joint 3 stands",
+    "link_flexure": "markers at both ends of that link, with and without a known payload",
+    "base_frame": "markers on the arm's base, or the board seated anew",
+    "payload": "holding currents from both directions, with two known masses",
+    "torque_constant": "holding currents from both directions, with two known masses",
+    "link_inertia": "holding currents from both directions, with two known masses",
     "thermal_drift": "the same reference pose every few minutes, the others in shuffled order",
 }
 
