@@ -26,6 +26,7 @@ SECTIONS = {
     "tracking": "Tip tracking: circle of 0.09 m at 0.15 m/s",
     "stepped": "Stepped simulation of the whole loop",
     "realtime": "Real time, over the mock boards",
+    "console_load": "The console beside the loop",
 }
 NAME_WIDTH, PEER_WIDTH = 82, 48
 

@@ -57,13 +57,13 @@ def _rows_at(rate_Hz: int) -> list[BenchRow]:
         work()
         spans[name] = start_s, client.status()["t_s"]
 
-    with tempfile.TemporaryDirectory() as folder, _runtime(Path(folder), rate_Hz) as client:
+    with tempfile.TemporaryDirectory() as folder, runtime(Path(folder), rate_Hz) as client:
         go_to_start(client, path, APPROACH_SPEED)
         timed(client, "holding", lambda: time.sleep(HOLDING_S))
         timed(client, "circle", lambda: client.run_path(path.to_message()))
         status = client.status()
         client.off(quit_runtime=True)
-        cycles = _cycles(Path(status["recording"]))
+        cycles = cycles_of(Path(status["recording"]))
     class_ = "SCHED_FIFO" if status["rights"] == "granted" else "without real-time rights"
     return [
         row
@@ -90,7 +90,7 @@ def _rows_of(
     ]
 
 
-def _cycles(recording: Path) -> NDArray[np.float64]:
+def cycles_of(recording: Path) -> NDArray[np.float64]:
     """Time, missed cycles so far and lateness of every recorded cycle (3, cycles)."""
     opened = Recording.open(recording)
     wanted = [opened.layout.names.index(name) for name in ("t_s", "missed", "late_s")]
@@ -98,7 +98,7 @@ def _cycles(recording: Path) -> NDArray[np.float64]:
 
 
 @contextmanager
-def _runtime(folder: Path, rate_Hz: float) -> Iterator[ArmClient]:
+def runtime(folder: Path, rate_Hz: float) -> Iterator[ArmClient]:
     """`armwright serve` on a mock arm in real time, both in processes of their own; a client of it."""
     scenario, arm_file, socket_path = folder / "bench.toml", folder / "arm.toml", folder / "bench.sock"
     scenario.write_text(SCENARIO, encoding="utf-8")

@@ -3,7 +3,8 @@
 import argparse
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from console.ports import RuntimePort
 from console.session.mock_session import SCENARIO, MockSession, mock_session
 from console.session.operator import Operator
 from console.session.planning import wanted_plan
+from console.session.reporter import Reporter, tell
 from control.errors import ArmError
 from control.loop.client import ArmClient, ArmFaulted, Message, fault_text
 from control.model.arm import Arm
@@ -34,30 +36,41 @@ SPEED = 0.5  # of the joints' limits, for moves near people
 def run(given: argparse.Namespace) -> int:
     """Begin or resume, and carry on until the operator or the points end."""
     arm = load_arm(given.arm)
-    lines = _replayed(Path(given.replay)) if given.replay else _typed()
+    say, operator = (tell, Reporter) if given.json else (_say, Operator)
+    lines = _replayed(Path(given.replay), say) if given.replay else _typed()
     wanted = wanted_plan(given, arm)
     if wanted is not None:
         wanted.require_sound()  # what is wrong with it is said before there is a folder, or a connection
         Boards(arm, wanted)
+    front = Front(lines, say, operator)
     if given.mock:
-        _with_mock(given, arm, wanted, lines)
+        _with_mock(given, arm, wanted, front)
     else:
-        _with_arm(given, arm, wanted, lines)
+        _with_arm(given, arm, wanted, front)
     return 0
 
 
-def _with_mock(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, lines: Iterator[str]) -> None:
+@dataclass(frozen=True, slots=True)
+class Front:
+    """Who talks with the operator: where answers come from, who says what is said, and how."""
+
+    lines: Iterator[str]
+    say: Callable[[str], None]
+    operator: type[Operator]
+
+
+def _with_mock(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, front: Front) -> None:
     if given.scenario is not None:
         load_scenario(given.scenario)
     with SessionFolder(Path(given.out), wanted) as folder:
         _require_same_arm(folder, arm)
         boards = Boards(arm, folder.plan)
-        _introduce(folder)
+        _introduce(folder, front)
         with mock_session(arm, folder, boards, given.scenario) as mock:
-            _carry_on(arm, folder, boards, lines, _mock_station(arm, folder, boards, mock))
+            _carry_on(arm, folder, boards, front, _mock_station(arm, folder, boards, mock))
 
 
-def _with_arm(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, lines: Iterator[str]) -> None:
+def _with_arm(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, front: Front) -> None:
     if (Path(given.out) / SCENARIO).exists():
         raise SessionError(f"{given.out} is the session of a mock arm: add --mock")
     client = connected(given)
@@ -66,19 +79,19 @@ def _with_arm(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, l
         with SessionFolder(Path(given.out), wanted) as folder:
             _require_same_arm(folder, arm)
             boards = Boards(arm, folder.plan)
-            _introduce(folder)
-            _carry_on(arm, folder, boards, lines, _real_station(arm, folder, boards, client, status))
+            _introduce(folder, front)
+            _carry_on(arm, folder, boards, front, _real_station(arm, folder, boards, client, status))
     finally:
         client.close()
 
 
-def _carry_on(
-    arm: Arm, folder: SessionFolder, boards: Boards, lines: Iterator[str], station: Station
-) -> None:
-    operator = Operator(folder, boards, lines, _say, arm.table, may_auto=station.hand is not None)
+def _carry_on(arm: Arm, folder: SessionFolder, boards: Boards, front: Front, station: Station) -> None:
+    operator = front.operator(
+        folder, boards, front.lines, front.say, arm.table, may_auto=station.hand is not None
+    )
     operator.run(conduct(folder, station))
     done, left = folder.state.count(Mark.DONE), folder.state.count(Mark.LEFT)
-    _say(f"{done} points recorded, {left} left: {folder.path / POINTS}")
+    front.say(f"{done} points recorded, {left} left: {folder.path / POINTS}")
 
 
 def _station(
@@ -137,15 +150,15 @@ def _real_station(
     return _station(arm, folder, boards, client, SPEED, elapsed_s - float(status["t_s"]), None)
 
 
-def _introduce(folder: SessionFolder) -> None:
+def _introduce(folder: SessionFolder, front: Front) -> None:
     plan, state = folder.plan, folder.state
     what = "resumed" if folder.is_resumed else "begun"
-    _say(
+    front.say(
         f"session {folder.path} {what}: {len(plan.targets)} points, {state.count(Mark.DONE)} recorded;"
         f" board {plan.board}, tip seated by {plan.seat}, payload {plan.payload_kg:g} kg; `help` lists the commands"
     )
     for warning in folder.warnings:
-        _say(f"! {warning}")
+        front.say(f"! {warning}")
 
 
 def _require_same_arm(folder: SessionFolder, arm: Arm) -> None:
@@ -162,18 +175,18 @@ def _typed() -> Iterator[str]:
         yield line
 
 
-def _replayed(script: Path) -> Iterator[str]:
+def _replayed(script: Path, say: Callable[[str], None]) -> Iterator[str]:
     """Lines of a script, said as they are answered; `#` begins a remark."""
     try:
         text = script.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise SessionError(f"{script}: not UTF-8 text (byte {error.start})") from None
-    return (_echoed(line) for line in text.splitlines() if not line.lstrip().startswith("#"))
+    return (_echoed(line, say) for line in text.splitlines() if not line.lstrip().startswith("#"))
 
 
-def _echoed(line: str) -> str:
+def _echoed(line: str, say: Callable[[str], None]) -> str:
     if line.strip():
-        _say(f"  < {line.strip()}")
+        say(f"  < {line.strip()}")
     return line
 
 

@@ -1,6 +1,7 @@
 """The console as a Textual application: the link, the operator, and the space bar before everything else."""
 
 import asyncio
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from console.screen.link import Message, RuntimeLink
 from console.screen.operating import OperatingScreen
 from console.screen.operator import MOVING, Operator
 from console.screen.picture import Skeleton
+from console.screen.session import SessionScreen
 from control.model.arm import Arm
 from control.motion.jog_limits import JogLimits
 
@@ -37,6 +39,7 @@ class ConsoleApp(App[None]):
     """`armwright console`. Exits with the arm held: its connection ends, and with it its motion."""
 
     CSS_PATH = "style.tcss"
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (100, "-wide")]  # noqa: RUF012 - as Textual declares it
     ENABLE_COMMAND_PALETTE = False
     TITLE = "armwright"
     BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+q", "quit", show=False, priority=True)]
@@ -45,6 +48,8 @@ class ConsoleApp(App[None]):
         """`shared`: options that every subcommand is given, such as --arm and --socket."""
         super().__init__(ansi_color=False)
         self.arm, self.files = arm, files
+        self.arm_name = shared.get("--arm", arm.name)
+        self._shared = dict(shared)
         self.jog_limits = JogLimits.of(arm)
         self.has_jogged = False
         self.link = RuntimeLink(socket, self._on_status)
@@ -86,6 +91,8 @@ class ConsoleApp(App[None]):
     async def action_quit(self) -> None:
         """Leave; the arm is held."""
         self.operator.end_line()
+        if isinstance(self.screen, SessionScreen):
+            self.screen.end()
         self.exit()
 
     def say(self, text: str, is_bad: bool = False) -> None:
@@ -93,8 +100,14 @@ class ConsoleApp(App[None]):
         if self.operating.is_mounted:
             self.operating.say(text, is_bad)
 
-    def open_session(self) -> None:
-        """The calibration session."""
+    def open_session(self, line: str) -> None:
+        """The calibration session that the options of `armwright session` say."""
+        words = shlex.split(line)
+        if "--out" not in words[:-1]:
+            self.say("session: expected --out FOLDER among its options", True)
+            return
+        known = [word for flag, value in self._shared.items() if flag not in words for word in (flag, value)]
+        self.push_screen(SessionScreen(shlex.join([*words, *known]), Path(words[words.index("--out") + 1])))
 
     def _is_resting(self) -> bool:
         return self.link.status is not None and self.link.status["mode"] not in MOVING

@@ -37,10 +37,6 @@ HINTS = "space STOP  1-9 xyz pick  ←→ jog  t step  -+ speed  n on  h home  p
 class OperatingScreen(Screen[None]):
     """Panels, jog pad, command box."""
 
-    HORIZONTAL_BREAKPOINTS = [  # noqa: RUF012 - as Textual declares it
-        (0, "-narrow"),
-        (100, "-wide"),
-    ]
     AUTO_FOCUS = ""
     BINDINGS: ClassVar[list[BindingType]] = [
         *(Binding(str(n), f"select('J{n}')", show=False) for n in range(1, 10)),
@@ -120,7 +116,8 @@ class OperatingScreen(Screen[None]):
     def say(self, text: str, is_bad: bool = False) -> None:
         """A line in the log."""
         shown = texts.escaped(text)
-        self.query_one("#said", RichLog).write(f"[b yellow]{shown}[/]" if is_bad else shown)
+        for log in self.query("#said").results(RichLog):  # none is there while the console closes
+            log.write(f"[b yellow]{shown}[/]" if is_bad else shown)
 
     def _show_texts(self, status: Message | None) -> None:
         arm, name = self.app.arm, self.selected.name
@@ -324,9 +321,17 @@ class OperatingScreen(Screen[None]):
             return
         await self.app.operator.line(f"run '{file}'")
 
-    def action_calibrate(self) -> None:
-        """The calibration session's screen."""
-        self.app.open_session()
+    @work
+    async def action_calibrate(self) -> None:
+        """The calibration session's screen; a folder that is there is resumed."""
+        folder = self.app.files.sessions / time.strftime("%Y-%m-%d")
+        options = f"--out {folder}" if folder.exists() else f"--out {folder} --setups normal,roll,pitch"
+        question = (
+            "Options of the session, as of `armwright session`. A session that is there needs --out alone."
+        )
+        line = await self.app.push_screen_wait(AskText(question, options))
+        if line is not None:
+            self.app.open_session(line)
 
     def action_command(self) -> None:
         """Into the command box."""

@@ -81,6 +81,9 @@ class JogPad(Horizontal):
         yield PressButton("home", "home")
 
 
+BOX_HINT = ": a line, as in `armwright script`, e.g. move --joints 0 -0.8 0"
+
+
 class CommandBox(Input):
     """The command line. Escape leaves it; up and down bring back what was typed before."""
 
@@ -90,9 +93,9 @@ class CommandBox(Input):
         Binding("down", "recall(1)", show=False),
     ]
 
-    def __init__(self) -> None:
+    def __init__(self, hint: str = BOX_HINT) -> None:
         super().__init__(
-            placeholder=": a line, as in `armwright script`, e.g. move --joints 0 -0.8 0",
+            placeholder=hint,
             id="command",
             compact=True,
         )

@@ -47,6 +47,9 @@ RECORDING = (
             option(
                 "--replay", metavar="SCRIPT", help="answers from a file, one a line, in place of the terminal"
             ),
+            option(
+                "--json", action="store_true", help="questions and records as JSON lines, for another program"
+            ),
             SOCKET,
         ),
         "Each record is on disk before it is acknowledged. The same command resumes; docs/session.md.",

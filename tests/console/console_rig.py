@@ -15,6 +15,7 @@ from typing import Any
 from textual import events
 from textual.pilot import Pilot
 from textual.widget import Widget
+from textual.widgets import RichLog, Static
 
 from console.screen.app import ConsoleApp, Files
 from control.loop.server import Server
@@ -134,14 +135,10 @@ def mouse(pilot: Pilot[Any], widget: Widget, kind: type[events.MouseEvent]) -> N
 
 def said(app: Any) -> str:
     """What the log shows."""
-    from textual.widgets import RichLog
-
-    log = app.operating.query_one("#said", RichLog)
-    return "\n".join(strip.text.rstrip() for strip in log.lines)
+    logs = app.operating.query("#said").results(RichLog)
+    return "\n".join(strip.text.rstrip() for log in logs for strip in log.lines)
 
 
 def shown(app: Any, panel: str) -> str:
     """What a panel shows, without colours."""
-    from textual.widgets import Static
-
     return str(app.operating.query_one(f"#{panel}", Static).render())

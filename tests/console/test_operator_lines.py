@@ -197,7 +197,7 @@ def test_a_script_runs_a_whole_small_calibration(tmp_path: Path) -> None:
     answers.write_text("auto\n")
     out = tmp_path / "s"
     lines = [
-        f"session --mock --out {out} --setups normal,roll --points 1,5,9,13,17,21,25,33 --free 8 --camera --replay {answers}",
+        f"session --mock --out {out} --setups normal,roll --points 1,5,9,13,17,21,25,33 --replay {answers}",
         f"calibrate --points {out / 'points.csv'} --out {tmp_path / 'c'}",
         f"arm {tmp_path / 'c' / 'arm.toml'}",
     ]
@@ -209,7 +209,7 @@ def test_a_script_runs_a_whole_small_calibration(tmp_path: Path) -> None:
     replay(understood(lines, GRAMMAR), none, outcomes.append)  # type: ignore[arg-type]
     assert [outcome.status for outcome in outcomes] == [0, 0, 0], outcomes[-1].said
     assert (tmp_path / "c" / "calibration.json").exists()
-    assert "24 points recorded" in outcomes[0].said
+    assert "16 points recorded" in outcomes[0].said
 
 
 # ---- places
