@@ -66,4 +66,41 @@ BRINGUP = (
         ),
         "Somebody stands beside the arm with the emergency stop. Interrupted, the same command goes on where it was.",
     ),
+    CommandSpec(
+        "tune",
+        "PID gains from a measured response, with stability margins; step responses before and after",
+        (
+            ARM,
+            *LINKS,
+            *MOCK,
+            option(
+                "--out", metavar="NEW.toml", required=True, help="the arm.toml to write; never overwritten"
+            ),
+            option(
+                "--joint", type=int, metavar="J", action="append", help="only this joint (again for another)"
+            ),
+            option(
+                "--bandwidth",
+                type=float,
+                metavar="HZ",
+                help="crossover of the loop (default: as fast as margins with some reserve allow)",
+            ),
+            option(
+                "--amplitude",
+                type=float,
+                default=0.25,
+                metavar="F",
+                help="of the signal: a fraction of the current limit (default: 0.25)",
+            ),
+            option(
+                "--pose",
+                type=float,
+                nargs="+",
+                metavar="RAD",
+                help="joint angles to tune at (default: arm.toml's [rest])",
+            ),
+            option("--yes", action="store_true", help="begin without asking"),
+        ),
+        "At least 6 dB and 45 degrees, delay included, or nothing is written. Starts a runtime of its own: end others first.",
+    ),
 )

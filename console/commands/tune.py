@@ -1,0 +1,91 @@
+"""`armwright tune`: gains from a measured response, with stated margins; before and after, on the arm."""
+
+import argparse
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+from console.bringup.opening import opened
+from console.commands.progress import Bar
+from console.tuning.procedure import NotTuned, Options, Result, tune
+from control.errors import ArmError
+from control.model.arm import Arm
+from control.model.description import save_arm
+
+LOWEST_Hz, HIGHEST_Hz = 2.0, 40.0
+
+
+def run(given: argparse.Namespace) -> int:
+    """Measure, design, try, write."""
+    out = Path(given.out)
+    page = out.with_name(f"{out.stem}_report.html")
+    for path in (out, page):
+        if path.exists():
+            raise ArmError(f"--out: {path} is there already, and nothing is overwritten: take another name")
+    if not out.parent.is_dir():
+        raise ArmError(f"--out {out}: there is no folder {out.parent}")
+    with opened(given) as setting:
+        options = _options(given, setting.draft)
+        if setting.rig is None and not given.yes and not _allowed(setting.draft, options):
+            sys.stderr.write("armwright: nothing has moved\n")
+            return 2
+        try:
+            with Bar("tuning") as bar:
+                result = tune(setting.arm, setting.clock, options, bar.advance)
+        except NotTuned as reason:
+            sys.stderr.write(f"armwright: {reason}\nNothing was written; the gains are as they were.\n")
+            return 1
+        _write(result, setting.draft, out, page)
+    return 0
+
+
+def _options(given: argparse.Namespace, arm: Arm) -> Options:
+    known = [drive.joint for drive in arm.drives]
+    for joint in given.joint or ():
+        if joint not in known:
+            raise ArmError(f"--joint {joint}: the arm has joints {', '.join(map(str, known))}")
+    if given.bandwidth is not None and not LOWEST_Hz <= given.bandwidth <= HIGHEST_Hz:
+        raise ArmError(f"--bandwidth: expected {LOWEST_Hz:g} to {HIGHEST_Hz:g} Hz, got {given.bandwidth:g}")
+    if not 0.02 <= given.amplitude <= 0.8:
+        raise ArmError(f"--amplitude: expected 0.02 to 0.8 of the current limit, got {given.amplitude:g}")
+    if given.pose is not None and len(given.pose) != arm.joint_count:
+        raise ArmError(f"--pose: expected {arm.joint_count} joint angles in rad, got {len(given.pose)}")
+    pose = tuple(given.pose) if given.pose is not None else None
+    return Options(tuple(given.joint or known), given.bandwidth, given.amplitude, pose)
+
+
+def _allowed(arm: Arm, options: Options) -> bool:
+    joints = ", ".join(map(str, options.joints))
+    sys.stdout.write(
+        f"Arm {arm.name}: drives on, homing, then joints {joints} turn to and fro by some 20 deg, shaken by up to"
+        f" {options.amplitude:.0%} of their current limit, then step and move. Ctrl-C ends it under control.\n"
+        "Is the way free, and a hand on the emergency stop? Enter to begin, anything else ends. "
+    )
+    sys.stdout.flush()
+    line = sys.stdin.readline()
+    return bool(line) and not line.strip()
+
+
+def _write(result: Result, draft: Arm, out: Path, page: Path) -> None:
+    from dataclasses import replace
+
+    from console.tuning.report import HEADER, rows, write_report
+
+    pids = {drive.joint: drive.pid for drive in result.arm.drives}
+    drives = tuple(replace(drive, pid=pids[drive.joint]) for drive in draft.drives)
+    save_arm(replace(draft, drives=drives), out)
+    write_report(result, page, f"from {draft.path}; armwright {version('armwright')}")
+    lines = [HEADER[:-1], *(row[:-1] for tuned in result.joints for row in rows(tuned))]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
+    for line in lines:
+        sys.stdout.write(
+            "  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)) + "\n"
+        )
+    for tuned in result.joints:
+        worst = tuned.design.worst
+        sys.stdout.write(
+            f"joint {tuned.joint}: at its worst inertia {worst.gain_dB:.1f} dB and {worst.phase_deg:.0f} deg, by the model\n"
+        )
+        for caution in tuned.cautions:
+            sys.stdout.write(f"  {caution}\n")
+    sys.stdout.write(f"\nwritten: {out} ([drive.pid] of the joints above), {page}\n")
