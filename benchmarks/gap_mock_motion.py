@@ -69,7 +69,7 @@ def _set_points(arm: Arm, rng: np.random.Generator, seconds: float) -> dict[str,
         f = rng.uniform(low_Hz, high_Hz, (count, n))
         phase = rng.uniform(0.0, 2.0 * np.pi, (count, n))
         out = np.sin(2.0 * np.pi * f * t[:, None, None] + phase).sum(axis=1) / count
-        return np.asarray(middle + share * half * (out - out[0]) * ease)
+        return np.asarray(middle + share * half * out * ease)
 
     def ramps() -> Array:
         """There and back, joints at different times and speeds, with rounded corners."""
