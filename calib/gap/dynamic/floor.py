@@ -66,7 +66,8 @@ def _from_noise(physics: Physics, key: Key) -> tuple[float, float]:
     recording = physics.recording
     K, R = float(physics.torque_per_A[joint]), physics.arm.drives[joint].resistance_ohm
     drive = physics.arm.drives[joint]
-    angle = 2.0 * np.pi / (drive.encoder_counts_per_rev * drive.gear_ratio) / np.sqrt(12.0)
+    step = 2.0 * np.pi / (drive.encoder_counts_per_rev * drive.gear_ratio)
+    angle = max(step, _seen_step(physics, joint, step)) / np.sqrt(12.0)
     bent = np.convolve(recording.filters.state[2], recording.filters.row)
     turning = np.convolve(recording.filters.state[1], recording.filters.row)
     own = np.concatenate(physics.body.own_inertia(Load(), joint))
@@ -75,6 +76,13 @@ def _from_noise(physics: Physics, key: Key) -> tuple[float, float]:
     turns = float(np.linalg.norm(turning)) * K / R
     by_channel = bends if channel == "current_A" and recording.has_current else turns
     return _current_noise(physics, joint) * recording.filters.row_gain, angle * by_channel
+
+
+def _seen_step(physics: Physics, joint: int, step: float) -> float:
+    """The step of the recorded angles, which may be coarser than the encoder's: the smallest between neighbours."""
+    found = [np.diff(np.unique(run.q_raw[:, joint])) for run in physics.recording.runs]
+    counted = np.concatenate([part[part > 0.5 * step] for part in found])  # less is the printing's
+    return float(counted.min()) if len(counted) else 0.0
 
 
 def _current_noise(physics: Physics, joint: int) -> float:

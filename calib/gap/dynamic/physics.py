@@ -176,10 +176,8 @@ class Physics:
         if not self.recording.has_current:
             value, slope, _ = self._voltage[k]
             held = value - (0.5 * self._period + parts.delay_s + self._lag) * slope
-            current = (held - K * (run.speed + ahead_of.speed_rad_s)) / self._R
+            current = (held - K * (run.speed + ahead_of.speed_rad_s - self._lag * run.acceleration)) / self._R
             return np.where(run.is_off, 0.0, current)
-        if not self.recording.has_voltage:
-            return run.current_A
         n = np.floor(parts.delay_s / self._period)
         within = parts.delay_s - n * self._period
         mixed = np.exp(-(self._period - within) / np.maximum(self._lag, 1e-9))
