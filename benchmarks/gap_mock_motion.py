@@ -1,4 +1,4 @@
-"""Time series from the mock arm's physics: eleven runs of 8 s at 500 Hz, two loads, slow to fast, three of them twice."""
+"""Time series from the mock arm's physics: eleven runs of 8 s at 500 Hz, slow to fast, two of them twice, one with both loads."""
 
 from __future__ import annotations
 
