@@ -37,6 +37,7 @@ from control.model.kinematics import Kinematics
 
 PLACES = 10
 TURN_rad = 1.2  # of joint 1 to either side: places that the camera could see
+FROM_AXIS_m = 0.15  # of joint 1: nearer to it the identified arm may be near-singular where the nominal one is not
 PAYLOAD_kg = 0.5
 NO_NAMES = ("link_geometry", "base_frame")
 
@@ -143,7 +144,7 @@ def programme_of(arm: Arm) -> Programme:
     poses = spread_poses((room.lower_rad, room.upper_rad), 4 * PLACES)[PLACES:]
     poses[:, 0] = np.clip(poses[:, 0], -TURN_rad, TURN_rad)
     tips = Kinematics(arm).tips(poses)
-    model, near = Model(arm), poses.mean(axis=0)
+    model = Model(arm)
     found: list[Place] = []
     for pose, tip in zip(poses, tips.tolist(), strict=True):
         if len(found) == PLACES:
@@ -152,7 +153,7 @@ def programme_of(arm: Arm) -> Programme:
             solved = np.array(model.inverse.nearest(tuple(tip), pose))
         except ArmError:
             continue
-        if np.abs(solved - pose).max() < 1e-3 and np.linalg.norm(pose - near) > 0.0:
+        if np.abs(solved - pose).max() < 1e-3 and np.hypot(tip[0], tip[1]) > FROM_AXIS_m:
             found.append(Place("free", f"v{len(found) + 1}", (tip[0], tip[1], tip[2])))
     return Programme(tuple(found), ways(tables.table_of(arm), ("normal",)))
 

@@ -14,15 +14,15 @@ from pathlib import Path
 from calib.errors import CalibrationError
 from calib.gap.plan.plan import GENTLE, SETUP, AVERAGE_s, RecordingPlan, Run, SETTLE_s, Step, Visit
 from calib.points_writer import PointsWriter, Record
-from calib.session.ports import Vector
 from console.gap.run_file import RunFile, write_log
 from console.iso9283.run_rows import RunRows
 from console.ports import RuntimePort
 from control.errors import ArmError
-from control.loop.client import ArmClient
+from control.loop.client import ArmClient, Average
 from control.model.arm import Arm
 
 REST_s = 0.1  # of a run after its motion
+CAMERA_PATIENCE = 10  # averages: a marker may be hidden for a moment
 FLUSH_s = 0.3  # after a run, until its rows are on the disk: two writes of the recorder
 
 Advance = Callable[[str, float], None]
@@ -122,14 +122,27 @@ class _Recorder:
         self._port.move_to_q(step.start_rad)
         self._gentle.move_to_q(step.q_rad)
         client.wait(SETTLE_s)
-        t_s, mean = self._port.now_s(), self._port.average(AVERAGE_s)
-        tip_m: Vector | None = self._port.measure(AVERAGE_s)[0] if self._bench.has_camera else None
+        mean = client.average(AVERAGE_s)  # angles and tip of the same moments: an integral may still creep
+        tip_m = mean.tip_m
+        if tip_m is None and self._bench.has_camera:
+            mean = self._seen()
+            tip_m = mean.tip_m
         self._points.append(
             Record(
-                SETUP, step.point, step.repeat, mean.q_rad, mean.q_sd_rad, mean.direction, mean.current_A, t_s,
+                SETUP, step.point, step.repeat, mean.q_rad, mean.q_std_rad, mean.direction, mean.current_A, mean.t_s,
                 step.payload_kg, tip_m,
             )
         )  # fmt: skip
+
+    def _seen(self) -> Average:
+        """An average in which the camera saw the tip; ArmError where it does not for a while."""
+        for _ in range(CAMERA_PATIENCE):
+            mean = self._bench.client.average(AVERAGE_s)
+            if mean.tip_m is not None:
+                return mean
+        raise ArmError(
+            f"no camera frame came within {CAMERA_PATIENCE * AVERAGE_s:g} s: is the camera on, and does it see the tip?"
+        )
 
     _last: tuple[float, ...] | None = None
 

@@ -25,7 +25,7 @@ SETUP = "free"
 REFERENCE = "ref"
 EVERY = 4  # poses between two visits of the reference
 GENTLE = 0.25  # of the joints' limits, for the last way: braking harder throws gears onto the other flank
-SETTLE_s, AVERAGE_s = 0.25, 0.2  # after a move; 20 camera frames
+SETTLE_s, AVERAGE_s = 0.3, 0.3  # after a move; 30 camera frames
 SHARE_LOADED = 0.4  # of the poses that are taken again with the load
 MARGIN_rad = 0.02  # of the room that a controller's error may use
 LOADED_FROM = 501  # repeats are counted from here with the load, so that no two records have one key
@@ -229,7 +229,7 @@ def _duration_s(arm: Arm, steps: Sequence[Step], speed: float) -> float:
         for stop in stops:
             total_s += JointMove(here, stop, quick).duration_s if here else 0.0
             here = stop
-        total_s += JointMove(step.start_rad, step.q_rad, gentle).duration_s + SETTLE_s + 2 * AVERAGE_s
+        total_s += JointMove(step.start_rad, step.q_rad, gentle).duration_s + SETTLE_s + AVERAGE_s
         here = step.q_rad
     return total_s
 
