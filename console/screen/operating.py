@@ -28,6 +28,10 @@ SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # of a jog's limit
 PACES = (0.01, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
 STEPS_rad = (0.0005, 0.001, 0.005, 0.02, 0.1)
 STEPS_m = (0.0001, 0.0005, 0.001, 0.005, 0.02)
+GUIDING = {
+    "drives off: somebody HOLDS the arm": "guide",
+    "weightless: the drives carry the arm": "guide --weightless",
+}
 TEXT_S, PICTURE_S = 0.1, 0.2  # how often panels are drawn anew
 RENEW_S = 0.05
 UNSEEN_S = 2.0  # a button that is held with a mouse that says nothing for so long: the terminal may be gone
@@ -284,10 +288,10 @@ class OperatingScreen(Screen[None]):
 
     @work
     async def action_guide(self) -> None:
-        """Open circuits, after a question."""
-        question = "The arm is free and falls if nobody holds it.\nDoes somebody hold it?"
-        if await self.app.push_screen_wait(Confirm(question)):
-            await self.app.operator.line("guide")
+        """By hand: drives off, or carrying the arm."""
+        how = await self.app.push_screen_wait(Choose("Guide by hand", list(GUIDING)))
+        if how is not None:
+            await self.app.operator.line(GUIDING[how])
 
     @work
     async def action_go(self) -> None:

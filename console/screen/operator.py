@@ -19,6 +19,7 @@ from console.screen.link import LinkLost, Message, RuntimeLink
 
 RENEW_S = 0.05  # of a step, which ends by itself
 QUICK = ("enable", "hold", "guide", "stop", "acknowledge", "pause", "resume", "override", "off")
+OF_QUICK = {"override": ("fraction",), "guide": ("weightless",)}
 MOVING = ("MOVING", "HOMING", "JOGGING", "PAUSED", "STOPPING", "GUIDING")
 
 
@@ -68,7 +69,7 @@ class Operator:
         if line.command == "jog":
             return await self._step_line(line)
         if line.command in QUICK and not getattr(line.given, "quit", False):
-            arguments = {"fraction": line.given.fraction} if line.command == "override" else {}
+            arguments = {key: getattr(line.given, key) for key in OF_QUICK.get(line.command, ())}
             done = await self.ask(line.command, **arguments)
             if done:
                 self.kept(line.text)

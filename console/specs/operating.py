@@ -146,7 +146,19 @@ OPERATING = (
         " motion and goes on; # begins a remark.",
     ),
     CommandSpec("stop", "controlled stop, then hold", (ARM, SOCKET)),
-    CommandSpec("guide", "drives off, to guide the arm by hand: somebody must hold it", (ARM, SOCKET)),
+    CommandSpec(
+        "guide",
+        "drives off, to guide the arm by hand: somebody must hold it",
+        (
+            ARM,
+            SOCKET,
+            option(
+                "--weightless",
+                action="store_true",
+                help="the drives carry the arm's weight; only as good as its masses and payload are known",
+            ),
+        ),
+    ),
     CommandSpec("hold", "end hand-guiding and hold", (ARM, SOCKET)),
     CommandSpec("acknowledge", "a human has seen the fault", (ARM, SOCKET)),
     CommandSpec(

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from control.errors import MissingModel
+from control.loop.carrying import Carrying
 from control.loop.hardware import Hardware, OutputMode
 from control.loop.homing import HomingSequence, JointHome
 from control.loop.jogging import Jogging
@@ -62,16 +63,18 @@ def assemble(
     jog_limits = JogLimits.of(arm)
     kinematics, inverse = Kinematics(arm), InverseKinematics(arm)
     names = tuple(f"joint {drive.joint}" for drive in arm.drives)
+    servo = _servo(arm, period_s)
     parts = Parts(
         hardware=hardware,
         recorder=Recorder(Layout.of(arm.joint_count), sink or NoSink()),
         measurement=Measurement(
             [JointMap(drive) for drive in arm.drives], [d.encoder_bits for d in arm.drives]
         ),
-        servo=_servo(arm, period_s),
+        servo=servo,
         watch=Watch(_watch_limits(arm, period_s), names),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),
+        carrying=Carrying(_motors(arm), servo.torque_model, names),
         jogging=lambda is_homed: Jogging(jog_limits, inverse, is_homed),
         stop_from=lambda state: Stop(state, limits),
         inverse=inverse,
@@ -107,11 +110,12 @@ def _servo(arm: Arm, period_s: float) -> Servo:
         limit = drive.current_limit_A if mode is OutputMode.CURRENT else drive.supply_V
         pids.append(Pid(gains.kp, gains.ki, gains.kd, gains.derivative_filter_s, limit, period_s))
     shares = InertiaScale(arm) if mode is OutputMode.CURRENT else None
-    motors = [
-        _motor(drive, constant)
-        for drive, constant in zip(arm.drives, torque_constants_Nm_A(arm), strict=True)
-    ]
-    return Servo(mode, motors, pids, TorqueModel(arm), period_s, shares)
+    return Servo(mode, _motors(arm), pids, TorqueModel(arm), period_s, shares)
+
+
+def _motors(arm: Arm) -> list[Motor]:
+    constants = torque_constants_Nm_A(arm)
+    return [_motor(drive, constant) for drive, constant in zip(arm.drives, constants, strict=True)]
 
 
 def _motor(drive: Drive, joint_constant: float) -> Motor:

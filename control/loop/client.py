@@ -222,9 +222,9 @@ class ArmClient:
         self.ask("stop")
         self.until(["HOLDING", "BRAKED", "OFF", "GUIDING"], 5.0)
 
-    def guide(self) -> None:
-        """Open the motor circuits so that a hand can guide the arm. Somebody must hold it."""
-        self.ask("guide")
+    def guide(self, weightless: bool = False) -> None:
+        """Let a hand guide the arm: open circuits, somebody must hold it; or `weightless`, the drives carry its own weight."""
+        self.ask("guide", weightless=weightless)
 
     def hold(self) -> None:
         """End hand-guiding: hold where the arm stands."""

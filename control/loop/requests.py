@@ -207,7 +207,7 @@ class Requests:
         return {}
 
     def _guide(self, request: Message, client: int) -> Message:
-        self._runtime.guide()
+        self._runtime.guide(bool(request.get("weightless")))
         return {}
 
     def _hold(self, request: Message, client: int) -> Message:

@@ -18,6 +18,7 @@ from typing import Protocol
 
 from control.errors import ArmError
 from control.loop.averaging import Averaging
+from control.loop.carrying import Carrying
 from control.loop.hardware import Hardware, OutputMode
 from control.loop.homing import HomingFailed, HomingSequence
 from control.loop.jogging import Jogging, Wish
@@ -64,6 +65,7 @@ class Parts:
     watch: Watch
     set_point_limits: tuple[SetPointLimits, ...]
     homing: Callable[[], HomingSequence]
+    carrying: Carrying
     jogging: Callable[[bool], Jogging]  # of an arm that is homed, or not
     stop_from: Callable[[SetPoint], Motion]
     inverse: InverseKinematics
@@ -97,6 +99,7 @@ class Runtime:
         self.override = 1.0  # pace at which motions run
         self.jogging: Jogging | None = None
         self.was_stopped = False  # the last motion, before its end
+        self.is_weightless = False  # while a hand guides the arm: its drives carry it
         self._zeros = (0.0,) * n
         self.set_point = self.aim = at_rest(self._zeros)  # of the joints; of their encoders
         self._is_of_encoders = False  # whether set_point is, while a motion runs that was given so
@@ -258,9 +261,21 @@ class Runtime:
             return
         servo = self.parts.servo
         servo.silence()
+        if self.monitor.mode is Mode.GUIDING and self.is_weightless and self._carry():
+            return
         is_free = self.monitor.mode is Mode.GUIDING
         output_mode = OutputMode.OFF if is_free else OutputMode.VOLTAGE
         self.parts.hardware.write(output_mode, servo.output, servo.feedforward_V)
+
+    def _carry(self) -> bool:
+        """Let the drives carry the arm; not where it moves too fast, which is a fault."""
+        measured, servo, carrying = self.parts.measurement, self.parts.servo, self.parts.carrying
+        if (fault := carrying.too_fast(measured.speed_rad_s)) is not None:
+            self.fail(fault)
+            return False
+        amperes = carrying.update(self._joints(measured.q_rad), measured.speed_rad_s)
+        self.parts.hardware.write(OutputMode.CURRENT, amperes, servo.feedforward_V)
+        return True
 
     def _has_left(self) -> bool:
         """Whether the arm is off and its drives have said so, or have had time enough to."""
@@ -497,8 +512,17 @@ class Runtime:
             self.on(Event.BRAKE)
         self._wants_hold = False
 
-    def guide(self) -> None:
-        """Open the circuits: somebody holds the arm."""
+    def guide(self, weightless: bool) -> None:
+        """Let a hand move the arm: circuits open, somebody holds it; or `weightless`, the drives carry it.
+
+        ArmError where it does not know its angles, and so not its weight.
+        """
+        self.monitor.require(Event.GUIDE)
+        if weightless and not self.monitor.is_homed:
+            raise ArmError(
+                "an arm that is not homed does not know its weight: home it first (`armwright home`)"
+            )
+        self.is_weightless = weightless
         self.on(Event.GUIDE)
         self.run_number += 1
 

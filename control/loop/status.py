@@ -43,6 +43,7 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
         "progress": runtime.progress(),
         "pace": runtime.pace(),
         "was_stopped": runtime.was_stopped,
+        "is_weightless": runtime.is_weightless and monitor.mode is Mode.GUIDING,
         "override": runtime.override,
         "faults": [
             {"code": f.code, "where": f.where, "message": f.message, "remedy": f.remedy}

@@ -12,7 +12,7 @@ from textual import events
 from textual.pilot import Pilot
 
 from console.screen.app import ConsoleApp
-from console.screen.dialogs import Confirm
+from console.screen.dialogs import Choose
 from console.screen.held import HeldKey, REPEAT_s
 from console.screen.widgets import CommandBox
 from control.safety.fault import Fault, Reaction
@@ -169,7 +169,7 @@ def test_space_stops_on_the_screen_in_the_command_box_and_in_a_dialog(tmp_path: 
         await press(pilot, "escape")
         await until(pilot, lambda: app.focused is None)
         await press(pilot, "u")
-        await until(pilot, lambda: isinstance(app.screen, Confirm))
+        await until(pilot, lambda: isinstance(app.screen, Choose))
         await stops()
         await press(pilot, "escape")
         await until(pilot, lambda: app.screen is app.operating)
@@ -278,13 +278,13 @@ def test_keys_and_the_command_box_do_what_lines_do(tmp_path: Path) -> None:
         await press(pilot, "space")
         await rested(pilot, served)
         await press(pilot, "u")
-        await until(pilot, lambda: isinstance(app.screen, Confirm))
+        await until(pilot, lambda: isinstance(app.screen, Choose))
         await press(pilot, "escape")
         await until(pilot, lambda: app.screen is app.operating)
         assert served.cell.mode is Mode.HOLDING
         await press(pilot, "u")
-        await until(pilot, lambda: isinstance(app.screen, Confirm))
-        await press(pilot, "enter")
+        await until(pilot, lambda: isinstance(app.screen, Choose))
+        await press(pilot, "down", "enter")
         await until(pilot, lambda: served.cell.mode is Mode.GUIDING and app.screen is app.operating)
         await press(pilot, "n")
         await rested(pilot, served)
