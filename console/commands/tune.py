@@ -69,23 +69,20 @@ def _allowed(arm: Arm, options: Options) -> bool:
 def _write(result: Result, draft: Arm, out: Path, page: Path) -> None:
     from dataclasses import replace
 
-    from console.tuning.report import HEADER, rows, write_report
+    from console.tuning.report import HEADER, rows, worst_pose, write_report
 
     pids = {drive.joint: drive.pid for drive in result.arm.drives}
     drives = tuple(replace(drive, pid=pids[drive.joint]) for drive in draft.drives)
     save_arm(replace(draft, drives=drives), out)
     write_report(result, page, f"from {draft.path}; armwright {version('armwright')}")
-    lines = [HEADER[:-1], *(row[:-1] for tuned in result.joints for row in rows(tuned))]
+    lines = [HEADER, *(row for tuned in result.joints for row in rows(tuned))]
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     for line in lines:
         sys.stdout.write(
             "  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)) + "\n"
         )
     for tuned in result.joints:
-        worst = tuned.design.worst
-        sys.stdout.write(
-            f"joint {tuned.joint}: at its worst inertia {worst.gain_dB:.1f} dB and {worst.phase_deg:.0f} deg, by the model\n"
-        )
+        sys.stdout.write(f"{worst_pose(tuned)}\n")
         for caution in tuned.cautions:
             sys.stdout.write(f"  {caution}\n")
     sys.stdout.write(f"\nwritten: {out} ([drive.pid] of the joints above), {page}\n")

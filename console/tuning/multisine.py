@@ -19,6 +19,7 @@ from control.model.tuning import Response
 Real = NDArray[np.float64]
 PERIOD_S = 2.0
 PASSES = 4
+BEYOND = 50  # samples of the next period that are kept, to tell steady motion from the response
 LOWEST_Hz, HIGHEST_Hz = 2.0, 80.0  # below, the loop holds the joint, and the mean motion is in the way
 LINES = 48
 LOW_Hz, HIGH_Hz = 2.0, 20.0  # where the loops of arms cross over
@@ -75,17 +76,18 @@ class Measured:
 
 
 def evaluate(wave: Multisine, angle_rad: Real, output: Real, added: Real) -> Measured:
-    """From whole periods, one a row: arrays (periods, samples). A joint may move steadily meanwhile."""
-    y, u, d = (np.fft.rfft(_level(rows), axis=1) for rows in (angle_rad, output, added))
+    """From arrays (periods, samples), each row a period and the begin of the next. A joint may move steadily meanwhile."""
+    count = len(wave.samples)
+    y, u, d = (np.fft.rfft(_level(rows, count), axis=1) for rows in (angle_rad, output, added))
     at = wave.lines
     y_mean, u_mean, d_mean = (spectrum.mean(axis=0) for spectrum in (y, u, d))
     plant = y_mean[at] / u_mean[at]
-    omega = 2.0 * np.pi * at * wave.rate_Hz / angle_rad.shape[1]
+    omega = 2.0 * np.pi * at * wave.rate_Hz / count
     # What this period's output does not explain of this period's angle.
     unexplained = y[:, at] - plant * u[:, at]
     noise = np.sqrt((np.abs(unexplained) ** 2).mean(axis=0)) / np.abs(y_mean[at])
     odd = wave.silent
-    between = _interpolated(omega, plant, 2.0 * np.pi * odd * wave.rate_Hz / angle_rad.shape[1])
+    between = _interpolated(omega, plant, 2.0 * np.pi * odd * wave.rate_Hz / count)
     stray = np.abs(y_mean[odd] - between * u_mean[odd])
     level = np.interp(at, odd, stray / np.abs(np.interp(odd, at, np.abs(y_mean[at]))))
     coherence = 1.0 / (1.0 + noise**2 / len(y) + level**2)
@@ -98,12 +100,16 @@ def evaluate(wave: Multisine, angle_rad: Real, output: Real, added: Real) -> Mea
     )
 
 
-def _level(rows: Real) -> Real:
-    """Each row without its straight line: what is left begins where it ends, as a period must."""
-    n = rows.shape[1]
-    t = (np.arange(n) - 0.5 * (n - 1)) / n
-    slope = (rows * t).sum(axis=1, keepdims=True) / (t * t).sum()
-    return np.asarray(rows - rows.mean(axis=1, keepdims=True) - slope * t)
+def _level(rows: Real, count: int) -> Real:
+    """Each period without its mean and its steady motion, which is what differs between a sample and the same one a period on.
+
+    A straight line by least squares would take a part of the response with it, and leave a saw-tooth in its place.
+    """
+    beyond = rows.shape[1] - count
+    slope = (rows[:, count:].mean(axis=1) - rows[:, :beyond].mean(axis=1)) / count
+    t = np.arange(count) - 0.5 * (count - 1)
+    period = rows[:, :count]
+    return np.asarray(period - period.mean(axis=1, keepdims=True) - slope[:, None] * t)
 
 
 def _interpolated(omega: Real, plant: NDArray[np.complex128], wanted: Real) -> NDArray[np.complex128]:

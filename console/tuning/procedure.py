@@ -18,7 +18,9 @@ from firmware_iface.clock import Clock
 
 LEAST_GAIN_dB, LEAST_PHASE_deg = 6.0, 45.0
 RESERVE_dB, RESERVE_deg = 2.0, 10.0  # kept where no bandwidth is asked for: an arm ages
-SHY_RESERVE_deg = 15.0  # where the response is not linear: play and friction are no part of a margin
+SHYNESS = (
+    0.7  # of the poles, where the response is not that of a stiff, linear joint: play is no part of a margin
+)
 NOT_LINEAR = 0.08
 MISFIT = 0.25  # of the response against a stiff motor's: something gives between motor and joint
 LEAST_COHERENCE = 0.9
@@ -166,13 +168,15 @@ def _designed(
     ratios = inertia_ratios(arm, joint, pose)
     tuner = Tuner(measured.response, fit, CYCLE_S, before.gains.derivative_filter_s, ratios)
     cautions = _cautions(joint, fit, measured)
-    reserve_deg = SHY_RESERVE_deg if cautions else RESERVE_deg
     try:
         if options.bandwidth_Hz is not None:
             wanted = 2.0 * math.pi * options.bandwidth_Hz
             design = tuner.at_bandwidth(wanted, LEAST_GAIN_dB, LEAST_PHASE_deg)
         else:
-            design = tuner.fastest(LEAST_GAIN_dB + RESERVE_dB, LEAST_PHASE_deg + reserve_deg)
+            design = tuner.fastest(LEAST_GAIN_dB + RESERVE_dB, LEAST_PHASE_deg + RESERVE_deg)
+            slower = tuner.design_at(SHYNESS * design.pole_rad_s)
+            if cautions and slower.worst.meet(LEAST_GAIN_dB, LEAST_PHASE_deg):
+                design = slower
     except MarginsUnmet as unmet:
         raise NotTuned(f"joint {joint}: {unmet}") from None
     return fit, _rounded(tuner, design), ratios, cautions
@@ -204,12 +208,12 @@ def _cautions(joint: int, fit: MotorFit, measured: Measured) -> tuple[str, ...]:
     if measured.distortion > NOT_LINEAR:
         said.append(
             f"joint {joint}: {measured.distortion:.0%} of its response is not linear (play, friction): margins say less than they"
-            " seem to, so more phase was kept"
+            " seem to, so it was made slower than they allow"
         )
     if fit.residual > MISFIT:
         said.append(
             f"joint {joint}: its response is {fit.residual:.0%} off that of a stiff joint: something gives between motor and"
-            " joint, so more phase was kept; margins are those of the measurement all the same"
+            " joint, so it was made slower than margins allow"
         )
     return tuple(said)
 

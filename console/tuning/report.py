@@ -17,9 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MEASURED = "#1d2430"
+TICKS_Hz = (2, 5, 10, 20, 50)
 HEADER = (
     "joint", "gains", "kp", "ki", "kd", "gain margin", "phase margin", "crossover", "overshoot", "settling",
-    "following error", "",
+    "following error",
 )  # fmt: skip
 
 
@@ -38,7 +39,6 @@ def rows(tuned: Tuned) -> list[tuple[str, ...]]:
             "", "designed", f"{design.gains.kp:.1f}", f"{design.gains.ki:.0f}", f"{design.gains.kd:.3f}",
             _dB(design.here.gain_dB), f"{design.here.phase_deg:.0f} deg",
             f"{design.here.crossover_rad_s / (2 * math.pi):.1f} Hz", "", "", "",
-            f"worst pose: {_dB(design.worst.gain_dB)}, {design.worst.phase_deg:.0f} deg",
         ),
         _row(tuned.joint, "after", tuned.after),
     ]  # fmt: skip
@@ -51,7 +51,6 @@ def _row(joint: int, name: str, trial: Trial) -> tuple[str, ...]:
         f"{trial.gains.kp:.1f}", f"{trial.gains.ki:.0f}", f"{trial.gains.kd:.3f}",
         _dB(found.gain_dB), f"{found.phase_deg:.0f} deg", f"{found.crossover_rad_s / (2 * math.pi):.1f} Hz",
         f"{trial.step.overshoot:.0%}", f"{1e3 * trial.step.settling_s:.0f} ms", f"{1e3 * trial.move.peak_error_rad:.2f} mrad",
-        "",
     )  # fmt: skip
 
 
@@ -64,12 +63,20 @@ def _summary(result: Result) -> Section:
     wanted = (
         f"Margins are measured on the arm, by the loop's own output, delay and filters included; at least {LEAST_GAIN_dB:g} dB"
         f" and {LEAST_PHASE_deg:g} deg are kept at every inertia that a joint meets by arm.toml. Overshoot and settling (5 %)"
-        " are of a step of the set-point of 5 mrad, which no motion of this arm makes; the following error is the largest of a move"
-        " at the joint's own limits."
+        " are of a step of the set-point of 5 mrad, which no motion of this arm makes; the following error is the largest of a"
+        " move at the joint's own limits."
     )
-    cautions = [caution for tuned in result.joints for caution in tuned.cautions]
-    return Section(
-        "What came out", paragraph(wanted) + table(HEADER, lines) + (bullets(cautions) if cautions else "")
+    notes = [worst_pose(tuned) for tuned in result.joints]
+    notes += [caution for tuned in result.joints for caution in tuned.cautions]
+    return Section("What came out", paragraph(wanted) + table(HEADER, lines) + bullets(notes))
+
+
+def worst_pose(tuned: Tuned) -> str:
+    """Margins where the joint's inertia is least favourable."""
+    worst = tuned.design.worst
+    return (
+        f"joint {tuned.joint}: {_dB(worst.gain_dB)} and {worst.phase_deg:.0f} deg at the least favourable inertia that it meets"
+        f" ({min(tuned.inertia_ratios):.2g} to {max(tuned.inertia_ratios):.2g} times that of this pose, by arm.toml)"
     )
 
 
@@ -97,6 +104,8 @@ def _bode(figure: Figure, tuned: Tuned) -> None:
     top.axhline(0.0, color=MEASURED, lw=0.8)
     bottom.axhline(-180.0, color=MEASURED, lw=0.8)
     bottom.axhline(-180.0 + LEAST_PHASE_deg, color=MEASURED, lw=0.8, ls=":")
+    bottom.set_xticks(TICKS_Hz, [f"{tick:g}" for tick in TICKS_Hz])
+    bottom.minorticks_off()
     top.set_title("measured loop C P")
     top.set_ylabel("gain [dB]")
     bottom.set_ylabel("phase [deg]")
@@ -144,8 +153,8 @@ def _steps(figure: Figure, tuned: Tuned) -> None:
 def _errors(figure: Figure, tuned: Tuned) -> None:
     axes = _small(figure)
     for trial, colour, name in ((tuned.before, BEFORE, "before"), (tuned.after, AFTER, "after")):
-        error = np.array(trial.move.set_rad[:-1]) - np.array(trial.move.angle_rad[1:])
-        axes.plot(trial.move.t_s[:-1], 1e3 * error, color=colour, label=name)
+        error = np.array(trial.move.set_rad) - np.array(trial.move.angle_rad)
+        axes.plot(trial.move.t_s, 1e3 * error, color=colour, label=name)
     axes.set_title("following error of a move of 0.2 rad")
     axes.set_xlabel("time [s]")
     axes.set_ylabel("error [mrad]")

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from console.tuning.multisine import PASSES, PERIOD_S, Measured, Multisine, evaluate
+from console.tuning.multisine import BEYOND, PASSES, PERIOD_S, Measured, Multisine, evaluate
 from console.tuning.probe import Probe, Trace
 from control.errors import ArmError
 from control.loop.assemble import assemble
@@ -124,7 +124,7 @@ class Session:
         self.client.move_joints(forth[0].q_rad, 0.3)
         mapped = JointMap(self.arm.drive(joint))
         lead, count = round(LEAD_S / CYCLE_S), len(wave.samples)
-        signal = [0.0] * lead + (amplitude * wave.samples).tolist()
+        signal = [0.0] * lead + (amplitude * np.append(wave.samples, wave.samples[:BEYOND])).tolist()
         # The signal begins before its period is evaluated, so that the response is periodic by then.
         early = round((LEAD_S - RAMP_S) / CYCLE_S)
         signal[lead - early : lead] = (amplitude * wave.samples[-early:]).tolist()
@@ -132,7 +132,7 @@ class Session:
         for number in range(PASSES):
             points = forth if number % 2 == 0 else _reversed(forth)
             trace = self._run(joint, points, signal)
-            inside = slice(lead, lead + count)
+            inside = slice(lead, lead + count + BEYOND)
             if _is_punctual(trace.t_s[inside]):
                 angle = [mapped.radians(k) for k in trace.count[inside]]
                 rows.append((angle, trace.output[inside], trace.added[inside]))
@@ -180,7 +180,7 @@ class Session:
 
 def _pass(centre: SetPoint, j: int) -> list[SetPoint]:
     """Set-points of a pass around a pose: speed up, steady, slow down, rest."""
-    ramp, steady = round(RAMP_S / CYCLE_S), round((LEAD_S - RAMP_S + PERIOD_S) / CYCLE_S)
+    ramp, steady = round(RAMP_S / CYCLE_S), round((LEAD_S - RAMP_S + PERIOD_S) / CYCLE_S) + BEYOND
     push = PASS_SPEED_rad_s / RAMP_S
     accelerations = [push] * ramp + [0.0] * steady + [-push] * ramp + [0.0] * round(REST_S / CYCLE_S)
     speed, way = 0.0, 0.0
@@ -238,8 +238,7 @@ def _judged_move(
 ) -> MoveResponse:
     n = min(len(wanted), len(angle))
     wanted, angle = wanted[:n], angle[:n]
-    # Counts are read before the set-point of the same cycle is made: they are those of the cycle before.
-    error = wanted[:-1] - angle[1:]
+    error = wanted - angle
     moving = np.flatnonzero(np.diff(wanted))
     end = int(moving[-1]) + 1 if moving.size else 0
     unsettled = np.flatnonzero(np.abs(error[end:]) > 5e-4)
