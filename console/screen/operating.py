@@ -127,6 +127,7 @@ class OperatingScreen(Screen[None]):
         arm, name = self.app.arm, self.selected.name
         self._put("head", texts.headline(status, arm, self.app.link.why_lost))
         if status is not None:
+            self.pace = status["override"]
             lines = [*texts.joint_lines(status, arm, name), texts.tip_line(status, name), self._jog_line()]
             self._put("joints", "\n".join(lines))
         self._put("news", "\n".join(texts.news_lines(status, self.app.link.why_lost)))

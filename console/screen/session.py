@@ -7,7 +7,6 @@ and what it has recorded is on the disk, so that whatever happens to this screen
 import asyncio
 import contextlib
 import json
-import math
 import shlex
 import signal
 import sys
@@ -32,6 +31,8 @@ SIGNS = {"done": ("#", "green"), "left": (".", "none"), "skipped": ("-", "yellow
          "now": ("O", "b reverse"), "partly": ("+", "cyan")}  # fmt: skip
 LEGEND = "[green]#[/] done  [cyan]+[/] some repeats  [b reverse]O[/] now  . left  [yellow]-[/] skipped  [red]x[/] bad"
 LEGEND_rows = 2
+ODD = 3.0  # standard deviations: yellow; the session itself says what is suspect
+HEADING = "[dim]point       model others[/]"
 HINTS = "Enter yes  `redo`  `skip`  `bad`  `note TEXT`  `jog z -5`  `quit`   space STOP   escape back"
 NEAR_ENDING_S = 5.0
 
@@ -67,6 +68,7 @@ class SessionScreen(Screen[None]):
     def on_mount(self) -> None:
         """Begin or resume."""
         self.query_one("#records", RichLog).can_focus = False
+        self._write(HEADING, is_markup=True)
         self._doing = asyncio.create_task(self._conduct())
 
     # ---- the session's process
@@ -221,14 +223,12 @@ def board_lines(board: Sequence[Mapping[str, Any]], width: int, height: int) -> 
 
 
 def kept_line(message: Mapping[str, Any]) -> str:
-    """A record with its residual as a bar; a suspect one in red with what to do."""
+    """A record, the model's error there, and how far it is from what the others say; a suspect one in red with what to do."""
     if message["is_suspect"]:
         return f"[b red]{escaped(message['text'])}[/]"
     surprise, off_mm, error_mm = message["surprise"], message["off_mm"], message["error_mm"]
-    model = f"model {error_mm:6.2f} mm" if error_mm is not None else "model -"
-    if surprise is None or off_mm is None or not math.isfinite(surprise):
-        return f"{escaped(message['kept']):<14} {model}"
-    bar = "█" * min(round(surprise), 6)
-    return (
-        f"{escaped(message['kept']):<14} {model}  others {off_mm:5.2f} mm {surprise:4.1f} sd [cyan]{bar}[/]"
-    )
+    text = f"{escaped(message['kept']):<11}" + (f"{error_mm:6.2f}" if error_mm is not None else "     -")
+    if surprise is None or off_mm is None:
+        return text
+    colour = "yellow" if surprise > ODD else "none"
+    return f"{text} {off_mm:6.2f} mm [{colour}]{surprise:4.1f} sd[/]"

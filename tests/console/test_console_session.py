@@ -41,7 +41,7 @@ def test_a_session_on_the_screen_is_interrupted_resumed_calibrated_and_accepted(
         await until(pilot, lambda: "hands off" in shown(app, "question"), LIMIT_s)
         await press(pilot, "enter")
         await until(pilot, lambda: "[2/16]" in shown(app, "question"), LIMIT_s)
-        assert re.search(r"normal 1 +model +\d+\.\d+ mm", records(app))
+        assert re.search(r"normal 1 +\d+\.\d\d", records(app))
         assert shown(app, "board").count("#") == 1
         await press(pilot, *"redo", "enter")
         await until(pilot, lambda: "[1/16]" in shown(app, "question"), LIMIT_s)
@@ -101,18 +101,15 @@ def test_the_board_keeps_its_proportions_in_any_room() -> None:
     assert board_lines([], 40, 20) == ["no cavities in this setup"]
 
 
-def test_a_record_that_does_not_fit_is_red_and_one_that_does_has_a_bar() -> None:
-    kept = {
-        "kept": "normal 3",
-        "text": "normal 3 recorded; look",
-        "error_mm": 20.0,
-        "off_mm": 0.4,
-        "surprise": 2.6,
-        "is_suspect": False,
-    }
-    assert kept_line(kept).count("█") == 3
-    assert "0.40 mm" in kept_line(kept)
-    assert "look" in kept_line({**kept, "is_suspect": True})
-    assert "red" in kept_line({**kept, "is_suspect": True})
-    assert "others" not in kept_line({**kept, "surprise": None, "off_mm": None})
-    assert "model -" in kept_line({**kept, "surprise": None, "off_mm": None, "error_mm": None})
+def test_a_record_says_how_it_fits_and_one_that_does_not_is_red() -> None:
+    kept = {"kept": "normal 3", "text": "normal 3 recorded; look", "error_mm": 20.0}
+    kept |= {"off_mm": 0.4, "surprise": 2.6, "is_suspect": False}
+    assert kept_line(kept).split() == ["normal", "3", "20.00", "0.40", "mm", "[none]", "2.6", "sd[/]"]
+    assert "[yellow] 3.1 sd" in kept_line({**kept, "surprise": 3.1})
+    assert kept_line({**kept, "is_suspect": True}) == "[b red]normal 3 recorded; look[/]"
+    assert kept_line({**kept, "surprise": None, "off_mm": None}).split() == ["normal", "3", "20.00"]
+    assert kept_line({**kept, "surprise": None, "off_mm": None, "error_mm": None}).split() == [
+        "normal",
+        "3",
+        "-",
+    ]
