@@ -16,10 +16,10 @@ import numpy as np
 from calib.gap.finding import EffectName, GapFinding
 
 GEOMETRY = "link_geometry"  # in poses it is refitted beside everything, and naming it is no claim
-COLUMNS = ("right", "doubts", "part", "set with", "set without", "unknown", "nothing", "wrong")
+COLUMNS = ("right", "doubts", "part", "set with", "set w/o", "unknown", "nothing", "wrong")
 LEGEND = (
     "right: all that is hidden and nothing else; doubts: that, but also unknown or a set; part: some of it; "
-    "set with, set without: a set that cannot be told apart, with or without what is hidden; wrong: a name that is not hidden"
+    "set with, set w/o: a set that cannot be told apart, with or without what is hidden; wrong: a name that is not hidden"
 )
 NOTHING, OFF_THE_LIST, ONE, TWO = "nothing hidden", "off the list", "one hidden", "two hidden"
 CLOSE = 0.1  # of a parameter
@@ -127,7 +127,7 @@ def _column(listed: set[EffectName], named: set[EffectName], found: GapFinding) 
         return "set with"
     if found.unknown is not None:
         return "unknown"
-    return "set without" if in_sets else "nothing"
+    return "set w/o" if in_sets else "nothing"
 
 
 def _worst(truth: Truth, found: GapFinding) -> float:
@@ -160,13 +160,13 @@ def said(found: GapFinding) -> str:
 
 def matrix(answers: Sequence[Answer]) -> str:
     """Rows: what is hidden, by sort of case; columns: `COLUMNS`."""
-    lines = [f"{'hidden':46}" + "".join(f"{name:>12}" for name in COLUMNS)]
+    lines = [f"{'hidden':62}" + "".join(f"{name:>11}" for name in COLUMNS)]
     for sort in (NOTHING, ONE, TWO, OFF_THE_LIST):
         some = [one for one in answers if one.sort == sort]
         for row in sorted({one.row for one in some}):
             counts = [sum(one.row == row and one.column == name for one in some) for name in COLUMNS]
             label = row if sort in (NOTHING, ONE) else f"{row} ({sort})"
-            lines.append(f"{label:46}" + "".join(f"{count or '.':>12}" for count in counts))
+            lines.append(f"{label:62}" + "".join(f"{count or '.':>11}" for count in counts))
     return "\n".join([*lines, LEGEND])
 
 

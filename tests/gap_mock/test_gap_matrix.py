@@ -42,7 +42,7 @@ def scored(truth: Truth, found: GapFinding, *could: EffectName) -> Answer:
         (ONE, said(PLAY2), "wrong"),
         (ONE, said(PLAY1, SOFT2), "wrong"),
         (ONE, said(sets=((PLAY1, SOFT2),)), "set with"),
-        (ONE, said(sets=((PLAY2, SOFT2),)), "set without"),
+        (ONE, said(sets=((PLAY2, SOFT2),)), "set w/o"),
         (ONE, said(unknown=True), "unknown"),
         (ONE, said(), "nothing"),
         (TWO, said(PLAY1, SOFT2), "right"),
@@ -52,7 +52,7 @@ def scored(truth: Truth, found: GapFinding, *could: EffectName) -> Answer:
         (NOTHING, said(unknown=True), "unknown"),
         (OFF, said(unknown=True), "unknown"),
         (OFF, said(PLAY1), "wrong"),
-        (OFF, said(sets=((PLAY2, SOFT2),)), "set without"),
+        (OFF, said(sets=((PLAY2, SOFT2),)), "set w/o"),
     ],
 )
 def test_an_answer_falls_into_its_column(truth: Truth, found: GapFinding, column: str) -> None:
