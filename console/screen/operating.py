@@ -339,8 +339,8 @@ class OperatingScreen(Screen[None]):
             self.app.open_session(line)
 
     def action_command(self) -> None:
-        """Into the command box."""
-        self.query_one(CommandBox).focus()
+        """Into the command box, at once: what is typed next must not be taken for keys."""
+        self.set_focus(self.query_one(CommandBox))
 
     def action_help(self) -> None:
         """The keys."""

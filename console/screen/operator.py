@@ -8,13 +8,13 @@ what was to follow the motion must not.
 import asyncio
 import contextlib
 import signal
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from console.lines.grammar import Grammar, Line, LineError
+from console.screen.child import subcommand
 from console.screen.link import LinkLost, Message, RuntimeLink
 
 RENEW_S = 0.05  # of a step, which ends by itself
@@ -144,15 +144,8 @@ class Operator:
             self._say(f"`{self.running}` still runs; space stops it", True)
             return False
         self.running = line.text
-        words = [sys.executable, "-m", "console.main", line.command, *_words(line), *self._options(line)]
         try:
-            self._process = await asyncio.create_subprocess_exec(
-                *words,
-                stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=asyncio.subprocess.STDOUT,
-                start_new_session=True,  # the terminal's Ctrl-C is the console's
-            )
+            self._process = await subcommand([line.command, *_words(line), *self._options(line)])
         except OSError as error:
             self.running = ""
             self._say(f"{line.command}: {error}", True)

@@ -9,7 +9,6 @@ import contextlib
 import json
 import shlex
 import signal
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from textual.containers import Horizontal, Vertical
 from textual.screen import Screen
 from textual.widgets import Input, RichLog, Static
 
+from console.screen.child import subcommand
 from console.screen.texts import escaped
 from console.screen.widgets import CommandBox
 
@@ -103,11 +103,7 @@ class SessionScreen(Screen[None]):
 
     async def _run(self, command: str, words: Sequence[str], hear: Any) -> int:
         self._rest = ""
-        self._process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "console.main", command, *words,
-            stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
-            start_new_session=True,
-        )  # fmt: skip
+        self._process = await subcommand([command, *words], takes_answers=True)
         if self._process.stdout is not None:
             async for row in self._process.stdout:
                 if self.is_attached:

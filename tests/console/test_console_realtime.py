@@ -124,6 +124,10 @@ def test_keys_jog_a_real_time_arm_space_stops_it_and_a_killed_console_leaves_it_
         assert client.status()["was_stopped"]
 
         terminal.hold(RIGHT_ARROW, lambda: mode(client) == "JOGGING")
+        terminal.until(lambda: mode(client) == "HOLDING")
+        terminal.read(0.5)  # the console has heard of it: spaces are letters again
+        os.write(terminal.screen, b":move --joints 0.1 -0.9 0.2 --speed 0.1\r")
+        terminal.until(lambda: mode(client) == "MOVING")  # by a process of the console's
         os.kill(terminal.process.pid, signal.SIGKILL)
         terminal.process.wait()
         terminal.until(lambda: mode(client) == "HOLDING")
