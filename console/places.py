@@ -34,15 +34,7 @@ class Place:
 
 def read_places(file: Path) -> dict[str, Place]:
     """The places of a file by name. PlacesError names file and place."""
-    try:
-        tables = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PlacesError(f"{file}: no TOML: {error}") from None
-    except OSError as error:
-        raise PlacesError(
-            f"{file}: cannot read places: {error.strerror}; `armwright mark NAME` makes one"
-        ) from None
-    return {name: _place(file, name, table) for name, table in tables.items()}
+    return {name: _place(file, name, table) for name, table in _tables(file).items()}
 
 
 def find_place(file: Path, name: str) -> Place:
@@ -59,9 +51,22 @@ def keep_place(file: Path, name: str, q_rad: Sequence[float]) -> None:
 
     if not name or not name.replace("_", "").replace("-", "").isalnum():
         raise PlacesError(f"place: expected a name of letters, digits, - and _, got {name!r}")
-    tables: dict[str, Any] = tomllib.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    tables = _tables(file) if file.exists() else {}
     tables[name] = {"q_rad": [round(q, 6) for q in q_rad]}
-    file.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    beside = file.with_name(f".{file.name}.partial")  # a full disk loses no place
+    beside.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    beside.replace(file)
+
+
+def _tables(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise PlacesError(f"{file}: no TOML: {error}; mend it, or give another file") from None
+    except OSError as error:
+        raise PlacesError(
+            f"{file}: cannot read places: {error.strerror}; `armwright mark NAME` makes one"
+        ) from None
 
 
 def _place(file: Path, name: str, table: object) -> Place:

@@ -44,16 +44,19 @@ def _text(file: str) -> str:
     try:
         return Path(file).read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise LineError(f"{file}: not UTF-8 text (byte {error.start})") from None
+        raise LineError(f"not UTF-8 text (byte {error.start})") from None
+    except OSError as error:
+        raise LineError(f"cannot read operator lines: {error.strerror}") from None
 
 
 def _described(outcome: Outcome) -> str:
+    took = f"{outcome.took_s:.1f} s"
     done = (
-        "done"
+        f"done in {took}"
         if outcome.status == 0
-        else f"FAILED with status {outcome.status}: the lines after it were not run"
+        else f"FAILED with status {outcome.status} after {took}; the lines after it were not run"
     )
-    return f"{outcome.number}: {outcome.line}\n{_indented(outcome.said)}  {done} in {outcome.took_s:.1f} s\n"
+    return f"{outcome.number}: {outcome.line}\n{_indented(outcome.said)}  {done}\n"
 
 
 def _indented(text: str) -> str:

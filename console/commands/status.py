@@ -20,8 +20,10 @@ def run(given: argparse.Namespace) -> int:
 def described(status: Message) -> str:
     """The status as a page for an operator."""
     homed = "homed" if status["is_homed"] else "not homed"
+    done = f", {100 * status['progress']:.0f} % of run {status['run']}" if status["run"] else ""
+    pace = f", at {100 * status['override']:.0f} % of the pace" if status["override"] < 1.0 else ""
     lines = [
-        f"arm {status['arm']}: {status['mode']}, {homed}, {100 * status['progress']:.0f} % of run {status['run']}",
+        f"arm {status['arm']}: {status['mode']}, {homed}{done}{pace}",
         "",
         _row("joint", [f"{joint + 1}" for joint in range(len(status["q_rad"]))]),
         _row("angle [rad]", _numbers(status["q_rad"], 4)),

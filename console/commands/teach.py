@@ -23,7 +23,9 @@ def run(given: argparse.Namespace) -> int:
     if len(lines) > 1 and _distance_m(lines[-1], point) < SAME_m:
         raise ArmError(f"teach: the tip has not moved since the last way-point of {file}")
     row = ",".join(f"{x:.6f}" for x in point)
-    file.write_text("\n".join([*lines, row]) + "\n", encoding="utf-8")
+    beside = file.with_name(f".{file.name}.partial")  # a full disk loses no way-point
+    beside.write_text("\n".join([*lines, row]) + "\n", encoding="utf-8")
+    beside.replace(file)
     sys.stdout.write(f"way-point {len(lines)} in {file}: {row}\n")
     return 0
 
@@ -31,7 +33,10 @@ def run(given: argparse.Namespace) -> int:
 def _lines(file: Path) -> list[str]:
     if not file.exists():
         return [HEADER]
-    lines = [line for line in file.read_text(encoding="utf-8").splitlines() if line.strip()]
+    try:
+        lines = [line for line in file.read_text(encoding="utf-8").splitlines() if line.strip()]
+    except UnicodeDecodeError as error:
+        raise ArmError(f"teach: {file}: not UTF-8 text (byte {error.start}): give another file") from None
     if lines and lines[0].strip() != HEADER:
         raise ArmError(
             f"teach: {file}: expected the header {HEADER}, got {lines[0][:80]!r}: give another file"

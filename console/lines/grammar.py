@@ -69,7 +69,8 @@ class Grammar:
             raise LineError(f"{name}: `&` begins a motion and goes on; it is for {', '.join(IN_BACKGROUND)}")
         given = self._parser(name).parse_args(rest)
         given.command, given.waits = name, not in_background
-        return Line(" ".join(shlex.quote(word) for word in words), name, given)
+        text = shlex.join([name, *rest]) + (f" {BACKGROUND}" if in_background else "")
+        return Line(text, name, given)
 
     def _parser(self, name: str) -> argparse.ArgumentParser:
         if name in self._elsewhere:

@@ -38,6 +38,9 @@ def test_a_line_is_the_subcommand_with_its_options() -> None:
     copied = GRAMMAR.line("armwright move --joints 0 -0.8 0.1 --speed 0.2")
     assert copied is not None
     assert vars(copied.given) == vars(line.given)
+    begun = GRAMMAR.line("run 'my path.csv' &  # and on")
+    assert begun is not None
+    assert (begun.text, begun.given.waits) == ("run 'my path.csv' &", False)
 
 
 @pytest.mark.parametrize("text", ["", "   ", "# nothing", "\t#move"])
@@ -236,6 +239,16 @@ def test_a_places_file_that_is_wrong_is_refused(tmp_path: Path, text: str) -> No
     file.write_text(text)
     with pytest.raises(PlacesError, match=r"places\.toml"):
         read_places(file)
+
+
+@pytest.mark.parametrize("content", [b"[a", b"\xff"])
+def test_marking_in_a_file_that_is_no_places_file_leaves_it_as_it_is(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "places.toml"
+    file.write_bytes(content)
+    with pytest.raises(PlacesError, match=r"places\.toml: no TOML"):
+        keep_place(file, "rest", (0.0,))
+    assert file.read_bytes() == content
+    assert list(tmp_path.iterdir()) == [file]
 
 
 @pytest.mark.parametrize("name", ["", "a b", "a.b", "[x]"])
