@@ -71,7 +71,7 @@ def measure(
         _spacing(driver, found)
         _friction(driver, found)
         if with_stops:
-            _allow(operator, joint, "creeps to both of its end stops; is its whole way free?", None)
+            _allow(operator, joint, "creeps to both of its end stops, so its whole way must be free", None)
             _stops(driver, operator, joint, found, speed_rad_s)
     finally:
         operator.let_go()

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import math
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -122,6 +123,6 @@ def _figures(joint: int, result: Diagnosis) -> str:
         ("torque_constant_Nm_A", "k {:.4f} Nm/A"),
         ("resistance_ohm", "{:.3f} ohm"),
     ):
-        if figures.get(key) is not None:
+        if math.isfinite(figures.get(key, math.nan)):
             parts.append(text.format(figures[key]))
     return ", ".join(parts)

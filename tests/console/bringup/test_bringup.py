@@ -40,14 +40,18 @@ SURVEY = Options((), None, 0.3, False)
 def _short_ways(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fewer index pulses and passes than a real arm gets: a test waits for every second of them."""
     monkeypatch.setattr(measuring, "LATCHES", 3)
-    monkeypatch.setattr(measuring, "PASS_SPEEDS_rad_s", (0.1, 0.3))
+    monkeypatch.setattr(measuring, "INDEX_SPEED_rad_s", 0.25)
+    monkeypatch.setattr(measuring, "PASS_SPEEDS_rad_s", (0.15, 0.3))
+    monkeypatch.setattr(measuring, "LONG_ANGLE_RAD", 0.3)
+    monkeypatch.setattr(measuring, "KNOWN_ANGLE_RAD", 0.12)
+    monkeypatch.setattr(measuring, "TOUCHES", 2)
 
 
 def hidden(*faults: FaultTable, **changes: Any) -> Scenario:
     return scenario(None, homed=False, base="demo", fault=faults, **changes)
 
 
-def short(arm: Arm = RIGHT, half_rad: float = 0.25) -> Arm:
+def short(arm: Arm = RIGHT, half_rad: float = 0.2) -> Arm:
     """An arm whose joints have little way to their end stops, home switch within."""
     centres = (0.0, 0.15, 0.75)
     drives = tuple(
@@ -102,7 +106,7 @@ def homing(arm: Arm, *faults: FaultTable, real: Arm = RIGHT) -> Iterator[Stepped
 
 def test_a_good_arm_passes_and_its_keys_stay_as_they_are(tmp_path: Path) -> None:
     draft = short()
-    outcome, journal = brought(tmp_path, draft=draft, options=Options((3,), None, 0.3, True))
+    outcome, journal = brought(tmp_path, draft=draft, options=Options((3,), None, 0.6, True))
     assert not outcome.problems
     assert outcome.diagnoses[3].changes == []
     figures = outcome.diagnoses[3].figures
@@ -111,8 +115,8 @@ def test_a_good_arm_passes_and_its_keys_stay_as_they_are(tmp_path: Path) -> None
     assert figures["viscous_Nm_s_rad"] == pytest.approx(0.8, rel=0.1)
     assert figures["torque_constant_Nm_A"] == pytest.approx(0.0302, rel=0.01)
     assert figures["resistance_ohm"] == pytest.approx(0.299, rel=0.05)
-    assert figures["lower_stop_rad"] == pytest.approx(0.45, abs=2e-3)
-    assert figures["upper_stop_rad"] == pytest.approx(1.05, abs=2e-3)
+    assert figures["lower_stop_rad"] == pytest.approx(0.50, abs=2e-3)
+    assert figures["upper_stop_rad"] == pytest.approx(1.00, abs=2e-3)
     arm = new_arm(outcome, journal, draft)
     assert arm.drives == draft.drives
     assert {(e.effect, e.joint) for e in arm.effects} == {("coulomb_friction", 3), ("viscous_friction", 3)}
@@ -232,23 +236,23 @@ def test_what_software_cannot_mend_is_named_with_its_remedy(
 
 
 def test_the_draft_is_the_one_that_is_wrong_about_the_stops_and_the_index(tmp_path: Path) -> None:
-    real = short(half_rad=0.2)
+    real = short(half_rad=0.15)
     home = RIGHT.drive(3).home
     assert home is not None
     draft = with_drive(
-        short(half_rad=0.3),
+        short(half_rad=0.25),
         3,
         home=replace(home, index_rad=home.index_rad + TURN_rad, switch_rad=home.switch_rad + TURN_rad),
     )
-    outcome, journal = brought(tmp_path, draft=draft, real=real, options=Options((3,), None, 0.3, True))
+    outcome, journal = brought(tmp_path, draft=draft, real=real, options=Options((3,), None, 0.6, True))
     drive = new_arm(outcome, journal, draft).drive(3)
     said = said_of(outcome)
     assert "INDEX MOVED" in said
     assert "END STOPS" in said
     assert drive.home is not None
     assert drive.home.index_rad == pytest.approx(home.index_rad, abs=8e-3)  # as well as the angle was read
-    assert drive.joint_lower_rad == pytest.approx(0.50 + 0.02, abs=8e-3)
-    assert drive.joint_upper_rad == pytest.approx(1.00 - 0.02, abs=8e-3)
+    assert drive.joint_lower_rad == pytest.approx(0.55 + 0.02, abs=8e-3)
+    assert drive.joint_upper_rad == pytest.approx(0.95 - 0.02, abs=8e-3)
 
 
 def test_no_motor_gets_more_than_what_was_announced(tmp_path: Path) -> None:
@@ -269,7 +273,7 @@ def test_no_motor_gets_more_than_what_was_announced(tmp_path: Path) -> None:
 
         rig.robot.tick = watched  # type: ignore[method-assign]
         with Bench(arm, rig.clock, operator) as bench:
-            bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), QUICK, lambda text: None)
+            bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), SURVEY, lambda text: None)
         assert all(board.state.name == "SWITCH_ON_DISABLED" for board in rig.robot.motor_boards)
     largest_A = max(caution_of(RIGHT, drive, QUICK).current_A for drive in RIGHT.drives)
     assert 0.1 < most["amperes"] <= 1.05 * largest_A
