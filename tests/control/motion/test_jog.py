@@ -57,6 +57,10 @@ class Hand:
                     wanted.q_rad, self.state.q_rad, self.state.speed_rad_s, self.guards, PERIOD_S
                 )
                 assert not allowed.reasons, (self.now_s, allowed.reasons)
+                for v, before, guard in zip(
+                    wanted.speed_rad_s, self.state.speed_rad_s, self.guards, strict=True
+                ):
+                    assert abs(v - before) / PERIOD_S <= guard.acceleration_rad_s2 + 1e-6, self.now_s
             self.state = wanted
             self.states.append(wanted)
             if self.jogging.is_over:

@@ -36,13 +36,15 @@ def fastest_circle():
 
 
 def followed(paced, wanted_of, most_s=60.0):
-    """Set-points until the motion is over; each has passed the loop's last guard without a clip."""
+    """Set-points until the motion is over; each has passed the loop's last guard, and no joint accelerates more than it may."""
     last = paced.motion.at(0.0)
     points = [last]
     for cycle in range(int(most_s / PERIOD_S)):
         now = paced.advance(PERIOD_S, wanted_of(cycle * PERIOD_S))
         allowed = limit_set_point(now.q_rad, last.q_rad, last.speed_rad_s, GUARDS, PERIOD_S)
         assert not allowed.reasons, (cycle, allowed.reasons)
+        for v, before, guard in zip(now.speed_rad_s, last.speed_rad_s, GUARDS, strict=True):
+            assert abs(v - before) / PERIOD_S <= guard.acceleration_rad_s2 + 1e-6, cycle
         points.append(now)
         last = now
         if paced.is_over:
@@ -101,6 +103,14 @@ def test_whatever_paces_are_wanted_no_limit_of_a_joint_is_passed(seed):
     for motion in (fastest_circle(), JointMove((0.0, 0.0, 0.0), q_to, LIMITS)):
         paced = Paced(motion, LIMITS.acceleration_rad_s2, 1.0)
         followed(paced, lambda t: paces[int(t / 0.13) % 300], most_s=6.0)
+
+
+def test_a_pause_at_any_moment_of_a_move_at_its_limits_asks_for_no_more_than_they_are():
+    """Where the move brakes by itself at full acceleration, there is nothing left for the pause."""
+    move = JointMove((-1.0, -1.0, -1.0), (1.0, 0.5, 1.0), LIMITS)
+    for tick in range(round(move.duration_s / 0.02)):
+        paced = Paced(move, LIMITS.acceleration_rad_s2, 1.0)
+        followed(paced, lambda t, begin=0.02 * tick: 0.0 if t >= begin else 1.0, most_s=0.02 * tick + 0.4)
 
 
 def test_the_speed_that_a_set_point_says_is_the_one_that_it_moves_at():
