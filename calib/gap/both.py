@@ -79,7 +79,10 @@ def brought_together(
     poses, series = Level(POSES, static), Level(SERIES, dynamic)
     denied = {**_denied(poses, series), **_denied(series, poses)}
     resolved = _resolved(poses, series) + _resolved(series, poses)
-    kept = (_without(static, denied), _without(dynamic, denied))
+    kept = (
+        _without(_told_later(static, series), denied),
+        _without(_told_later(dynamic, poses), denied),
+    )
     both = _merged(*kept, _sets(poses, series), tuple(denied), tuple(denied.values()))
     return both, (*denied.values(), *resolved, *disagreements(*kept))
 
@@ -146,6 +149,14 @@ def _sets(poses: Level, series: Level) -> tuple[tuple[EffectName, ...], ...]:
     return tuple(dict.fromkeys(found))
 
 
+def _told_later(finding: GapFinding, other: Level) -> GapFinding:
+    """Without a gap afterwards where the other level names what this one left open: nobody has looked with that name added."""
+    if not any(name in other.names() for names in finding.ambiguous for name in names):
+        return finding
+    nothing = dict.fromkeys(finding.after_si, math.nan)
+    return dataclasses.replace(finding, gap_after=math.nan, after_si=nothing)
+
+
 def _without(finding: GapFinding, denied: dict[EffectName, str]) -> GapFinding:
     """The finding with names taken back: the gap after is the one before the first of them, whose model is kept."""
     kept, gap_after = [], finding.gap_before
@@ -191,6 +202,7 @@ def _merged(
         unknown=_unknown(static, dynamic, denied, reasons),
         nameable=_nameable(static, dynamic),
         next_experiment=" ".join(_ended(s) for s in sentences) or None,
+        is_kept_apart=static.is_kept_apart and dynamic.is_kept_apart,
     )
 
 

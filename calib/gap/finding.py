@@ -60,7 +60,8 @@ class Unknown:
 class GapFinding:
     """All that gap.json holds. `noise_floor`, `before_si`, `after_si`: by channel, as tip_m, current_A, q_rad.
 
-    `gap_before` and `gap_after`: root mean square over the noise floor, on recordings that were used for nothing else.
+    `gap_before` and `gap_after`: root mean square over the noise floor, on recordings that were used for nothing else, as far as
+    there were any: `is_kept_apart` is False where the gap is that of what was fitted.
     """
 
     arm: str
@@ -75,6 +76,12 @@ class GapFinding:
     unknown: Unknown | None = None
     nameable: tuple[Nameable, ...] = ()
     next_experiment: str | None = None
+    is_kept_apart: bool = True
+
+    @property
+    def judged_on(self) -> str:
+        """Where the gap was looked at, in words."""
+        return "recordings kept apart" if self.is_kept_apart else "what was fitted (none could be kept apart)"
 
 
 def write_gap_json(path: Path, found: GapFinding) -> None:

@@ -27,7 +27,7 @@ def steps_of(found: GapFinding) -> list[tuple[str, float]]:
 def ladder_picture(found: GapFinding) -> str:
     """Bars of the gap over the noise, the noise itself as a line."""
     steps = steps_of(found)
-    return svg((10.4, 0.9 + 0.36 * len(steps)), lambda figure: _draw(figure, steps))
+    return svg((10.4, 0.9 + 0.36 * len(steps)), lambda figure: _draw(figure, steps, found.judged_on))
 
 
 def channels_table(found: GapFinding) -> str:
@@ -45,7 +45,7 @@ def _number(value: float) -> str:
     return "–" if not math.isfinite(value) else f"{value:.3g}"
 
 
-def _draw(figure: Figure, steps: Sequence[tuple[str, float]]) -> None:
+def _draw(figure: Figure, steps: Sequence[tuple[str, float]], judged_on: str) -> None:
     axes = figure.subplots()
     figure.subplots_adjust(left=0.26, right=0.95, top=0.98, bottom=0.5 / (0.9 + 0.36 * len(steps)))
     place = list(range(len(steps)))
@@ -58,11 +58,11 @@ def _draw(figure: Figure, steps: Sequence[tuple[str, float]]) -> None:
     axes.set_xlim(min(0.5, 0.8 * min(gap for _, gap in steps)), max(2.0, 1.5 * most))
     axes.set_yticks(place, [name if k == 0 else f"+ {name}" for k, (name, _) in enumerate(steps)])
     axes.invert_yaxis()
-    axes.set_xlabel("gap on recordings kept apart, over the noise (dashed: 1, nothing left to explain)")
+    axes.set_xlabel(f"gap on {judged_on}, over the noise (dashed: 1, nothing left to explain)")
 
 
 def ladder(found: GapFinding) -> str:
     """Picture and table; a sentence where there is nothing to draw."""
     if not steps_of(found):
-        return paragraph("The gap could not be told on recordings kept apart.") + channels_table(found)
+        return paragraph("The gap could not be told.") + channels_table(found)
     return ladder_picture(found) + channels_table(found)

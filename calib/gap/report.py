@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -57,8 +58,9 @@ def gap_parts(report: GapReport) -> Iterator[Section | str]:
 
 
 def _tiles(found: GapFinding) -> Iterator[tuple[str, str, str]]:
-    yield "before", f"{found.gap_before:.2f}", "times the noise before, on recordings kept apart"
-    yield "after", f"{found.gap_after:.2f}", "times the noise after"
+    yield "before", f"{found.gap_before:.2f}", f"times the noise before, on {found.judged_on}"
+    after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "–"
+    yield "after", after, "times the noise after"
     names = [one for one in found.effects if one.name.effect != "link_geometry"]
     yield "", str(len(names)), f"effect{'s' if len(names) != 1 else ''} named beside the geometry"
     yield "", "yes" if found.unknown is not None else "no", "something left that no effect explains"

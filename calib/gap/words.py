@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
@@ -35,7 +36,9 @@ def _sentences(found: GapFinding) -> Iterator[str]:
         )
         yield f"Unknown: {found.unknown.where}; no effect of the list explains it.{nearest}"
     after = "at the noise" if found.gap_after <= AT_FLOOR else f"{found.gap_after:.2f} times the noise"
-    yield f"The gap on recordings kept apart: {found.gap_before:.2f} times the noise before, {after} after."
+    if math.isnan(found.gap_after):
+        after = "not looked at again with what poses and time series name together"
+    yield f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {after} after."
     blind = [one.name for one in found.nameable if not is_nameable(one)]
     if blind:
         yield (

@@ -37,7 +37,7 @@ from control.model.kinematics import Kinematics
 
 PLACES = 10
 TURN_rad = 1.2  # of joint 1 to either side: places that the camera could see
-FROM_AXIS_m = 0.15  # of joint 1: nearer to it the identified arm may be near-singular where the nominal one is not
+FROM_AXIS_m = 0.15  # of joint 1: nearer to it the nominal arm reaches what the identified one may not
 PAYLOAD_kg = 0.5
 NO_NAMES = ("link_geometry", "base_frame")
 

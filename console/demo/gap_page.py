@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -24,9 +25,10 @@ def findings(circle: Circle) -> tuple[str, ...]:
     )
     before = 1e3 * circle.corrected.of("all").before.mean_m
     found = circle.outcome.finding
+    gap_after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "not looked at again"
     said = [
         f"Named by the run: {named}. Hidden was {circle.hidden}. {right} what was hidden.",
-        f"The gap on recordings kept apart: {found.gap_before:.2f} times the noise before, {found.gap_after:.2f} after.",
+        f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {gap_after} after.",
         f"Mean tip error at {len(circle.corrected.point)} places that nothing was recorded at: {before:.2f} mm by the nominal"
         f" model, {alone:.2f} mm with the geometry identified and the correction off, {after:.2f} mm with it on.",
     ]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.errors import CalibrationError
-from calib.gap.plan.plan import GENTLE, SETUP, AVERAGE_s, RecordingPlan, Run, SETTLE_s, Step, Visit
+from calib.gap.plan.plan import GENTLE, AVERAGE_s, RecordingPlan, Run, SETTLE_s, Step, Visit
 from calib.points_writer import PointsWriter, Record
 from console.gap.run_file import RunFile, write_log
 from console.iso9283.run_rows import RunRows
@@ -98,7 +98,7 @@ class _Recorder:
             file = RunFile.of(self._out, step.name)
             if not file.exists():
                 self._run(step, file)
-        elif (SETUP, step.point, step.repeat) not in self._points.recorded:
+        elif (step.setup, step.point, step.repeat) not in self._points.recorded:
             self._visit(step)
 
     def take_off_load(self) -> None:
@@ -129,7 +129,7 @@ class _Recorder:
             tip_m = mean.tip_m
         self._points.append(
             Record(
-                SETUP, step.point, step.repeat, mean.q_rad, mean.q_std_rad, mean.direction, mean.current_A, mean.t_s,
+                step.setup, step.point, step.repeat, mean.q_rad, mean.q_std_rad, mean.direction, mean.current_A, mean.t_s,
                 step.payload_kg, tip_m,
             )
         )  # fmt: skip
@@ -189,6 +189,6 @@ def _described(step: Step) -> dict[str, object]:
             "duration_s": round(step.path.duration_s, 3), "start_rad": list(step.path.knots[0].q_rad),
         }  # fmt: skip
     return {
-        "point": step.point, "repeat": step.repeat, "payload_kg": step.payload_kg, "q_rad": list(step.q_rad),
+        "setup": step.setup, "point": step.point, "repeat": step.repeat, "payload_kg": step.payload_kg, "q_rad": list(step.q_rad),
         "direction": list(step.direction),
     }  # fmt: skip

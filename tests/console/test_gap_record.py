@@ -163,7 +163,7 @@ def test_the_plan_alone_is_said_and_nothing_is_made(
     ]
     assert main(arguments) == 0
     said = capsys.readouterr().out
-    assert "78 poses and 0 motions, some of them with 0.5 kg at the tip" in said
+    assert "86 poses and 0 motions, some of them with 0.5 kg at the tip" in said
     assert "backlash on joint 2" in said
     assert not (tmp_path / "d").exists()
 

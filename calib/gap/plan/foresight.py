@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.gap.finding import Nameable
-from calib.gap.plan.plan import SETUP, AVERAGE_s, RecordingPlan, Visit
+from calib.gap.plan.plan import AVERAGE_s, RecordingPlan, Visit
 from calib.gap.static.find import find
 from calib.gap.static.nameable import is_nameable
 from calib.points import Points, make_points
@@ -50,7 +50,7 @@ def as_recorded(arm: Arm, visits: tuple[Visit, ...], duration_s: float) -> Point
     except MissingModel:
         current = np.full(q.shape, np.nan)
     return make_points(
-        [SETUP] * len(q),
+        [visit.setup for visit in visits],
         [visit.point for visit in visits],
         [visit.repeat for visit in visits],
         q,

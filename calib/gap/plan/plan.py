@@ -1,7 +1,9 @@
 """The whole recording as a list of steps in the order in which they are taken, with the time that they need.
 
-Poses come in a shuffled order, each from two opposite sides, with a reference pose again and again between them, so that what
-changes with time is not taken for what changes with the pose. What needs another load comes last, so that it is hung once.
+Poses come in blocks, each over the whole room in a shuffled order, with a reference pose again and again between them, so that
+what changes with time is not taken for what changes with the pose. Each pose is approached from two opposite sides. A block is a
+setup of its own: the workflow keeps one side of each block apart for its report. What needs another load comes last, so that it
+is hung once.
 """
 
 from __future__ import annotations
@@ -23,12 +25,11 @@ from control.motion.joint_path import JointPath
 
 SETUP = "free"
 REFERENCE = "ref"
-EVERY = 4  # poses between two visits of the reference
+BLOCK = 7  # poses of a block, about
 GENTLE = 0.25  # of the joints' limits, for the last way: braking harder throws gears onto the other flank
 SETTLE_s, AVERAGE_s = 0.3, 0.3  # after a move; 30 camera frames
 SHARE_LOADED = 0.4  # of the poses that are taken again with the load
 MARGIN_rad = 0.02  # of the room that a controller's error may use
-LOADED_FROM = 501  # repeats are counted from here with the load, so that no two records have one key
 SEED = 0  # of the shuffling: the same plan every time, so that a recording can go on
 
 
@@ -42,6 +43,7 @@ class Visit:
     direction: tuple[int, ...]
     payload_kg: float
     via_rad: tuple[float, ...] | None = None
+    setup: str = SETUP
 
     @property
     def start_rad(self) -> tuple[float, ...]:
@@ -139,12 +141,14 @@ def _steps(arm: Arm, room: Room, wish: Wish, extent: Extent, run_s: float, spare
     loaded: list[Step] = []
     if wish.has_poses:
         poses = static_poses(arm, room.inset(MARGIN_rad), extent)
-        order = np.random.default_rng(SEED).permutation(len(poses)).tolist()
-        shuffled = [poses[k] for k in order]
-        empty += _visits(shuffled, room, 0.0, 1)
-        if wish.payload_kg > 0.0:
-            some = shuffled[:: max(1, round(1.0 / SHARE_LOADED))]
-            loaded += _visits(some, room, wish.payload_kg, LOADED_FROM)
+        draw = np.random.default_rng(SEED)
+        blocks = _blocks(poses, draw)
+        shuffled = [poses[k] for k in draw.permutation(len(poses)).tolist()]
+        some = shuffled[: round(SHARE_LOADED * len(poses))] if wish.payload_kg > 0.0 else []
+        for number, block in enumerate(blocks):
+            empty += _visits(block, room, 0.0, number)
+        for number, block in enumerate(_blocks(some, draw), start=len(blocks)):
+            loaded += _visits(block, room, wish.payload_kg, number)
     if wish.has_motions:
         runs = list(_runs(arm, room.inset(MARGIN_rad), wish.payload_kg, run_s, spare))
         empty += [run for run in runs if not run.payload_kg]
@@ -152,26 +156,48 @@ def _steps(arm: Arm, room: Room, wish: Wish, extent: Extent, run_s: float, spare
     return (*empty, *loaded)
 
 
-def _visits(poses: Sequence[Pose], room: Room, payload_kg: float, first: int) -> Iterator[Step]:
-    """Every pose from two opposite sides, every other one from the other pair of sides; the reference in between."""
-    n = len(room.lower_rad)
+def _blocks(poses: Sequence[Pose], draw: np.random.Generator) -> list[list[Pose]]:
+    """Every kind of pose dealt round the blocks, and each block shuffled."""
+    count = min(len(poses), max(1, round(len(poses) / BLOCK)))
+    blocks: list[list[Pose]] = [[] for _ in range(count)]
+    shuffled = [poses[k] for k in draw.permutation(len(poses)).tolist()]
+    for k, pose in enumerate(sorted(shuffled, key=lambda pose: pose.name[0])):
+        blocks[k % count].append(pose)
+    return [[block[k] for k in draw.permutation(len(block)).tolist()] for block in blocks]
+
+
+def _visits(poses: Sequence[Pose], room: Room, payload_kg: float, number: int) -> Iterator[Visit]:
+    """A block: every pose from two opposite sides, every other one from the other pair of sides; the reference in between.
+
+    The reference comes from all four sides first. In which order is another in each block, so that each side is kept apart for
+    the report in some block: what is kept apart is what comes from the side that came last.
+    """
     reference = Pose(REFERENCE, tuple(round(float(q), 6) for q in room.middle_rad))
-    straight = tuple([1] * n)
-    crossed = tuple(1 if j % 2 == 0 else -1 for j in range(n))
-    count = first
+    sides = _sides(len(room.lower_rad), number)
+    setup = f"{SETUP}{number + 1}" if number else SETUP
+    order = [(reference, side) for side in sides]
     for k, pose in enumerate(poses):
-        if k % EVERY == 0:
-            yield from _both_ways(reference, straight, payload_kg, count)
-            count += 1
-        yield from _both_ways(pose, crossed if k % 2 else straight, payload_kg, first)
-    yield from _both_ways(reference, straight, payload_kg, count)
+        if k == len(poses) // 2:
+            order += [(reference, side) for side in sides[1::2]]
+        order += [(pose, side) for side in sides[k % 2 :: 2]]
+    order += [(reference, side) for side in sides[::2]]
+    taken: dict[str, int] = {}
+    for pose, side in order:
+        taken[pose.name] = taken.get(pose.name, 0) + 1
+        yield Visit(pose.name, taken[pose.name], pose.q_rad, side, payload_kg, pose.via_rad, setup)
 
 
-def _both_ways(pose: Pose, sign: tuple[int, ...], payload_kg: float, repeat: int) -> Iterator[Visit]:
-    """The second way's repeat number is told from the first's by its sign alone."""
-    against = tuple(-s for s in sign)
-    yield Visit(pose.name, 2 * repeat - 1, pose.q_rad, sign, payload_kg, pose.via_rad)
-    yield Visit(pose.name, 2 * repeat, pose.q_rad, against, payload_kg, pose.via_rad)
+def _sides(n: int, number: int) -> tuple[tuple[int, ...], ...]:
+    """Straight, crossed, and each of them the other way; begun otherwise in each of four blocks."""
+    straight = (1,) * n
+    crossed = tuple(1 if j % 2 == 0 else -1 for j in range(n))
+    first, second = (straight, crossed) if number % 2 == 0 else (crossed, straight)
+    sides = (first, second, _against(first), _against(second))
+    return sides if number % 4 in (0, 3) else (*sides[2:], *sides[:2])
+
+
+def _against(side: tuple[int, ...]) -> tuple[int, ...]:
+    return tuple(-s for s in side)
 
 
 def _runs(arm: Arm, room: Room, payload_kg: float, run_s: float, spare: int) -> Iterator[Run]:

@@ -96,6 +96,7 @@ def find(
         unknown=verdict.unknown,
         nameable=could,
         next_experiment=next_experiment(ambiguous, verdict.unknown, could, "free" in points.setup),
+        is_kept_apart=parts.is_divided,
     )
     drawn = (("as it is", nominal), *((name, one.residual_m) for name, one in fits))
     return StaticGap(finding, points, parts, floor, drawn, final, tuple(warnings), out, load_of(arm, points))

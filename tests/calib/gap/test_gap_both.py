@@ -6,6 +6,7 @@ import pytest
 
 from calib.gap.both import brought_together, disagreements
 from calib.gap.finding import EffectName, GapFinding, Nameable, NamedEffect, Unknown, gap_content
+from calib.gap.words import in_words
 
 PLAY, SPRING = EffectName("backlash", 1), EffectName("joint_compliance", 1)
 DRAG, SCALE = EffectName("coulomb_friction", 2), EffectName("encoder_scale", 1)
@@ -98,6 +99,12 @@ def test_a_set_that_one_level_leaves_open_is_resolved_by_the_other(is_swapped: b
     assert names(both) == [PLAY]
     assert both.ambiguous == ()
     assert "alone cannot tell backlash on joint 1, encoder_scale on joint 1 apart" in said[0]
+    # what was left open was not in the model when its gap was looked at: it is null, not that of a poorer model
+    content = gap_content(both)["gap"]
+    assert content["after"] is None
+    assert content["after_si"]["tip_m"] is None
+    assert content["after_si"]["current_A"] == 1e-3
+    assert "not looked at again" in " ".join(in_words(both))
 
 
 def test_two_open_sets_become_what_they_share() -> None:
