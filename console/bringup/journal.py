@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from console.bringup.diagnosis import Diagnosis
+from console.bringup.findings import Diagnosis
 from console.bringup.measuring import Measured
 from console.bringup.survey import Pulse
 from console.bringup.wiring import JointWiring

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from console.bringup.bench import Bench, Surprise
-from console.bringup.diagnosis import Diagnosis, diagnose
+from console.bringup.diagnosis import diagnose
 from console.bringup.driving import JointDriver
+from console.bringup.findings import Diagnosis
 from console.bringup.journal import Journal
 from console.bringup.measuring import measure
 from console.bringup.operator import Operator

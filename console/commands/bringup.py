@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from console.bringup.bench import Bench
-from console.bringup.diagnosis import Diagnosis
+from console.bringup.findings import Diagnosis
 from console.bringup.journal import Journal, brought_up
 from console.bringup.opening import Setting, opened
 from console.bringup.operator import Operator, Stopped

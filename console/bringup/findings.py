@@ -1,0 +1,19 @@
+"""What is known of a joint after bring-up: its drive, figures, and sentences for the operator."""
+
+import math
+from dataclasses import dataclass, field
+
+from control.model.arm import Drive
+
+
+@dataclass(slots=True)
+class Diagnosis:
+    """Of one joint. `drive` is the draft's with what was measured in its place; problems stand in the way of a new arm.toml."""
+
+    drive: Drive
+    figures: dict[str, float] = field(default_factory=dict)
+    changes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    coulomb_Nm: float = math.nan
+    viscous_Nm_s_rad: float = math.nan
