@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import cmath
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from calib.arrays import Array
-from calib.gap.finding import GapFinding
+from calib.gap.finding import EffectName, GapFinding
 from calib.gap.words import GEOMETRY
 from control.model.arm import Arm, Calibration, Effect
 
@@ -22,17 +22,23 @@ SUMMED = (
 
 def updated_arm(arm: Arm, found: GapFinding, dh: Array | None, made: Calibration) -> Arm:
     """The arm with what was named added to its own effects, and with the geometry `dh`."""
+    named = [effect_of(one.name, one.parameters) for one in found.effects if one.name.effect != GEOMETRY]
+    fitted = arm if dh is None else arm.with_dh(dh)
+    return dataclasses.replace(with_named(fitted, named), calibration=made)
+
+
+def effect_of(name: EffectName, parameters: Mapping[str, tuple[float, float]]) -> Effect:
+    """As the arm's file has it: values without their standard deviations."""
+    return Effect(name.effect, name.joint, {key: value for key, (value, _) in parameters.items()})
+
+
+def with_named(arm: Arm, named: Sequence[Effect]) -> Arm:
+    """The arm with these effects on top of its own."""
     known = {(effect.effect, effect.joint): effect for effect in arm.effects}
-    named = [
-        Effect(one.name.effect, one.name.joint, {name: value for name, (value, _) in one.parameters.items()})
-        for one in found.effects
-        if one.name.effect != GEOMETRY
-    ]
     added = [_on_top(known.get((effect.effect, effect.joint)), effect) for effect in named]
     replaced = {(effect.effect, effect.joint) for effect in named}
     kept = [effect for effect in arm.effects if (effect.effect, effect.joint) not in replaced]
-    fitted = arm if dh is None else arm.with_dh(dh)
-    return dataclasses.replace(fitted, effects=(*kept, *added), calibration=made)
+    return dataclasses.replace(arm, effects=(*kept, *added))
 
 
 def _on_top(known: Effect | None, found: Effect) -> Effect:

@@ -39,6 +39,11 @@ class Candidate:
         """Whether the tip shows it."""
         return self.slope_Nm is None or bool(self.slope_rad.any())
 
+    @property
+    def is_mass(self) -> bool:
+        """Whether it is a weight that only holding currents tell."""
+        return self.name.effect in ("payload", "link_inertia")
+
     def physical(self, value: Array) -> bool:
         """Whether coefficients (c,) are those of a real thing, the known part included."""
         return not self.is_positive or bool(np.all(self.whole(value) > 0.0))

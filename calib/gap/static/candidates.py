@@ -39,16 +39,20 @@ WOUND_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of held friction that winds a soft
 DRIFT_TIMES_SPAN = 1.5  # of a session, up to which a time constant bends its course enough to be one
 
 
-def candidates(arm: Arm, points: Points) -> tuple[Candidate, ...]:
-    """All of them, those that need masses or times left out where there are none."""
+def candidates(arm: Arm, points: Points, loaded: Arm | None = None) -> tuple[Candidate, ...]:
+    """All of them, those that need masses or times left out where there are none.
+
+    `loaded`: the arm with the masses and torque constants that were found, whose gears and links feel them.
+    """
+    loaded = arm if loaded is None else loaded
     found = [*_of_the_encoder(points), *of_the_frame(arm, points)]
     try:
-        pose = resting(arm, points.q_rad, points.direction, points.current_A, stated_kg(points))
+        pose = resting(loaded, points.q_rad, points.direction, points.current_A, stated_kg(points))
     except MissingModel:
         pose = None
     if pose is not None:
-        found += _of_the_gear(points, pose, CURRENT_NOISE_A * torque_per_A(arm))
-    found += of_the_loads(arm, points)
+        found += _of_the_gear(points, pose, CURRENT_NOISE_A * torque_per_A(loaded))
+    found += of_the_loads(arm, points, loaded)
     if np.isfinite(points.t_s).all() and np.ptp(points.t_s) > 0.0:
         found += _of_the_time(points)
     return tuple(_beside_known(arm, one) for one in found)

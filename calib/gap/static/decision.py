@@ -29,7 +29,7 @@ STRICTER = 3.0  # what every name after the second costs beyond the one before i
 KEPT_SINGLES = 24  # the best ones, of which pairs are tried
 KEPT_SETS = 12  # the best pairs, triples, ..., to which one more effect is added
 NAMES_MOST = 4
-LOADS_MOST = 1  # of what only holding currents tell: any two loads look like a third
+MASSES_MOST = 1  # any two masses, of the links or at the tip, look like a third
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +52,19 @@ class Decision:
     ambiguous: tuple[tuple[EffectName, ...], ...]
     margin: float
     leader: EffectName | None
+
+    def without(self, names: set[EffectName], candidates: Sequence[Candidate]) -> Decision:
+        """The same when these names have turned out to be none."""
+        left = [
+            [k for k in some if candidates[k].name not in names] for some in (self.best.chosen, self.accepted)
+        ]
+        open_sets = [tuple(name for name in one if name not in names) for one in self.ambiguous]
+        return dataclasses.replace(
+            self,
+            best=Hypothesis(tuple(left[0]), self.best.score),
+            accepted=tuple(left[1]),
+            ambiguous=tuple(one for one in open_sets if len(one) > 1),
+        )
 
 
 def decide(evidence: Evidence, candidates: Sequence[Candidate]) -> Decision:
@@ -141,7 +154,7 @@ def with_doubt(evidence: Evidence, candidates: Sequence[Candidate], best: Hypoth
 def _is_physical(candidates: Sequence[Candidate], chosen: Sequence[int], value: Array) -> bool:
     """Whether every play and softness comes out positive, and no more loads are named than can be."""
     some, first = [candidates[k] for k in chosen], 0
-    if len(some) > LOADS_MOST and sum(not one.moves_tip for one in some) > LOADS_MOST:
+    if len(some) > MASSES_MOST and sum(one.is_mass for one in some) > MASSES_MOST:
         return False
     for one in some:
         if one.is_positive and not one.physical(value[first : first + len(one.size)] * one.size):

@@ -10,7 +10,8 @@ from calib.gap.static.candidate import Candidate
 from calib.gap.static.evidence import Evidence
 from calib.gap.static.shape import Shape
 
-LEAD = 3.0  # log evidence, 20 to 1, by which a name must lead every shape
+LEAD = 3.0  # log odds, 20 to 1, that a name must have over all shapes together
+LISTED = 3.0  # prior odds that what moves a joint is in the list, to that it is not
 WIDER = 2.0  # by which a shape must lead a name, for every column that it has more
 WIDER_MOST = 6.0
 SAME = 0.9999  # cosine between the signatures of a shape and of an effect of the list, from which on they are one
@@ -34,20 +35,32 @@ def doubles(
     for k in chosen:
         beside = [place for other in chosen if other != k for place in at[other]]
         named = evidence.log([*beside, *at[k]])
-        rivals = [
-            (evidence.log([*beside, *places]) - _must_lead(len(places) - len(at[k])), number)
+        leads = [
+            (evidence.log([*beside, *places]) - named, len(places) - len(at[k]), number)
             for number, places in enumerate(shapes_at)
             if number not in own
         ]
-        best, number = max(rivals, default=(-np.inf, 0))
-        if best >= named:
+        number = _best_double(leads, _prior(len({one.name for one in tried}), len(leads)))
+        if number is not None:
             found[k] = shapes[number]
     return found
 
 
-def _must_lead(more: int) -> float:
-    """Log evidence by which a shape with `more` columns than a name must lead it to replace it; below 0 it may lag."""
-    return -LEAD if more <= 0 else min(WIDER * more, WIDER_MOST)
+def _best_double(leads: Sequence[tuple[float, int, int]], prior: float) -> int | None:
+    """The shape that stands for a name, of (log evidence beyond the name's, columns more, number) each; None if none may."""
+    wider = [(lead - min(WIDER * more, WIDER_MOST), number) for lead, more, number in leads if more > 0]
+    best, number = max(wider, default=(-np.inf, 0))
+    if best >= 0.0:
+        return number
+    alike = [(lead, number) for lead, more, number in leads if more <= 0]
+    if not alike or prior - float(np.logaddexp.reduce([lead for lead, _ in alike])) >= LEAD:
+        return None
+    return max(alike)[1]
+
+
+def _prior(names_count: int, shapes_count: int) -> float:
+    """Log prior odds of one name to one shape: each side's chance is spread evenly over what it has."""
+    return float(np.log(LISTED * max(1, shapes_count) / max(1, names_count)))
 
 
 def _same_as_an_effect(

@@ -15,6 +15,9 @@ from control.model.arm import Arm
 SAME_POSE_rad = 0.03
 REPEATS_LEAST = 12  # pairs below which a scatter is worth less than the data sheet
 QUARTILE = 1.212533  # of chi-square with three degrees of freedom
+QUARTILE_CHANCE = (
+    3.0 * 0.745
+)  # three standard deviations of its root, as a share, times the root of the count
 AGREE = 0.2  # share by which two estimates of the same may differ
 SHEET_WORTH = 200  # pairs that a data sheet counts for, where repeats bear it out
 
@@ -78,6 +81,6 @@ def _scatter_m(apart_m: Array) -> float:
     of the pairs and must not pass for the floor.
     """
     square = np.einsum("ij,ij->i", apart_m, apart_m) / 2.0
-    rms = math.sqrt(float(square.mean()) / 3.0)
+    rms, chance = math.sqrt(float(square.mean()) / 3.0), QUARTILE_CHANCE / math.sqrt(len(square))
     quartile = math.sqrt(float(np.quantile(square, 0.25)) / QUARTILE)
-    return rms if rms <= (1.0 + AGREE) * quartile else quartile
+    return rms if rms <= (1.0 + max(AGREE, chance)) * quartile else quartile

@@ -15,6 +15,9 @@ from calib.gap.static.shape import WHOLE_ARM, Shape
 EXPLAINED_LEAST = (
     0.9  # share of the excess over the floor below which a name beside a remainder would be a proxy
 )
+HALF = (
+    0.5  # of the excess: beside noise, not structure, a name is a proxy only if it explains the lesser part
+)
 UNSTRUCTURED = 1.1  # times the floor that residuals without any structure may be before it is said
 
 
@@ -39,7 +42,7 @@ def judge(
     explained = explained_share(bare, fit, rows, noise_m)
     if not left:
         unknown = _unstructured(fit, rows, noise_m, accepted, explained)
-        is_little = unknown is not None and explained < EXPLAINED_LEAST
+        is_little = unknown is not None and explained < HALF
         return Judgement(() if is_little else tuple(accepted), unknown)
     withdrawn = [
         one

@@ -20,6 +20,7 @@ from calib.identify.link_frames import LinkFrames, link_frames
 from calib.points import Points
 from control.errors import MissingModel
 from control.model.arm import Arm
+from control.model.feedforward import own_payload_kg, with_link_inertia
 from control.model.static_pose import gravity_Nm
 
 BENDING_1_Nm2 = 1.0 / 400.0  # a tube of 25 x 1.5 mm aluminium has some 500, a printed one some 50
@@ -34,13 +35,13 @@ def stated_kg(points: Points) -> Array:
     return np.nan_to_num(points.payload_kg)
 
 
-def of_the_loads(arm: Arm, points: Points) -> tuple[Candidate, ...]:
-    """All of them; none for an arm without masses."""
+def of_the_loads(arm: Arm, points: Points, loaded: Arm) -> tuple[Candidate, ...]:
+    """All of them; none for an arm without masses. Links bend, and motors hold, under what is on the arm `loaded`."""
     try:
-        gravity = gravity_Nm(arm, points.q_rad, stated_kg(points))
+        gravity = gravity_Nm(loaded, points.q_rad, stated_kg(points))
     except MissingModel:
         return ()
-    found = [*_bending(arm, points)]
+    found = [*_bending(with_link_inertia(loaded), points)]
     if np.isfinite(points.current_A).any():
         found += [*_constants(gravity), *_masses(arm, points)]
     return tuple(found)
@@ -49,7 +50,7 @@ def of_the_loads(arm: Arm, points: Points) -> tuple[Candidate, ...]:
 def _bending(arm: Arm, points: Points) -> Iterator[Candidate]:
     known = {one.joint: 1.0 / one.parameters["EI_Nm2"] for one in arm.effects if one.effect == FLEXURE}
     for link in beams(arm):
-        moved = bending_m(arm, arm.dh, points.q_rad, stated_kg(points), link)
+        moved = bending_m(arm, arm.dh, points.q_rad, stated_kg(points) + own_payload_kg(arm), link)
         if np.ptp(moved, axis=0).max() == 0.0:
             continue
         made = Candidate(

@@ -9,20 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array, Mask
-from calib.gap.finding import Unknown
+from calib.gap.finding import EffectName, Unknown
+from calib.gap.model_update import effect_of, with_named
 from calib.gap.static.candidate import Candidate
 from calib.gap.static.candidates import candidates
 from calib.gap.static.currents import Currents
-from calib.gap.static.decision import FURTHER_COST, Decision, decide, with_doubt
+from calib.gap.static.decision import FURTHER_COST, Decision, Hypothesis, decide, with_doubt
 from calib.gap.static.doubles import doubles
 from calib.gap.static.evidence import Evidence
 from calib.gap.static.floor import Floor
 from calib.gap.static.generic import shapes
 from calib.gap.static.held_out import unborne
 from calib.gap.static.judgement import Judgement, explained_share, is_same_joint, judge
-from calib.gap.static.linearised import Linearised
+from calib.gap.static.linearised import Linearised, places
 from calib.gap.static.load_shapes import contradiction
-from calib.gap.static.model import Fitted, fitted, unsound
+from calib.gap.static.model import Fitted, fitted, parameters_of, unsound, unsure
 from calib.gap.static.remainder import Remainder, remainders
 from calib.gap.static.shape import Shape
 from calib.gap.static.split import Split
@@ -68,6 +69,11 @@ class Search:
             decision = decide(evidence, search.tried)
             plain = tuple(search.tried[k] for k in decision.best.chosen)
             chosen = tuple(with_doubt(evidence, search.tried, decision.best, k) for k in decision.best.chosen)
+            idle = self._idle(search, fit, decision.best, chosen)
+            if idle:
+                decision = decision.without(idle, search.tried)
+                chosen = tuple(one for one in chosen if one.name not in idle)
+                plain = tuple(one for one in plain if one.name not in idle)
             stays = [(one.name, one.shape) for one in chosen] == [(one.name, one.shape) for one in fit.chosen]
             if stays and look != 1:
                 break
@@ -78,14 +84,35 @@ class Search:
                 fit = fitted(self.arm, self.points, self.parts.known, more)  # the evidence tells the rest
             if look == LOOKS - 1 or not chosen:
                 break
-            search = search._around_geometry(fit)
+            search = search._around(fit)
         return search, decision, fit
 
-    def _around_geometry(self, fit: Fitted) -> Search:
-        """With candidates and shapes at the geometry of a fit."""
+    def _idle(
+        self, search: Search, fit: Fitted, best: Hypothesis, chosen: Sequence[Candidate]
+    ) -> set[EffectName]:
+        """Names that pay only in poses in which nobody can tell the flank of a play beside them."""
+        doubt = unsure(chosen, len(self.points))
+        if len(chosen) < 2 or not doubt.any():
+            return set()
+        evidence = search.around(fit.geometry_x).evidence(chosen, self.parts.known & ~doubt)
+        at = places(chosen)
+        whole = evidence.log(range(len(evidence.pull)))
+        paid = [whole - evidence.log([p for o in at if o != own for p in o]) for own in at]
+        return {
+            one.name
+            for one, pays in zip(chosen, paid, strict=True)
+            if one.unsure is None and pays < FURTHER_COST
+        }
+
+    def _around(self, fit: Fitted) -> Search:
+        """With candidates and shapes at the geometry of a fit, and under the loads that it found."""
         known, moved = {one.name for one in self.tried}, self.arm.with_dh(fit.solution.dh)
-        tried = tuple(one for one in candidates(moved, self.points) if one.name in known)
-        return dataclasses.replace(self, tried=tried, shapes=shapes_beside(tried, moved, self.points))
+        values = parameters_of(fit, self.parts.known, self.noise_m, self.currents)
+        chosen = zip(fit.chosen, values, strict=True)
+        loads = [effect_of(one.name, found) for one, found in chosen if one.slope_Nm is not None]
+        loaded = with_named(moved, loads)
+        tried = tuple(one for one in candidates(moved, self.points, loaded) if one.name in known)
+        return dataclasses.replace(self, tried=tried, shapes=shapes_beside(tried, loaded, self.points))
 
     def judged(self, decision: Decision, fit: Fitted) -> Judgement:
         """What of the decision is kept: not what other recordings do not bear out, what a shape without a name would replace,
@@ -155,7 +182,7 @@ class Search:
         columns += [around.columns(shape) for shape in self.shapes]
         ends = np.cumsum([column.shape[1] for column in columns])
         at = [list(range(end - column.shape[1], end)) for column, end in zip(columns, ends, strict=True)]
-        keep, count = np.repeat(self.parts.known, 3), len(self.tried)
+        keep, count = np.repeat(fit.sure(self.parts.known), 3), len(self.tried)
         evidence = Evidence.of(around.base[keep], np.concatenate(columns, axis=1)[keep], around.y[keep])
         return evidence, at[:count], at[count:]
 
