@@ -17,9 +17,8 @@ def run(given: argparse.Namespace) -> int:
     """Export and say what was written."""
     recording, out = Path(given.recording), Path(given.out)
     if not recording.is_file():
-        raise ArmError(
-            f"{recording}: there is no such recording; `armwright serve` writes them to its --log folder"
-        )
+        what = "it is a folder" if recording.is_dir() else "there is no such recording"
+        raise ArmError(f"{recording}: {what}; `armwright serve` writes them to its --log folder")
     arm = load_arm(given.arm) if given.arm else recorded_arm(Recording.open(recording))
     if arm is None:
         sys.stderr.write(

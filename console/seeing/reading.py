@@ -31,7 +31,8 @@ def read_series(path: Path, arm: Arm | None = None, report: Report = lambda done
     ArmError (RecordError, LogFileError) when it is none of these files, is damaged, or is of another number of joints.
     """
     if not path.is_file():
-        raise ArmError(f"{path}: there is no such file; `armwright serve` records to its --log folder")
+        what = "it is a folder; give the recording in it" if path.is_dir() else "there is no such file"
+        raise ArmError(f"{path}: {what}; `armwright serve` records to its --log folder")
     with path.open("rb") as file:
         start = file.read(8)
     if start == MAGIC:
@@ -45,7 +46,7 @@ def read_series(path: Path, arm: Arm | None = None, report: Report = lambda done
     else:
         raise ArmError(
             f"{path}: expected a recording (.armlog), a log.csv or log.csv.gz, or an MCAP of `armwright export`;"
-            f" it begins with {start!r}"
+            f" it {f'begins with {start!r}' if start else 'is empty'}"
         )
     if arm is not None and arm.joint_count != series.joint_count:
         raise ArmError(f"{path}: {series.joint_count} joints, but arm {arm.name} has {arm.joint_count}")

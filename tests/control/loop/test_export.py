@@ -150,6 +150,15 @@ def test_nothing_is_overwritten(recording: Path, tmp_path: Path) -> None:
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"log.mcap": before["log.mcap"]}
 
 
+def test_an_interrupted_export_leaves_nothing_that_looks_complete(recording: Path, tmp_path: Path) -> None:
+    def interrupted(done: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export(recording, tmp_path, report=interrupted)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("every", [0, -3])
 def test_every_0th_cycle_is_refused(recording: Path, tmp_path: Path, every: int) -> None:
     with pytest.raises(RecordError, match="every 1st, 2nd"):
