@@ -16,6 +16,7 @@ from control.loop.watch import QUADRATURE_ERROR, SIGNAL_LOST
 
 LATCHES = 5
 INDEX_SPEED_rad_s = 0.12
+SAME_PULSE_counts = 4
 INDEX_TURNS = 2.6  # of the motor by the draft: an encoder with half or twice its counts still shows two
 KNOWN_ANGLE_RAD = 0.3  # the end stops are read, too
 LONG_ANGLE_RAD = 0.6  # where they are not
@@ -115,7 +116,8 @@ def _spacing(driver: JointDriver, found: Measured) -> None:
     longest_rad = INDEX_TURNS * 2.0 * math.pi / driver.drive.gear_ratio
     for direction in (1, -1):
         latches = driver.latches(LATCHES, direction, INDEX_SPEED_rad_s, longest_rad)
-        spacings = [abs(b - a) for a, b in pairwise(latches)]
+        # A joint that sinks while its index is armed meets the same pulse again.
+        spacings = [abs(b - a) for a, b in pairwise(latches) if abs(b - a) > SAME_PULSE_counts]
         if len(spacings) > len(found.spacings_count):
             found.spacings_count = spacings
         if len(spacings) >= 2:

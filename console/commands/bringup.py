@@ -92,7 +92,7 @@ def _bring_up(setting: Setting, operator: Operator, journal: Journal, options: O
         return 1
     save_arm(brought_up(setting.draft, journal, serials), out)
     left = [drive.joint for drive in setting.draft.drives if drive.joint not in journal.passed()]
-    unchecked = f" Joints {', '.join(map(str, left))} are the draft's, unchecked." if left else ""
+    unchecked = f" Unchecked, as in the draft: joint {', '.join(map(str, left))}." if left else ""
     operator.say(f"\nwritten: {out} (the draft is as it was; measured values in {journal.path}).{unchecked}")
     return 0
 

@@ -16,6 +16,7 @@ from console.bringup import measuring
 from console.bringup.bench import Bench, DriveLimits, Surprise
 from console.bringup.diagnosis import rewired
 from console.bringup.journal import Journal, brought_up
+from console.bringup.measuring import Measured
 from console.bringup.mock_operator import MockOperator
 from console.bringup.operator import Stopped
 from console.bringup.procedure import Options, Outcome, bring_up, caution_of
@@ -336,6 +337,26 @@ def test_a_joint_that_is_pushed_too_fast_is_let_go_of() -> None:
         assert bench.motors[1].state is State.SWITCH_ON_DISABLED
 
 
+class Sinking:
+    """A driver whose joint sinks back over an index pulse while the next one is armed."""
+
+    drive = RIGHT.drive(2)
+
+    def where_rad(self) -> float:
+        return 0.0
+
+    def go_to(self, angle_rad: float, speed_rad_s: float) -> None: ...
+
+    def latches(self, wanted: int, direction: int, speed_rad_s: float, longest_rad: float) -> list[int]:
+        return [100, 100, 2148, 2147, 4196]
+
+
+def test_an_index_pulse_that_is_met_twice_is_no_turn() -> None:
+    found = Measured()
+    measuring._spacing(Sinking(), found)  # type: ignore[arg-type]
+    assert found.spacings_count == [2048, 2049]
+
+
 def draft_file(tmp_path: Path) -> Path:
     file = tmp_path / "draft.toml"
     text = (Path(__file__).parents[3] / "control" / "arms" / "right.toml").read_text("utf-8")
@@ -355,7 +376,7 @@ def test_the_command_writes_a_new_file_once_and_says_which_joints_are_unchecked(
 ) -> None:
     assert run_command(tmp_path, "--joint", "1") == 0
     said = capsys.readouterr().out
-    assert "Joints 2, 3 are the draft's, unchecked" in said
+    assert "Unchecked, as in the draft: joint 2, 3" in said
     assert load_arm(tmp_path / "new.toml").drive(1) == RIGHT.drive(1)
     assert run_command(tmp_path, "--joint", "2") == 2
     assert "never overwritten" in capsys.readouterr().err
