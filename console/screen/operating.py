@@ -32,7 +32,7 @@ GUIDING = {
     "drives off: somebody HOLDS the arm": "guide",
     "weightless: the drives carry the arm": "guide --weightless",
 }
-TEXT_S, PICTURE_S = 0.1, 0.2  # how often panels are drawn anew
+TEXT_S, PICTURE_S = 0.12, 0.25  # how often panels are drawn anew
 RENEW_S = 0.05
 UNSEEN_S = 2.0  # a button that is held with a mouse that says nothing for so long: the terminal may be gone
 HINTS = "space STOP  1-9 xyz pick  ←→ jog  t step  -+ speed  n on  h home  p pause  ? more"
@@ -136,9 +136,8 @@ class OperatingScreen(Screen[None]):
         joint = self.selected.joint is not None
         size = f"{STEPS_rad[self._step_at]:g} rad" if joint else f"{1e3 * STEPS_m[self._step_at]:g} mm"
         how = f"[b]step[/] {size}" if self.is_stepping else "[b]hold[/] the key"
-        running = (
-            f"   running: {texts.escaped(self.app.operator.running)}" if self.app.operator.running else ""
-        )
+        word = self.app.operator.running.partition(" ")[0]
+        running = f"   running: {texts.escaped(word)}" if word else ""
         return f"jog {self.selected.name}: {how}, {100 * self.speed:g} %   pace of motions {100 * self.pace:g} %{running}"
 
     def _show_pictures(self, status: Message) -> None:

@@ -68,7 +68,6 @@ class SessionScreen(Screen[None]):
     def on_mount(self) -> None:
         """Begin or resume."""
         self.query_one("#records", RichLog).can_focus = False
-        self._write(HEADING, is_markup=True)
         self._doing = asyncio.create_task(self._conduct())
 
     # ---- the session's process
@@ -133,11 +132,13 @@ class SessionScreen(Screen[None]):
             self._write(f"[yellow]{text}[/]" if message.get("is_warning") else text, is_markup=True)
 
     def _asked(self, message: Mapping[str, Any]) -> None:
+        if not self._board:  # the first question: only now is it known how wide the panel is
+            self._write(HEADING, is_markup=True)
         total = message["done"] + message["left"]
         self._put(
             "session_head",
-            f"[b]calibration session[/] {escaped(str(self._folder))}   setup [b]{message['setup']}[/]"
-            f"   {message['done']} of {total} recorded, {message['left']} left",
+            f"[b]{message['done']} of {total}[/] recorded, {message['left']} left   setup [b]{message['setup']}[/]"
+            f"   session {escaped(str(self._folder))}",
         )
         self._board = message["board"]
         for left in self.query("#session_left"):
