@@ -96,7 +96,7 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
         else:
             _record_real(given, arm, plan, out)
     except BaseException as error:
-        if (out / "plan.json").exists():
+        if (out / "points.csv").exists() or (out / "runs").exists():
             sys.stderr.write(
                 f"\narmwright: what was recorded is in {out}; the same command goes on with it\n"
             )

@@ -46,7 +46,7 @@ def next_experiment(
     wanted = dict.fromkeys(
         TOLD_APART_BY[one.name.effect] for one in hidden if one.name.effect in TOLD_APART_BY
     )
-    return f"This data cannot name {names} of usual size; it takes {free}{'; '.join(list(wanted)[:3])}."
+    return f"To name {names}, record {free}{'; '.join(list(wanted)[:3])}."
 
 
 def _listed(names: Sequence[str]) -> str:
