@@ -99,7 +99,11 @@ def test_a_step_ends_where_it_was_to_without_a_held_key(tmp_path: Path) -> None:
     played(tmp_path, play)
 
 
-def test_a_button_jogs_while_the_mouse_holds_it_and_a_lost_focus_lets_go(tmp_path: Path) -> None:
+def test_a_button_jogs_while_the_mouse_holds_it_and_a_lost_focus_lets_go(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("console.screen.operating.UNSEEN_S", 1e9)  # it is not the silent mouse that lets go
+
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
         buttons = list(app.operating.query(".held"))
         mouse(pilot, buttons[1], events.MouseDown)
