@@ -10,7 +10,7 @@ from dataclasses import replace
 from statistics import fmean, median
 
 from console.bringup.findings import Diagnosis
-from console.bringup.measuring import Measured
+from console.bringup.measuring import ODD_RATIO, Measured
 from console.bringup.placing import place_home, place_limits
 from console.bringup.wiring import JointWiring
 from control.loop.watch import QUADRATURE_ERROR, SIGNAL_LOST
@@ -18,13 +18,13 @@ from control.model.arm import Drive
 
 READING_SD_RAD = 0.004  # of a protractor, eye included
 SCALE_TOLERANCE = 0.015  # of the gear ratio; a wrong gear is off by more
-ODD_RATIO = 0.06  # below it, a slipping encoder and a misread angle are likelier than another gear
 EXACT = 0.004  # to which the end stops tell a gear ratio
 SPACING_SPREAD_counts = 4
 TOUCH_SPREAD_RAD = 0.0025  # of an end stop that is touched again and again
 SAME_WAY_SPREAD_RAD = 0.003  # of the home switch, passed in the same direction
 EDGE_SPREAD_RAD = 0.015  # of the home switch both ways: play, hysteresis of a switch, half a cycle of motion
 MISREAD_RAD = 0.025  # of a reading, off the line through the others
+FEWEST_READINGS = 3  # of which one that is misread lies off the line of the others
 CONSTANT_TOLERANCE = 0.2
 RESISTANCE_TOLERANCE = 0.6  # leads, brushes and heat add to what a data sheet says
 LEAST_CURRENT_A = 0.1  # that says something of a resistance
@@ -38,7 +38,7 @@ def diagnose(draft: Drive, wiring: JointWiring, found: Measured, said_counts: in
     _counts(result, found, said_counts)
     offset_rad, slope = _line(result, found, is_slipping)
     if not is_slipping:
-        _gear(result, slope, draft)
+        _gear(result, slope, draft, len(found.readings))
     scale = (
         draft.encoder_counts_per_rev
         * draft.gear_ratio
@@ -168,8 +168,8 @@ def _line(result: Diagnosis, found: Measured, is_slipping: bool) -> tuple[float,
     return offset, slope
 
 
-def _gear(result: Diagnosis, slope: float, draft: Drive) -> None:
-    """Motor turns a joint turn."""
+def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
+    """Motor turns a joint turn. Another ratio than the draft's is believed only where a misread angle would have shown."""
     if not slope > 0.0:
         return
     drive = result.drive
@@ -183,6 +183,12 @@ def _gear(result: Diagnosis, slope: float, draft: Drive) -> None:
         result.problems.append(
             f"joint {drive.joint}: LOOSE ENCODER or WRONG GEAR: {found}: so small a difference is rarely a gearbox; tighten the"
             " encoder on its shaft and run it again, or correct gear_ratio in the draft if the gearbox's plate says so"
+        )
+        return
+    if readings < FEWEST_READINGS:
+        result.problems.append(
+            f"joint {drive.joint}: WRONG GEAR or a misread angle: {found}, by {readings} readings, which cannot show a mistake"
+            " in one of them; run it again with its end stops, or correct gear_ratio in the draft if the gearbox's plate says so"
         )
         return
     rounded = float(round(ratio)) if abs(ratio - round(ratio)) < 2.0 * sd else float(f"{ratio:.4g}")

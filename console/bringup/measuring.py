@@ -25,6 +25,7 @@ PASS_RAD = 0.12  # at least, and longer where it is faster
 PASS_S = 0.8
 FREE_SHARE = 0.8  # of its cycles that no limit of the board was at work in
 MIDDLE = (0.35, 0.65)  # of a pass: settled, and the same place both ways
+ODD_RATIO = 0.06  # of the draft's scale; below it, a slipping encoder and a misread angle are likelier than another gear
 TOUCHES = 3
 BACK_OFF_RAD = 0.12
 TOUCH_SPEED_rad_s = 0.15
@@ -95,6 +96,9 @@ def _known_angle(
     if abs(_turned(driver, found, angle_rad)) < 0.8 * angle_rad:
         _turned(driver, found, -2.0 * angle_rad)  # something stood in the way
     _read(driver, operator, joint, found)
+    if _is_odd(found):
+        _turned(driver, found, 0.5 * (start_rad - driver.where_rad()))
+        _read(driver, operator, joint, found)
     _turned(driver, found, start_rad - driver.where_rad())
     _take_scale(driver, found)
 
@@ -158,6 +162,14 @@ def _read(driver: JointDriver, operator: Operator, joint: int, found: Measured) 
     reading_rad = operator.angle_rad(joint)
     if reading_rad is not None:
         found.readings.append((where_rad, reading_rad))
+
+
+def _is_odd(found: Measured) -> bool:
+    """Whether two readings say another scale than the draft: then a third place shows whether one of them was misread."""
+    if len(found.readings) < 2:
+        return False
+    (x0, q0), (x1, q1) = found.readings[0], found.readings[-1]
+    return abs(q1 - q0 - (x1 - x0)) > ODD_RATIO * abs(x1 - x0)
 
 
 def _take_scale(driver: JointDriver, found: Measured) -> None:

@@ -63,12 +63,17 @@ def short(arm: Arm = RIGHT, half_rad: float = 0.2) -> Arm:
 
 
 def brought(
-    tmp_path: Path, *faults: FaultTable, draft: Arm = RIGHT, real: Arm | None = None, options: Options = QUICK
+    tmp_path: Path,
+    *faults: FaultTable,
+    draft: Arm = RIGHT,
+    real: Arm | None = None,
+    options: Options = QUICK,
+    operator_kind: type[MockOperator] = MockOperator,
 ) -> tuple[Outcome, Journal]:
     """Run it; the operator's eyes are the rig's."""
     with SteppedRig(real or draft, hidden(*faults)) as rig:
         arm = wired_to(draft, rig)
-        operator = MockOperator(rig, is_silent=True)
+        operator = operator_kind(rig, is_silent=True)
         journal = Journal(tmp_path / "journal.json", draft)
         with Bench(arm, rig.clock, operator) as bench:
             outcome = bring_up(arm, bench, operator, journal, options, lambda text: None)
@@ -192,6 +197,23 @@ def test_counts_and_gear_are_told_apart_and_mended(
     assert {name: getattr(drive, name) for name in keys} == keys
     # The motor's own constant has nothing to do with either.
     assert outcome.diagnoses[1].figures["torque_constant_Nm_A"] == pytest.approx(0.0302, rel=0.02)
+
+
+class _Misreading(MockOperator):
+    """Reads half of the second angle."""
+
+    readings = 0
+
+    def angle_rad(self, joint: int) -> float | None:
+        self.readings += 1
+        seen_rad = super().angle_rad(joint)
+        return seen_rad if seen_rad is None or self.readings != 2 else 0.5 * seen_rad
+
+
+def test_a_misread_angle_is_no_other_gear(tmp_path: Path) -> None:
+    outcome, journal = brought(tmp_path, operator_kind=_Misreading)
+    assert any("an angle was misread" in problem for problem in outcome.problems)
+    assert journal.passed() == []
 
 
 def test_the_rewired_arm_homes(tmp_path: Path) -> None:
