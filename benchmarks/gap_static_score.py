@@ -95,15 +95,17 @@ def score_several(first: int, cases: int, count: int) -> None:
         hidden = drawn_pair(np.random.default_rng(seed), count)
         found, _ = _found(seed, hidden)
         wanted, got = {name_of(one) for one in hidden}, set(names(found))
+        could = {one.name for one in found.finding.nameable if is_nameable(one)}
         told = got | {name for names_ in found.finding.ambiguous for name in names_}
         tally.update(
-            exact=got == wanted, no_wrong=got <= wanted, some=bool(got & wanted), honest=wanted <= told
-        )
+            exact=got == wanted, no_wrong=got <= wanted, some=bool(got & wanted), honest=wanted <= told,
+            nameable=wanted <= could, exact_nameable=wanted <= could and got == wanted,
+        )  # fmt: skip
         if got != wanted:
             _miss(seed, hidden, found)
     _say(
         f"{count} at once: {tally['exact']} of {cases // 2} exact, {tally['honest']} named or in an ambiguous set,"
-        f" {tally['no_wrong']} without a wrong name"
+        f" {tally['no_wrong']} without a wrong name; among {tally['nameable']} all nameable {tally['exact_nameable']} exact"
     )
 
 

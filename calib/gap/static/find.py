@@ -23,7 +23,7 @@ from calib.gap.static.model import Fitted, fitted
 from calib.gap.static.nameable import nameable
 from calib.gap.static.naming import named, rms, stages
 from calib.gap.static.outlying import outlying
-from calib.gap.static.search import Search, shapes_beside, working_noise_m
+from calib.gap.static.search import Search, working_noise_m
 from calib.gap.static.split import Split, split
 from calib.points import Points
 from control.model.arm import Arm
@@ -116,8 +116,7 @@ def _prepared(arm: Arm, points: Points, tried: tuple[Candidate, ...]) -> tuple[S
         floor = _from_the_richest(bare, parts, tried)
     noise = working_noise_m(bare, parts.known, tried, floor.tip_m)
     currents = holding_currents(arm, points, tried)
-    some = shapes_beside(tried, arm, points)
-    return Search(arm, points, parts, tried, some, bare, floor, noise, currents), out
+    return Search(arm, points, parts, tried, arm, bare, floor, noise, currents), out
 
 
 def _scatter_m(arm: Arm, points: Points, whole: Fitted) -> float:

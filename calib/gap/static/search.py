@@ -14,7 +14,7 @@ from calib.gap.model_update import effect_of, with_named
 from calib.gap.static.candidate import Candidate
 from calib.gap.static.candidates import candidates
 from calib.gap.static.currents import Currents
-from calib.gap.static.decision import FURTHER_COST, Decision, Hypothesis, decide, with_doubt
+from calib.gap.static.decision import FURTHER_COST, Decision, decide, with_doubt
 from calib.gap.static.doubles import doubles
 from calib.gap.static.evidence import Evidence
 from calib.gap.static.floor import Floor
@@ -39,8 +39,9 @@ FREEDOM_SHARE = (
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What is searched: poses and their split, candidates, shapes without a name, the geometry alone, floor, currents.
+    """What is searched: poses and their split, candidates, the geometry alone, floor, currents.
 
+    loaded: the arm at the geometry and under the loads that have been found, at which candidates and shapes are looked at.
     noise_m: what the evidence takes for noise: the floor, or what all candidates together leave where that is more.
     """
 
@@ -48,7 +49,7 @@ class Search:
     points: Points
     parts: Split
     tried: tuple[Candidate, ...]
-    shapes: tuple[Shape, ...]
+    loaded: Arm
     bare: Fitted
     floor: Floor
     noise_m: float
@@ -69,7 +70,7 @@ class Search:
             decision = decide(evidence, search.tried)
             plain = tuple(search.tried[k] for k in decision.best.chosen)
             chosen = tuple(with_doubt(evidence, search.tried, decision.best, k) for k in decision.best.chosen)
-            idle = self._idle(search, fit, decision.best, chosen)
+            idle = self._idle(search, fit, chosen)
             if idle:
                 decision = decision.without(idle, search.tried)
                 chosen = tuple(one for one in chosen if one.name not in idle)
@@ -87,9 +88,7 @@ class Search:
             search = search._around(fit)
         return search, decision, fit
 
-    def _idle(
-        self, search: Search, fit: Fitted, best: Hypothesis, chosen: Sequence[Candidate]
-    ) -> set[EffectName]:
+    def _idle(self, search: Search, fit: Fitted, chosen: Sequence[Candidate]) -> set[EffectName]:
         """Names that pay only in poses in which nobody can tell the flank of a play beside them."""
         doubt = unsure(chosen, len(self.points))
         if len(chosen) < 2 or not doubt.any():
@@ -105,21 +104,22 @@ class Search:
         }
 
     def _around(self, fit: Fitted) -> Search:
-        """With candidates and shapes at the geometry of a fit, and under the loads that it found."""
+        """With candidates at the geometry of a fit, and under the loads that it found."""
         known, moved = {one.name for one in self.tried}, self.arm.with_dh(fit.solution.dh)
         values = parameters_of(fit, self.parts.known, self.noise_m, self.currents)
         chosen = zip(fit.chosen, values, strict=True)
         loads = [effect_of(one.name, found) for one, found in chosen if one.slope_Nm is not None]
         loaded = with_named(moved, loads)
         tried = tuple(one for one in candidates(moved, self.points, loaded) if one.name in known)
-        return dataclasses.replace(self, tried=tried, shapes=shapes_beside(tried, loaded, self.points))
+        return dataclasses.replace(self, tried=tried, loaded=loaded)
 
     def judged(self, decision: Decision, fit: Fitted) -> Judgement:
         """What of the decision is kept: not what other recordings do not bear out, what a shape without a name would replace,
         nor what the remainder contradicts.
         """
-        left = remainders(fit, self.parts.known, self.shapes, self.noise_m)
-        twins, orphans = self._replaceable(decision, fit, left)
+        nameless = shapes_beside(self.tried, self.loaded, self.points)
+        left = remainders(fit, self.parts.known, nameless, self.noise_m)
+        twins, orphans = self._replaceable(decision, fit, left, nameless)
         broken = unborne(self.around(fit.geometry_x), self.tried, decision.best.chosen, self.parts)
         vague = unsound(fit, self.parts.known, self.noise_m)
         broken = tuple(k for k in decision.best.chosen if k in broken or self.tried[k].name in vague)
@@ -151,15 +151,15 @@ class Search:
         return Judgement(verdict.kept, Unknown(where, name, share))
 
     def _replaceable(
-        self, decision: Decision, fit: Fitted, left: Sequence[Remainder]
+        self, decision: Decision, fit: Fitted, left: Sequence[Remainder], nameless: Sequence[Shape]
     ) -> tuple[dict[int, Shape], set[int]]:
         """Names that a shape without a name would replace, and names that pay only beside such, or beside what is left."""
         seen = [k for k in decision.best.chosen if self.tried[k].moves_tip]
         if not seen:
             return {}, set()
-        evidence, at, shapes_at = self._evidence_with_shapes(fit)
-        twins = doubles(evidence, at, shapes_at, self.tried, seen, self.shapes)
-        number = {id(shape): k for k, shape in enumerate(self.shapes)}
+        evidence, at, shapes_at = self._evidence_beside(nameless, fit)
+        twins = doubles(evidence, at, shapes_at, self.tried, seen, nameless)
+        number = {id(shape): k for k, shape in enumerate(nameless)}
         instead = [number[id(shape)] for shape in twins.values()]
         instead += [number[id(one.shape)] for one in left[:1]]
         if not instead:
@@ -175,11 +175,13 @@ class Search:
         }
         return twins, orphans
 
-    def _evidence_with_shapes(self, fit: Fitted) -> tuple[Evidence, list[list[int]], list[list[int]]]:
-        """Of all candidates and all shapes at once, and where each has its columns."""
+    def _evidence_beside(
+        self, nameless: Sequence[Shape], fit: Fitted
+    ) -> tuple[Evidence, list[list[int]], list[list[int]]]:
+        """Of all candidates and all shapes without a name at once, and where each has its columns."""
         around = self.around(fit.geometry_x)
         columns = [around.columns(c) * c.size for c in self.tried]
-        columns += [around.columns(shape) for shape in self.shapes]
+        columns += [around.columns(shape) for shape in nameless]
         ends = np.cumsum([column.shape[1] for column in columns])
         at = [list(range(end - column.shape[1], end)) for column, end in zip(columns, ends, strict=True)]
         keep, count = np.repeat(fit.sure(self.parts.known), 3), len(self.tried)
