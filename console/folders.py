@@ -1,4 +1,4 @@
-"""Folders for results: nothing that is there is ever overwritten."""
+"""Where results go: no folder that is there is overwritten, and a file that grows loses nothing to a full disk."""
 
 from pathlib import Path
 
@@ -12,3 +12,10 @@ def free_folder(wanted: Path) -> Path:
     if folder.exists():
         folder.rmdir()
     return folder
+
+
+def write_whole(file: Path, text: str) -> None:
+    """The file with this text, or as it was: what is written goes beside it first."""
+    beside = file.with_name(f".{file.name}.partial")
+    beside.write_text(text, encoding="utf-8")
+    beside.replace(file)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from console.folders import write_whole
 from control.errors import ArmError
 
 KEYS = {"q_rad", "tip_m"}
@@ -53,9 +54,7 @@ def keep_place(file: Path, name: str, q_rad: Sequence[float]) -> None:
         raise PlacesError(f"place: expected a name of letters, digits, - and _, got {name!r}")
     tables = _tables(file) if file.exists() else {}
     tables[name] = {"q_rad": [round(q, 6) for q in q_rad]}
-    beside = file.with_name(f".{file.name}.partial")  # a full disk loses no place
-    beside.write_text(tomli_w.dumps(tables), encoding="utf-8")
-    beside.replace(file)
+    write_whole(file, tomli_w.dumps(tables))
 
 
 def _tables(file: Path) -> dict[str, Any]:

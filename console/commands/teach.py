@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from console.commands.connection import connected
+from console.folders import write_whole
 from control.errors import ArmError
 from control.motion.waypoints import POSITION_COLUMNS
 
@@ -23,9 +24,7 @@ def run(given: argparse.Namespace) -> int:
     if len(lines) > 1 and _distance_m(lines[-1], point) < SAME_m:
         raise ArmError(f"teach: the tip has not moved since the last way-point of {file}")
     row = ",".join(f"{x:.6f}" for x in point)
-    beside = file.with_name(f".{file.name}.partial")  # a full disk loses no way-point
-    beside.write_text("\n".join([*lines, row]) + "\n", encoding="utf-8")
-    beside.replace(file)
+    write_whole(file, "\n".join([*lines, row]) + "\n")
     sys.stdout.write(f"way-point {len(lines)} in {file}: {row}\n")
     return 0
 

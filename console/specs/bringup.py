@@ -11,6 +11,8 @@ MOCK = (
     ),
     option("--mock-arm", metavar="A", help="what the mock really is (default: what --arm says)"),
 )
+NEW_ARM = option("--out", metavar="NEW.toml", required=True, help="the arm.toml to write; never overwritten")
+JOINTS = option("--joint", type=int, metavar="J", action="append", help="only this joint (again for another)")
 
 BRINGUP = (
     CommandSpec(
@@ -40,12 +42,8 @@ BRINGUP = (
             ARM,
             *LINKS,
             *MOCK,
-            option(
-                "--out", metavar="NEW.toml", required=True, help="the arm.toml to write; never overwritten"
-            ),
-            option(
-                "--joint", type=int, metavar="J", action="append", help="only this joint (again for another)"
-            ),
+            NEW_ARM,
+            JOINTS,
             option(
                 "--current",
                 type=float,
@@ -73,12 +71,8 @@ BRINGUP = (
             ARM,
             *LINKS,
             *MOCK,
-            option(
-                "--out", metavar="NEW.toml", required=True, help="the arm.toml to write; never overwritten"
-            ),
-            option(
-                "--joint", type=int, metavar="J", action="append", help="only this joint (again for another)"
-            ),
+            NEW_ARM,
+            JOINTS,
             option(
                 "--bandwidth",
                 type=float,
