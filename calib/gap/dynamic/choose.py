@@ -28,6 +28,7 @@ SHARE_MARGIN = (
 )
 WORTH = 0.25  # of the best first-order gain: candidates below it are not refined
 WIDTH_SHARES = (0.7, 1.0, 1.4, 1.8, 2.3)  # of the width that the tip at rest would need
+LINK_SHARES = (0.0, 0.25, 0.5, 0.75)  # of a joint's friction, behind its gear
 LOOKED_AT = 8  # starts, the best first
 HOPE = 0.5  # of the bar: refinement may gain as much again
 MOST_STEPS = 5
@@ -162,11 +163,19 @@ class Choice:
         return self._judged(trials, fitted, prior)
 
     def _nearer(self, fitted: Fitted, term: Term) -> Term:
-        """A start for the play's width: where a link flies between flanks, what it shows at rest says little of it."""
+        """A start for a play: where a link flies between flanks, what it shows at rest says little of its width.
+
+        Then the share of the joint's friction that acts behind the gear, whose valley is narrow: a fit that starts far
+        from it ends in another.
+        """
         if term.form != "backlash":
             return term
+        width = self._best_of(fitted, [term.at((term.values[0] * share, 0.0)) for share in WIDTH_SHARES])
+        return self._best_of(fitted, [width.at((width.values[0], share)) for share in LINK_SHARES])
+
+    def _best_of(self, fitted: Fitted, tried: Sequence[Term]) -> Term:
+        """The one of a joint's plays that leaves least on the deciding rows."""
         deciding, beside = self.split.deciding, (*self.known, *fitted.terms)
-        tried = [term.at((term.values[0] * share, 0.0)) for share in WIDTH_SHARES]
         self.rows.physics.foresee(beside, tried)
 
         def left(one: Term) -> float:
@@ -236,7 +245,7 @@ class Choice:
         """Rows that follow each other are not independent where the law is not exact: an effective share of them."""
         worst = int(np.argmax(claims))
         cell = self.rows.table.cells[worst]
-        residual = fitted.residual[cell.rows]
+        residual = fitted.residual[cell.rows][self.split.deciding[cell.rows]]
         spread = max(1.0, float(np.mean(residual**2)))
         step = 3 if cell.channel == "tip_m" else 1
         series = residual[::step]

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.dynamic import forms
+from calib.gap.dynamic.borne_out import borne_out
 from calib.gap.dynamic.catalogue import candidates as all_candidates
 from calib.gap.dynamic.choose import CAMERA_TIME, Choice, Step
 from calib.gap.dynamic.fit import Fitted
@@ -20,7 +21,7 @@ from calib.gap.dynamic.recording import Recording, prepare
 from calib.gap.dynamic.rows import Cell, Rows, RowTable
 from calib.gap.dynamic.split import Picked, Split, split
 from calib.gap.dynamic.terms import Term, known_terms
-from calib.gap.dynamic.verdict import Verdict, corrections, judge, terms_of
+from calib.gap.dynamic.verdict import Verdict, judge
 from calib.gap.finding import GapFinding, NamedEffect
 from calib.gap.log import Log
 from control.model.arm import Arm
@@ -75,11 +76,10 @@ def examine(
     told("what this recording could name", 0.05)
     possible = nameable(arm, choice.screen, parts, pool)
     steps = choice.steps()
-    verdict = judge(choice, steps, arm)
     told("the gap on runs used for nothing else", 0.95)
     before = rows.residual(known)
-    corrected = corrections(steps, verdict)
-    accepted = choice.refined((*terms_of(steps, verdict), *corrected))
+    last = borne_out(choice, steps, judge(choice, steps, arm))
+    verdict, accepted = last.verdict, last.accepted
     after = accepted.residual
     parts = choice.split
     moved = motion_gap(rows.physics, known, (*known, *accepted.terms), parts.report_runs)
@@ -104,6 +104,7 @@ def examine(
         *_doubts(before, rows.table),
         *_flying(rows, known, accepted),
         *_corrected(accepted),
+        *last.warnings,
         *_grown(finding),
     )
     ratios = tuple(drive.gear_ratio for drive in arm.drives)

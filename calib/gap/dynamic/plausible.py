@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.dynamic.body import Body, Load
+from calib.gap.dynamic.held import not_held
 from calib.gap.dynamic.recording import Recording, UnusableLogError
 from control.model.arm import Arm
 from control.model.kinematics import Kinematics
@@ -41,7 +42,7 @@ def plausible(arm: Arm, recording: Recording) -> Recording:
     if current:
         current = not _found(said, _wrong_current(arm, recording))
     if voltage and current:
-        voltage = not _found(said, _wrong_voltage(arm, recording))
+        voltage = not _found(said, _wrong_voltage(arm, recording) or not_held(arm, recording))
     tip = recording.has_tip and not _found(said, _wrong_tip(arm, recording))
     if not (current or voltage or tip):
         what = "; ".join(said) or "no currents, voltages or tips"

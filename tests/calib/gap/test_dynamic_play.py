@@ -77,3 +77,11 @@ def test_friction_on_a_loose_link_decides_its_flank() -> None:
     found = loose(drive, 0.01, share=1.0)
     assert found.delta_rad[-1, 0] == pytest.approx(-0.005)
     assert found.transmitted_Nm[-1, 0] == pytest.approx(0.4, rel=1e-3)
+
+
+def test_friction_on_a_link_is_that_of_a_slowly_turning_motor_too() -> None:
+    """At 10 mrad/s, where rows begin to count, the whole of it acts: a wider transition would look like Stribeck's law."""
+    still = np.zeros((1000, 1))
+    drive = Follower(still, still + 0.05, still, PERIOD_s, still + 0.01, 0.4, 0.0)
+    assert loose(drive, 0.01, share=1.0).transmitted_Nm[-1, 0] == pytest.approx(0.4, rel=0.01)
+    assert elastic(drive, 600.0, 2.0, share=1.0).transmitted_Nm[-1, 0] == pytest.approx(0.4, rel=0.01)
