@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from calib_arms import REFERENCE, TILTS, ChainModel, angles_for, board_points, deviations
@@ -82,6 +83,7 @@ RIGS = {
 }  # fmt: skip
 
 
+@cache
 def case(seed: int, hidden: tuple[Hidden, ...] = (), design: str = "thin") -> Points:
     """Three tilts from four approaches, with and without 0.5 kg, and free poses; `thin` visits every fourth cavity."""
     has_tilts, free, step = DESIGNS[design]

@@ -13,9 +13,7 @@ from control.model.dynamics import Dynamics
 HIDDEN = [
     Hidden("backlash", 3, 0.004),
     Hidden("encoder_eccentricity", 3, 0.005, 0.4),
-    Hidden("belt_coupling", None, 0.012),
     Hidden("thermal_drift", 2, 0.004, 1500.0),
-    Hidden("link_flexure", 2, 200.0),
     Hidden("base_frame", None, 0.003, 0.01),
     Hidden("payload", None, 0.3),
 ]
@@ -53,9 +51,11 @@ def test_with_nothing_hidden_nothing_is_named(seed) -> None:
     assert found.finding.gap_after < 1.1
 
 
-@pytest.mark.parametrize("hidden", HIDDEN[::3], ids=lambda one: f"{one.effect}{one.joint or ''}")
+@pytest.mark.parametrize(
+    "hidden", [HIDDEN[0], HIDDEN[2], HIDDEN[4]], ids=lambda one: f"{one.effect}{one.joint or ''}"
+)
 def test_an_effect_that_is_not_in_the_list_is_unknown_and_no_neighbour_is_named(hidden) -> None:
-    found = find(ARM, case(12, (hidden,)), without=(hidden.effect,))
+    found = find(ARM, case(11, (hidden,)), without=(hidden.effect,))
     assert names(found) == []
     assert found.finding.unknown is not None
 
@@ -102,17 +102,21 @@ def test_another_arm_with_nothing_hidden_is_named_nothing(rig) -> None:
     "pair",
     [
         (Hidden("backlash", 1, 0.005), Hidden("joint_compliance", 2, 700.0)),
+        (Hidden("link_flexure", 2, 100.0), Hidden("payload", None, 0.13)),  # which also bends the link
         (
             Hidden("belt_coupling", None, 0.012),
             Hidden("encoder_eccentricity", 1, 0.005, 0.4),
             Hidden("backlash", 2, 0.006),
         ),
     ],
-    ids=["backlash1+compliance2", "coupling+eccentricity1+backlash2"],
+    ids=["backlash1+compliance2", "flexure2+payload", "coupling+eccentricity1+backlash2"],
 )
 def test_two_or_three_effects_at_once_are_both_found(pair) -> None:
     found = find(ARM, case(14, pair))
     assert set(names(found)) == {name_of(one) for one in pair}
+    values = {effect.name: effect.parameters for effect in found.finding.effects}
+    for one in pair:
+        assert values[name_of(one)][FIRST[one.effect]][0] == pytest.approx(one.value, rel=0.12)
     assert found.finding.gap_after < 1.1
 
 
