@@ -17,6 +17,7 @@ class Bar:
         self._is_terminal = sys.stderr.isatty()
         self._title = title
         self._said = -1
+        self._done = 0.0
         self._began_s = time.monotonic()
         from rich.console import Console
 
@@ -42,7 +43,8 @@ class Bar:
             self._progress.stop()
 
     def advance(self, what: str, done: float) -> None:
-        """`done` of the whole, 0 to 1, and what is being done now."""
+        """`done` of the whole, 0 to 1, and what is being done now. An estimate that goes back or beyond is held."""
+        done = self._done = min(max(done, self._done), 1.0)
         if self._is_terminal:
             self._progress.update(self._task, completed=done, description=what)
             return

@@ -9,20 +9,21 @@ from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Input, OptionList, Static
 
+# No line is wider than 66: a terminal of 80 columns shows it whole.
 HELP = """\
-[b]space[/]      STOPS the arm, everywhere, and whatever line runs
+[b]space[/]     STOPS the arm, everywhere, and whatever line runs
 
-[b]1[/]-[b]9[/]        jog joint 1 ...            [b]x y z[/]   jog the tip along an axis
-[b]← →[/]        jog it: hold the key; the arm moves while the key repeats
-[b]t[/]          step or hold               [b], .[/]     smaller, larger steps
-[b]- +[/]        jog slower, faster         [b]< >[/]     pace of motions down, up
-[b]n[/]          drives on, and hold        [b]o[/]       off: stop, hold, lower, drives off
-[b]h[/]          home                       [b]g[/]       go to a named place
-[b]f[/]          run a way-point file       [b]p[/]       pause on the path, go on
-[b]u[/]          guide by hand              [b]r[/]       record a way-point
-[b]k[/]          keep this place by name    [b]a[/]       acknowledge faults
-[b]c[/]          calibration session        [b]:[/]       command box (escape leaves it)
-[b]ctrl+q[/]     leave the console: its motion is stopped, the arm is held
+[b]1[/]-[b]9[/]       jog joint 1 ...          [b]x y z[/]   jog the tip on an axis
+[b]← →[/]       jog: hold the key; it moves while the key repeats
+[b]t[/]         step or hold             [b], .[/]     step smaller, larger
+[b]- +[/]       jog slower, faster       [b]< >[/]     pace of motions
+[b]n[/]         drives on, and hold      [b]o[/]       stop, lower, drives off
+[b]h[/]         home                     [b]g[/]       go to a named place
+[b]f[/]         run a way-point file     [b]p[/]       pause on path, go on
+[b]u[/]         guide by hand            [b]r[/]       record a way-point
+[b]k[/]         keep this place by name  [b]a[/]       acknowledge faults
+[b]c[/]         calibration session      [b]:[/]       command box
+[b]ctrl+q[/]    leave: its motion is stopped, the arm is held
 
 Escape closes this."""
 

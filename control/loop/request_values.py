@@ -1,4 +1,4 @@
-"""Numbers of a request: what is wrong with one is said with its key, what was expected and what was got."""
+"""Values of a request: what is wrong with one is said with its key, what was expected and what was got."""
 
 import math
 from typing import Any
@@ -19,6 +19,14 @@ def number(request: Message, key: str, lower: float, upper: float, default: floa
 
 def is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def flag(request: Message, key: str) -> bool:
+    """False where it is not given; nothing but a boolean is one: "no" must not switch anything on."""
+    value = request.get(key, False)
+    if not isinstance(value, bool):
+        raise ArmError(f"request {request['do']!r}: expected {key} to be true or false, got {value!r}")
+    return value
 
 
 def numbers(request: Message, key: str, count: int) -> tuple[float, ...]:

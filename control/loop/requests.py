@@ -11,7 +11,7 @@ from typing import Any
 from control.errors import ArmError
 from control.loop.averaging import Averaging
 from control.loop.jog_requests import jog_wish
-from control.loop.request_values import number, numbers
+from control.loop.request_values import flag, number, numbers
 from control.loop.runtime import Runtime
 from control.loop.status import status_of
 from control.model.kinematics import Kinematics
@@ -149,7 +149,7 @@ class Requests:
 
     def _seen(self, request: Message) -> SetPoint:
         """Where a motion begins: at joint angles, or at encoder angles where it is given so."""
-        return self._runtime.seen(bool(request.get("as_encoders")))
+        return self._runtime.seen(flag(request, "as_encoders"))
 
     def _require_at(self, first_rad: Sequence[float], request: Message) -> None:
         """The arm holds at a path's first point; says why not, before where it stands is of any interest."""
@@ -163,7 +163,7 @@ class Requests:
             )
 
     def _start(self, motion: Motion, request: Message, client: int) -> Message:
-        self._runtime.start(motion, bool(request.get("as_encoders")))
+        self._runtime.start(motion, flag(request, "as_encoders"))
         self._own(request, client)
         return {"duration_s": motion.duration_s, "run": self._runtime.run_number}
 
@@ -207,7 +207,7 @@ class Requests:
         return {}
 
     def _guide(self, request: Message, client: int) -> Message:
-        self._runtime.guide(bool(request.get("weightless")))
+        self._runtime.guide(flag(request, "weightless"))
         return {}
 
     def _hold(self, request: Message, client: int) -> Message:
@@ -238,5 +238,5 @@ class Requests:
         return {"rows": rows, "names": layout.names, "packing": layout.packing.format}
 
     def _off(self, request: Message, client: int) -> Message:
-        self._runtime.go_off(bool(request.get("quit")))
+        self._runtime.go_off(flag(request, "quit"))
         return {}

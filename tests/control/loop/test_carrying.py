@@ -72,6 +72,13 @@ def test_a_payload_that_is_told_is_carried() -> None:
         assert sag_rad(cell, 0.5) < 0.02
 
 
+def test_only_true_switches_the_carrying_on() -> None:
+    with holding_cell(scenario()) as cell:
+        for value in ("no", 1, None, [True]):
+            assert "expected weightless to be true or false" in cell.refusal(do="guide", weightless=value)
+        assert cell.mode is Mode.HOLDING
+
+
 def test_an_arm_that_does_not_know_its_angles_is_not_carried() -> None:
     with holding_cell(scenario(homed=False)) as cell:
         assert "does not know its weight" in cell.refusal(do="guide", weightless=True)

@@ -253,7 +253,7 @@ def test_every_argument_of_a_request_is_documented() -> None:
     folder = Path(__file__).parents[3] / "control" / "loop"
     source = "".join((folder / name).read_text("utf-8") for name in ("requests.py", "jog_requests.py"))
     asked = set(re.findall(r'request(?:\.get\(|\[)"(\w+)"', source)) | set(
-        re.findall(r'\bnumbers?\(request, "(\w+)"', source)
+        re.findall(r'\b(?:numbers?|flag)\(request, "(\w+)"', source)
     )
     said = set(re.findall(r"`(\w+)`", DOCUMENT)) | set(re.findall(r'"(\w+)": true', DOCUMENT))
     assert asked <= said
