@@ -26,7 +26,7 @@ from control.motion.joint_path import JointPath
 SETUP = "free"
 REFERENCE = "ref"
 BLOCK = 7  # poses of a block, about
-GENTLE = 0.25  # of the joints' limits, for the last way: braking harder throws gears onto the other flank
+GENTLE = 0.15  # of the joints' limits, for the last way: a link that swings as it stops rests on any flank, wound up anyhow
 SETTLE_s, AVERAGE_s = 0.3, 0.3  # after a move; 30 camera frames
 SHARE_LOADED = 0.4  # of the poses that are taken again with the load
 MARGIN_rad = 0.02  # of the room that a controller's error may use

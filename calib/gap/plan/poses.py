@@ -13,7 +13,7 @@ from control.errors import MissingModel
 from control.model.arm import Arm
 from control.model.static_pose import gravity_Nm
 
-APPROACH_rad = 0.05  # of every joint before it stops: several times the play of a sound gear
+APPROACH_rad = 0.03  # of every joint before it stops: several times the play and the windup of a sound gear
 SPREAD_FROM = 400  # poses that the rarer pull of gravity is looked for among
 OUTSIDE_FROM = 3000
 WAY_STEPS = 25

@@ -130,10 +130,11 @@ def test_each_side_of_each_block_is_a_recording_and_a_fifth_of_all_is_kept_apart
     if len(set(points.setup)) < 4:
         return
     assert len(np.unique(points.direction[parts.report], axis=0)) == 4
-    # each block goes over most of the room, so that what is kept apart does, too
+    # each block goes over much of the room, and what is kept apart over most of it
     for setup in set(points.setup):
         own = points.q_rad[np.array(points.setup) == setup]
-        assert (np.ptp(own, axis=0) > 0.5 * plan.room.width_rad).all()
+        assert (np.ptp(own, axis=0) > 0.4 * plan.room.width_rad).all()
+    assert (np.ptp(points.q_rad[parts.report], axis=0) > 0.7 * plan.room.width_rad).all()
 
 
 def test_joint_two_moves_while_motor_three_stands(quick) -> None:
@@ -166,9 +167,9 @@ def test_only_poses_or_only_motions() -> None:
 
 def test_the_time_that_is_given_is_used_and_not_passed() -> None:
     short = recording_plan(RIGHT, Wish(has_motions=False, minutes=1.6))
-    longer = recording_plan(RIGHT, Wish(has_motions=False, minutes=2.4))
+    longer = recording_plan(RIGHT, Wish(has_motions=False, minutes=3.0))
     assert short.duration_s <= 96.0
-    assert 96.0 < longer.duration_s <= 144.0
+    assert 144.0 < longer.duration_s <= 180.0
     assert len(longer.visits) > len(short.visits)
     with pytest.raises(CalibrationError, match="the least that tells anything takes"):
         recording_plan(RIGHT, Wish(minutes=0.2))
