@@ -35,7 +35,7 @@ TIME_CONSTANTS_s = tuple(np.geomspace(30.0, 30_000.0, 19))
 NO_TORQUE_Nm = 1e-6
 SHARE_STEP = 0.1
 LINK_SHARES = tuple((SHARE_STEP * np.arange(11)).tolist())
-WOUND_STEP = 0.05  # half of it, of a newton metre held by 400 N m/rad, moves a tip by the noise of a camera's average
+WOUND_STEP = 0.05  # half of it times 1 N m on a gear of 400 N m/rad moves a tip by the noise of 30 frames
 WOUND_SHARES = tuple((WOUND_STEP * np.arange(21)).tolist())  # of held friction that winds a soft gear up
 DRIFT_TIMES_SPAN = 1.5  # of a session, up to which a time constant bends its course enough to be one
 
