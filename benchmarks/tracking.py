@@ -19,6 +19,7 @@ from control.loop.connect import connect
 from control.loop.in_process import InProcessChannel
 from control.loop.record import Layout
 from control.model.arm import Arm
+from control.model.joint_side import has_joint_side
 from control.model.kinematics import Kinematics
 from control.safety.table import Mode
 from hil_mocks.rig import MockArm, SteppedRig
@@ -86,7 +87,7 @@ def tip_errors_m(arm: Arm, has_friction: bool, seed: int) -> Points:
     """True minus set-point tip (cycles, 3) in m, once around the circle, in the base frame."""
     with SteppedRig(arm, known_geometry(has_friction, seed)) as rig:
         connection = connect(wired_to(arm, rig), rig.clock, PERIOD_S)
-        sink = TruthSink(rig, Layout.of(arm.joint_count))
+        sink = TruthSink(rig, Layout.of(arm.joint_count, has_joint_side(arm)))
         assembly = assemble(arm, connection.hardware, PERIOD_S, sink=sink, stopwatch_s=rig.clock.now_s)
         client = ArmClient(InProcessChannel(assembly, rig.clock))
         client.wait(0.05)

@@ -17,6 +17,7 @@ from control.loop.in_process import InProcessChannel
 from control.loop.record import FileSink, Layout
 from control.model.arm import Arm
 from control.model.description import arm_text, save_arm
+from control.model.joint_side import has_joint_side
 from hil_mocks.realtime import RealTimeRig
 from hil_mocks.rig import MockArm, SteppedRig
 
@@ -71,7 +72,7 @@ class SteppedBench:
         self._connection = connect(wired_to(arm, self.rig), self.rig.clock, PERIOD_S, self.rig.camera_port)
         self._log_folder.mkdir(parents=True, exist_ok=True)
         path = self._log_folder / f"run-{len(self._recordings) + 1}.armlog"
-        header = Layout.of(arm.joint_count).header(
+        header = Layout.of(arm.joint_count, has_joint_side(arm)).header(
             {"arm": arm.name, "arm_toml": arm_text(arm), "period_s": PERIOD_S}
         )
         self._sink = FileSink(path, header)

@@ -11,10 +11,11 @@ from control.loop.hardware import Hardware, OutputMode
 from control.loop.homing import HomingSequence, JointHome
 from control.loop.jogging import Jogging
 from control.loop.measure import Measurement
+from control.loop.parts import Camera, Parts
 from control.loop.pid import Pid
 from control.loop.record import Layout, NoSink, Recorder, RowSink
 from control.loop.requests import Requests
-from control.loop.runtime import Camera, Parts, Runtime
+from control.loop.runtime import Runtime
 from control.loop.servo import Motor, Servo
 from control.loop.watch import JointLimits as MeasuredLimits
 from control.loop.watch import Watch, WatchLimits
@@ -24,7 +25,7 @@ from control.model.feedforward import torque_constants_Nm_A, torque_model
 from control.model.gains import InertiaScale, gains_of
 from control.model.inverse import InverseKinematics
 from control.model.joint_map import JointMap
-from control.model.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, JointSide
+from control.model.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, JointSide, has_joint_side
 from control.model.kinematics import Kinematics
 from control.motion.jog_limits import JogLimits
 from control.motion.joint_limits import JointLimits
@@ -66,7 +67,7 @@ def assemble(
     servo = _servo(arm, period_s)
     parts = Parts(
         hardware=hardware,
-        recorder=Recorder(Layout.of(arm.joint_count), sink or NoSink()),
+        recorder=Recorder(Layout.of(arm.joint_count, has_joint_side(arm)), sink or NoSink()),
         measurement=Measurement(
             [JointMap(drive) for drive in arm.drives], [d.encoder_bits for d in arm.drives]
         ),

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TextIO
 
 from control.loop.mcap_file import to_mcap
-from control.loop.record import RecordError, Recording
+from control.loop.record import JOINT_SIDE_FIELDS, Layout, RecordError, Recording
 from control.loop.recorded_arm import recorded_arm
 from control.model.arm import Arm
 
@@ -40,7 +40,7 @@ def to_csv(
     Only runs are written, `t_s` from the start of each: what happened before the first motion is in the MCAP file. Cells are
     empty where nothing was measured. `report` is told each thousandth row.
     """
-    names = _csv_columns(recording.layout.joint_count)
+    names = _csv_columns(recording.layout)
     with _open_text(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(names)
@@ -64,9 +64,16 @@ def _run_rows(recording: Recording, every: int, report: Callable[[int], None]) -
         number += 1
 
 
-def _csv_columns(joint_count: int) -> list[str]:
-    joints = range(1, joint_count + 1)
-    return [*CSV_SCALARS[:2], *(n.format(j) for n in CSV_JOINT for j in joints), *CSV_SCALARS[2:], *CSV_REST]
+def _csv_columns(layout: Layout) -> list[str]:
+    joints = range(1, layout.joint_count + 1)
+    sides = [form.format(j) for form, _ in JOINT_SIDE_FIELDS for j in joints]
+    return [
+        *CSV_SCALARS[:2],
+        *(n.format(j) for n in CSV_JOINT for j in joints),
+        *CSV_SCALARS[2:],
+        *CSV_REST,
+        *(name for name in sides if name in layout.names),
+    ]
 
 
 def _open_text(path: Path) -> TextIO:

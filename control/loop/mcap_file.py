@@ -81,6 +81,10 @@ class _Columns:
             for topic in TOPICS
         }
 
+    def joints(self, form: str, encoders: str) -> tuple[int, ...]:
+        """The joints' angles; their encoders' where those are the same and not recorded beside them."""
+        return self.group(form if form.format(1) in self.place else encoders)
+
     def group(self, form: str) -> tuple[int, ...]:
         return tuple(self.place[form.format(joint)] for joint in range(1, self.joint_count + 1))
 
@@ -93,6 +97,8 @@ class _Export:
         layout = recording.layout
         self._columns = _Columns({n: k for k, n in enumerate(layout.names)}, layout.joint_count)
         self._q, self._q_set = self._columns.group("q{}_rad"), self._columns.group("q{}_set_rad")
+        self._joint = self._columns.joints("joint{}_rad", "q{}_rad")
+        self._joint_set = self._columns.joints("joint{}_set_rad", "q{}_set_rad")
         self._speed = self._columns.group("speed{}_rad_s")
         self._faults = self._columns.group("drive_faults{}")
         self._start_ns = int(float(recording.header.get("started_unix_s", 0.0)) * scene.NS_PER_S)
@@ -174,15 +180,15 @@ class _Export:
 
     def _scene(self, row: Row, time_ns: int) -> None:
         """Frames, tips and joint states, as often as a screen shows them."""
-        q_rad, q_set_rad = [row[k] for k in self._q], [row[k] for k in self._q_set]
-        states = scene.joint_states(q_rad, [row[k] for k in self._speed], time_ns)
+        joint_rad, wanted_rad = [row[k] for k in self._joint], [row[k] for k in self._joint_set]
+        states = scene.joint_states(joint_rad, [row[k] for k in self._speed], time_ns)
         self._write("/joint_states", states, time_ns)
         if self._arm is None or self._kinematics is None:
             return
         frames = []
         for which, angles, topic in (
-            (scene.MEASURED, q_rad, "/tip/measured"),
-            (scene.SET_POINT, q_set_rad, "/tip/set_point"),
+            (scene.MEASURED, joint_rad, "/tip/measured"),
+            (scene.SET_POINT, wanted_rad, "/tip/set_point"),
         ):
             if all(map(math.isfinite, angles)):
                 frames += scene.transforms(self._arm, which, angles, time_ns)
@@ -216,7 +222,7 @@ def _commanded_paths(
     recording: Recording, columns: _Columns, kinematics: Kinematics
 ) -> dict[int, Sequence[Point]]:
     """Commanded tip path of every run [m], thinned to what a line needs."""
-    at, group = columns.place, columns.group("q{}_set_rad")
+    at, group = columns.place, columns.joints("joint{}_set_rad", "q{}_set_rad")
     sets: dict[int, array[float]] = {}
     travelling = {number for number, name in enumerate(recording.modes) if name in ("MOVING", "JOGGING")}
     last_s = -math.inf

@@ -30,10 +30,12 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("q{}_rad", "rad", "angle by its encoder"),
         Field("speed{}_rad_s", "rad/s", "speed by its encoder and the board's clock"),
         Field("count{}", "1", "encoder count"),
+        Field("joint{}_rad", "rad", "angle of the joint, as the model knows it; absent: that by its encoder"),
     ),
     SET_POINT: (
         Field("q{}_set_rad", "rad", "set-point of the angle"),
         Field("speed{}_set_rad_s", "rad/s", "set-point of the speed"),
+        Field("joint{}_set_rad", "rad", "set-point of the joint; absent: that of its encoder"),
     ),
     DRIVES: (
         Field("u{}_V", "V", "commanded motor voltage in the joint's sign; absent: open circuit"),

@@ -22,6 +22,7 @@ from control.loop.scheduling import request_punctuality
 from control.loop.server import Server, require_free
 from control.model.arm import Arm
 from control.model.description import arm_text
+from control.model.joint_side import has_joint_side
 from firmware_iface.clock import Clock, MonotonicClock
 
 PIPE_bytes = 1 << 20  # some seconds of rows: how long a disk may stall
@@ -102,7 +103,7 @@ def _start_writer(arm: Arm, options: ServeOptions) -> tuple[Path, "subprocess.Po
         [sys.executable, "-m", "control.loop.writer", str(path)], stdin=read_fd, start_new_session=True
     )
     os.close(read_fd)
-    header = Layout.of(arm.joint_count).header(
+    header = Layout.of(arm.joint_count, has_joint_side(arm)).header(
         {
             "arm": arm.name,
             "arm_file": str(arm.path),

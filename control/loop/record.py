@@ -32,6 +32,11 @@ JOINT_FIELDS = (
     ("statusword{}", "B"), ("drive_faults{}", "B"), ("flags{}", "B"), ("counted{}_s", "d"),
 )  # fmt: skip
 
+JOINT_SIDE_FIELDS = (
+    ("joint{}_rad", "d"),
+    ("joint{}_set_rad", "d"),
+)  # where they are not the encoders' angles
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
@@ -42,11 +47,14 @@ class Layout:
     packing: struct.Struct
 
     @classmethod
-    def of(cls, joint_count: int) -> "Layout":
-        """The layout that this version writes."""
-        fields = list(SCALAR_FIELDS)
+    def of(cls, joint_count: int, has_joint_side: bool = False) -> "Layout":
+        """The layout that this version writes; joints' angles beside their encoders' for an arm that tells them apart."""
+        fields, of_joint = (
+            list(SCALAR_FIELDS),
+            (*JOINT_FIELDS, *(JOINT_SIDE_FIELDS if has_joint_side else ())),
+        )
         for joint in range(1, joint_count + 1):
-            fields += [(name.format(joint), code) for name, code in JOINT_FIELDS]
+            fields += [(name.format(joint), code) for name, code in of_joint]
         return cls(
             joint_count, tuple(n for n, _ in fields), struct.Struct("<" + "".join(c for _, c in fields))
         )

@@ -27,6 +27,7 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
         "q_rad": q_rad,
         "q_set_rad": aim.q_rad,
         "joint_rad": joint_rad,
+        "joint_set_rad": joint_set_rad,
         "speed_rad_s": measured.speed_rad_s,
         "following_error_rad": [s - m for s, m in zip(aim.q_rad, q_rad, strict=True)],
         "direction": measured.direction,

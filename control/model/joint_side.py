@@ -45,8 +45,7 @@ class JointSide:
     @classmethod
     def of(cls, arm: Arm) -> Self | None:
         """The joint side of an arm whose file has such effects, else None. MissingModel where gears lack masses or drives."""
-        names = {effect.effect for effect in arm.effects}
-        return cls(arm) if names & SIDE_EFFECTS else None
+        return cls(arm) if has_joint_side(arm) else None
 
     @property
     def flanks(self) -> Mapping[int, int]:
@@ -88,6 +87,11 @@ class JointSide:
             parts[1][joint] += gear.speed_rad_s
             parts[2][joint] += gear.acceleration_rad_s2
         return tuple(parts)
+
+
+def has_joint_side(arm: Arm) -> bool:
+    """Whether something is known of this arm that its encoders do not see."""
+    return any(effect.effect in SIDE_EFFECTS for effect in arm.effects)
 
 
 def link_torque(arm: Arm) -> LinkTorque:

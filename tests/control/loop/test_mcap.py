@@ -268,7 +268,7 @@ def test_the_arm_is_that_of_the_header_then_of_its_file_then_of_its_name(tmp_pat
 
 def test_every_column_of_a_recording_is_in_its_topic() -> None:
     carried = [name for topic in TOPICS for name in columns_of(topic, 3)]
-    assert sorted(carried) == sorted(Layout.of(3).names)
+    assert sorted(carried) == sorted(Layout.of(3, has_joint_side=True).names)
 
 
 def test_foxglove_knows_its_messages_by_their_titles() -> None:

@@ -1,0 +1,54 @@
+"""What a runtime is made of: the fixed parts that control.loop.assemble hands to it."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from control.loop.carrying import Carrying
+from control.loop.hardware import Hardware
+from control.loop.homing import HomingSequence
+from control.loop.jogging import Jogging
+from control.loop.measure import Measurement
+from control.loop.record import Recorder
+from control.loop.servo import Servo
+from control.loop.watch import Watch
+from control.model.inverse import InverseKinematics
+from control.model.joint_side import JointSide
+from control.motion.setpoint import Motion, SetPoint
+from control.safety.limits import SetPointLimits
+
+Vector = tuple[float, float, float]
+NOWHERE: Vector = (math.nan, math.nan, math.nan)
+
+
+class Camera(Protocol):
+    """Whatever sees the tip."""
+
+    def newest_tip_m(self) -> Vector | None:
+        """Tip in the base frame of the newest frame that came since the last call, or None."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What a runtime is made of; see control.loop.assemble."""
+
+    hardware: Hardware
+    recorder: Recorder
+    measurement: Measurement
+    servo: Servo
+    watch: Watch
+    set_point_limits: tuple[SetPointLimits, ...]
+    homing: Callable[[], HomingSequence]
+    carrying: Carrying
+    jogging: Callable[[bool], Jogging]  # of an arm that is homed, or not
+    stop_from: Callable[[SetPoint], Motion]
+    inverse: InverseKinematics
+    camera: Camera | None
+    joint_names: tuple[str, ...]
+    do_counters_span: bool  # the whole travel of their joints, without a wrap
+    period_s: float
+    stopwatch_s: Callable[[], float]
+    aim_limits: tuple[SetPointLimits, ...] = ()  # of the encoders' set-points, for that arm
+    joint_side: JointSide | None = None  # of an arm whose encoders do not say where its joints are

@@ -1,0 +1,36 @@
+"""One cycle as a row of the recording, in the order of control.loop.record.Layout."""
+
+import math
+
+from control.loop import aiming
+from control.loop.arm_state import ArmState
+from control.safety.table import Mode
+
+MODE_NUMBER = {mode: number for number, mode in enumerate(Mode)}  # as recorded
+
+
+def row_of(state: ArmState, late_s: float) -> list[float]:
+    """The values of the cycle that is about to end, `late_s` after its deadline begun."""
+    feedback, measured, volts = (
+        state.parts.hardware.feedback,
+        state.parts.measurement,
+        state.parts.servo.volts,
+    )
+    mode, aim = state.monitor.mode, state.aim
+    row = [
+        state.now_s, state.cycles & 0xFFFFFFFF, state.run_number, MODE_NUMBER[mode],
+        state.punctuality.missed, late_s, state.punctuality.end(), state.payload_kg(), *state.new_camera_m,
+    ]  # fmt: skip
+    joints = aiming.joint_rad(state) if state.parts.joint_side is not None else None
+    is_open = mode in (Mode.GUIDING, Mode.OFF)
+    for joint in range(feedback.joint_count):
+        row += (
+            measured.q_rad[joint], aim.q_rad[joint],
+            measured.speed_rad_s[joint], aim.speed_rad_s[joint], feedback.count[joint],
+            math.nan if is_open else volts[joint], feedback.current_A[joint],
+            feedback.supply_V[joint], feedback.temperature_C[joint], feedback.statusword[joint],
+            feedback.drive_faults[joint], feedback.channel_flags[joint], feedback.counted_at_s[joint],
+        )  # fmt: skip
+        if joints is not None:
+            row += (joints[0][joint], joints[1][joint])
+    return row

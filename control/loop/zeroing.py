@@ -1,0 +1,59 @@
+"""How the arm comes to know its pose: boards that still know their zeros, or the homing sequence.
+
+Writes `homing` and, where the pose becomes known, the set-point.
+"""
+
+from control.loop import aiming
+from control.loop.arm_state import ArmState
+from control.loop.homing import HomingFailed
+from control.loop.reactions import fail
+from control.loop.watch import ZERO_SET
+from control.motion.setpoint import at_rest
+from control.safety.fault import Fault, Reaction
+from control.safety.table import Event
+
+
+def take_known_zeros(state: ArmState) -> bool:
+    """Believe boards that all say that their zero was set since power-up; returns whether they do.
+
+    A counter that wraps inside its joint's travel may have done so while nobody looked: it is never believed.
+    """
+    flags = state.parts.hardware.feedback.channel_flags
+    if not (state.parts.do_counters_span and all(flag & ZERO_SET for flag in flags)):
+        return False
+    _become_homed(state)
+    return True
+
+
+def _become_homed(state: ArmState) -> None:
+    """The pose is known: the feed-forward now carries the weight that the integrals have carried so far."""
+    was_homed = state.monitor.is_homed
+    state.on(Event.HOMED)
+    if not was_homed:
+        state.parts.servo.learn_pose()
+        state.set_point = at_rest(aiming.joints_standing(state, state.set_point.q_rad))
+
+
+def start(state: ArmState) -> None:
+    """Home every joint, one after the other. ArmError when arm.toml does not say how."""
+    sequence = state.parts.homing()
+    state.on(Event.HOME)
+    state.set_point = at_rest(state.aim.q_rad)
+    state.run_number += 1
+    state.was_stopped = False
+    state.homing = sequence
+
+
+def follow(state: ArmState) -> None:
+    """One cycle of the homing sequence."""
+    if state.homing is None:
+        return
+    feedback = state.parts.hardware.feedback
+    try:
+        state.set_point = state.homing.step(state.set_point, feedback, state.elapsed_s)
+    except HomingFailed as error:
+        fail(state, Fault("homing", error.where, error.message, error.remedy, Reaction.CONTROLLED))
+        return
+    if state.homing.is_done:
+        state.homing = None
+        _become_homed(state)
