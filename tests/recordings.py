@@ -11,6 +11,7 @@ from control.loop.record import Layout
 
 PERIOD_s = 0.002
 STARTED_s = 1_700_000_000.5
+AHEAD_rad = 0.01  # of a gear: encoder j stands j times this before its joint
 ERROR_rad = 0.001  # joint j follows j times this behind its set-point
 BOOTED_s = 5000.0  # the loop's clock has run since the machine started, not since the recording did
 MODES = ("OFF", "BRAKED", "HOLDING", "MOVING", "HOMING", "GUIDING", "STOPPING", "FAULT")
@@ -31,6 +32,7 @@ def row_of(k: int, joint_count: int, **changes: float) -> dict[str, float]:
             f"q{j}_rad": wanted - j * ERROR_rad, f"q{j}_set_rad": wanted,
             f"speed{j}_rad_s": 0.0, f"speed{j}_set_rad_s": 0.0, f"count{j}": 1000 * j,
             f"u{j}_V": 1.0, f"i{j}_A": 0.5 * j, f"supply{j}_V": 24.0, f"temperature{j}_C": 30.0,
+            f"joint{j}_rad": wanted - j * (ERROR_rad + AHEAD_rad), f"joint{j}_set_rad": wanted - j * AHEAD_rad,
             f"statusword{j}": 0x37, f"drive_faults{j}": 0, f"flags{j}": 4,
         }  # fmt: skip
     return row | changes
@@ -41,10 +43,11 @@ def write_recording(
     cycles: int,
     joint_count: int = 3,
     changes: Mapping[int, Mapping[str, float]] | None = None,
+    has_joint_side: bool = False,
     **header: Any,
 ) -> Path:
     """A .armlog of so many cycles; `changes` replaces values of single cycles."""
-    layout = Layout.of(joint_count)
+    layout = Layout.of(joint_count, has_joint_side)
     about = {"arm": "right", "started_unix_s": STARTED_s, "period_s": PERIOD_s, **header}
     with path.open("wb") as file:
         file.write(layout.header(about))

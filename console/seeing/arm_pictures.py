@@ -97,7 +97,9 @@ def draw_tip(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
     step = max(1, len(series) // PATH_POINTS)
     kinematics = Kinematics(series.arm)
     placed = np.where(series.is_placed[:, None], 1.0, np.nan)
-    paths = [tips_of(kinematics, (placed * angles)[::step]) for angles in (series.q_rad, series.q_set_rad)]
+    paths = [
+        tips_of(kinematics, (placed * angles)[::step]) for angles in (series.joint_rad, series.joint_set_rad)
+    ]
     camera = series.tip_m[np.isfinite(series.tip_m).all(axis=1)]
     camera = camera[:: 1 + len(camera) // CAMERA_MARKS_MOST]
     for column, (i, j, seen) in enumerate(((0, 1, "from above"), (0, 2, "from the side"))):

@@ -93,7 +93,7 @@ def drive_of(arm: Arm | None, joint: int) -> Drive | None:
 
 
 def tip_error_m(series: Series) -> Array:
-    """Distance (m,) between the camera's tip and the model's at the encoders' angles.
+    """Distance (m,) between the camera's tip and the model's at the joints' angles, as the encoders and the model tell them.
 
     NaN where either is not known, or the arm has not found its zeros.
     """
@@ -102,10 +102,10 @@ def tip_error_m(series: Series) -> Array:
     distance = np.full(len(series), np.nan)
     if series.arm is None:
         return distance
-    is_known = np.isfinite(series.tip_m).all(axis=1) & np.isfinite(series.q_rad).all(axis=1)
+    is_known = np.isfinite(series.tip_m).all(axis=1) & np.isfinite(series.joint_rad).all(axis=1)
     rows = np.flatnonzero(is_known & series.is_placed)
     if len(rows):
-        modelled = Kinematics(series.arm).tips(series.q_rad[rows])
+        modelled = Kinematics(series.arm).tips(series.joint_rad[rows])
         distance[rows] = np.linalg.norm(series.tip_m[rows] - modelled, axis=1)
     return distance
 

@@ -21,12 +21,16 @@ Point = tuple[float, float, float]
 class Moment:
     """Where the arm is and where it was told to be; angles in rad, the camera's tip in m or None.
 
+    Of the encoders, and of the joints, which are drawn.
+
     `status` has currents and faults where the moment is live.
     """
 
     t_s: float
     q_rad: tuple[float, ...]
     q_set_rad: tuple[float, ...]
+    joint_rad: tuple[float, ...]
+    joint_set_rad: tuple[float, ...]
     mode: str = ""
     camera_m: Point | None = None
     current_A: tuple[float, ...] = ()
@@ -51,19 +55,22 @@ def recorded(series: Series, period_s: float) -> tuple[NDArray[np.int64], Array]
 
 def moment_at(series: Series, row: int) -> Moment:
     """One row of a series; without set-points they are where the arm is."""
-    q_rad = tuple(series.q_rad[row].tolist())
-    q_set_rad = tuple(series.q_set_rad[row].tolist())
     mode = series.mode[row]
     seen = tuple(series.tip_m[row].tolist())
     current_A = tuple(series.current_A[row].tolist())
     return Moment(
         float(series.t_s[row]),
-        q_rad,
-        q_set_rad if all(map(math.isfinite, q_set_rad)) else q_rad,
+        *_angles(series.q_rad[row], series.q_set_rad[row]),
+        *_angles(series.joint_rad[row], series.joint_set_rad[row]),
         series.modes[mode] if 0 <= mode < len(series.modes) else "",
         (seen[0], seen[1], seen[2]) if all(map(math.isfinite, seen)) else None,
         current_A if all(map(math.isfinite, current_A)) else (),
     )
+
+
+def _angles(measured: Array, wanted: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    known = wanted if np.isfinite(wanted).all() else measured
+    return tuple(measured.tolist()), tuple(known.tolist())
 
 
 def live(source: StatusSource, clock: Clock, period_s: float) -> Iterator[Moment]:
@@ -82,6 +89,8 @@ def moment_of(status: Message) -> Moment:
         float(status["t_s"]),
         tuple(status["q_rad"]),
         tuple(status["q_set_rad"]),
+        tuple(status.get("joint_rad") or status["q_rad"]),
+        tuple(status.get("joint_set_rad") or status["q_set_rad"]),
         str(status["mode"]),
         (camera[0], camera[1], camera[2]) if camera else None,
         tuple(0.0 if value is None else float(value) for value in status["current_A"]),

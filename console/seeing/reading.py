@@ -22,6 +22,9 @@ JOINT_FORMS: Final = {
     "q_rad": "q{}_rad", "q_set_rad": "q{}_set_rad", "current_A": "i{}_A", "voltage_V": "u{}_V",
     "supply_V": "supply{}_V", "temperature_C": "temperature{}_C",
 }  # fmt: skip
+JOINT_SIDE_FORMS: Final = (
+    ("joint_rad", "joint{}_rad", "q_rad"), ("joint_set_rad", "joint{}_set_rad", "q_set_rad"),
+)  # fmt: skip
 Report = Callable[[float], None]
 
 
@@ -132,6 +135,7 @@ def of_columns(
     if run_names is None:
         found, numbers = np.unique(numbers, return_inverse=True)
         run_names = tuple(str(number) for number in found)
+    joints = {key: group(form) for key, form in JOINT_FORMS.items()}
     mode = np.nan_to_num(column("mode"), nan=-1.0).astype(np.int64) if modes else np.full(count, -1)
     return Series(
         name=name,
@@ -146,5 +150,9 @@ def of_columns(
         missed=column("missed"),
         arm=arm,
         notes=notes,
-        **{key: group(form) for key, form in JOINT_FORMS.items()},
+        **joints,
+        **{
+            key: group(form) if form.format(1) in columns else joints[same]
+            for key, form, same in JOINT_SIDE_FORMS
+        },
     )

@@ -59,7 +59,7 @@ class _MujocoPainter:
         self._camera = self._scene.camera()
 
     def __call__(self, moment: Moment, traces: Traces) -> Image:
-        self._scene.pose(moment.q_rad, moment.q_set_rad)
+        self._scene.pose(moment.joint_rad, moment.joint_set_rad)
         self._renderer.update_scene(self._scene.data, self._camera)
         self._scene.add_traces(self._renderer.scene, traces)
         image: Image = self._renderer.render().copy()
@@ -80,7 +80,7 @@ class _LinePainter:
         figure = Figure(figsize=(width / 100, height / 100), dpi=100)
         canvas = FigureCanvasAgg(figure)
         axes: Any = figure.add_subplot(projection="3d")
-        arms = [self.joints_m(moment.q_set_rad), self.joints_m(moment.q_rad)]
+        arms = [self.joints_m(moment.joint_set_rad), self.joints_m(moment.joint_rad)]
         for joints, colour, line, label in (
             (arms[0], "#D55E00", "-", "commanded"),
             (arms[1], "#0072B2", "--", "measured"),

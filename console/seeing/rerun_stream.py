@@ -54,8 +54,8 @@ def _log(rerun: Any, kinematics: Kinematics, moment: Moment) -> None:
     for number, current in enumerate(moment.current_A, start=1):
         rerun.log(f"joint{number}/current_A", rerun.Scalars(current))
     for name, angles, colour in (
-        ("measured", moment.q_rad, MEASURED),
-        ("commanded", moment.q_set_rad, COMMANDED),
+        ("measured", moment.joint_rad, MEASURED),
+        ("commanded", moment.joint_set_rad, COMMANDED),
     ):
         points = _points_m(kinematics, angles)
         rerun.log(f"arm/{name}", rerun.LineStrips3D([points], colors=[colour], radii=[0.01]))

@@ -27,7 +27,8 @@ class Series:
     """m samples of n joints; NaN where nothing was measured.
 
     t_s (m,), from the first sample on and rising (runs that each begin at zero stand one after the other); run (m,) indices into
-    `runs`; mode (m,) indices into `modes`, -1 unknown; q_rad, q_set_rad, current_A, voltage_V, supply_V, temperature_C (m, n);
+    `runs`; mode (m,) indices into `modes`, -1 unknown; q_rad, q_set_rad of the encoders, joint_rad, joint_set_rad of the
+    joints (the same where nothing else is recorded), current_A, voltage_V, supply_V, temperature_C (m, n);
     tip_m (m, 3) as the camera saw it in the base frame; late_s, busy_s, missed (m,). `notes` say what is wrong with the file.
     """
 
@@ -39,6 +40,8 @@ class Series:
     modes: tuple[str, ...]
     q_rad: Array
     q_set_rad: Array
+    joint_rad: Array
+    joint_set_rad: Array
     current_A: Array
     voltage_V: Array
     supply_V: Array
@@ -94,8 +97,8 @@ class Series:
 
 
 _ROWS: Final = (
-    "t_s", "run", "mode", "q_rad", "q_set_rad", "current_A", "voltage_V", "supply_V", "temperature_C", "tip_m",
-    "late_s", "busy_s", "missed",
+    "t_s", "run", "mode", "q_rad", "q_set_rad", "joint_rad", "joint_set_rad", "current_A", "voltage_V", "supply_V",
+    "temperature_C", "tip_m", "late_s", "busy_s", "missed",
 )  # fmt: skip
 
 

@@ -30,8 +30,8 @@ def traces_of(series: Series, kinematics: Kinematics) -> Traces:
     placed = np.where(series.is_placed[:, None], 1.0, np.nan)
     camera = series.tip_m[np.isfinite(series.tip_m).all(axis=1) & series.is_placed]
     return Traces(
-        commanded_m=tips_of(kinematics, (placed * series.q_set_rad)[::step]),
-        measured_m=tips_of(kinematics, (placed * series.q_rad)[::step]),
+        commanded_m=tips_of(kinematics, (placed * series.joint_set_rad)[::step]),
+        measured_m=tips_of(kinematics, (placed * series.joint_rad)[::step]),
         camera_m=camera[:: 1 + len(camera) // POINTS_MOST],
     )
 
@@ -54,7 +54,7 @@ class Trail:
 
     def add(self, moment: Moment) -> Traces:
         """One moment more; returns the trail."""
-        measured, commanded = self._kinematics.tips([moment.q_rad, moment.q_set_rad])
+        measured, commanded = self._kinematics.tips([moment.joint_rad, moment.joint_set_rad])
         kept = self._traces
         kept.measured_m = np.vstack([kept.measured_m, measured])[-self._most :]
         kept.commanded_m = np.vstack([kept.commanded_m, commanded])[-self._most :]

@@ -150,7 +150,7 @@ def play(
             moment = moment_at(series, int(rows[player.on(now_s - before_s)]))
             before_s = now_s
             with handle.lock():
-                scene.pose(moment.q_rad, moment.q_set_rad)
+                scene.pose(moment.joint_rad, moment.joint_set_rad)
                 scene.trace(handle.user_scn, traces)
             handle.sync()
             clock.wait_until_s(now_s + period_s)
@@ -167,7 +167,7 @@ def follow(scene: ArmScene, moments: Iterator[Moment], open_: Open) -> None:
             if not handle.is_running():
                 break
             with handle.lock():
-                scene.pose(moment.q_rad, moment.q_set_rad)
+                scene.pose(moment.joint_rad, moment.joint_set_rad)
                 scene.trace(handle.user_scn, trail.add(moment))
             handle.sync()
     finally:

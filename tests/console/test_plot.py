@@ -19,12 +19,13 @@ from console.seeing.pictures import PICTURES
 from console.seeing.reading import of_columns, read_series
 from console.seeing.series import Series, chosen, joined_runs
 from console.seeing.thinning import TURNS, envelope, orders, spectrum, with_gaps
+from console.seeing.traces import traces_of
 from control.errors import ArmError
 from control.loop.export import to_csv, to_mcap
 from control.loop.record import Recording
 from control.model.description import arm_text, load_arm
 from control.model.kinematics import Kinematics
-from tests.recordings import MODES, ERROR_rad, PERIOD_s, write_recording
+from tests.recordings import MODES, AHEAD_rad, ERROR_rad, PERIOD_s, write_recording
 
 RIGHT = load_arm("right")
 TOML = arm_text(RIGHT)
@@ -80,6 +81,30 @@ def test_every_form_of_one_recording_gives_the_same_series(recording: Path, tmp_
         np.testing.assert_array_equal(found.following_error_rad.shape, expected.following_error_rad.shape)
         assert [found.modes[k] for k in found.mode] == [expected.modes[k] for k in expected.mode]
     assert read_series(tmp_path / "log.mcap").arm is not None  # attached
+
+
+def test_tips_are_those_of_the_joints_in_every_form_and_of_the_encoders_where_nothing_else_is_known(
+    tmp_path: Path,
+) -> None:
+    kinematics = Kinematics(RIGHT)
+    old = read_series(write_recording(tmp_path / "old.armlog", 60, arm_toml=TOML))
+    np.testing.assert_array_equal(old.joint_rad, old.q_rad)
+    np.testing.assert_array_equal(old.joint_set_rad, old.q_set_rad)
+    opened = Recording.open(write_recording(tmp_path / "a.armlog", 60, has_joint_side=True, arm_toml=TOML))
+    to_csv(opened, tmp_path / "log.csv")
+    to_mcap(opened, tmp_path / "log.mcap", arm=RIGHT)
+    ahead = AHEAD_rad * np.arange(1, 4)
+    for name in ("a.armlog", "log.mcap", "log.csv"):
+        found = read_series(tmp_path / name, RIGHT)
+        np.testing.assert_allclose(
+            found.q_rad - found.joint_rad, np.broadcast_to(ahead, found.q_rad.shape), atol=1e-8
+        )
+        traces = traces_of(found, kinematics)
+        np.testing.assert_allclose(traces.commanded_m, kinematics.tips(found.q_set_rad - ahead), atol=1e-8)
+        np.testing.assert_allclose(traces.measured_m, kinematics.tips(found.q_rad - ahead), atol=1e-8)
+        seen = np.flatnonzero(np.isfinite(found.tip_m[:, 0]))
+        expected = np.linalg.norm(found.tip_m[seen] - kinematics.tips(found.q_rad[seen] - ahead), axis=1)
+        np.testing.assert_allclose(tip_error_m(found)[seen], expected, atol=1e-7)
 
 
 def test_the_figures_are_those_of_the_formula(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -184,7 +184,7 @@ def test_a_live_arm_is_followed_with_a_trail_until_its_runtime_ends() -> None:
 def test_a_trail_keeps_the_last_of_it() -> None:
     trail = Trail(Kinematics(ARM), most=3)
     for k in range(7):
-        traces = trail.add(Moment(0.1 * k, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        traces = trail.add(Moment(0.1 * k, (0.0,) * 3, (0.0,) * 3, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.0)))
     np.testing.assert_allclose(traces.measured_m, Kinematics(ARM).tips([[0.1 * k, 0, 0] for k in (4, 5, 6)]))
 
 

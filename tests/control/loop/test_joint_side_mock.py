@@ -256,3 +256,46 @@ def test_friction_is_not_fed_forward_at_standstill() -> None:
             cell.run(0.5)
             places.append(cell.rig.joint_rad())
     assert places[0] == places[1]
+
+
+def last_row(cell: Cell) -> dict[str, float]:
+    """The newest row that was recorded."""
+    recorder = cell.runtime.parts.recorder
+    values = recorder.layout.packing.unpack(recorder.last_rows()[-1])
+    return dict(zip(recorder.layout.names, values, strict=True))
+
+
+def angles(row: dict[str, float], form: str) -> list[float]:
+    return [row[form.format(joint)] for joint in (1, 2, 3)]
+
+
+def test_what_is_recorded_of_the_joints_is_where_they_are_and_are_to_be() -> None:
+    hidden, target = (*GEARS, *SPRINGS, *RIGID), INVERSE.nearest(STOPS_m[0], NEAR)
+    with an_arm(hidden, hidden) as cell:
+        cell.client.move_joints(target, 0.4)
+        cell.run(0.3)
+        row = last_row(cell)
+        assert angles(row, "joint{}_set_rad") == pytest.approx(target, abs=1e-9)
+        assert angles(row, "q{}_set_rad") == list(cell.runtime.aim.q_rad)
+        assert math.dist(KINEMATICS.tip(*angles(row, "joint{}_rad")), cell.rig.tip_m()) < LEVEL_m
+        # what the encoders say is another tip, both wanted and measured
+        assert math.dist(KINEMATICS.tip(*angles(row, "q{}_set_rad")), STOPS_m[0]) > 1e-3
+        assert math.dist(KINEMATICS.tip(*angles(row, "q{}_rad")), cell.rig.tip_m()) > 1e-3
+
+
+def test_a_motion_of_the_encoders_is_recorded_as_the_joints_that_it_makes() -> None:
+    with an_arm(RIGID, RIGID) as cell:
+        cell.client.move_joints(NEAR, 0.4, as_encoders=True)
+        row = last_row(cell)
+        side = cell.runtime.parts.joint_side
+        assert side is not None
+        assert angles(row, "q{}_set_rad") == pytest.approx(NEAR, abs=1e-9)
+        assert angles(row, "joint{}_set_rad") == pytest.approx(side.joint_rad(NEAR), abs=1e-9)
+        assert math.dist(angles(row, "joint{}_set_rad"), NEAR) > 1e-3
+
+
+def test_an_arm_without_such_effects_records_no_column_twice() -> None:
+    with an_arm((), ()) as cell:
+        assert not [name for name in last_row(cell) if name.startswith("joint")]
+        status = cell.client.status()
+        assert (status["joint_rad"], status["joint_set_rad"]) == (status["q_rad"], status["q_set_rad"])

@@ -275,3 +275,17 @@ def test_foxglove_knows_its_messages_by_their_titles() -> None:
     assert set(FOXGLOVE) == {
         f"foxglove.{name}" for name in ("FrameTransforms", "SceneUpdate", "PoseInFrame", "JointStates", "Log")
     }
+
+
+def test_the_arm_is_drawn_of_its_joints_where_they_are_recorded_beside_their_encoders(tmp_path: Path) -> None:
+    for has_joint_side, name in ((True, "joint{}{}_rad"), (False, "q{}{}_rad")):
+        folder = tmp_path / str(has_joint_side)
+        folder.mkdir()
+        path = write_recording(folder / "a.armlog", 60, has_joint_side=has_joint_side)
+        opened = Recording.open(path)
+        last = dict(zip(opened.layout.names, list(opened.rows())[50], strict=True))
+        read = exported(folder, path)
+        for topic, which in (("/tip/measured", ""), ("/tip/set_point", "_set")):
+            expected = Kinematics(RIGHT).tip(*(last[name.format(j, which)] for j in (1, 2, 3)))
+            found = read.messages[topic][-1][1]["pose"]["position"]
+            assert [found[axis] for axis in "xyz"] == pytest.approx(expected, abs=1e-9)
