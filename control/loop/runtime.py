@@ -4,6 +4,7 @@
       _read            hardware.read(), then angles and speeds from counts, camera, averages
       _watch           limits, stale data, board faults -> faults -> the state machine
       _advance         what the present mode does to the set-point (hold, motion, jog, homing, stop, nothing)
+      _aim             where the encoders have to be for it, on an arm whose gears or belt are known
       _drive           set-point -> feed-forward + PID -> hardware.write()
       _record          one row
 
