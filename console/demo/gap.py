@@ -38,6 +38,7 @@ from control.model.kinematics import Kinematics
 PLACES = 10
 TURN_rad = 1.2  # of joint 1 to either side: places that the camera could see
 FROM_AXIS_m = 0.15  # of joint 1: nearer to it the nominal arm reaches what the identified one may not
+INSIDE_rad = 0.15  # of the room: the runtime keeps a joint with play or a spring so far off the ends of its range
 PAYLOAD_kg = 0.5
 NO_NAMES = ("link_geometry", "base_frame")
 
@@ -140,7 +141,7 @@ def named_in(found: GapFinding) -> tuple[NamedEffect, ...]:
 
 def programme_of(arm: Arm) -> Programme:
     """Places that no recording goes to, over the whole room, and a circle and a line above the table."""
-    room = room_of(arm)
+    room = room_of(arm).inset(INSIDE_rad)
     poses = spread_poses((room.lower_rad, room.upper_rad), 4 * PLACES)[PLACES:]
     poses[:, 0] = np.clip(poses[:, 0], -TURN_rad, TURN_rad)
     tips = Kinematics(arm).tips(poses)
