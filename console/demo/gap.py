@@ -38,7 +38,7 @@ from control.model.kinematics import Kinematics
 PLACES = 10
 TURN_rad = 1.2  # of joint 1 to either side: places that the camera could see
 FROM_AXIS_m = 0.15  # of joint 1: nearer to it the nominal arm reaches what the identified one may not
-INSIDE_rad = 0.15  # of the room: the runtime keeps a joint with play or a spring so far off the ends of its range
+INSIDE_rad = 0.15  # of the room: the runtime keeps a joint that gives way so far off its ends
 PAYLOAD_kg = 0.5
 NO_NAMES = ("link_geometry", "base_frame")
 
