@@ -134,9 +134,9 @@ def mouse(pilot: Pilot[Any], widget: Widget, kind: type[events.MouseEvent]) -> N
 
 
 def said(app: Any) -> str:
-    """What the log shows."""
+    """What the log shows, in one line: where it is broken depends on the width, and on how long a folder's name is."""
     logs = app.operating.query("#said").results(RichLog)
-    return "\n".join(strip.text.rstrip() for log in logs for strip in log.lines)
+    return " ".join(strip.text.strip() for log in logs for strip in log.lines)
 
 
 def shown(app: Any, panel: str) -> str:

@@ -269,9 +269,11 @@ def test_a_bad_option_is_one_message(
     log: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
     options: list[str],
     said: str,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(view, "FRAMES_MOST", 3)
     assert said in refused(capsys, str(log), *options)
 
