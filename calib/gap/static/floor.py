@@ -24,10 +24,14 @@ SHEET_WORTH = 200  # pairs that a data sheet counts for, where repeats bear it o
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """Standard deviation of one axis of the tip, and where the figure comes from; NaN where nothing tells it."""
+    """Standard deviation of one axis of the tip, and where the figure comes from; NaN where nothing tells it.
+
+    `doubt`: the figure's own standard deviation, as a share of it, as far as it rests on repeats.
+    """
 
     tip_m: float
     source: str
+    doubt: float = 0.0
 
 
 def noise_floor(arm: Arm, points: Points, residual_m: Array, out: Mask | None = None) -> Floor:
@@ -66,12 +70,15 @@ def _is_same_pose(points: Points, a: int, b: int) -> bool:
 
 def _with_sheet(scatter_m: float, pairs_count: int, sheet_m: float) -> Floor:
     """The repeats' scatter; where the data sheet agrees with it, both, since some dozen pairs know it to 5 % only."""
-    said = f"{pairs_count} repeats"
+    said, doubt = (
+        f"{pairs_count} repeats",
+        1.0 / math.sqrt(6.0 * pairs_count),
+    )  # of a root of 3 squares a pair
     if not abs(scatter_m - sheet_m) <= AGREE * sheet_m:
-        return Floor(scatter_m, said)
+        return Floor(scatter_m, said, doubt)
     weight = pairs_count / (pairs_count + SHEET_WORTH)
     both = math.sqrt(weight * scatter_m**2 + (1.0 - weight) * sheet_m**2)
-    return Floor(both, f"{said} and the camera's data sheet, which agree")
+    return Floor(both, f"{said} and the camera's data sheet, which agree", weight * doubt)
 
 
 def _scatter_m(apart_m: Array) -> float:

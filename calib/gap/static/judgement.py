@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from calib.arrays import Mask
 from calib.gap.finding import EffectName, Unknown
 from calib.gap.static.candidate import Candidate
+from calib.gap.static.floor import Floor
 from calib.gap.static.model import Fitted
 from calib.gap.static.remainder import Remainder
 from calib.gap.static.shape import WHOLE_ARM, Shape
@@ -19,6 +20,7 @@ HALF = (
     0.5  # of the excess: beside noise, not structure, a name is a proxy only if it explains the lesser part
 )
 UNSTRUCTURED = 1.1  # times the floor that residuals without any structure may be before it is said
+SURE_sd = 2.0  # standard deviations of the floor itself that they may be beyond that
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +38,12 @@ def judge(
     fit: Fitted,
     left: Sequence[Remainder],
     rows: Mask,
-    noise_m: float,
+    floor: Floor,
 ) -> Judgement:
     """`bare` has the geometry alone, `fit` the best explanation, in which `leader` explains most; `left` still pays beside it."""
-    explained = explained_share(bare, fit, rows, noise_m)
+    explained = explained_share(bare, fit, rows, floor.tip_m)
     if not left:
-        unknown = _unstructured(fit, rows, noise_m, accepted, explained)
+        unknown = _unstructured(fit, rows, floor, accepted, explained)
         is_little = unknown is not None and explained < HALF
         return Judgement(() if is_little else tuple(accepted), unknown)
     withdrawn = [
@@ -70,11 +72,11 @@ def explained_share(bare: Fitted, fit: Fitted, rows: Mask, noise_m: float) -> fl
 
 
 def _unstructured(
-    fit: Fitted, rows: Mask, noise_m: float, accepted: Sequence[Candidate], explained: float
+    fit: Fitted, rows: Mask, floor: Floor, accepted: Sequence[Candidate], explained: float
 ) -> Unknown | None:
-    """A remainder without a shape is noise that the floor does not know of."""
-    times = fit.rms_m(rows) / noise_m
-    if times <= UNSTRUCTURED:
+    """A remainder without a shape is noise that the floor does not know of, unless the floor is known no better than that."""
+    times = fit.rms_m(rows) / floor.tip_m
+    if times <= UNSTRUCTURED + SURE_sd * floor.doubt:
         return None
     where = f"everywhere alike: without any structure, {times:.2f} times the noise floor that was given"
     return Unknown(where, accepted[0].name if accepted else None, round(explained, 3))

@@ -134,7 +134,7 @@ class Search:
             for one in fit.chosen
             if one.name in sure and not any(is_same_joint(one, shape) for shape in twins.values())
         ]
-        verdict = judge(accepted, decision.leader, self.bare, fit, left, self.parts.known, self.floor.tip_m)
+        verdict = judge(accepted, decision.leader, self.bare, fit, left, self.parts.known, self.floor)
         if verdict.unknown is not None or not (twins or broken):  # orphans come with one of these
             return verdict
         share = round(explained_share(self.bare, fit, self.parts.known, self.floor.tip_m), 3)
