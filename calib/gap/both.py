@@ -21,6 +21,7 @@ POSES, SERIES = "poses", "time series"
 # Silence of a level that could name an effect speaks against it only where that level would see it this many times over: what
 # it calls nameable is an effect of usual size, and the other level's may be small.
 SURELY = 4.0
+AT_FLOOR = 1.3  # times the noise: a level with more left than that has not said all that it shows
 GEOMETRY = ("link_geometry", "base_frame")
 # What can be mistaken for each other on one joint at the other level: a joint that is not where its encoder says.
 ROLES = (
@@ -53,6 +54,11 @@ class Level:
             one.name == name and one.detectability >= SURELY * NAMEABLE_sd and not one.confusable_with
             for one in self.finding.nameable
         )
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether nothing is left at this level: only then its silence says something."""
+        return self.finding.unknown is None and self.finding.gap_after <= AT_FLOOR
 
     def rival_of(self, name: EffectName) -> EffectName | None:
         """What it names in the same role on the same joint in place of `name`."""
@@ -119,7 +125,7 @@ def _contradiction(name: EffectName, one: Level, other: Level) -> str | None:
             f"The {one.name} show {name}, the {other.name} {rival} in its place; both cannot be right, so that neither is"
             " named."
         )
-    if rival is None and other.would_see(name) and other.finding.unknown is None:
+    if rival is None and other.would_see(name) and other.is_explained:
         return f"The {one.name} show {name}; the {other.name} would show it too, and do not, so that it is not named."
     return None
 

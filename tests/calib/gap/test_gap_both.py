@@ -173,6 +173,7 @@ def test_a_level_that_surely_would_see_an_effect_and_does_not_takes_its_name_awa
         finding("current_A", [], [Nameable(PLAY, 100.0, (SPRING,))]),  # it cannot tell it from another
         finding("current_A"),  # it does not know of it
         finding("current_A", [], [SEES_PLAY], Unknown("the tip", None, 0.0)),  # it sees something
+        finding("current_A", [], [SEES_PLAY], gap=(9.0, 3.0)),  # much of what it shows is not explained
         finding("current_A", [], [SEES_PLAY], ambiguous=[(PLAY, SPRING)]),  # it sees it, or the other
     ],
 )
