@@ -94,6 +94,8 @@ def _near_range(runtime: Runtime) -> list[str]:
         strict=True,
     ):
         room = min(q - limit.lower_rad, limit.upper_rad - q)
-        if room < (1.0 - NEAR) * 0.5 * (limit.upper_rad - limit.lower_rad):
+        if room < 0.0:
+            warnings.append(f"{name} is {-room:.3f} rad beyond the end of its range: jog or move it back")
+        elif room < (1.0 - NEAR) * 0.5 * (limit.upper_rad - limit.lower_rad):
             warnings.append(f"{name} is {room:.3f} rad from the end of its range")
     return warnings
