@@ -115,7 +115,7 @@ class ConsoleApp(App[None]):
     async def _on_status(self, status: Message | None) -> None:
         if status is None:
             await self.operating.let_go()
-        elif status["mode"] != "JOGGING" and self.has_jogged:
+        elif self.has_jogged and status["mode"] not in ("JOGGING", "STOPPING"):
             self.has_jogged = False
             if status["is_homed"] and status["mode"] == "HOLDING":
                 angles = " ".join(f"{q:.5f}" for q in status["joint_rad"])

@@ -45,11 +45,12 @@ class RuntimeLink:
         while True:
             try:
                 await self._session()
-            except (OSError, LinkLost) as error:
+            except Exception as error:  # whatever comes over the wire, it is tried again
                 self.why_lost = str(error) or type(error).__name__
             finally:
                 self._hang_up()
-            await self._on_status(None)
+            with contextlib.suppress(LinkLost):  # what is let go of then has nobody to tell it to
+                await self._on_status(None)
             await asyncio.sleep(RETRY_S)
 
     async def ask(self, do: str, **arguments: Any) -> Message:
@@ -94,13 +95,17 @@ class RuntimeLink:
                 await answers
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
-        while line := await reader.readline():
-            answer: Message = msgspec.json.decode(line)
-            future = self._waiting.get(int(answer.get("id", 0)))
-            if future is not None and not future.done():
-                future.set_result(answer)
         self.why_lost = "the runtime closed the connection"
-        self._close()
+        try:
+            while line := await reader.readline():
+                answer: Message = msgspec.json.decode(line)
+                future = self._waiting.get(int(answer.get("id", 0)))
+                if future is not None and not future.done():
+                    future.set_result(answer)
+        except ConnectionError:  # reset: it was closed with a request unread
+            pass
+        finally:
+            self._close()  # nobody waits for an answer that cannot come
 
     def _fail(self, error: LinkLost) -> None:
         for future in self._waiting.values():

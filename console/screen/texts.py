@@ -88,7 +88,7 @@ def bus_load(arm: Arm, period_s: float) -> float:
 
 def joint_lines(status: Message, arm: Arm, selected: str) -> list[str]:
     """A heading and a line a joint; values near their limits in yellow."""
-    lines = ["   angle rad  error  speed  current supply temp       count drive"]
+    lines = ["    angle rad e mrad  rad/s  current supply  temp      count drive"]
     for j, drive in enumerate(arm.drives):
         q, error = status["q_rad"][j], 1e3 * status["following_error_rad"][j]
         mark = "[reverse]" if selected == f"J{j + 1}" else "[none]"
@@ -96,7 +96,7 @@ def joint_lines(status: Message, arm: Arm, selected: str) -> list[str]:
         warm = f"{temperature:3.0f} C" if temperature is not None and math.isfinite(temperature) else "  -  "
         cells = (
             _near(f"{q:+10.4f}", _range_use(q, drive.joint_lower_rad, drive.joint_upper_rad)),
-            _near(f"{error:+6.1f}", abs(error) / (1e3 * arm.limits.following_error_rad)),
+            _near(f"{round(error, 1) + 0.0:+6.1f}", abs(error) / (1e3 * arm.limits.following_error_rad)),
             _near(
                 f"{status['speed_rad_s'][j]:+6.2f}",
                 abs(status["speed_rad_s"][j]) / drive.joint_speed_limit_rad_s,
@@ -129,7 +129,7 @@ def news_lines(status: Message | None, why_lost: str) -> list[str]:
     if status is None:
         return [
             f"[b red]The link to the runtime is lost[/]: {escaped(why_lost)}.",
-            "A motion that this console began has been stopped by the runtime; it is tried again twice a second.",
+            "If a motion of this console was under way, the runtime has stopped it. The link is tried twice a second.",
         ]
     lines = [
         f"[b red]{escaped(f['where'])}: {escaped(f['message'])}[/]; {escaped(f['remedy'])}"
