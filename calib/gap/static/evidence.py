@@ -32,11 +32,12 @@ class Evidence:
     def of(cls, base: Array, columns: Array, y: Array) -> Evidence:
         """From whitened base columns (r, k) in bounds, effect columns (r, c) in typical sizes and values y (r,)."""
         inner = np.linalg.cholesky(base.T @ base + np.eye(base.shape[1]))
-        onto = np.linalg.solve(inner, base.T @ np.column_stack((columns, y)))
-        columns_onto, y_onto = onto[:, :-1], onto[:, -1]
-        gram = columns.T @ columns - columns_onto.T @ columns_onto
-        pull = columns.T @ y - columns_onto.T @ y_onto
-        return cls(frozen(gram), frozen(pull), float(y @ y - y_onto @ y_onto), len(y))
+        wanted = np.column_stack((columns, y))
+        taken = np.linalg.solve(inner.T, np.linalg.solve(inner, base.T @ wanted))
+        rest = wanted - base @ taken
+        # as a sum of squares, not as a difference: large columns that the base all but explains would else lose their sign
+        seen = rest.T @ rest + taken.T @ taken
+        return cls(frozen(seen[:-1, :-1]), frozen(seen[:-1, -1]), float(seen[-1, -1]), len(y))
 
     @classmethod
     def empty(cls, count: int) -> Evidence:
