@@ -17,6 +17,7 @@ from control.model.arm import Arm
 
 STRIBECK_rad_s = (0.012, 0.022, 0.04, 0.07, 0.12, 0.22)
 ORDERS = tuple(range(1, 41))
+READ_SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of a period, after the voltage has changed
 DELAYS_s = (0.0006, 0.0012, 0.0018, 0.0024, 0.0030, 0.0038, 0.0046, 0.0056, 0.007, 0.009)
 SPRINGS_rad_Nm = (1 / 5000.0, 1 / 1500.0, 1 / 500.0, 1 / 150.0)
 WARMING_s = (0.8, 2.5, 8.0, 40.0, 300.0)
@@ -51,7 +52,6 @@ def candidates(arm: Arm, recording: Recording, names: Collection[str] | None = N
 
 def _listed(arm: Arm, recording: Recording) -> Iterator[Candidate]:
     moves = recording.has_current or recording.has_voltage
-    both = recording.has_current and recording.has_voltage
     for joint in range(1, arm.joint_count + 1):
         if moves:
             yield from _frictions(joint)
@@ -69,9 +69,10 @@ def _listed(arm: Arm, recording: Recording) -> Iterator[Candidate]:
     if moves:
         yield _simple("payload", None, (0.0,))
         yield from _inertias(arm)
-    if both:
+    if recording.has_voltage:
         name = EffectName("command_delay")
         yield Candidate(name, tuple(Term(name, "command_delay", (d,)) for d in DELAYS_s), True, False)
+    if recording.has_current and recording.has_voltage:
         name = EffectName("supply_sag")
         forms = ("supply_sag", "supply_sag by sum")
         yield Candidate(name, tuple(Term(name, form, (0.0,)) for form in forms), True)
@@ -112,6 +113,11 @@ def _unlisted(arm: Arm, recording: Recording) -> Iterator[Candidate]:
                 yield _strange(form, joint, 1, where)
         if recording.has_tip:
             yield _strange("zero", joint, 1, "the tip, as if joint {joint}'s zero were another in these runs")
+    if recording.has_current or recording.has_voltage:
+        name, period_s = EffectName("sampling time"), 1.0 / recording.filters.rate_Hz
+        where = "the currents, with their slope: angles and currents are read at another moment of the sample"
+        starts = tuple(Term(name, "sampling time", (share * period_s,)) for share in READ_SHARES)
+        yield Candidate(name, starts, is_listed=False, linear=False, where=where)
     if recording.has_tip:
         name = EffectName("camera time")
         where = "the tip, in proportion to its speed: the camera's times are offset"

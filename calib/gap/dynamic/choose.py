@@ -37,7 +37,8 @@ UNEXPLAINED_STEPS = (
     2  # after this many steps that only unlisted candidates could take, the rest is unknown too
 )
 FIRST_LAWS = ("coulomb_friction", "viscous_friction")
-CAMERA_TIME = "camera time"
+CAMERA_TIME, SAMPLING_TIME = "camera time", "sampling time"
+OF_SENSORS = (CAMERA_TIME, SAMPLING_TIME)
 ELASTIC = ("joint_compliance", "backlash")
 
 Advance = Callable[[str, float], None]
@@ -65,7 +66,7 @@ class Step:
 
 def _is_unexplained(step: Step) -> bool:
     candidate = step.best.candidate
-    return not candidate.is_listed and candidate.name.effect != CAMERA_TIME
+    return not candidate.is_listed and candidate.name.effect not in OF_SENSORS
 
 
 class Choice:

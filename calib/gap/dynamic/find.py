@@ -11,7 +11,7 @@ from calib.arrays import Array
 from calib.gap.dynamic import forms
 from calib.gap.dynamic.borne_out import borne_out
 from calib.gap.dynamic.catalogue import candidates as all_candidates
-from calib.gap.dynamic.choose import CAMERA_TIME, Choice, Step
+from calib.gap.dynamic.choose import CAMERA_TIME, SAMPLING_TIME, Choice, Step
 from calib.gap.dynamic.fit import Fitted
 from calib.gap.dynamic.motion import MotionGap, motion_gap
 from calib.gap.dynamic.nameable import nameable
@@ -103,7 +103,7 @@ def examine(
         *recording.warnings,
         *_doubts(before, rows.table),
         *_flying(rows, known, accepted),
-        *_corrected(accepted),
+        *_corrected(accepted, recording.has_voltage),
         *last.warnings,
         *_grown(finding),
     )
@@ -152,14 +152,22 @@ def _grown(finding: GapFinding) -> tuple[str, ...]:
     )
 
 
-def _corrected(accepted: Fitted) -> tuple[str, ...]:
-    """Said where the camera's clock differs: an offset is no effect of the arm, and is taken off."""
-    return tuple(
-        f"the camera's times are {1e3 * abs(term.values[0]):.2f} ms {'late' if term.values[0] < 0.0 else 'early'}:"
-        " taken into account"
-        for term in accepted.terms
-        if term.form == CAMERA_TIME
-    )
+def _corrected(accepted: Fitted, has_voltage: bool) -> tuple[str, ...]:
+    """Said where clocks differ: when camera or currents are read is no effect of the arm, and is taken off."""
+    said = []
+    for term in accepted.terms:
+        time_ms = 1e3 * abs(term.values[0])
+        if term.form == CAMERA_TIME:
+            way = "late" if term.values[0] < 0.0 else "early"
+            said.append(f"the camera's times are {time_ms:.2f} ms {way}: taken into account")
+        elif term.form == SAMPLING_TIME:
+            than = (
+                "after the voltage of their line took effect"
+                if has_voltage
+                else "before the end of a step of the voltage"
+            )
+            said.append(f"angles and currents are read {time_ms:.2f} ms {than}: taken into account")
+    return tuple(said)
 
 
 def gap(residual: Array, table: RowTable, picked: Picked) -> float:

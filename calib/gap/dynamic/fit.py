@@ -14,6 +14,7 @@ from calib.gap.dynamic.terms import STEP, Term
 
 Picked = npt.NDArray[np.bool_]
 ITERATIONS = 8
+LATEST_s = 0.02  # of a sample after the voltage that it follows
 PROMISED = 1e-4  # of the sum of squares: a step that promises less is not tried
 ENOUGH = 1e-3  # of the sum of squares: a step that gains less is the last
 
@@ -129,6 +130,8 @@ def bounded(term: Term, values: Array) -> Array:
             result[0], result[1] = max(result[0], 0.0), min(max(result[1], 0.004), 0.6)
         case "load_friction" | "supply_sag" | "supply_sag by sum" | "command_delay":
             result[0] = max(result[0], 0.0)
+        case "sampling time":
+            result[0] = min(max(result[0], 0.0), LATEST_s)
         case "joint_compliance":
             result[0] = min(max(result[0], 1e-6), 0.05)
             result[1] = min(max(result[1], 0.0), 20.0)

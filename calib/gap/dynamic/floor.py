@@ -74,7 +74,11 @@ def _from_noise(physics: Physics, key: Key) -> tuple[float, float]:
     inertia = float(physics.body.rotor_kg_m2[joint] + np.median(own))
     bends = float(np.linalg.norm(bent)) * inertia / K
     turns = float(np.linalg.norm(turning)) * K / R
-    by_channel = bends if channel == "current_A" and recording.has_current else turns
+    by_channel = bends if channel == "current_A" else turns
+    if (
+        channel == "current_A" and not recording.has_current
+    ):  # the current is then the voltage's, less the speed's
+        by_channel = float(np.hypot(bends, turns))
     return _current_noise(physics, joint) * recording.filters.row_gain, angle * by_channel
 
 

@@ -4,8 +4,8 @@ Electrical, with the command u held over a sample from its time on (delayed by t
     L di/dt + R i = u - K speed,   K = torque constant times gear ratio (times what torque_constant says).
 Mechanical, at the motor, in joint angles:
     K i = J speed' + transmitted + friction(speed, transmitted) + cogging(q).
-A sampled current is the end of a step of the staircase that the voltage makes; the torque is its mean, which stands
-T/2 - L/R earlier: shifting the voltage part of i by that much is what `_mean_current` does.
+Samples are corners of the staircase that the voltage makes: what lies between them is in `staircase`. Where no voltage is
+recorded, the mean of a current stands T/2 - L/R earlier than its sample, and the voltage's part of i is shifted by that much.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from calib.gap.dynamic.body import Body, Load
 from calib.gap.dynamic.laws import friction_Nm
 from calib.gap.dynamic.play import Followed, Follower, elastics, looses
 from calib.gap.dynamic.recording import Flags, Motion, Recording
+from calib.gap.dynamic.staircase import Staircase, Winding, settled_shares
 from calib.gap.dynamic.terms import Term
 from control.model.arm import Arm
 from control.model.kinematics import Kinematics
@@ -28,6 +29,8 @@ from control.model.kinematics import Kinematics
 SHORTEST_SPRING_rad_Nm = 1e-8
 SHARED = ("coulomb_friction", "viscous_friction")  # part of it may act behind an elastic or loose gear
 RESTING_rad_s = 0.002  # between link and motor: slower, a loose link lies on its flank
+MOST_OF_PERIOD = 0.999  # later than that, a sample is the next one
+INERTIA_EVERY = 25  # samples: how heavy a joint is, on the whole
 FOLLOWED_KEPT = 16  # motions of elastic joints, some 1.5 MB each
 
 Rubbed = tuple[tuple[Term, tuple[float, float]], ...]
@@ -85,6 +88,14 @@ class Physics:
         self._gear = np.array([d.gear_ratio for d in arm.drives])
         self._period = 1.0 / recording.filters.rate_Hz
         self._voltage = [recording.filters.states(run.voltage_V) for run in recording.runs]
+        self._staircase = Staircase(
+            [
+                Winding(*map(float, one))
+                for one in zip(self._inertias(), self._K, self._R, self._lag, strict=True)
+            ],
+            self._period,
+            [value for value, _, _ in self._voltage],
+        )
         self._torques: dict[Load, list[Array]] = {}
         self._moved: dict[tuple[Load, Rubbed], list[tuple[Array, Array]]] = {}
         self._follow: dict[tuple[Load, int], Follower] = {}
@@ -119,6 +130,12 @@ class Physics:
         """Motor turns a joint turn."""
         return tuple(float(ratio) for ratio in self._gear)
 
+    def _inertias(self) -> Array:
+        """What each motor turns while the others may give way, the middle of the recording (n,)."""
+        q = np.concatenate([run.q[::INERTIA_EVERY] for run in self.recording.runs])
+        inverses = np.linalg.inv(self.body.dynamics(Load()).mass_matrices(q))
+        return np.asarray(1.0 / np.median(np.diagonal(inverses, axis1=1, axis2=2), axis=0))
+
     def link_torques(self, load: Load) -> list[Array]:
         """Link torques of each run (m, n), kept for the loads seen last."""
         if load not in self._torques:
@@ -141,6 +158,7 @@ class Physics:
     def predict(self, model: Sequence[Term]) -> list[Prediction]:
         """The model's residuals on every run."""
         parts = sorted_terms(model)
+        parts.delay_s = max(parts.delay_s, -MOST_OF_PERIOD * self._period)
         torques = self.link_torques(parts.load)
         moved = self._follow_all(parts) if parts.elastic else []
         result = []
@@ -177,11 +195,11 @@ class Physics:
             value, slope, _ = self._voltage[k]
             held = value - (0.5 * self._period + parts.delay_s + self._lag) * slope
             current = (held - K * (run.speed + ahead_of.speed_rad_s - self._lag * run.acceleration)) / self._R
+            current += self._staircase.of_driven_current(parts.delay_s)[k]
             return np.where(run.is_off, 0.0, current)
-        n = np.floor(parts.delay_s / self._period)
-        within = parts.delay_s - n * self._period
-        mixed = np.exp(-(self._period - within) / np.maximum(self._lag, 1e-9))
-        ahead = 0.5 * self._period - self._lag - within + mixed * self._period
+        if self.recording.has_voltage:
+            return np.asarray(run.current_A + self._staircase.of_mean_current(parts.delay_s)[k])
+        ahead = 0.5 * self._period - self._lag + min(parts.delay_s, 0.0)
         return np.asarray(run.current_A + ahead * (run.current_slope + K * run.acceleration / self._R))
 
     def _electrical(self, parts: Parts, run: Motion, k: int, ahead: MotorAhead) -> Array:
@@ -193,6 +211,7 @@ class Physics:
         seen = self.sagged(parts, held, run.current_A)
         speed = run.speed + ahead.speed_rad_s - self._lag * run.acceleration
         expected = (seen - self._K * scale * speed) / self._R
+        expected += self._staircase.of_sampled_current(parts.delay_s)[k]
         for term in parts.electrical:
             j = term.index
             if term.form == "resistance":
@@ -206,11 +225,8 @@ class Physics:
     def _held(self, voltage: Array, delay_s: float) -> Array:
         """The voltage that a winding has settled to when its current is sampled, (m, n)."""
         n = int(delay_s // self._period)
-        within = delay_s - n * self._period
-        lag = np.maximum(self._lag, 1e-9)
-        newest, whole = np.exp(-(self._period - within) / lag), np.exp(-self._period / lag)
-        one, two, three = (_earlier(voltage, n + back) for back in (1, 2, 3))
-        return np.asarray((1 - newest) * one + newest * (1 - whole) * two + newest * whole * three)
+        shares = np.array([settled_shares(float(lag), self._period, delay_s) for lag in self._lag])
+        return np.asarray(sum(shares[:, back] * _earlier(voltage, n + 1 + back) for back in range(3)))
 
     def sagged(self, parts: Parts, voltage: Array, current: Array) -> Array:
         """What of a commanded voltage (m, n) reaches the windings of motors that draw current (m, n)."""
@@ -354,6 +370,8 @@ def sorted_terms(model: Sequence[Term]) -> Parts:
                 parts.scale[term.index] = parts.scale.get(term.index, 0.0) + term.values[0]
             case "command_delay":
                 parts.delay_s += max(term.values[0], 0.0)
+            case "sampling time":  # a voltage that took effect before the sample is one that comes early
+                parts.delay_s -= term.values[0]
             case "supply_sag" | "supply_sag by sum":
                 parts.sag.append((term.form, term.values[0]))
             case "joint_compliance" | "backlash":

@@ -20,6 +20,7 @@ from calib.gap.dynamic.recording import Flags, Motion, Recording
 from calib.gap.dynamic.terms import Term
 
 SLOW_rad_s = 0.008  # below, friction of real joints is pre-sliding, and no law here speaks of that
+PRESLIDING_rad = 0.0005  # since a joint turned: within it friction is a spring, as long as it may take
 LANDING_s = 0.04  # the reach of a row's filter around an impact
 NOISE_SPEEDS = 4.0  # standard deviations of the measured speed that count as rest
 
@@ -59,7 +60,7 @@ class Rows:
         self.physics = physics
         self.recording = physics.recording
         self._masks = [_mask(self.recording, run) for run in self.recording.runs]
-        self._electrical = [_sound_rows(self.recording, run) for run in self.recording.runs]
+        self._electrical = [_driven_rows(self.recording, run) for run in self.recording.runs]
         self.table = self._tabled(model)
 
     def residual(self, model: Sequence[Term]) -> Array:
@@ -174,6 +175,13 @@ def _sound_rows(recording: Recording, run: Motion) -> Flags:
     return np.asarray(sound[recording.filters.places(len(run))])
 
 
+def _driven_rows(recording: Recording, run: Motion) -> Flags:
+    """Rows (rows, n) whose driver is on all the time: the voltage of an open circuit is nobody's command."""
+    filters = recording.filters
+    near = _near(run.is_off, filters.reach // 2 + (len(filters.state[0]) - 1) // 2)
+    return np.asarray(_sound_rows(recording, run) & ~near[filters.places(len(run))])
+
+
 def _mask(recording: Recording, run: Motion) -> Flags:
     """Rows in which the joint really moves, one way."""
     filters = recording.filters
@@ -181,6 +189,7 @@ def _mask(recording: Recording, run: Motion) -> Flags:
     slow = max(SLOW_rad_s, NOISE_SPEEDS * _speed_noise(recording, run))
     turns = np.abs(run.speed) < rest
     turns[1:] |= np.sign(run.speed[1:]) != np.sign(run.speed[:-1])
+    turns |= _since_turn(run) < PRESLIDING_rad
     reach = round(0.032 * filters.rate_Hz)
     ok = ~_near(turns, reach) & (np.abs(run.speed) > slow)
     if not recording.has_current:
@@ -188,6 +197,14 @@ def _mask(recording: Recording, run: Motion) -> Flags:
         switched[1:] = run.is_off[1:] != run.is_off[:-1]
         ok &= ~_near(switched, reach + (len(filters.state[0]) - 1) // 2)
     return np.asarray(ok[filters.places(len(run))] & _sound_rows(recording, run))
+
+
+def _since_turn(run: Motion) -> Array:
+    """How far each joint has gone since it last turned round [rad], (m, n)."""
+    sign = np.sign(run.speed)
+    turned = np.vstack([np.ones((1, sign.shape[1]), dtype=bool), sign[1:] != sign[:-1]])
+    last = np.maximum.accumulate(np.where(turned, np.arange(len(sign))[:, None], 0), axis=0)
+    return np.asarray(np.abs(run.q - np.take_along_axis(run.q, last, axis=0)))
 
 
 def _speed_noise(recording: Recording, run: Motion) -> float:

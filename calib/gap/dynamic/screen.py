@@ -83,7 +83,7 @@ class Screen:
         return candidate.starts
 
     def _start(self, candidate: Candidate, term: Term, fitted: Fitted, base: Array, residual: Array) -> Start:
-        is_far = term.form == "command_delay" or (
+        is_far = term.form in ("command_delay", "sampling time") or (
             term.form in ("joint_compliance", "backlash") and not self._rows.recording.has_tip
         )
         if is_far:

@@ -37,6 +37,7 @@ SMALLEST = {
     "link_geometry": 3e-4,
     "zero": 3e-4,
     "camera time": 5e-4,
+    "sampling time": 5e-5,
     "inertia": 0.01,
     "current offset": 0.02,
     "warming": 0.1,

@@ -13,6 +13,7 @@ STEP = {
     "stribeck_friction": (1e-2, 2e-3),
     "stribeck exponential": (1e-2, 2e-3),
     "command_delay": (2e-5,),
+    "sampling time": (2e-5,),
     "joint_compliance": (1e-5, 2e-2, 5e-2),
     "backlash": (5e-5, 5e-2),
     "thermal_drift": (1e-4, 5e-2),

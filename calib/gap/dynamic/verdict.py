@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.dynamic.catalogue import Candidate
-from calib.gap.dynamic.choose import CAMERA_TIME, FIRST_LAWS, MARGIN, SHARE_MARGIN, Choice, Step
+from calib.gap.dynamic.choose import FIRST_LAWS, MARGIN, OF_SENSORS, SHARE_MARGIN, Choice, Step
 from calib.gap.dynamic.terms import Term
 from calib.gap.finding import EffectName, Unknown
 from control.model.arm import Arm
@@ -81,8 +81,8 @@ def judge(choice: Choice, steps: Sequence[Step], arm: Arm) -> Verdict:
 
 
 def _is_correction(step: Step, explained: float) -> bool:
-    """An offset of the camera's clock that suffices: no effect of the arm, but no unknown either."""
-    return step.best.candidate.name.effect == CAMERA_TIME and explained >= SUFFICIENT
+    """When camera or currents are read, where that suffices: no effect of the arm, but no unknown either."""
+    return step.best.candidate.name.effect in OF_SENSORS and explained >= SUFFICIENT
 
 
 def _alone(

@@ -22,17 +22,30 @@ from control.model.kinematics import Kinematics
 RATE_Hz, SECONDS = 500.0, 4.0
 COULOMB_Nm = (0.6, 0.7, 0.5)
 VISCOUS = (0.7, 0.5, 0.4)
+STIFFER = 5.0
 Hidden = Callable[
     [int, Array, Array, Array], Array
 ]  # joint, q, speed, link torque -> torque that the motor adds
 
 
 def arm_with_friction() -> Arm:
-    """The reference arm that knows its Coulomb and viscous friction; without inductance, so that a step is a step."""
+    """The reference arm that knows its Coulomb and viscous friction.
+
+    Without inductance and with a high resistance, so that a held voltage makes a step of the current: in a real winding
+    the motor's speed bends it within a sample, and this motion knows nothing of that.
+    """
     effects = [Effect("coulomb_friction", j + 1, {"torque_Nm": t}) for j, t in enumerate(COULOMB_Nm)]
     effects += [Effect("viscous_friction", j + 1, {"coefficient_Nm_s_rad": v}) for j, v in enumerate(VISCOUS)]
     arm = load_arm("right")
-    drives = tuple(replace(drive, inductance_H=0.0) for drive in arm.drives)
+    drives = tuple(
+        replace(
+            drive,
+            inductance_H=0.0,
+            resistance_ohm=STIFFER * drive.resistance_ohm,
+            supply_V=2.4 * drive.supply_V,
+        )
+        for drive in arm.drives
+    )
     return replace(arm, effects=tuple(effects), drives=drives)
 
 

@@ -47,7 +47,12 @@ def test_currents_in_milliamperes_are_said_and_not_used() -> None:
 
 
 @pytest.mark.parametrize(
-    ("factor", "word"), [(-1.0, "other sign"), (100.0 / 24.0, "percent"), (1 / 24.0, "share")]
+    ("factor", "word"),
+    [
+        (-1.0, "other sign"),
+        (100.0 / ARM.drives[0].supply_V, "percent"),
+        (1 / ARM.drives[0].supply_V, "share"),
+    ],
 )
 def test_voltages_that_are_none_are_said_and_not_used(factor: float, word: str) -> None:
     recording = checked(lambda run: replace(run, voltage_V=factor * run.voltage_V))
