@@ -30,13 +30,6 @@ GAINS = (60.0, 1.2, 100.0)  # V/rad, V s/rad, V/(rad s)
 PAYLOAD_kg = 0.5
 CURRENT_NOISE_A, CAMERA_NOISE_m, CAMERA_Hz = 0.01, 0.00014, 100
 REFERENCE = Path(__file__).parents[1] / "control" / "arms" / "right.toml"
-HEADER = (
-    "run,t_s,payload_kg,"
-    + ",".join(
-        f"{a}{j}_{b}" for a, b in (("q", "set_rad"), ("q", "rad"), ("i", "A"), ("u", "V")) for j in (1, 2, 3)
-    )
-    + ",x_m,y_m,z_m"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +56,7 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """An arm's file, one array (samples, columns of HEADER after run) a run, and what is hidden."""
+    """An arm's file, one array (samples, columns as in the file after run) a run, and what is hidden."""
 
     asked: Asked
     arm_toml: str
@@ -105,13 +98,14 @@ def _draft(asked: Asked, arm: Mapping[str, Any], under: Conditions) -> _Draft:
     rng = np.random.default_rng(asked.seed)
     known = nominal(arm["drive"], rng, under.torque_share)
     hidden = Hidden({name: values.copy() for name, values in known.items()}, torque_share=under.torque_share)
-    drawn = int(rng.integers(1, 4))
+    n = len(arm["drive"])
+    drawn = int(rng.integers(1, n + 1))
     names = [name for name in asked.effects.split("+") if name != "none"]
     truth = []
     for place, name in enumerate(names):
-        joint = asked.joint if asked.joint is not None and place == 0 else (drawn + place - 1) % 3 + 1
+        joint = asked.joint if asked.joint is not None and place == 0 else (drawn + place - 1) % n + 1
         truth.append(hide(name, joint, rng, hidden, asked.size))
-    return _Draft(asked, rng, known, hidden, tuple(truth), set_points(rng, under.rate_Hz, under.seconds))
+    return _Draft(asked, rng, known, hidden, tuple(truth), set_points(rng, under.rate_Hz, under.seconds, n))
 
 
 def _side_by_side(
@@ -282,13 +276,19 @@ def write(case: Case, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     (out / "arm.toml").write_text(case.arm_toml, encoding="utf-8")
     with gzip.open(out / "log.csv.gz", "wt", compresslevel=3) as file:
-        file.write(HEADER + "\n")
+        file.write(_header(len(tomllib.loads(case.arm_toml)["drive"])) + "\n")
         for k, run in enumerate(case.runs):
             for row in run:
                 cells = ("" if np.isnan(value) else f"{value:.7g}" for value in row)
                 file.write(f"{k + 1},{','.join(cells)}\n")
     truth = json.dumps({"seed": case.asked.seed, "effects": case.truth}, indent=1)
     (out / "truth.json").write_text(truth, encoding="utf-8")
+
+
+def _header(joints: int) -> str:
+    kinds = (("q", "set_rad"), ("q", "rad"), ("i", "A"), ("u", "V"))
+    columns = [f"{a}{j}_{b}" for a, b in kinds for j in range(1, joints + 1)]
+    return ",".join(["run", "t_s", "payload_kg", *columns, "x_m", "y_m", "z_m"])
 
 
 def main() -> None:

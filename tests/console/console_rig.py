@@ -95,7 +95,7 @@ async def console_on(
         served.vanish()
 
 
-async def until(pilot: Pilot[Any], is_so: Any, limit_s: float = 20.0) -> None:
+async def until(pilot: Pilot[Any], is_so: Any, limit_s: float = 60.0) -> None:
     """Let the event loop run until something is so."""
     loop = asyncio.get_running_loop()
     end_s = loop.time() + limit_s
