@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from calib.gap.dynamic.borne_out import borne_out
 from calib.gap.dynamic.catalogue import candidates as all_candidates
 from calib.gap.dynamic.choose import CAMERA_TIME, SAMPLING_TIME, Choice, Step
 from calib.gap.dynamic.fit import Fitted
-from calib.gap.dynamic.motion import MotionGap, motion_gap
+from calib.gap.dynamic.motion import MotionGap, motion_gaps
 from calib.gap.dynamic.nameable import nameable
 from calib.gap.dynamic.physics import Physics
 from calib.gap.dynamic.plausible import plausible
@@ -82,7 +82,7 @@ def examine(
     verdict, accepted = last.verdict, last.accepted
     after = accepted.residual
     parts = choice.split
-    moved = motion_gap(rows.physics, known, (*known, *accepted.terms), parts.report_runs)
+    moved = motion_gaps(rows.physics, known, (*known, *accepted.terms), parts.report_runs)
     finding = GapFinding(
         arm=arm.name,
         data=log.sources,
@@ -111,8 +111,8 @@ def examine(
     return DynamicOutcome(finding, warnings, rows.table, before, after, parts, names, ratios)
 
 
-def _in_rad(moved: MotionGap | None, which: str) -> dict[str, float]:
-    return {} if moved is None else {"q_rad": float(getattr(moved, which))}
+def _in_rad(moved: Mapping[str, MotionGap], which: str) -> dict[str, float]:
+    return {channel: float(getattr(one, which)) for channel, one in moved.items()}
 
 
 def _doubts(before: Array, table: RowTable) -> tuple[str, ...]:

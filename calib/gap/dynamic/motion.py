@@ -1,7 +1,9 @@
-"""Motion from voltage: the model released from measured states, driven by the recorded voltages over short windows.
+"""Motion from voltage: the model driven by the recorded voltages, in short windows and in closed loop.
 
-Open loop an arm soon goes its own way, so that a window is a fifth of a second; many start all over each run and run side
-by side. It is a check in radians of what was named from currents and tips, and takes no part in naming.
+Open loop an arm soon goes its own way, so that a window is a fifth of a second from a measured state; many start all over each
+run and run side by side. In closed loop a run is simulated whole: what its angles are off by goes through the gains of the arm's
+file into the voltage. A linear controller in the log would have done so too; where it had other gains, the errors are as this
+arm's own loop would leave them. Both are checks in radians of what was named from currents and tips, and take no part in naming.
 """
 
 from __future__ import annotations
@@ -14,141 +16,186 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array
-from calib.gap.dynamic.body import Load
-from calib.gap.dynamic.laws import friction_Nm
-from calib.gap.dynamic.physics import Parts, Physics, sorted_terms
+from calib.gap.dynamic.forward import Forward, begin
+from calib.gap.dynamic.physics import Physics
 from calib.gap.dynamic.terms import Term
+from control.errors import MissingModel
+from control.model.gains import gains_of
 
+Places = npt.NDArray[np.intp]
 WINDOW_s, BETWEEN_s = 0.2, 0.25
-SUBSTEP_s = 0.0004
-FEWEST_WINDOWS = 3  # of a run
+FEWEST_WINDOWS = 3  # of the runs kept apart
+OPEN, CLOSED = "q_rad", "q_loop_rad"
 
 
 @dataclass(frozen=True, slots=True)
 class MotionGap:
-    """Root mean square of a window's angles beside the measured ones [rad], on the runs kept apart, and their floor."""
+    """Root mean square of simulated less measured angles [rad] on the runs kept apart, and the floor of that."""
 
     floor_rad: float
     before_rad: float
     after_rad: float
-    windows: int
 
 
-@dataclass(frozen=True, slots=True)
-class _State:
-    """What the laws of friction ask of a motion, (W, n)."""
-
-    q: Array
-    speed: Array
-    acceleration: Array
-    t_s: Array
+def motion_gaps(
+    physics: Physics, known: Sequence[Term], model: Sequence[Term], report: Sequence[str]
+) -> dict[str, MotionGap]:
+    """By channel, OPEN and CLOSED; without voltages, or with too little to simulate, there is none of them."""
+    if not physics.recording.has_voltage:
+        return {}
+    kept = [k for k, run in enumerate(physics.recording.runs) if run.name in report]
+    found: dict[str, Windows | Loop] = {OPEN: Windows(physics, kept), CLOSED: Loop(physics, kept)}
+    return {name: part.gap(known, model) for name, part in found.items() if part.suffices}
 
 
 class Windows:
-    """All windows of a recording, side by side."""
+    """Windows all over some runs, side by side."""
 
-    def __init__(self, physics: Physics) -> None:
+    def __init__(self, physics: Physics, runs: Sequence[int]) -> None:
         self._physics = physics
-        recording = physics.recording
-        self._period = 1.0 / recording.filters.rate_Hz
+        self._period = 1.0 / physics.recording.filters.rate_Hz
         self.length = max(2, round(WINDOW_s / self._period))
-        places = [self._starts(np.asarray(run.usable.all(axis=1))) for run in recording.runs]
-        self.run = np.concatenate([np.full(len(starts), k) for k, starts in enumerate(places)]).astype(
-            np.intp
-        )
-        self.start = np.concatenate(places).astype(np.intp)
+        places = [self._starts(np.asarray(physics.recording.runs[k].usable.all(axis=1))) for k in runs]
+        of_run = [np.full(len(starts), k) for k, starts in zip(runs, places, strict=True)]
+        self.run: Places = np.concatenate([*of_run, np.zeros(0)]).astype(np.intp)
+        self.start: Places = np.concatenate([*places, np.zeros(0)]).astype(np.intp)
 
-    def _starts(self, usable: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
+    def _starts(self, usable: npt.NDArray[np.bool_]) -> Places:
         starts = np.arange(2, len(usable) - self.length - 1, max(1, round(BETWEEN_s / self._period)))
         kept = [k for k in starts.tolist() if usable[k : k + self.length].all()]
         return np.array(kept, dtype=np.intp)
 
+    @property
+    def suffices(self) -> bool:
+        """Whether there are enough."""
+        return len(self.run) >= FEWEST_WINDOWS
+
+    def gap(self, known: Sequence[Term], model: Sequence[Term]) -> MotionGap:
+        """With the model as it was and as it is."""
+        after = self.errors(model)
+        before = after if tuple(known) == tuple(model) else self.errors(known)
+        return MotionGap(self._floor(after), _rms(before), _rms(after))
+
     def errors(self, model: Sequence[Term]) -> Array:
         """Simulated less measured angles, (length, W, n)."""
-        physics, runs = self._physics, self._physics.recording.runs
-        q, v, i = (self._at(name, 0) for name in ("q", "speed", "current_A"))
-        parts = sorted_terms(model)
-        if not physics.recording.has_current:
-            K = physics.torque_per_A
-            i = (self._at("voltage_V", 0) - K * v) / physics.resistance_ohm
+        runs = self._physics.recording.runs
         payload = np.array([float(runs[k].payload_kg[s]) for k, s in zip(self.run, self.start, strict=True)])
-        result = np.empty((self.length, *q.shape))
-        steps = max(2, round(self._period / SUBSTEP_s))
-        whole, within = divmod(parts.delay_s, self._period)
-        a = self._at("acceleration", 0)
+        forward = Forward(self._physics, model, payload)
+        state = begin(self._physics, model, self.run.tolist(), self.start.tolist())
+        whole, _ = forward.delay
+        result = np.empty((self.length, *state.q.shape))
         for s in range(self.length):
-            result[s] = q - self._at("q_raw", s)
-            bias, inverse = self._body(parts.load, q, v, payload)
-            newer, older = (self._at("voltage_V", s - int(whole) - back) for back in (0, 1))
-            is_off = self._at("is_off", s).astype(bool)
-            link = bias + np.einsum("wij,wj->wi", np.linalg.inv(inverse), a) - physics.body.rotor_kg_m2 * a
-            for step in range(steps):
-                volt = older if (step + 0.5) * self._period / steps < within else newer
-                i = np.where(is_off, 0.0, self._current(parts, volt, v, i, self._period / steps))
-                torque = physics.torque_per_A * physics.scales(parts) * i
-                for term in parts.friction:
-                    j = term.index
-                    state = _State(q, v, a, np.full(len(q), s * self._period))
-                    torque[:, j] -= friction_Nm(term, state, j, link[:, j], physics.gear_ratios[j])
-                a = np.einsum("wij,wj->wi", inverse, torque - bias)
-                v = v + a * self._period / steps
-                q = q + v * self._period / steps
+            result[s] = state.motor - self._at("q_raw", s)
+            newer, older = (self._at("voltage_V", s - whole - back) for back in (0, 1))
+            forward.advance(state, newer, older, self._at("is_off", s).astype(bool))
         return result
 
     def _at(self, name: str, ahead: int) -> Array:
         runs = self._physics.recording.runs
         return np.stack(
-            [getattr(runs[k], name)[s + ahead] for k, s in zip(self.run, self.start, strict=True)]
+            [getattr(runs[k], name)[max(s + ahead, 0)] for k, s in zip(self.run, self.start, strict=True)]
         )
 
-    def _current(self, parts: Parts, volt: Array, v: Array, i: Array, h: float) -> Array:
-        physics = self._physics
-        seen = physics.sagged(parts, volt, i)
-        target = (seen - physics.torque_per_A * physics.scales(parts) * v) / physics.resistance_ohm
-        lag = np.maximum(physics.lag_s, 1e-9)
-        return np.asarray(target + (i - target) * np.exp(-h / lag))
-
-    def _body(self, load: Load, q: Array, v: Array, payload: Array) -> tuple[Array, Array]:
-        """Bias torques (W, n) and inverse mass matrices (W, n, n)."""
-        n, dynamics = q.shape[1], self._physics.body.dynamics(load)
-        units = np.vstack([np.zeros((1, n)), np.eye(n)])
-        rows = np.repeat(units, len(q), axis=0)
-        carried = np.tile(np.maximum(payload + load.payload_kg, 0.0), n + 1)
-        found = dynamics.torques(np.tile(q, (n + 1, 1)), np.tile(v, (n + 1, 1)), rows, carried)
-        torques = found.reshape(n + 1, len(q), n)
-        return torques[0], np.linalg.inv(np.moveaxis(torques[1:] - torques[0], 0, 2))
+    def _floor(self, errors: Array) -> float:
+        """From repeats, in windows that begin at the same sample, and what the encoders' steps leave of a first speed."""
+        grown = max(1.0, self._physics.recording.filters.speed_gain * WINDOW_s / np.sqrt(3.0))
+        differences = []
+        for one, other in _pairs(self._physics, self.run.tolist()):
+            a, b = np.flatnonzero(self.run == one), np.flatnonzero(self.run == other)
+            _, in_a, in_b = np.intersect1d(self.start[a], self.start[b], return_indices=True)
+            differences.append((errors[:, a[in_a]] - errors[:, b[in_b]]).ravel())
+        return _floor(self._physics, differences, grown)
 
 
-def motion_gap(
-    physics: Physics, known: Sequence[Term], model: Sequence[Term], report: Sequence[str]
-) -> MotionGap | None:
-    """The check on the runs named in `report`; None without voltages, for elastic gears, or with too few windows."""
-    recording = physics.recording
-    if not recording.has_voltage or sorted_terms(model).elastic or sorted_terms(known).elastic:
+class Loop:
+    """Whole runs, with feedback that keeps the simulated arm beside the measured one."""
+
+    def __init__(self, physics: Physics, runs: Sequence[int]) -> None:
+        self._physics, self._runs = physics, list(runs)
+        self._period = 1.0 / physics.recording.filters.rate_Hz
+        self._gains = _gains(physics)
+        usable = [np.asarray(physics.recording.runs[k].usable.all(axis=1)) for k in self._runs]
+        self._starts = [int(np.argmax(flags)) for flags in usable]
+        self._lengths = [
+            len(flags) - start - 1 if flags.any() else 0
+            for flags, start in zip(usable, self._starts, strict=True)
+        ]
+
+    @property
+    def suffices(self) -> bool:
+        """Whether there are runs that the driver drove all through, and gains for them."""
+        if self._gains is None or not self._runs or min(self._lengths) * self._period < WINDOW_s:
+            return False
+        return not any(self._physics.recording.runs[k].is_off.any() for k in self._runs)
+
+    def gap(self, known: Sequence[Term], model: Sequence[Term]) -> MotionGap:
+        """With the model as it was and as it is."""
+        after = self.errors(model)
+        before = after if tuple(known) == tuple(model) else self.errors(known)
+        differences = []
+        for one, other in _pairs(self._physics, self._runs):
+            a, b = (after[self._runs.index(k)] for k in (one, other))
+            common = min(len(a), len(b))
+            differences.append((a[:common] - b[:common]).ravel())
+        floor = _floor(self._physics, differences, 1.0)
+        return MotionGap(floor, _rms(np.concatenate(before)), _rms(np.concatenate(after)))
+
+    def errors(self, model: Sequence[Term]) -> list[Array]:
+        """Simulated less measured angles, (samples, n) of each run."""
+        assert self._gains is not None
+        recording, kp, ki, kd = self._physics.recording, *self._gains
+        runs = [recording.runs[k] for k in self._runs]
+        payload = np.array([float(np.median(run.payload_kg)) for run in runs])
+        forward = Forward(self._physics, model, payload)
+        state = begin(self._physics, model, self._runs, self._starts)
+        whole, _ = forward.delay
+        longest = max(self._lengths)
+        sum_rad_s, result = np.zeros_like(state.q), np.empty((longest, *state.q.shape))
+        back = [np.zeros_like(state.q)] * (whole + 2)  # feedback is late as the voltages are
+
+        def at(name: str, s: int) -> Array:
+            places = (
+                max(min(start + s, len(run) - 1), 0) for start, run in zip(self._starts, runs, strict=True)
+            )
+            return np.stack([getattr(run, name)[place] for run, place in zip(runs, places, strict=True)])
+
+        for s in range(longest):
+            result[s] = state.motor - at("q_raw", s)
+            sum_rad_s -= self._period * result[s]
+            feedback = kp * -result[s] + ki * sum_rad_s + kd * (at("speed", s) - state.motor_speed)
+            back = [feedback, *back[:-1]]
+            newer = at("voltage_V", s - whole) + back[whole]
+            older = at("voltage_V", s - whole - 1) + back[whole + 1]
+            forward.advance(state, newer, older, np.zeros(state.q.shape, dtype=bool))
+        return [result[:length, w] for w, length in enumerate(self._lengths)]
+
+
+def _gains(physics: Physics) -> tuple[Array, Array, Array] | None:
+    """Of all joints in volts; None where the arm's file has none and they cannot be derived."""
+    arm = physics.arm
+    try:
+        gains = [gains_of(arm, drive.joint) for drive in arm.drives]
+    except MissingModel:
         return None
-    windows = Windows(physics)
-    kept = np.isin(windows.run, [k for k, run in enumerate(recording.runs) if run.name in report])
-    if int(kept.sum()) < FEWEST_WINDOWS:
-        return None
-    before, after = windows.errors(known), windows.errors(model)
-    return MotionGap(
-        _floor(physics, windows, after), _rms(before[:, kept]), _rms(after[:, kept]), int(kept.sum())
+    volts = np.array([d.resistance_ohm if d.pid.mode == "current" else 1.0 for d in arm.drives])
+    kp, ki, kd = (
+        volts * np.array(column) for column in zip(*((g.kp, g.ki, g.kd) for g in gains), strict=True)
     )
+    return kp, ki, kd
 
 
-def _floor(physics: Physics, windows: Windows, errors: Array) -> float:
-    """From repeats, in windows that begin at the same sample, and what the encoders' steps leave of a first speed."""
-    drives, gain = physics.arm.drives, physics.recording.filters.speed_gain
-    steps = [2.0 * np.pi / (d.encoder_counts_per_rev * d.gear_ratio) / np.sqrt(12.0) for d in drives]
-    by_steps = float(np.sqrt(np.mean(np.square(steps)))) * max(1.0, gain * WINDOW_s / np.sqrt(3.0))
-    differences = []
-    for group in physics.recording.repeats:
-        for one, other in itertools.pairwise(group):
-            a, b = np.flatnonzero(windows.run == one), np.flatnonzero(windows.run == other)
-            _, in_a, in_b = np.intersect1d(windows.start[a], windows.start[b], return_indices=True)
-            differences.append(errors[:, a[in_a]] - errors[:, b[in_b]])
+def _pairs(physics: Physics, runs: Sequence[int]) -> list[tuple[int, int]]:
+    """Runs among these that repeat each other, neighbours in their group."""
+    among = set(runs)
+    groups = ([k for k in group if k in among] for group in physics.recording.repeats)
+    return [pair for group in groups for pair in itertools.pairwise(group)]
+
+
+def _floor(physics: Physics, differences: Sequence[Array], grown: float) -> float:
+    steps = [2.0 * np.pi / (d.encoder_counts_per_rev * d.gear_ratio) for d in physics.arm.drives]
+    by_steps = grown * float(np.sqrt(np.mean(np.square(steps)) / 12.0))
     found = [part for part in differences if part.size]
-    repeated = _rms(np.concatenate(found, axis=1)) / float(np.sqrt(2.0)) if found else 0.0
+    repeated = _rms(np.concatenate(found)) / float(np.sqrt(2.0)) if found else 0.0
     return float(np.hypot(repeated, by_steps))
 
 

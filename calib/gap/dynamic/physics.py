@@ -281,6 +281,18 @@ class Physics:
                 found[term.index] = [moving[: len(run), k] for k, run in enumerate(self.recording.runs)]
         return found
 
+    def beyond(self, model: Sequence[Term]) -> tuple[list[Array], list[Array]]:
+        """Angles and speeds of the links beyond their motors', (m, n) of each run."""
+        parts = sorted_terms(model)
+        angles = [np.zeros_like(run.q) for run in self.recording.runs]
+        speeds = [np.zeros_like(run.q) for run in self.recording.runs]
+        for term in parts.elastic:
+            found = self._followed(parts, term)
+            for k, run in enumerate(self.recording.runs):
+                angles[k][:, term.index] = found.delta_rad[: len(run), k]
+                speeds[k][:, term.index] = found.speed_rad_s[: len(run), k]
+        return angles, speeds
+
     def foresee(self, model: Sequence[Term], variants: Sequence[Term]) -> None:
         """Follow one joint's elastic or loose gear with several values at once, for `predict` to find them done."""
         self._foresee(sorted_terms(model), variants)

@@ -197,10 +197,11 @@ def test_progress_is_told_from_start_to_end() -> None:
 
 
 def test_the_motion_from_voltage_comes_closer_with_what_was_named() -> None:
-    """Windows of 0.2 s from measured states: a check in radians that took no part in naming."""
+    """Windows of 0.2 s from measured states, and whole runs in closed loop: checks that took no part in naming."""
     found = hiding(on_joint(2, lambda j, q, speed, link: 0.2 * np.abs(link) * np.sign(speed)))
     assert found.after_si["q_rad"] < 0.5 * found.before_si["q_rad"]
     assert found.noise_floor["q_rad"] < found.after_si["q_rad"]
+    assert found.after_si["q_loop_rad"] < 0.5 * found.before_si["q_loop_rad"] < found.before_si["q_rad"]
 
 
 def test_a_tip_that_warms_up_is_named_with_its_joint_and_time() -> None:
