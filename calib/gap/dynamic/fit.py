@@ -14,6 +14,7 @@ from calib.gap.dynamic.terms import STEP, Term
 
 Picked = npt.NDArray[np.bool_]
 ITERATIONS = 8
+FASTEST_STRIBECK_rad_s = 0.35  # a fall over all speeds of an arm is Coulomb friction with something else
 LATEST_s = 0.02  # of a sample after the voltage that it follows
 PROMISED = 1e-4  # of the sum of squares: a step that promises less is not tried
 ENOUGH = 1e-3  # of the sum of squares: a step that gains less is the last
@@ -127,7 +128,7 @@ def bounded(term: Term, values: Array) -> Array:
     result = np.array(values)
     match term.form:
         case "stribeck_friction" | "stribeck exponential":
-            result[0], result[1] = max(result[0], 0.0), min(max(result[1], 0.004), 0.6)
+            result[0], result[1] = max(result[0], 0.0), min(max(result[1], 0.004), FASTEST_STRIBECK_rad_s)
         case "load_friction" | "supply_sag" | "supply_sag by sum" | "command_delay":
             result[0] = max(result[0], 0.0)
         case "sampling time":
