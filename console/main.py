@@ -29,10 +29,21 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def _usage_of(top: argparse.ArgumentParser, command: str | None) -> argparse.ArgumentParser:
+    """The parser whose usage helps: that of the command, where there is one."""
+    for action in top._actions:
+        if isinstance(action, argparse._SubParsersAction) and command in action.choices:
+            found: argparse.ArgumentParser = action.choices[command]
+            return found
+    return top
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
     top = parser()
-    given = top.parse_args(arguments)
+    given, unknown = top.parse_known_args(arguments)
+    if unknown:
+        _usage_of(top, given.command).error(f"unrecognized arguments: {' '.join(unknown)}")
     if given.version:
         from importlib.metadata import version
 

@@ -1,6 +1,7 @@
 """Options of the command line as data, so that the whole `--help` needs nothing but argparse."""
 
 import argparse
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -29,6 +30,17 @@ class CommandSpec:
     def description(self) -> str:
         """What `armwright NAME --help` says first."""
         return f"{self.summary[0].upper()}{self.summary[1:]}. {self.more}".strip()
+
+
+def finite(text: str) -> float:
+    """A number that is one: argparse's `float` takes nan and inf."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"expected a number, got {text!r}")
+    return value
 
 
 def option(*flags: str, **details: Any) -> Option:

@@ -46,15 +46,20 @@ def find_place(file: Path, name: str) -> Place:
     return places[name]
 
 
-def keep_place(file: Path, name: str, q_rad: Sequence[float]) -> None:
-    """Add a place, or put another pose in its stead; the others stay as they are, remarks do not."""
+def keep_place(file: Path, name: str, q_rad: Sequence[float]) -> bool:
+    """Add a place of joint angles, or put another pose in its stead; the others stay as they are, remarks do not.
+
+    Returns whether there was one of this name.
+    """
     import tomli_w
 
     if not name or not name.replace("_", "").replace("-", "").isalnum():
         raise PlacesError(f"place: expected a name of letters, digits, - and _, got {name!r}")
     tables = _tables(file) if file.exists() else {}
+    was_there = name in tables
     tables[name] = {"q_rad": [round(q, 6) for q in q_rad]}
     write_whole(file, tomli_w.dumps(tables))
+    return was_there
 
 
 def _tables(file: Path) -> dict[str, Any]:

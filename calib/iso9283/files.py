@@ -30,7 +30,8 @@ def log_header(n: int) -> list[str]:
     """Columns of log.csv: the interchange format's, and which programme a run belongs to."""
     joints = range(1, n + 1)
     return [
-        "run", "t_s", *LOG_NAMES, *(f"q{j}_rad" for j in joints), *(f"q{j}_set_rad" for j in joints), "payload_kg", *TIP,
+        "run", "t_s", *LOG_NAMES, *(f"q{j}_rad" for j in joints), *(f"q{j}_set_rad" for j in joints),
+        *(f"joint{j}_rad" for j in joints), *(f"joint{j}_set_rad" for j in joints), "payload_kg", *TIP,
     ]  # fmt: skip
 
 

@@ -132,8 +132,12 @@ def _commanded(points: Points, arm: Arm, path: str) -> tuple[Array, str]:
             f"{path}: no commanded positions: it has no columns {', '.join(SET)}, and angles of {points.joint_count} joints"
             f" do not fit arm {arm.name} with {arm.joint_count}: give the columns, or the right --arm"
         )
-    names = tuple(f"q{j}_set_rad" for j in range(1, arm.joint_count + 1))
-    q_rad = _columns(points, names, path)
+    of_joints, of_encoders = (
+        tuple(form.format(j) for j in range(1, arm.joint_count + 1))
+        for form in ("joint{}_set_rad", "q{}_set_rad")
+    )
+    q_rad = _columns(points, of_joints, path)
+    q_rad = _columns(points, of_encoders, path) if q_rad is None else q_rad
     source = "set-points" if q_rad is not None else "encoder angles, where the arm stood,"
     tips = Kinematics(arm).tips(points.q_rad if q_rad is None else q_rad)
     return tips, f"commanded positions are the {source} through the kinematics of arm {arm.name}"
@@ -168,10 +172,16 @@ def read_runs(path: Path, arm: Arm) -> list[Run]:
     Rows without a set-point, such as those of an arm that is guided, are left out.
     """
     n, kinematics = arm.joint_count, Kinematics(arm)
-    names = ["t_s", *(form.format(j) for form in ("q{}_rad", "q{}_set_rad") for j in range(1, n + 1))]
+    required = ["t_s", *(form.format(j) for form in ("q{}_rad", "q{}_set_rad") for j in range(1, n + 1))]
+    joints = [
+        "t_s",
+        *(form.format(j) for form in ("joint{}_rad", "joint{}_set_rad") for j in range(1, n + 1)),
+    ]
     runs: dict[str, _Rows] = {}
-    for row in _rows(path, ("run", *names)):
+    for row in _rows(path, ("run", *required)):
         if row["run"] not in runs:
+            # where the model has gears or encoders that err, the tip is where the joints are, not where the encoders say
+            names = joints if all(name in row for name in joints) else required
             runs[row["run"]] = _Rows(path, row, names, n)
         runs[row["run"]].add(row)
     whole = [rows.run(kinematics) for rows in runs.values() if rows.count > 1]

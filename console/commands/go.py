@@ -17,6 +17,6 @@ def run(given: argparse.Namespace) -> int:
         from control.model.inverse import InverseKinematics
 
         inverse = InverseKinematics(load_arm(given.arm))
-        target = inverse.nearest(place.tip_m or (), client.status()["q_rad"])
+        target = inverse.nearest(place.tip_m or (), client.status()["joint_rad"])
     client.move_joints(target, given.speed, waits=getattr(given, "waits", True))
     return 0

@@ -14,6 +14,8 @@ def run(given: argparse.Namespace) -> int:
     status = connected(given).status()
     if not status["is_homed"]:
         raise ArmError("mark: the joint angles mean nothing yet: `armwright home`")
-    keep_place(Path(given.places), given.name, status["q_rad"])
-    sys.stdout.write(f"{given.name} in {given.places}\n")
+    was_there = keep_place(Path(given.places), given.name, status["joint_rad"])
+    sys.stdout.write(
+        f"{given.name} in {given.places}{', in the stead of another pose' if was_there else ''}\n"
+    )
     return 0

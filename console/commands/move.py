@@ -17,6 +17,8 @@ def run(given: argparse.Namespace) -> int:
     else:
         from control.model.inverse import InverseKinematics
 
-        target = InverseKinematics(load_arm(given.arm)).nearest(tuple(given.tip), client.status()["q_rad"])
+        target = InverseKinematics(load_arm(given.arm)).nearest(
+            tuple(given.tip), client.status()["joint_rad"]
+        )
     client.move_joints(target, given.speed, waits=getattr(given, "waits", True))
     return 0

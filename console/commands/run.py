@@ -17,7 +17,7 @@ def run(given: argparse.Namespace) -> int:
         sys.stdout.write(described(plan_path(arm, waypoints, given.speed)))
         return 0
     client = connected(given)
-    path = plan_path(arm, waypoints, given.speed, q_near_rad=client.status()["q_rad"])
+    path = plan_path(arm, waypoints, given.speed, q_near_rad=client.status()["joint_rad"])
     sys.stdout.write(described(path))
     sys.stdout.flush()
     client.move_joints(path.q_start_rad, 0.5)

@@ -56,7 +56,7 @@ def _described(outcome: Outcome) -> str:
         if outcome.status == 0
         else f"FAILED with status {outcome.status} after {took}; the lines after it were not run"
     )
-    return f"{outcome.number}: {outcome.line}\n{_indented(outcome.said)}  {done}\n"
+    return f"{outcome.number}: {outcome.line}\n{_indented(outcome.output)}  {done}\n"
 
 
 def _indented(text: str) -> str:

@@ -168,7 +168,10 @@ class _Recorder:
         is_kept = np.isfinite(rows["x_m"]) if every > 1 else np.ones(len(rows), dtype=bool)
         is_kept[::every] = True
         self._run += 1
-        names = [f.format(j) for f in ("q{}_rad", "q{}_set_rad") for j in range(1, n + 1)]
+        of_encoders = [f.format(j) for f in ("q{}_rad", "q{}_set_rad") for j in range(1, n + 1)]
+        of_joints = [name.replace("q", "joint", 1) for name in of_encoders]
+        # without gears or encoders that err, the joints are where their encoders are, and only those are recorded
+        names = of_encoders + (of_joints if of_joints[0] in (rows.dtype.names or ()) else of_encoders)
         start_s = float(rows["t_s"][0])
         self._log.append(
             [

@@ -12,6 +12,7 @@ from typing import NoReturn
 
 from console import options
 from console.options import CommandSpec
+from console.specs.operating import OPERATING
 from control.errors import ArmError
 
 # They run until they are ended, or read lines themselves.
@@ -47,6 +48,7 @@ class Grammar:
         self._specs = {spec.name: spec for spec in commands if spec.name not in NOT_HERE}
         self._elsewhere = {spec.name for spec in commands if spec.name in NOT_HERE}
         self._defaults = dict(defaults)
+        self._moving = {spec.name for spec in OPERATING}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -68,9 +70,21 @@ class Grammar:
         if in_background and name not in IN_BACKGROUND:
             raise LineError(f"{name}: `&` begins a motion and goes on; it is for {', '.join(IN_BACKGROUND)}")
         given = self._parser(name).parse_args(rest)
+        self._check_arm(name, given)
         given.command, given.waits = name, not in_background
         text = shlex.join([name, *rest]) + (f" {BACKGROUND}" if in_background else "")
         return Line(text, name, given)
+
+    def _check_arm(self, name: str, given: argparse.Namespace) -> None:
+        """Lines share one runtime: a motion that is planned for another arm must not run on this one."""
+        if name not in self._moving:
+            return
+        for key in ("arm", "socket"):
+            wanted = self._defaults.get(key)
+            if key in self._defaults and getattr(given, key, wanted) != wanted:
+                raise LineError(
+                    f"{name}: --{key} {getattr(given, key)}, but all lines run on --{key} {wanted or 'of the arm'}: leave it out"
+                )
 
     def _parser(self, name: str) -> argparse.ArgumentParser:
         if name in self._elsewhere:

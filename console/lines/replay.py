@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TextIO
 
 from console.lines.grammar import Grammar, Line, LineError
 from control.loop.client import ArmClient
@@ -14,12 +15,16 @@ from control.loop.client import ArmClient
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a line: its number in the file, exit status as of the subcommand, what it wrote, how long it took."""
+    """What became of a line: its number in the file, exit status as of the subcommand, what it wrote, how long it took.
+
+    `said` is all of it; `output` what it wrote to standard output, as errors have been seen when they came.
+    """
 
     number: int
     line: str
     status: int
     said: str
+    output: str
     took_s: float
 
 
@@ -81,26 +86,26 @@ def _run(number: int, line: Line, connect: Callable[[], ArmClient]) -> Outcome:
     from console.main import run
 
     line.given.connect = connect
-    said = io.StringIO()
+    said, output = io.StringIO(), io.StringIO()
     begun_s = time.monotonic()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(_Both(said)):
+    with contextlib.redirect_stdout(_Both(said, output)), contextlib.redirect_stderr(_Both(said, sys.stderr)):
         module = importlib.import_module(f"console.commands.{line.command.replace('-', '_')}")
         status = run(module.run, line.given)
-    return Outcome(number, line.text, status, said.getvalue(), time.monotonic() - begun_s)
+    return Outcome(number, line.text, status, said.getvalue(), output.getvalue(), time.monotonic() - begun_s)
 
 
 class _Both(io.TextIOBase):
-    """Errors and progress are seen at once, and kept."""
+    """Writes what it is told to two places."""
 
-    def __init__(self, kept: io.StringIO) -> None:
-        self._kept, self._terminal = kept, sys.stderr
+    def __init__(self, one: TextIO, other: TextIO) -> None:
+        self._one, self._other = one, other
 
     def write(self, text: str) -> int:
-        self._terminal.write(text)
-        return self._kept.write(text)
+        self._other.write(text)
+        return self._one.write(text)
 
     def flush(self) -> None:
-        self._terminal.flush()
+        self._other.flush()
 
     def isatty(self) -> bool:
         return False

@@ -1,6 +1,6 @@
 """Commands that bring a new arm up: is it fit, how is it wired, which gains does it want."""
 
-from console.options import ARM, JSON, LINKS, RATE, CommandSpec, option
+from console.options import ARM, JSON, LINKS, RATE, CommandSpec, finite, option
 
 MOCK = (
     option("--mock", action="store_true", help="on a mock arm, on a stepped clock"),
@@ -25,7 +25,7 @@ BRINGUP = (
             *MOCK,
             option(
                 "--seconds",
-                type=float,
+                type=finite,
                 default=2.0,
                 metavar="S",
                 help="how long to listen to the boards (default: 2)",
@@ -46,13 +46,13 @@ BRINGUP = (
             JOINTS,
             option(
                 "--current",
-                type=float,
+                type=finite,
                 metavar="A",
                 help="most that a motor gets (default: what gravity takes by the draft, and some for friction)",
             ),
             option(
                 "--speed",
-                type=float,
+                type=finite,
                 default=0.3,
                 metavar="RAD_S",
                 help="at which joints creep to their end stops (default: 0.3)",
@@ -75,20 +75,20 @@ BRINGUP = (
             JOINTS,
             option(
                 "--bandwidth",
-                type=float,
+                type=finite,
                 metavar="HZ",
                 help="crossover of the loop (default: as fast as margins with some reserve allow)",
             ),
             option(
                 "--amplitude",
-                type=float,
+                type=finite,
                 default=0.25,
                 metavar="F",
                 help="of the signal: a fraction of the current limit (default: 0.25)",
             ),
             option(
                 "--pose",
-                type=float,
+                type=finite,
                 nargs="+",
                 metavar="RAD",
                 help="joint angles to tune at (default: arm.toml's [rest])",

@@ -1,6 +1,6 @@
 """Commands that make of measurements a better arm, and say how good it is."""
 
-from console.options import ARM, JSON, OUT, SOCKET, CommandSpec, option
+from console.options import ARM, JSON, OUT, SOCKET, CommandSpec, finite, option
 
 CALIBRATING = (
     CommandSpec(
@@ -112,14 +112,14 @@ CALIBRATING = (
             option("--repeats", type=int, default=3, metavar="K", help="visits at each point (default: 3)"),
             option(
                 "--height",
-                type=float,
+                type=finite,
                 default=0.07,
                 metavar="M",
                 help="above the board, in m (default: 0.07)",
             ),
             option(
                 "--path-speed",
-                type=float,
+                type=finite,
                 default=0.15,
                 metavar="M_S",
                 help="of the trajectories (default: 0.15)",
@@ -164,10 +164,10 @@ CALIBRATING = (
             ),
             option("--seed", type=int, metavar="N", help="of what the mock arm hides"),
             option("--quick", action="store_true", help="with --record: fewer poses, shorter motions"),
-            option("--minutes", type=float, metavar="M", help="with --record: as much as fits into so long"),
+            option("--minutes", type=finite, metavar="M", help="with --record: as much as fits into so long"),
             option(
                 "--payload",
-                type=float,
+                type=finite,
                 metavar="KG",
                 help="a mass that is hung at the tip for part of the recording (default: none; mock: 0.5)",
             ),
@@ -225,24 +225,24 @@ CALIBRATING = (
             option("--path-cycles", type=int, metavar="N", help="runs of each path (default: 10)"),
             option(
                 "--speeds",
-                type=float,
+                type=finite,
                 nargs="+",
                 metavar="SHARE",
                 help="path speeds as shares of the rated one (default: 0.1 0.5 1)",
             ),
             option(
                 "--rated-speed",
-                type=float,
+                type=finite,
                 metavar="M_S",
                 help="rated path speed (default: the fastest that the planner need not slow on the test line)",
             ),
             option(
                 "--rated-load-kg",
-                type=float,
+                type=finite,
                 metavar="KG",
                 help="loads up to this hang at the tip for the static compliance (default: none; with --mock 1)",
             ),
-            option("--drift-s", type=float, metavar="S", help="how long drift is watched (default: 600)"),
+            option("--drift-s", type=finite, metavar="S", help="how long drift is watched (default: 600)"),
             option(
                 "--programmes",
                 nargs="+",
@@ -251,26 +251,26 @@ CALIBRATING = (
             ),
             option(
                 "--cube-centre",
-                type=float,
+                type=finite,
                 nargs=3,
                 metavar=("X", "Y", "Z"),
                 help="centre of the test cube in m",
             ),
             option(
                 "--cube-edge",
-                type=float,
+                type=finite,
                 metavar="M",
                 help="its edge (default: the largest cube within reach)",
             ),
             option(
                 "--speed",
-                type=float,
+                type=finite,
                 metavar="F",
                 help="of joint moves, a fraction of the joints' limits (default: 0.5; with --mock 1)",
             ),
             option(
                 "--band-m",
-                type=float,
+                type=finite,
                 metavar="M",
                 help="limit band of stabilization, overshoot and posing time (default: the repeatability of P1)",
             ),

@@ -1,10 +1,10 @@
 """Commands that run the arm, by way of the runtime's socket."""
 
-from console.options import ARM, JSON, LINKS, RATE, SOCKET, CommandSpec, option
+from console.options import ARM, JSON, LINKS, RATE, SOCKET, CommandSpec, finite, option
 
 PLACES = option("--places", metavar="FILE", default="places.toml", help="named places (default: places.toml)")
 MOVE_SPEED = option(
-    "--speed", type=float, default=0.5, metavar="F", help="fraction of the joints' limits (default: 0.5)"
+    "--speed", type=finite, default=0.5, metavar="F", help="fraction of the joints' limits (default: 0.5)"
 )
 OPERATING = (
     CommandSpec(
@@ -56,10 +56,10 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option("--joints", type=float, nargs="+", metavar="RAD", help="joint angles in rad"),
+            option("--joints", type=finite, nargs="+", metavar="RAD", help="joint angles in rad"),
             option(
                 "--tip",
-                type=float,
+                type=finite,
                 nargs=3,
                 metavar=("X", "Y", "Z"),
                 help="tip position in the base frame in m",
@@ -75,7 +75,7 @@ OPERATING = (
             ARM,
             SOCKET,
             option("file", metavar="FILE", help="CSV with x_m,y_m,z_m and, if wanted, speed_m_s"),
-            option("--speed", type=float, metavar="M_S", help="one speed for all way-points, in m/s"),
+            option("--speed", type=finite, metavar="M_S", help="one speed for all way-points, in m/s"),
             option(
                 "--plan-only", action="store_true", help="check and say what would be done; needs no runtime"
             ),
@@ -111,8 +111,10 @@ OPERATING = (
             SOCKET,
             option("--joint", type=int, metavar="J", help="a joint, from 1"),
             option("--axis", choices=("x", "y", "z"), help="an axis of the base frame"),
-            option("--by", type=float, required=True, metavar="STEP", help="rad of a joint, m along an axis"),
-            option("--speed", type=float, metavar="V", help="rad/s or m/s (default: the limit for jogging)"),
+            option(
+                "--by", type=finite, required=True, metavar="STEP", help="rad of a joint, m along an axis"
+            ),
+            option("--speed", type=finite, metavar="V", help="rad/s or m/s (default: the limit for jogging)"),
         ),
         "The arm stops at once when the command is interrupted. Exit status 1 when something was in the way.",
     ),
@@ -121,7 +123,7 @@ OPERATING = (
     CommandSpec(
         "override",
         "pace of motions, of the one that runs and of those to come",
-        (ARM, SOCKET, option("fraction", type=float, metavar="F", help="0.01 to 1 of what was planned")),
+        (ARM, SOCKET, option("fraction", type=finite, metavar="F", help="0.01 to 1 of what was planned")),
     ),
     CommandSpec(
         "wait",
@@ -129,7 +131,7 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option("seconds", type=float, nargs="?", metavar="S", help="without it: until the arm rests"),
+            option("seconds", type=finite, nargs="?", metavar="S", help="without it: until the arm rests"),
         ),
     ),
     CommandSpec(

@@ -1,6 +1,6 @@
 """Commands that measure the arm on the calibration table."""
 
-from console.options import ARM, JSON, OUT, SOCKET, CommandSpec, option
+from console.options import ARM, JSON, OUT, SOCKET, CommandSpec, finite, option
 
 RECORDING = (
     CommandSpec(
@@ -30,7 +30,7 @@ RECORDING = (
                 metavar="FILE",
                 help="the points to take, from `armwright plan-poses`: setup,point and for setup free q1_rad ...",
             ),
-            option("--payload", type=float, metavar="KG", help="mass at the tip (default: 0)"),
+            option("--payload", type=finite, metavar="KG", help="mass at the tip (default: 0)"),
             option(
                 "--seat",
                 choices=("hand", "jog"),
@@ -87,13 +87,13 @@ RECORDING = (
             ),
             option(
                 "--noise",
-                type=float,
+                type=finite,
                 metavar="M",
                 help="standard deviation of a measured coordinate in m (default: the camera's)",
             ),
             option(
                 "--view",
-                type=float,
+                type=finite,
                 nargs=6,
                 metavar=("X0", "X1", "Y0", "Y1", "Z0", "Z1"),
                 help="the box in the base frame that the camera sees, in m (default: everything)",

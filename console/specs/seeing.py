@@ -1,6 +1,6 @@
 """Commands that show what the arm did or does, and completion for the shell."""
 
-from console.options import JSON, SOCKET, CommandSpec, option
+from console.options import JSON, SOCKET, CommandSpec, finite, option
 
 LOG_HELP = "a .armlog recording, a log.csv or log.csv.gz, or an MCAP of `armwright export`"
 
@@ -22,8 +22,8 @@ SEEING = (
             ),
             option("--joints", metavar="J,...", help="joints by number: 1,3 (default: all)"),
             option("--run", metavar="N", help="one run by its number or name (default: all)"),
-            option("--from", dest="from_s", type=float, metavar="S", help="from this time on, in s"),
-            option("--to", dest="to_s", type=float, metavar="S", help="up to this time, in s"),
+            option("--from", dest="from_s", type=finite, metavar="S", help="from this time on, in s"),
+            option("--to", dest="to_s", type=finite, metavar="S", help="up to this time, in s"),
             option("--arm", metavar="A", help="the arm, where the file does not say: for limits and the tip"),
             option("--window", action="store_true", help="show windows and write nothing"),
             JSON,
@@ -39,11 +39,11 @@ SEEING = (
             option("--arm", metavar="A", help="the arm (default: the one that was recorded; live: right)"),
             SOCKET,
             option(
-                "--speed", type=float, default=1.0, metavar="X", help="times as fast as it was (default: 1)"
+                "--speed", type=finite, default=1.0, metavar="X", help="times as fast as it was (default: 1)"
             ),
             option("--run", metavar="N", help="one run by its number or name (default: all)"),
-            option("--from", dest="from_s", type=float, metavar="S", help="from this time on, in s"),
-            option("--to", dest="to_s", type=float, metavar="S", help="up to this time, in s"),
+            option("--from", dest="from_s", type=finite, metavar="S", help="from this time on, in s"),
+            option("--to", dest="to_s", type=finite, metavar="S", help="up to this time, in s"),
             option(
                 "--render",
                 metavar="FILE|DIR",
@@ -51,7 +51,7 @@ SEEING = (
             ),
             option(
                 "--fps",
-                type=float,
+                type=finite,
                 default=25.0,
                 metavar="N",
                 help="pictures a second of --render (default: 25)",

@@ -252,6 +252,19 @@ def test_a_log_that_is_none_is_refused_with_line_and_column(
         read_runs(tmp_path / "log.csv", arm)
 
 
+def test_tips_are_those_of_the_joints_where_the_recording_tells_them_from_the_encoders(
+    arm: Arm, tmp_path: Path
+) -> None:
+    joints = ",".join(form.format(j) for form in ("joint{}_rad", "joint{}_set_rad") for j in (1, 2, 3))
+    encoders, where, wanted = "0,-0.6,0.2", "0.1,-0.6,0.2", "0.1,-0.5,0.2"
+    rows = "".join(f"1,{t},{encoders},{encoders},{where},{wanted}\n" for t in (0.0, 0.1))
+    (tmp_path / "log.csv").write_text(f"{LOG},{joints}\n{rows}")
+    (run,) = read_runs(tmp_path / "log.csv", arm)
+    tips = Kinematics(arm).tips([[0.1, -0.6, 0.2], [0.1, -0.5, 0.2]])
+    np.testing.assert_allclose(run.encoder_m[0], tips[0], atol=1e-12)
+    np.testing.assert_allclose(run.set_m[1], tips[1], atol=1e-12)
+
+
 def test_a_programme_file_of_something_else_is_refused(tmp_path: Path) -> None:
     for text in ("{}", "[1]", "not json", '{"format": "iso9283-programme/1", "rectangle_m": [[1, 2]]}'):
         (tmp_path / "programme.json").write_text(text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 from pathlib import Path
 
@@ -14,8 +15,10 @@ from console.lines.grammar import NOT_HERE, Grammar, LineError
 from console.lines.replay import Outcome, replay, understood
 from console.main import main
 from console.places import PlacesError, find_place, keep_place, read_places
+from control.model.arm import Effect
 from control.safety.table import Mode
-from tests.cell import STRETCHED, Cell, holding_cell
+from hil_mocks.scenario import EffectTable
+from tests.cell import RIGHT, STRETCHED, Cell, holding_cell, scenario
 
 GRAMMAR = Grammar(COMMANDS, {"arm": "right", "socket": None})
 
@@ -52,8 +55,12 @@ def test_remarks_are_no_lines(text: str) -> None:
     ("text", "what"),
     [
         ("dance", "no such command"),
-        ("move --joints zero", "invalid float value"),
+        ("move --joints zero", "expected a number"),
         ("move --knots 1", "unrecognized arguments"),
+        ("jog --joint 1 --by nan", "expected a number, got 'nan'"),
+        ("move --tip 0.4 0 inf", "expected a number, got 'inf'"),
+        ("move --arm left --tip 0.4 0 0.4", "all lines run on --arm right"),
+        ("stop --socket /tmp/other.sock", "all lines run on --socket"),
         ("jog --joint 1", "--by"),
         ("run 'unclosed", "No closing quotation"),
         ("stop &", "`&` begins a motion"),
@@ -152,6 +159,36 @@ def test_way_points_taught_by_hand_make_a_path_that_runs(tmp_path: Path) -> None
         )
         assert [outcome.status for outcome in outcomes] == [0] * 6
         assert cell.client.status()["q_rad"] == pytest.approx([0.3, -0.4, 0.3], abs=3e-3)
+
+
+def test_a_place_that_is_marked_is_where_the_joints_are_and_not_their_encoders(tmp_path: Path) -> None:
+    places, scale = tmp_path / "places.toml", Effect("encoder_scale", 2, {"scale": 0.01})
+    knowing = dataclasses.replace(RIGHT, effects=(*RIGHT.effects, scale))
+    hidden = scenario(effect=(EffectTable("encoder_scale", 2, dict(scale.parameters)),))
+    with holding_cell(hidden, believed=knowing) as cell:
+        cell.client.home()
+        outcomes = played(
+            cell,
+            "move --joints 0.2 -1.2 0.3",
+            f"mark here --places {places}",
+            "move --joints 0.3 -0.6 0.2",
+            f"go here --places {places}",
+            f"mark here --places {places}",
+        )
+        assert [outcome.status for outcome in outcomes] == [0] * 5
+        assert cell.rig.joint_rad() == pytest.approx((0.2, -1.2, 0.3), abs=2e-3)
+        assert "in the stead" in outcomes[4].said
+        assert "in the stead" not in outcomes[1].said
+
+
+def test_an_error_is_seen_when_it_comes_and_not_again_with_the_output(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with holding_cell() as cell:
+        outcomes = played(cell, "move --joints 9 9 9")
+    assert capsys.readouterr().err.count("outside of its range") == 1
+    assert "outside of its range" in outcomes[0].said
+    assert not outcomes[0].output
 
 
 def test_a_file_of_something_else_is_not_taught_into(tmp_path: Path) -> None:
