@@ -19,6 +19,9 @@ EXPLAINED_LEAST = (
 HALF = (
     0.5  # of the excess: beside noise, not structure, a name is a proxy only if it explains the lesser part
 )
+NEGLIGIBLE = (
+    5e-4  # of the excess that was explained: a law that is right to 2 % is no other law for what it leaves
+)
 UNSTRUCTURED = 1.1  # times the floor that residuals without any structure may be before it is said
 SURE_sd = 2.0  # standard deviations of the floor itself that they may be beyond that
 
@@ -46,12 +49,16 @@ def judge(
         unknown = _unstructured(fit, rows, floor, accepted, explained)
         is_little = unknown is not None and explained < HALF
         return Judgement(() if is_little else tuple(accepted), unknown)
+    excess = (bare.rms_m(rows) / floor.tip_m) ** 2 - 1.0
+    large = [two for two in left if two.square > NEGLIGIBLE * excess]
     withdrawn = [
         one
         for one in accepted
-        if explained < EXPLAINED_LEAST or any(_is_same_cause(one, two) for two in left)
+        if explained < EXPLAINED_LEAST or any(_is_same_cause(one, two) for two in large)
     ]
     kept = tuple(one for one in accepted if one not in withdrawn)
+    if any(one.name == leader for one in kept):  # what is left is beside a name, and has no proxy of its own
+        return Judgement(kept, Unknown(_where(left), None, 0.0))
     return Judgement(kept, Unknown(_where(left), leader, round(explained, 3)))
 
 

@@ -5,7 +5,6 @@ import pytest
 from static_cases import ARM, DESIGNS, Design, FRICTION_Nm, Hidden, case, designed, gravity_Nm
 
 from calib.gap.finding import EffectName
-from calib.gap.static.evidence import Evidence
 from calib.gap.static.find import find
 from calib.gap.static.nameable import is_nameable
 from control.model.dynamics import Dynamics
@@ -127,22 +126,6 @@ def test_a_level_board_from_one_side_cannot_tell_and_says_so() -> None:
     assert not could[EffectName("joint_compliance", 2)]
     assert not could[EffectName("backlash", 2)]
     assert "free poses away from the table" in str(found.finding.next_experiment)
-
-
-def test_the_evidence_of_a_set_is_that_of_the_textbook() -> None:
-    """Against the density of y under both models, computed outright."""
-    rng = np.random.default_rng(0)
-    base, columns, y = rng.normal(size=(40, 5)), rng.normal(size=(40, 3)), rng.normal(size=40)
-
-    def log_density(effects: np.ndarray) -> float:
-        covariance = np.eye(40) + base @ base.T + effects @ effects.T
-        return float(-0.5 * y @ np.linalg.solve(covariance, y) - 0.5 * np.linalg.slogdet(covariance)[1])
-
-    evidence = Evidence.of(base, columns, y)
-    for chosen in ([0], [2], [0, 1], [0, 1, 2]):
-        wanted = log_density(columns[:, chosen]) - log_density(columns[:, []])
-        assert evidence.log(chosen) == pytest.approx(wanted, abs=1e-9)
-    assert evidence.log([]) == 0.0
 
 
 def test_the_cases_gravity_is_that_of_the_model() -> None:
