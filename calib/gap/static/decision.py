@@ -85,8 +85,10 @@ def decide(evidence: Evidence, candidates: Sequence[Candidate]) -> Decision:
 
 def hypotheses(evidence: Evidence, candidates: Sequence[Candidate]) -> list[Hypothesis]:
     """Nothing, every single candidate, pairs of the best of them, and the best sets with one effect more, best first."""
+    tails = _tails(evidence, candidates)
     singles = sorted(
-        _scored(evidence, candidates, [(k,) for k in range(len(candidates))]), key=lambda one: -one.score
+        _scored(evidence, candidates, [(k,) for k in range(len(candidates))], tails),
+        key=lambda one: -one.score,
     )
     helpers = _best_of_each_name(singles, candidates)
     pairs = [
@@ -94,28 +96,54 @@ def hypotheses(evidence: Evidence, candidates: Sequence[Candidate]) -> list[Hypo
         for a, b in combinations(range(len(candidates)), 2)
         if candidates[a].name != candidates[b].name and (a in helpers or b in helpers)
     ]
-    both = _scored(evidence, candidates, pairs)
+    both = _scored(evidence, candidates, pairs, tails)
     found = sorted([Hypothesis((), 0.0), *singles, *both], key=lambda one: -one.score)
     for count in range(2, NAMES_MOST):
         if len(found[0].chosen) < count:
             break
-        grown = _scored(evidence, candidates, sorted(_one_more(found, candidates, count)))
+        grown = _scored(evidence, candidates, sorted(_one_more(found, candidates, count)), tails)
         found = sorted([*found, *grown], key=lambda one: -one.score)
     return found
 
 
 def _scored(
-    evidence: Evidence, candidates: Sequence[Candidate], sets: Sequence[tuple[int, ...]]
+    evidence: Evidence,
+    candidates: Sequence[Candidate],
+    sets: Sequence[tuple[int, ...]],
+    tails: Sequence[float],
 ) -> list[Hypothesis]:
-    """Each set with its log evidence and the cost of its names; out of the question where it is not physical."""
+    """Each set with its log evidence and the cost of its names; out of the question where it is not physical.
+
+    What the tails of the prior give back to a large effect is no more than it would have alone: large effects that cancel each
+    other are as unlikely as the Gaussian says.
+    """
     at = places(candidates)
     logs, values = evidence.log_each([[place for k in chosen for place in at[k]] for chosen in sets])
-    return [
-        Hypothesis(
-            chosen, float(log) - cost_of(len(chosen)) if _is_physical(candidates, chosen, value) else -np.inf
-        )
-        for chosen, log, value in zip(sets, logs, values, strict=True)
-    ]
+    found = []
+    for chosen, log, value in zip(sets, logs, values, strict=True):
+        if not _is_physical(candidates, chosen, value):
+            found.append(Hypothesis(chosen, -np.inf))
+            continue
+        ends = np.cumsum([len(at[k]) for k in chosen])
+        parts = np.split(value, ends[:-1]) if len(chosen) else []
+        back = sum(min(_tail(part), tails[k]) for k, part in zip(chosen, parts, strict=True))
+        found.append(Hypothesis(chosen, float(log) + back - cost_of(len(chosen))))
+    return found
+
+
+def _tails(evidence: Evidence, candidates: Sequence[Candidate]) -> list[float]:
+    """What each candidate alone would be given back."""
+    _, values = evidence.log_each(places(candidates))
+    return [_tail(value) for value in values]
+
+
+def _tail(value: Array) -> float:
+    """What a Cauchy prior takes less than a Gaussian of the same scale, for coefficients in typical sizes.
+
+    Three times a typical size is not rare, and must not cost a law 4.5 in log evidence against a rival that does with less.
+    """
+    square = value * value
+    return float(np.sum(np.maximum(0.0, 0.5 * square - np.log1p(square))))
 
 
 def cost_of(count: int) -> float:
