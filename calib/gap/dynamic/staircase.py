@@ -96,17 +96,18 @@ class Staircase:
         if key not in self._kept:
             while len(self._kept) > 8:
                 self._kept.pop(next(iter(self._kept)))
+            gains = {size: self._gains(what, delay_s, size) for size in {len(s) for s in self._spectra}}
             self._kept[key] = [
-                self._of_run(what, delay_s, spectrum, length)
+                np.asarray(np.fft.irfft(spectrum * gains[len(spectrum)], axis=0)[:length])
                 for spectrum, length in zip(self._spectra, self._lengths, strict=True)
             ]
         return self._kept[key]
 
-    def _of_run(self, what: str, delay_s: float, spectrum: Spectrum, length: int) -> Array:
-        padded = 2 * (len(spectrum) - 1)
-        frequencies: Array = np.arange(len(spectrum)) / (padded * self._period)
-        gains = np.stack([_gain(what, w, self._period, delay_s, frequencies) for w in self._windings], axis=1)
-        return np.asarray(np.fft.irfft(spectrum * gains, padded, axis=0)[:length])
+    def _gains(self, what: str, delay_s: float, size: int) -> Spectrum:
+        """Of all joints (size, n), for runs of so many frequencies."""
+        frequencies: Array = np.arange(size) / (2 * (size - 1) * self._period)
+        gains = [_gain(what, w, self._period, delay_s, frequencies) for w in self._windings]
+        return np.stack(gains, axis=1)
 
 
 def _gain(what: str, winding: Winding, period_s: float, delay_s: float, frequencies_Hz: Array) -> Spectrum:

@@ -16,7 +16,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.finding import EffectName
 from calib.gap.static.candidate import Candidate
-from calib.gap.static.evidence import Evidence
+from calib.gap.static.evidence import Evidence, tail
 from calib.gap.static.linearised import places
 
 MARGIN = (
@@ -126,7 +126,7 @@ def _scored(
             continue
         ends = np.cumsum([len(at[k]) for k in chosen])
         parts = np.split(value, ends[:-1]) if len(chosen) else []
-        back = sum(min(_tail(part), tails[k]) for k, part in zip(chosen, parts, strict=True))
+        back = sum(min(tail(part), tails[k]) for k, part in zip(chosen, parts, strict=True))
         found.append(Hypothesis(chosen, float(log) + back - cost_of(len(chosen))))
     return found
 
@@ -134,16 +134,7 @@ def _scored(
 def _tails(evidence: Evidence, candidates: Sequence[Candidate]) -> list[float]:
     """What each candidate alone would be given back."""
     _, values = evidence.log_each(places(candidates))
-    return [_tail(value) for value in values]
-
-
-def _tail(value: Array) -> float:
-    """What a Cauchy prior takes less than a Gaussian of the same scale, for coefficients in typical sizes.
-
-    Three times a typical size is not rare, and must not cost a law 4.5 in log evidence against a rival that does with less.
-    """
-    square = value * value
-    return float(np.sum(np.maximum(0.0, 0.5 * square - np.log1p(square))))
+    return [tail(value) for value in values]
 
 
 def cost_of(count: int) -> float:

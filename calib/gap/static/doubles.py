@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.gap.static.candidate import Candidate
-from calib.gap.static.evidence import Evidence
+from calib.gap.static.evidence import Evidence, tail
 from calib.gap.static.shape import Shape
 
 LEAD = 3.0  # log odds, 20 to 1, that a name must have over all shapes together
@@ -32,18 +32,33 @@ def doubles(
     """
     found = {}
     own = _same_as_an_effect(evidence, at, shapes_at)
+    others = [number for number in range(len(shapes_at)) if number not in own]
     for k in chosen:
         beside = [place for other in chosen if other != k for place in at[other]]
-        named = evidence.log([*beside, *at[k]])
+        named, *instead = _logs(evidence, beside, [at[k], *(shapes_at[number] for number in others)])
+        prior = _prior(len({one.name for one in tried}), len(others))
         leads = [
-            (evidence.log([*beside, *places]) - named, len(places) - len(at[k]), number)
-            for number, places in enumerate(shapes_at)
-            if number not in own
+            (
+                log - named + prior * shapes[number].is_common,
+                len(shapes_at[number]) - len(at[k]),
+                number,
+            )
+            for number, log in zip(others, instead, strict=True)
         ]
-        number = _best_double(leads, _prior(len({one.name for one in tried}), len(leads)))
+        number = _best_double(leads, prior)
         if number is not None:
             found[k] = shapes[number]
     return found
+
+
+def _logs(evidence: Evidence, beside: Sequence[int], sets: Sequence[Sequence[int]]) -> list[float]:
+    """Log evidence of each set with what stands beside it; what is large is given back no more than it has alone."""
+    logs, values = evidence.log_each([[*beside, *one] for one in sets])
+    _, alone = evidence.log_each(sets)
+    back = [
+        min(tail(value[len(beside) :]), tail(single)) for value, single in zip(values, alone, strict=True)
+    ]
+    return [float(log) + more for log, more in zip(logs, back, strict=True)]
 
 
 def _best_double(leads: Sequence[tuple[float, int, int]], prior: float) -> int | None:

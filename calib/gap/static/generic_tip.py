@@ -4,6 +4,7 @@ wobble, a tool that is loose.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from itertools import combinations_with_replacement
 
@@ -120,7 +121,7 @@ def _of_the_links(arm: Arm, points: Points) -> Iterator[Shape]:
     for link in beams(arm):
         moved = bending_m(arm, arm.dh, points.q_rad, stated_kg(points), link)
         words = f"link {link}: gives way between its joint and the next"
-        yield of_tip(points.joint_count, "load", words, moved)
+        yield dataclasses.replace(of_tip(points.joint_count, "load", words, moved), is_common=True)
 
 
 def _of_the_tool(arm: Arm, points: Points, frames: LinkFrames) -> Iterator[Shape]:

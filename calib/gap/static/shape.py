@@ -19,13 +19,17 @@ WHOLE_ARM = 0  # in place of a joint: the tip moves, whatever the joints do
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Columns that move joint `joint` (1-based, or WHOLE_ARM) with `variable`; `words` say so."""
+    """Columns that move joint `joint` (1-based, or WHOLE_ARM) with `variable`; `words` say so.
+
+    `is_common`: as likely as any name of the list, where others are one of hundreds that might be.
+    """
 
     joint: int
     variable: str
     words: str
     slope_rad: Array
     slope_m: Array | None = None
+    is_common: bool = False
 
     @property
     def is_still(self) -> bool:
