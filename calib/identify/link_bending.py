@@ -10,7 +10,7 @@ A link is what its joint turns: from that joint to the next, or to the tip, fixe
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -47,10 +47,18 @@ def _ends_m(arm: Arm, frames: LinkFrames, link: int) -> tuple[Array, Array]:
     return frames.origin_m[:, link - before], end
 
 
-def bending_m(arm: Arm, dh: Array, q_rad: Array, payload_kg: Array, link: int) -> Array:
+def bending_m(
+    arm: Arm,
+    dh: Array,
+    q_rad: Array,
+    payload_kg: Array,
+    link: int,
+    accelerated: Callable[[Array], Array] | None = None,
+) -> Array:
     """How the tip moves, (m, 3) per 1 / EI [1 / (N m^2)], when `link` (1-based) bends; base frame.
 
-    dh (links, 4), q_rad (m, n), payload_kg (m,). MissingModel where the arm's file has no masses.
+    dh (links, 4), q_rad (m, n), payload_kg (m,). `accelerated`: of poses that follow each other in time, from the places (m, 3)
+    of a mass to its accelerations, whose forces bend too. MissingModel where the arm's file has no masses.
     """
     if not any(one.mass_kg for one in arm.links):
         raise MissingModel(f"arm {arm.name}: a link's bending needs masses (mass_kg, com_m) of the links")
@@ -59,7 +67,9 @@ def bending_m(arm: Arm, dh: Array, q_rad: Array, payload_kg: Array, link: int) -
     length = np.linalg.norm(end - begin, axis=1, keepdims=True)
     along = (end - begin) / length
     shift, turn = np.zeros_like(begin), np.zeros_like(begin)
-    for is_beyond, place_m, force_N in _weights(arm, frames, payload_kg, link):
+    for is_beyond, place_m, mass_kg in _masses(arm, frames, payload_kg, link):
+        pull = np.asarray(arm.gravity_m_s2) - (0.0 if accelerated is None else accelerated(place_m))
+        force_N = mass_kg[:, None] * pull
         own = np.clip(np.sum((place_m - begin) * along, axis=1, keepdims=True), 0.0, length)
         at = length if is_beyond else own  # what is beyond hangs on the beam's end, wherever it is
         across = _across(force_N, along)
@@ -70,18 +80,17 @@ def bending_m(arm: Arm, dh: Array, q_rad: Array, payload_kg: Array, link: int) -
     return np.asarray(shift + np.cross(turn, frames.tip_m - end))
 
 
-def _weights(
+def _masses(
     arm: Arm, frames: LinkFrames, payload_kg: Array, link: int
 ) -> Iterator[tuple[bool, Array, Array]]:
-    """Whether each weight is beyond the link, where (m, 3) it acts, and its force (m, 3) [N]."""
-    gravity = np.asarray(arm.gravity_m_s2)
+    """Whether each mass is beyond the link, where (m, 3) it is, and how much it is (m,)."""
     following = _next_turning(arm, link)
     for k, one in enumerate(arm.links[link - 1 :], start=link):
         if one.mass_kg and one.com_m is not None:
             place = frames.point_m(k, np.asarray(one.com_m))
             is_beyond = following is not None and k >= following
-            yield is_beyond, place, np.broadcast_to(one.mass_kg * gravity, place.shape)
-    yield True, frames.tip_m, payload_kg[:, None] * gravity
+            yield is_beyond, place, np.full(len(place), one.mass_kg)
+    yield True, frames.tip_m, payload_kg
 
 
 def _across(vectors: Array, along: Array) -> Array:

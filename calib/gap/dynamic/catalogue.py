@@ -13,6 +13,7 @@ from calib.gap.dynamic.angles import BEHIND, SEEN
 from calib.gap.dynamic.recording import Recording
 from calib.gap.dynamic.terms import Term
 from calib.gap.finding import EffectName
+from calib.identify.link_bending import beams
 from control.model.arm import Arm
 
 STRIBECK_rad_s = (0.012, 0.022, 0.04, 0.07, 0.12, 0.22)
@@ -79,6 +80,9 @@ def _listed(arm: Arm, recording: Recording) -> Iterator[Candidate]:
     if recording.has_tip:
         if arm.joint_count >= 3:
             yield _encoder("belt_coupling", None, (0.0,))
+        if all(link.mass_kg for link in arm.links if link.joint == "revolute"):
+            for link in beams(arm):
+                yield _simple("link_flexure", link, (0.0,))
         yield _simple("base_frame", None, (0.0,) * 6)
         yield _simple("link_geometry", None, (0.0,) * (4 * len(arm.links)))
 

@@ -15,6 +15,7 @@ from calib.gap.dynamic.terms import STEP, Term
 Picked = npt.NDArray[np.bool_]
 ITERATIONS = 8
 FASTEST_STRIBECK_rad_s = 0.35  # a fall over all speeds of an arm is Coulomb friction with something else
+QUICKEST_WARMING_s = 0.6  # quicker, a drift has gone by before a run counts, and is a zero
 LATEST_s = 0.02  # of a sample after the voltage that it follows
 PROMISED = 1e-4  # of the sum of squares: a step that promises less is not tried
 ENOUGH = 1e-3  # of the sum of squares: a step that gains less is the last
@@ -140,8 +141,10 @@ def bounded(term: Term, values: Array) -> Array:
         case "backlash":
             result[0] = min(max(result[0], 0.0), 0.2)
             result[1:] = np.clip(result[1:], 0.0, 1.0)
+        case "link_flexure":
+            result[0] = min(max(result[0], 1e-6), 1.0)
         case "thermal_drift" | "thermal_drift seen":
-            result[1] = min(max(result[1], 0.1), 1e5)
+            result[1] = min(max(result[1], QUICKEST_WARMING_s), 1e5)
         case "torque_constant":
             result[0] = min(max(result[0], -0.8), 4.0)
         case _:

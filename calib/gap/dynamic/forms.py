@@ -43,6 +43,8 @@ def from_file(name: EffectName, given: Mapping[str, float]) -> Term | None:
     if effect == "joint_compliance":
         stiffness = given["stiffness_Nm_rad"]
         return Term(name, effect, (1.0 / stiffness, given.get("damping_Nm_s_rad", 0.0), 0.0))
+    if effect == "link_flexure":
+        return Term(name, effect, (1.0 / given["EI_Nm2"],))
     if effect == "encoder_eccentricity":
         amplitude, phase = given["amplitude_rad"], given["phase_rad"]
         return Term(name, effect, (amplitude * math.cos(phase), amplitude * math.sin(phase)))
@@ -74,6 +76,8 @@ def parameters(term: Term, covariance: Array) -> dict[str, tuple[float, float]]:
         if len(v) > 1 and len(sd) > 1 and v[1] > 2.0 * sd[1]:
             found["damping_Nm_s_rad"] = (v[1], float(sd[1]))
         return found
+    if effect == "link_flexure":
+        return {"EI_Nm2": (1.0 / v[0], float(sd[0]) / v[0] ** 2)}
     if effect == "link_inertia":
         return {term.form: (v[0], float(sd[0]))}
     if effect == "base_frame":

@@ -23,6 +23,7 @@ from calib.gap.dynamic.play import Followed, Follower, elastics, looses
 from calib.gap.dynamic.recording import Flags, Motion, Recording
 from calib.gap.dynamic.staircase import Staircase, Winding, settled_shares
 from calib.gap.dynamic.terms import Term
+from calib.identify.link_bending import bending_m
 from control.model.arm import Arm
 from control.model.kinematics import Kinematics
 
@@ -109,6 +110,7 @@ class Physics:
             for run in recording.runs
         ]
         self._dh: list[Array] | None = None
+        self._bends: dict[tuple[int, float], list[Array]] = {}
 
     @property
     def torque_per_A(self) -> Array:
@@ -348,14 +350,16 @@ class Physics:
             turned += joint_ahead(parts.angles, q, run.t_s[run.frames])
         expected = self._tips[k] if turned is q else self._kinematics.tips(turned)
         for term in parts.tip:
-            expected = expected + self._shift(term, k, run)
+            expected = expected + self._shift(parts, term, k, run)
         return np.asarray(expected - run.tip_m)
 
-    def _shift(self, term: Term, k: int, run: Motion) -> Array:
+    def _shift(self, parts: Parts, term: Term, k: int, run: Motion) -> Array:
         if term.form == "camera time":
             return np.asarray(
                 np.einsum("mij,mj->mi", self.jacobians[k], run.speed[run.frames]) * term.values[0]
             )
+        if term.form == "link_flexure":
+            return self._bent(term.name.joint or 1, parts.load.payload_kg)[k] * term.values[0]
         if term.form == "link_geometry":
             if self._dh is None:
                 self._dh = [
@@ -364,6 +368,26 @@ class Physics:
             return np.asarray(self._dh[k] @ np.array(term.values))
         shift, turn = np.array(term.values[:3]), np.array(term.values[3:])
         return np.asarray(shift + np.cross(turn, self._tips[k]))
+
+    def _bent(self, link: int, extra_kg: float) -> list[Array]:
+        """How the tip moves per 1 / EI of a link as its loads hang on it and are thrown about, (frames, 3) of each run.
+
+        The beam follows its loads at once: its resonance is far above what an arm is moved with.
+        """
+        key = (link, extra_kg)
+        if key not in self._bends:
+            if len(self._bends) > 16:
+                self._bends.clear()
+            self._bends[key] = [self._bent_along(link, extra_kg, run) for run in self.recording.runs]
+        return self._bends[key]
+
+    def _bent_along(self, link: int, extra_kg: float, run: Motion) -> Array:
+        payload = np.maximum(run.payload_kg + extra_kg, 0.0)
+
+        def accelerated(place_m: Array) -> Array:
+            return self.recording.filters.states(place_m)[2]
+
+        return bending_m(self.arm, self.arm.dh, run.q_raw, payload, link, accelerated)[run.frames]
 
 
 def sorted_terms(model: Sequence[Term]) -> Parts:
@@ -390,7 +414,7 @@ def sorted_terms(model: Sequence[Term]) -> Parts:
                 parts.elastic.append(term)
             case form if form in ANGLES:
                 parts.angles.append(term)
-            case "link_geometry" | "base_frame" | "camera time":
+            case "link_geometry" | "base_frame" | "camera time" | "link_flexure":
                 parts.tip.append(term)
             case "resistance" | "current offset" | "inductance":
                 parts.electrical.append(term)

@@ -37,6 +37,7 @@ NONNEGATIVE = {
     "supply_sag by sum",
     "joint_compliance",
     "backlash",
+    "link_flexure",
 }
 OTHER_FORM = 0.5  # of the best start's gain: another form of the same effect is then refined too
 TRIED = 2.0  # a start whose first-order gain is 0 still gets this, so that it sorts behind all others

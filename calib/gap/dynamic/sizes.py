@@ -29,6 +29,7 @@ SMALLEST = {
     "inertia_kg_m2": 0.003,
     "joint_compliance": 1e-4,
     "backlash": 5e-4,
+    "link_flexure": 1 / 3000.0,
     "encoder_eccentricity": 3e-4,
     "encoder_scale": 5e-4,
     "belt_coupling": 5e-4,

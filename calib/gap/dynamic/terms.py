@@ -16,6 +16,7 @@ STEP = {
     "sampling time": (2e-5,),
     "joint_compliance": (1e-5, 2e-2, 5e-2),
     "backlash": (5e-5, 5e-2),
+    "link_flexure": (1e-4,),
     "thermal_drift": (1e-4, 5e-2),
     "thermal_drift seen": (1e-4, 5e-2),
 }

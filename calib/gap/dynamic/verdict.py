@@ -19,6 +19,7 @@ SUFFICIENT_ROUGH = {  # laws whose form differs between real joints, and impacts
     "stribeck_friction": 0.97,
     "joint_compliance": 0.97,
     "backlash": 0.97,
+    "link_flexure": 0.97,
 }
 MANY_VALUES = 2
 SHARE_EXACT = 0.002  # of the evidence, where both effects are geometry
