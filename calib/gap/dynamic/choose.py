@@ -69,6 +69,18 @@ def _is_unexplained(step: Step) -> bool:
     return not candidate.is_listed and candidate.name.effect not in OF_SENSORS
 
 
+def _is_a_zero(trial: Trial, trials: Sequence[Trial]) -> bool:
+    """A drift that is hardly better than another zero of its joint: what does not change shows no drift."""
+    if trial.candidate.name.effect != "thermal_drift":
+        return False
+    return any(
+        other.candidate.name.effect == "zero"
+        and other.candidate.name.joint == trial.candidate.name.joint
+        and other.fitted.held_out < trial.fitted.held_out + 2.0 * MARGIN
+        for other in trials
+    )
+
+
 class Choice:
     """The search over one recording."""
 
@@ -232,6 +244,7 @@ class Choice:
 
     def _preferred(self, trials: list[Trial]) -> Trial:
         """The best on held-out runs; an effect of the list before an unlisted one that is hardly better."""
+        trials = [trial for trial in trials if not _is_a_zero(trial, trials)] or trials
         best = trials[0]
         if best.candidate.is_listed:
             return best
