@@ -114,8 +114,8 @@ def _scored(
 ) -> list[Hypothesis]:
     """Each set with its log evidence and the cost of its names; out of the question where it is not physical.
 
-    What the tails of the prior give back to a large effect is no more than it would have alone: large effects that cancel each
-    other are as unlikely as the Gaussian says.
+    What the tails of the prior give back to a large effect is no more than it would have alone where another acts on its joint:
+    large effects that cancel each other are as unlikely as the Gaussian says.
     """
     at = places(candidates)
     logs, values = evidence.log_each([[place for k in chosen for place in at[k]] for chosen in sets])
@@ -126,7 +126,11 @@ def _scored(
             continue
         ends = np.cumsum([len(at[k]) for k in chosen])
         parts = np.split(value, ends[:-1]) if len(chosen) else []
-        back = sum(min(tail(part), tails[k]) for k, part in zip(chosen, parts, strict=True))
+        joints = [candidates[k].name.joint for k in chosen]
+        most = [
+            tails[k] if joints.count(joint) > 1 else np.inf for k, joint in zip(chosen, joints, strict=True)
+        ]
+        back = sum(min(tail(part), limit) for part, limit in zip(parts, most, strict=True))
         found.append(Hypothesis(chosen, float(log) + back - cost_of(len(chosen))))
     return found
 
