@@ -16,6 +16,7 @@ from control.model.arm import Arm
 from control.model.dynamics import Dynamics
 
 SLOPE_rad = 1e-4
+TORQUES_KEPT = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +34,18 @@ class Body:
     def __init__(self, arm: Arm, recording: Recording) -> None:
         self._arm, self._recording = arm, recording
         self._loaded: dict[Load, Dynamics] = {}
+        self._torques: dict[Load, list[Array]] = {}
         self.rotor_kg_m2 = np.array([d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives])
         self.links = [k for k, link in enumerate(arm.links) if link.mass_kg and link.com_m is not None]
 
     def link_torques(self, load: Load) -> list[Array]:
-        """Torques (m, n) of each run, motor and link moving as one."""
-        return [self.moved(load, run, run.q, run.speed, run.acceleration) for run in self._recording.runs]
+        """Torques (m, n) of each run, motor and link moving as one; kept for the loads seen last."""
+        if load not in self._torques:
+            if len(self._torques) > TORQUES_KEPT:
+                self._torques.clear()
+            runs = self._recording.runs
+            self._torques[load] = [self.moved(load, r, r.q, r.speed, r.acceleration) for r in runs]
+        return self._torques[load]
 
     def moved(self, load: Load, run: Motion, q: Array, speed: Array, acceleration: Array) -> Array:
         """Link torques (m, n) of one run for another motion of the links."""

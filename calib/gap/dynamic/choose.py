@@ -189,7 +189,7 @@ class Choice:
     def _best_of(self, fitted: Fitted, tried: Sequence[Term]) -> Term:
         """The one of a joint's plays that leaves least on the deciding rows."""
         deciding, beside = self.split.deciding, (*self.known, *fitted.terms)
-        self.rows.physics.foresee(beside, tried)
+        self.rows.physics.following.foresee(beside, tried)
 
         def left(one: Term) -> float:
             return float(np.sum(self.rows.residual((*beside, one))[deciding] ** 2))

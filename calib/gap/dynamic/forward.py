@@ -16,7 +16,8 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.dynamic.laws import friction_Nm
-from calib.gap.dynamic.physics import Physics, sorted_terms
+from calib.gap.dynamic.parts import sorted_terms
+from calib.gap.dynamic.physics import Physics
 from calib.gap.dynamic.recording import Flags
 from calib.gap.dynamic.terms import Term
 
@@ -153,7 +154,7 @@ class Forward:
 def begin(physics: Physics, model: Sequence[Term], runs: Sequence[int], samples: Sequence[int]) -> State:
     """The measured states at these samples of these runs; behind elastic gears where they are simulated to be."""
     recording = physics.recording
-    offsets, speeds = physics.beyond(model)
+    offsets, speeds = physics.following.beyond(model)
     pairs = list(zip(runs, samples, strict=True))
 
     def at(name: str) -> Array:

@@ -75,7 +75,7 @@ class Rows:
         """
         result = np.ones(len(self.table.run), dtype=bool)
         filters = self.recording.filters
-        for j, runs in self.physics.flights(model).items():
+        for j, runs in self.physics.following.flights(model).items():
             reach = round(LANDING_s * filters.rate_Hz)
             near = [_near(moving[:, None], reach)[filters.places(len(moving)), 0] for moving in runs]
             kept = np.concatenate([~flags[self._masks[k][:, j]] for k, flags in enumerate(near)])
@@ -90,7 +90,7 @@ class Rows:
         gear, K = physics.arm.drives[j].gear_ratio, physics.torque_per_A[j]
         parts = []
         for k, run in enumerate(self.recording.runs):
-            torque = friction_Nm(term, run, j, physics.link_torques(Load())[k][:, j], gear)
+            torque = friction_Nm(term, run, j, physics.body.link_torques(Load())[k][:, j], gear)
             parts.append(self.recording.filters.rows(torque)[self._masks[k][:, j]])
         for cell in self.table.cells:
             if cell.channel == "current_A" and cell.joint == j:
@@ -102,9 +102,9 @@ class Rows:
         physics, result = self.physics, np.zeros(len(self.table.run))
         parts = []
         for k, run in enumerate(self.recording.runs):
-            torque = physics.link_torques(Load())[k][run.frames, joint]
+            torque = physics.body.link_torques(Load())[k][run.frames, joint]
             turned = -torque if form == "joint_compliance" else -0.5 * np.sign(torque)
-            parts.append((physics.jacobians[k][:, :, joint] * turned[:, None]).ravel())
+            parts.append((physics.tips.jacobians[k][:, :, joint] * turned[:, None]).ravel())
         for cell in self.table.cells:
             if cell.channel == "tip_m":
                 result[cell.rows] = np.concatenate(parts) / cell.floor
@@ -142,7 +142,7 @@ class Rows:
     def _tabled(self, model: Sequence[Term]) -> RowTable:
         blocks = self._blocks(self.physics.predict(model))
         levels, source = floors(self.physics, blocks)
-        load = self.physics.link_torques(Load())
+        load = self.physics.body.link_torques(Load())
         cells, columns, start = [], [], 0
         run: list[Array] = []
         for key in dict.fromkeys((channel, joint) for channel, joint, *_ in blocks):
