@@ -57,5 +57,19 @@ def test_voltages_that_were_held_are_believed_late_or_not(late: float) -> None:
     assert not not_held(ARM, prepare(ARM, rough(late)))
 
 
+def test_joints_whose_voltages_are_smooth_do_not_outvote_one_that_shows() -> None:
+    """Their noise tells little: two shares that are too low beside one that is known ten times as well."""
+    (run,) = rough().runs
+    voltage, current = run.voltage_V.copy(), run.current_A.copy()
+    rng = np.random.default_rng(6)
+    for column in (1, 2):
+        small = rng.normal(0.0, 0.02, len(run))
+        voltage[:, column] = 2.0 * np.cos(2.0 * run.t_s) + small
+        answer = 0.1 * np.roll(small, 1)  # the motors are free, and turn away under the voltage
+        current[:, column] = (2.0 * np.cos(2.0 * run.t_s) + answer) / ARM.drives[column].resistance_ohm
+        current[:, column] += rng.normal(0.0, 0.03, len(run))
+    assert not not_held(ARM, prepare(ARM, Log((replace(run, voltage_V=voltage, current_A=current),))))
+
+
 def test_nothing_is_said_where_the_sensors_noise_hides_it() -> None:
     assert not not_held(ARM, prepare(ARM, thinned(rough(noise_A=30.0), 2)))
