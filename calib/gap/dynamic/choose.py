@@ -29,6 +29,8 @@ SHARE_MARGIN = (
 WORTH = 0.25  # of the best first-order gain: candidates below it are not refined
 WIDTH_SHARES = (0.7, 1.0, 1.4, 1.8, 2.3)  # of the width that the tip at rest would need
 LINK_SHARES = (0.0, 0.25, 0.5, 0.75)  # of a joint's friction, behind its gear
+SOFTNESS_SHARES = (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0)  # of what the tip at rest would need
+DAMPING, DAMPINGS = 0.3, (0.1, 0.5, 2.0)  # N m s/rad
 LOOKED_AT = 8  # starts, the best first
 HOPE = 0.5  # of the bar: refinement may gain as much again
 MOST_STEPS = 5
@@ -179,8 +181,13 @@ class Choice:
         """A start for a play: where a link flies between flanks, what it shows at rest says little of its width.
 
         Then the share of the joint's friction that acts behind the gear, whose valley is narrow: a fit that starts far
-        from it ends in another.
+        from it ends in another. The same for a spring, whose resonance may lie within the motion.
         """
+        if term.form == "joint_compliance":
+            softness = term.values[0]
+            spring = self._best_of(fitted, [term.at((softness * s, DAMPING, 0.0)) for s in SOFTNESS_SHARES])
+            others = [(damping, share) for damping in DAMPINGS for share in LINK_SHARES[::2]]
+            return self._best_of(fitted, [spring.at((spring.values[0], *other)) for other in others])
         if term.form != "backlash":
             return term
         width = self._best_of(fitted, [term.at((term.values[0] * share, 0.0)) for share in WIDTH_SHARES])

@@ -16,6 +16,9 @@ from control.model import effect_laws as laws
 REST_rad_s = 0.003  # the sign of a measured speed below this is the noise's; such samples are not used
 
 
+FAST, FASTEST = 0.3, 0.4  # of a turn of cogging's phase a sample: from here on it fades, and is gone
+
+
 class Moving(Protocol):
     """Angles, speeds and accelerations (m, n) at times (m,)."""
 
@@ -34,6 +37,21 @@ class Moving(Protocol):
     @property
     def t_s(self) -> Array:
         """Times."""
+
+
+def sampled_friction_Nm(term: Term, run: Moving, j: int, link_Nm: Array, gear_ratio: float) -> Array:
+    """`friction_Nm` along a run of equal samples, without what these cannot carry.
+
+    Cogging that passes faster than the samples can follow would come back as a slow torque that never was.
+    """
+    torque = friction_Nm(term, run, j, link_Nm, gear_ratio)
+    if term.form != "cogging":
+        return torque
+    period_s = float(run.t_s[1] - run.t_s[0])
+    per_sample = (
+        np.abs(term.order * gear_ratio * run.speed[:, j]) * period_s / (2.0 * np.pi)
+    )  # turns of its phase
+    return np.asarray(torque * np.clip((FASTEST - per_sample) / (FASTEST - FAST), 0.0, 1.0))
 
 
 def friction_Nm(term: Term, run: Moving, j: int, link_Nm: Array, gear_ratio: float) -> Array:

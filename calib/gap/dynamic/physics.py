@@ -19,7 +19,7 @@ from calib.arrays import Array
 from calib.gap.dynamic.angles import BEHIND, STILL, MotorAhead, angle_error
 from calib.gap.dynamic.body import Body, Load
 from calib.gap.dynamic.following import Following
-from calib.gap.dynamic.laws import friction_Nm
+from calib.gap.dynamic.laws import sampled_friction_Nm
 from calib.gap.dynamic.parts import Parts, sorted_terms
 from calib.gap.dynamic.recording import Motion, Recording
 from calib.gap.dynamic.staircase import Staircase, Winding, settled_shares
@@ -129,7 +129,7 @@ class Physics:
         wanted = link + self.body.rotor_kg_m2 * (run.acceleration + ahead.acceleration_rad_s2)
         for term in parts.friction:
             j = term.index
-            own = friction_Nm(term, run, j, link[:, j], float(self._gear[j]))
+            own = sampled_friction_Nm(term, run, j, link[:, j], float(self._gear[j]))
             wanted[:, j] += own * (1.0 - parts.behind(term))
         scale = self.scales(parts)
         measured = self._mean_current(parts, run, k, scale, ahead)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from calib.arrays import Array
 from calib.gap.dynamic.body import Load
 from calib.gap.dynamic.floor import Block, floors
-from calib.gap.dynamic.laws import friction_Nm
+from calib.gap.dynamic.laws import sampled_friction_Nm
 from calib.gap.dynamic.physics import Physics, Prediction
 from calib.gap.dynamic.recording import Flags, Motion, Recording
 from calib.gap.dynamic.terms import Term
@@ -90,7 +90,7 @@ class Rows:
         gear, K = physics.arm.drives[j].gear_ratio, physics.torque_per_A[j]
         parts = []
         for k, run in enumerate(self.recording.runs):
-            torque = friction_Nm(term, run, j, physics.body.link_torques(Load())[k][:, j], gear)
+            torque = sampled_friction_Nm(term, run, j, physics.body.link_torques(Load())[k][:, j], gear)
             parts.append(self.recording.filters.rows(torque)[self._masks[k][:, j]])
         for cell in self.table.cells:
             if cell.channel == "current_A" and cell.joint == j:

@@ -34,6 +34,9 @@ GEOMETRIC = {
 AT_FLOOR = 1.3  # mean square over the floor's: models without any hidden effect reach this in single cells
 LEFT = 1.5  # of the floor's square, and
 LEFT_SHARE = 0.05  # of what a cell showed at first: less than both is nothing unknown
+HARMED = (
+    0.3  # of the floor's square: a cell that is worse by this with all that was found is contradicted by it
+)
 SHADOW = 0.5  # a name needs at least this share of what something unknown takes in the same cell
 
 
@@ -53,6 +56,7 @@ def judge(choice: Choice, steps: Sequence[Step], arm: Arm) -> Verdict:
     last = steps[-1].best.fitted.residual if steps else choice.first.residual
     counts = choice.counts()
     left = np.maximum(choice.by_cell(last) - AT_FLOOR * counts, 0.0)
+    harmed = choice.by_cell(last) - choice.by_cell(choice.first.residual) > HARMED * counts
     explained = tuple(_explained(step.claims, left) for step in steps)
     sound: list[int] = []
     rejected: list[int] = []
@@ -62,6 +66,8 @@ def judge(choice: Choice, steps: Sequence[Step], arm: Arm) -> Verdict:
             corrected.append(k)
             continue
         is_sound = step.best.candidate.is_listed and _suffices(step, explained[k], arm)
+        # Two errors of one encoder can be another law of its motor, and cancel at the tip but for their difference.
+        is_sound = is_sound and not np.any(np.abs(step.claims[harmed]) > LEFT * counts[harmed])
         is_first = is_sound and _is_first_law(step.best.candidate.name, arm)
         if is_sound and (is_first or not _in_shadow(steps, rejected, k)):
             sound.append(k)
