@@ -6,6 +6,7 @@ there so that they are recognised: what they explain better than any effect of t
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
@@ -23,6 +24,14 @@ DELAYS_s = (0.0006, 0.0012, 0.0018, 0.0024, 0.0030, 0.0038, 0.0046, 0.0056, 0.00
 SPRINGS_rad_Nm = (1 / 5000.0, 1 / 1500.0, 1 / 500.0, 1 / 150.0)
 WARMING_s = (0.8, 2.5, 8.0, 40.0, 300.0)
 WIDTHS_rad = (0.002, 0.006, 0.016)
+SHAPES = {
+    "encoder_scale": "joint {joint}: an error in proportion to its angle",
+    "encoder_eccentricity": "joint {joint}: an error that is a sine of its angle",
+    "belt_coupling": "joint 3: an error in proportion to joint 2's angle",
+    "thermal_drift": "joint {joint}: an error that grows with time and settles",
+    "base_frame": "the tip, shifted and turned as a whole",
+    "link_geometry": "the tip, as if lengths or axes of the links were others",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +47,11 @@ class Candidate:
     linear: bool = True
     where: str = ""  # of an unlisted one: what it says
 
+    @property
+    def is_shape(self) -> bool:
+        """Whether it is the law of an effect that has been taken off the list."""
+        return not self.is_listed and self.name.effect in SHAPES
+
     def __str__(self) -> str:
         """As the finding names it."""
         return str(self.name)
@@ -46,9 +60,20 @@ class Candidate:
 def candidates(arm: Arm, recording: Recording, names: Collection[str] | None = None) -> list[Candidate]:
     """All that this recording's channels could show; `names`: only these effects of the list."""
     found = list(_listed(arm, recording))
+    nameless: list[Candidate] = []
     if names is not None:
+        nameless = [
+            _nameless(one) for one in found if one.name.effect in SHAPES and one.name.effect not in names
+        ]
         found = [candidate for candidate in found if candidate.name.effect in names]
-    return found + list(_unlisted(arm, recording))
+    return [*found, *nameless, *_unlisted(arm, recording)]
+
+
+def _nameless(one: Candidate) -> Candidate:
+    """A smooth error of angle, time or place that no effect of the list has: it is still in the world, without a name."""
+    return dataclasses.replace(
+        one, is_listed=False, where=SHAPES[one.name.effect].format(joint=one.name.joint)
+    )
 
 
 def _listed(arm: Arm, recording: Recording) -> Iterator[Candidate]:

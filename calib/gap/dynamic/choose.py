@@ -253,10 +253,14 @@ class Choice:
         """The best on held-out runs; an effect of the list before an unlisted one that is hardly better."""
         trials = [trial for trial in trials if not _is_a_zero(trial, trials)] or trials
         best = trials[0]
-        if best.candidate.is_listed:
-            return best
         listed = [trial for trial in trials if trial.candidate.is_listed]
-        if not listed:
+        nameless = [trial for trial in trials if trial.candidate.is_shape]
+        # Laws of geometry are exact: a name leads every shape without one, or it is a guess.
+        if nameless and (
+            not listed or nameless[0].fitted.held_out < listed[0].fitted.held_out + 2.0 * MARGIN
+        ):
+            return nameless[0] if best.candidate.is_listed else best
+        if best.candidate.is_listed or not listed:
             return best
         lost = listed[0].fitted.held_out - best.fitted.held_out
         gained = max(self.first.held_out - best.fitted.held_out, 1e-9)
