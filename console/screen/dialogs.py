@@ -23,7 +23,7 @@ HELP = """\
 [b]u[/]         guide by hand            [b]r[/]       record a way-point
 [b]k[/]         keep this place by name  [b]a[/]       acknowledge faults
 [b]c[/]         calibration session      [b]:[/]       command box
-[b]ctrl+q[/]    leave: its motion is stopped, the arm is held
+[b]ctrl+q[/], [b]ctrl+c[/]   leave: the motion is stopped, the arm is held
 
 Escape closes this."""
 

@@ -156,6 +156,18 @@ def test_a_console_that_dies_leaves_the_arm_held(tmp_path: Path) -> None:
     played(tmp_path, play)
 
 
+@pytest.mark.parametrize("key", ["ctrl+q", "ctrl+c"])
+def test_leaving_stops_what_the_console_began(tmp_path: Path, key: str) -> None:
+    async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
+        await hold_key(pilot, "right", 0.3)
+        assert served.cell.mode is Mode.JOGGING
+        await press(pilot, key)
+        await until(pilot, lambda: not app.is_running)
+        await rested(pilot, served)
+
+    played(tmp_path, play)
+
+
 # ---- space stops, always
 
 
