@@ -65,7 +65,7 @@ SOCKET = option(
 )
 OUT = option("--out", metavar="DIR", required=True, help="a folder for the results; made if it is not there")
 JSON = option("--json", action="store_true", help="print JSON for another program")
-RATE = option("--rate", type=float, default=500.0, metavar="HZ", help="cycles per second (default: 500)")
+RATE = option("--rate", type=finite, default=500.0, metavar="HZ", help="cycles per second (default: 500)")
 LINKS = (
     option(
         "--encoder",

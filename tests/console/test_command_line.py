@@ -91,6 +91,22 @@ def test_an_option_that_a_command_does_not_have_shows_the_usage_of_that_command(
     assert "unrecognized arguments: --spede 1" in error
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("gap", "--minutes", "nan"), ("gap", "--payload", "inf"), ("plan-poses", "--noise", "nan"), ("plot", "--from", "nan"),
+        ("view", "--fps", "nan"), ("serve", "--rate", "nan"), ("jog", "--by", "-inf"),
+    ],
+)  # fmt: skip
+def test_what_is_no_number_is_refused_with_its_option(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, str, str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([arguments[0], f"{arguments[1]}={arguments[2]}"])
+    assert ended.value.code == 2
+    assert f"argument {arguments[1]}: expected a number, got '{arguments[2]}'" in capsys.readouterr().err
+
+
 def said_by(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     """Standard error of a command that ends with status 2; exactly one message, no traceback."""
     assert main(list(arguments)) == 2

@@ -84,7 +84,6 @@ def test_measured_boards_are_taken_from_boards_json(capsys, tmp_path):
         (["--free", "3", "--only", "table"], "contradict each other"),
         (["--count", "3", "--free", "4"], "free poses: expected 0 to 3"),
         (["--noise", "0"], "expected a positive number of m, got 0"),
-        (["--noise", "nan"], "expected a positive number of m, got nan"),
         (["--view", "1", "0", "0", "1", "0", "1"], "--view: expected x from smaller to larger"),
         (["--only", "both"], "invalid choice: 'both'"),
         (["--count", "many"], "invalid int value: 'many'"),

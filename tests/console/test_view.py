@@ -260,7 +260,7 @@ def test_without_a_display_the_way_without_a_window_is_named(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--render", "film.mp4"], "ffmpeg"), (["--speed", "0"], "--speed"), (["--fps", "nan"], "--fps"),
+        (["--render", "film.mp4"], "ffmpeg"), (["--speed", "0"], "--speed"), (["--fps", "0"], "--fps"),
         (["--render", "a.png", "--rerun"], "contradict"), (["--render", "x"], "at most 3:"),
         (["--from", "9"], "it holds"), (["--rerun", "b.armlog"], "expected FILE.rrd"),
     ],
