@@ -89,9 +89,15 @@ class Choice:
     def __init__(
         self, rows: Rows, known: Sequence[Term], split: Split, pool: Sequence[Candidate], advance: Advance
     ) -> None:
-        self.rows, self.known, self.split, self.pool = rows, tuple(known), split, list(pool)
-        self._advance = advance
+        self.rows, self.known, self.pool = rows, tuple(known), list(pool)
+        self._advance, self._split_given = advance, split
         self.screen = Screen(rows, known, split.deciding)
+        self._begin(split)
+
+    def _begin(self, split: Split) -> None:
+        """Nothing found yet, all rows of the split to be looked at."""
+        self.split = split
+        self.screen.pick(split.deciding)
         self.first = self.refined(())
 
     def steps(self) -> list[Step]:
@@ -110,7 +116,28 @@ class Choice:
                 break
             done.append(step)
             fitted = self._without_flights(done)
-        return done
+        needless = self._needless(done)
+        if needless is None:
+            return done
+        self._begin(self._split_given)
+        self.pool = [one for one in self.pool if one.name != needless]
+        return self.steps()
+
+    def _needless(self, done: Sequence[Step]) -> EffectName | None:
+        """What other names have made needless: what came first took whatever it could. Found again without it, they show."""
+        terms = done[-1].best.fitted.terms if done else ()
+        named = [k for k, step in enumerate(done) if step.best.candidate.is_listed]
+        if len(named) < 2:
+            return None
+        whole = self.refined([terms[k] for k in named])
+        first_laws = {one.name for one in self._first_laws()}
+        for k in named:
+            if done[k].best.candidate.name in first_laws:
+                continue
+            rest = self.refined([terms[other] for other in named if other != k])
+            if 0.5 * (rest.held_out - whole.held_out) * self._weight(whole, done[k].claims) < EVIDENCE:
+                return done[k].best.candidate.name
+        return None
 
     def _without_flights(self, done: list[Step]) -> Fitted:
         """After a play is added: go on without the rows that it cannot speak of; earlier claims by what is left."""

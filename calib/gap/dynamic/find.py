@@ -65,7 +65,7 @@ def examine(
     candidates: Collection[str] | None = None,
 ) -> DynamicOutcome:
     """`find`, with what a report shows beside the finding."""
-    told = advance or _silent
+    told = _rising(advance or _silent)
     told("reading the runs", 0.0)
     recording = plausible(arm, prepare(arm, log))
     known = known_terms(arm)
@@ -178,6 +178,18 @@ def gap(residual: Array, table: RowTable, picked: Picked) -> float:
         if len(values):
             squares.append(float(np.mean(values**2)))
     return float(np.sqrt(np.mean(squares))) if squares else float("nan")
+
+
+def _rising(advance: Callable[[str, float], None]) -> Callable[[str, float], None]:
+    """Progress that does not go back where a search begins again."""
+    most = 0.0
+
+    def told(what: str, share: float) -> None:
+        nonlocal most
+        most = max(most, share)
+        advance(what, most)
+
+    return told
 
 
 def _silent(what: str, share: float) -> None:

@@ -8,10 +8,12 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.dynamic.catalogue import Candidate
+from calib.gap.dynamic.choose import MARGIN
 from calib.gap.dynamic.screen import Screen
 from calib.gap.dynamic.sizes import smallest
 from calib.gap.dynamic.split import Split
 from calib.gap.dynamic.terms import Term
+from calib.gap.dynamic.verdict import GEOMETRIC, SHARE_EXACT
 from calib.gap.finding import EffectName, Nameable
 from control.model.arm import Arm
 
@@ -31,7 +33,12 @@ def nameable(arm: Arm, screen: Screen, split: Split, pool: Sequence[Candidate]) 
         norms = np.linalg.norm(slopes, axis=0)
         detectable[candidate.name] = float(norms.max()) * size
         signatures[candidate.name] = slopes / max(float(norms.max()), 1e-300)
-    return tuple(Nameable(name, detectable[name], _doubles(name, signatures)) for name in signatures)
+    return tuple(
+        Nameable(
+            name, detectable[name], (*_doubles(name, signatures), *_waves(name, signatures, detectable[name]))
+        )
+        for name in signatures
+    )
 
 
 def _typical(candidate: Candidate) -> Term:
@@ -51,6 +58,25 @@ def _doubles(name: EffectName, signatures: dict[EffectName, Array]) -> tuple[Eff
         for other, slopes in signatures.items()
         if other != name and slopes.shape[1] == 1 and _cosine(unit, slopes[:, 0]) > ALIKE
     )
+
+
+def _waves(
+    name: EffectName, signatures: dict[EffectName, Array], detectability: float
+) -> tuple[EffectName, ...]:
+    """Sines of an angle that pass for an error in proportion to it, where the travel is short; as the verdict tells them."""
+    own = signatures[name]
+    if name.effect not in GEOMETRIC or own.shape[1] != 1 or not np.any(own):
+        return ()
+    unit = own[:, 0] / np.linalg.norm(own[:, 0])
+    found = []
+    for other, slopes in signatures.items():
+        if other.effect != "encoder_eccentricity" or slopes.shape[1] != 2:
+            continue
+        left = unit - slopes @ np.linalg.lstsq(slopes, unit, rcond=None)[0]
+        share = float(left @ left)
+        if share < SHARE_EXACT or 0.5 * share * detectability**2 < MARGIN:
+            found.append(other)
+    return tuple(found)
 
 
 def _cosine(unit: Array, other: Array) -> float:
