@@ -19,7 +19,7 @@ install: .venv/installed  ## create .venv and install what is pinned
 demo: install  ## the whole job on the mock arm: move, calibrate, verify; writes out/demo/report.html
 	$(BIN)/armwright demo --out out/demo
 
-demo-gap: install  ## an effect hidden in the mock arm, found, added to the model and corrected on the arm; some three minutes
+demo-gap: install  ## an effect hidden in the mock arm, found, added to the model and corrected on the arm; a minute
 	$(BIN)/armwright demo gap --out out/demo-gap
 
 lint: install  ## ruff, format check, mypy strict, import contracts
