@@ -44,7 +44,7 @@ coverage-study: install  ## do 95 % intervals of the calibration cover the truth
 solver-study: install  ## is the optimum of an identification a real one? 200 fresh cases an objective, some 40 minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.solver_study
 
-gap-score: install  ## how often the gap workflow is right on poses, time series and the mock arm: fresh cases, ten to fifteen minutes; CASES=60 of each sort
+gap-score: install  ## how often the gap workflow is right on poses, time series and the mock arm: fresh cases, six minutes; CASES=60 of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap_score $(if $(CASES),--cases $(CASES))
 
 lock: install  ## pin again what pyproject.toml names (needs uv)
