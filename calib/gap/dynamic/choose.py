@@ -205,7 +205,7 @@ class Choice:
         return self._judged(trials, fitted, prior)
 
     def _nearer(self, fitted: Fitted, term: Term) -> Term:
-        """A start for a play: where a link flies between flanks, what it shows at rest says little of its width.
+        """A start for a play or a spring: where a link flies between flanks, what it shows at rest says little of its width.
 
         Then the share of the joint's friction that acts behind the gear, whose valley is narrow: a fit that starts far
         from it ends in another. The same for a spring, whose resonance may lie within the motion.
@@ -221,7 +221,7 @@ class Choice:
         return self._best_of(fitted, [width.at((width.values[0], share)) for share in LINK_SHARES])
 
     def _best_of(self, fitted: Fitted, tried: Sequence[Term]) -> Term:
-        """The one of a joint's plays that leaves least on the deciding rows."""
+        """The one of a joint's plays or springs that leaves least on the deciding rows."""
         deciding, beside = self.split.deciding, (*self.known, *fitted.terms)
         self.rows.physics.following.foresee(beside, tried)
 

@@ -68,7 +68,7 @@ class Forward:
 
     @property
     def delay(self) -> tuple[int, float]:
-        """Whole samples by which a voltage is late, and what of a sample beyond."""
+        """Whole samples by which a voltage is late, and what of a sample beyond; one that comes early is taken as in time."""
         whole, within = divmod(max(self._parts.delay_s, 0.0), self._period)
         return int(whole), within
 

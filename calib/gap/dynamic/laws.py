@@ -14,8 +14,6 @@ from calib.gap.dynamic.terms import Term
 from control.model import effect_laws as laws
 
 REST_rad_s = 0.003  # the sign of a measured speed below this is the noise's; such samples are not used
-
-
 FAST, FASTEST = 0.3, 0.4  # of a turn of cogging's phase a sample: from here on it fades, and is gone
 
 
@@ -48,10 +46,8 @@ def sampled_friction_Nm(term: Term, run: Moving, j: int, link_Nm: Array, gear_ra
     if term.form != "cogging":
         return torque
     period_s = float(run.t_s[1] - run.t_s[0])
-    per_sample = (
-        np.abs(term.order * gear_ratio * run.speed[:, j]) * period_s / (2.0 * np.pi)
-    )  # turns of its phase
-    return np.asarray(torque * np.clip((FASTEST - per_sample) / (FASTEST - FAST), 0.0, 1.0))
+    turns = np.abs(term.order * gear_ratio * run.speed[:, j]) * period_s / (2.0 * np.pi)  # a sample
+    return np.asarray(torque * np.clip((FASTEST - turns) / (FASTEST - FAST), 0.0, 1.0))
 
 
 def friction_Nm(term: Term, run: Moving, j: int, link_Nm: Array, gear_ratio: float) -> Array:

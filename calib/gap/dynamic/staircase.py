@@ -6,8 +6,8 @@ and a current sampled there is not the one that turned the joint. Both differenc
 joint as winding and inertia alone (loads are smooth, friction of a joint that moves one way is constant) is the system
     q' = v,   J v' = K i,   L i' = u - R i - K v,   u held,
 whose exact response at the samples (Franklin, Powell, Workman, Digital Control of Dynamic Systems, 3rd ed., ch. 4) is
-compared with what the equations of `physics` make of its sampled q. At 500 samples a second it is a fifth of a noise floor,
-at 250 more than one.
+compared with what the equations of `physics` make of its sampled q. At 500 samples a second it is hardly seen, at 250 it is
+more than a noise floor.
 """
 
 from __future__ import annotations
