@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from benchmarks.realtime import cycles_of, runtime
 from benchmarks.table import BenchRow
 from control.errors import ArmError
-from control.loop.client import ArmClient
+from control.server.client import ArmClient
 
 RATE_Hz = 500
 TURNS, PHASE_S = 5, 10.0

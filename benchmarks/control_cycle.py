@@ -17,18 +17,18 @@ from benchmarks.jobs import circle_path, go_to_start, known_geometry
 from benchmarks.kinematics import calibrated_arm, hand_inlined
 from benchmarks.memory_rig import Delivery, MemoryRig
 from benchmarks.table import BenchRow, seconds_a_call
-from console.mock_arm import wired_to
-from control.loop.assemble import assemble
-from control.loop.client import ArmClient
-from control.loop.connect import connect
-from control.loop.hardware import Hardware
-from control.loop.in_process import InProcessChannel
-from control.loop.record import PipeSink
+from control.hardware.connect import connect
+from control.hardware.interface import Hardware
 from control.loop.runtime import Runtime
-from control.loop.scheduling import FIFO_PRIORITY
 from control.model.arm import Arm
+from control.recording.record import PipeSink
+from control.server.assemble import assemble
+from control.server.client import ArmClient
+from control.server.in_process import InProcessChannel
+from control.server.scheduling import FIFO_PRIORITY
 from firmware_iface.clock import Clock
 from hil_mocks.rig import SteppedRig
+from procedures.mock.arm import wired_to
 
 PERIOD_S = 0.002
 ROUNDS = 7
@@ -188,7 +188,7 @@ def _run_circle(arm: Arm, hardware: Hardware, clock: Clock, in_parts: bool) -> D
 
 @contextmanager
 def _as_the_loop_runs() -> Iterator[None]:
-    """Without garbage collection, and in a real-time class where that is allowed (control.loop.scheduling); for a second."""
+    """Without garbage collection, and in a real-time class where that is allowed (control.server.scheduling); for a second."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     gc.collect()
     gc.freeze()

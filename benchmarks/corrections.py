@@ -14,19 +14,19 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from console.mock_arm import wired_to
-from control.loop.assemble import Assembly, assemble
-from control.loop.client import ArmClient
-from control.loop.connect import connect
-from control.loop.in_process import InProcessChannel
+from control.hardware.connect import connect
+from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Effect
 from control.model.description import load_arm
-from control.model.inverse import InverseKinematics
-from control.model.kinematics import Kinematics
 from control.motion.plan import PlannedPath, plan_path
 from control.safety.table import Mode
+from control.server.assemble import Assembly, assemble
+from control.server.client import ArmClient
+from control.server.in_process import InProcessChannel
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import EffectTable, Scenario, Start, load_scenario
+from procedures.mock.arm import wired_to
 
 Points = NDArray[np.float64]
 PERIOD_S = 0.002

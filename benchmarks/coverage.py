@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arm_problem.frames import Frame
+from calib.arm_problem.parameters import dh_names
 from calib.arrays import Array, frozen
 from calib.identify import ArmModel, ArmProblem, Observations
 from calib.identify.determinability import determinability
 from calib.identify.estimates import Estimate, uncertainty
-from calib.identify.frames import Frame
 from calib.identify.objective import Huber, Objective, objective_named
-from calib.identify.parameters import dh_names
 from calib.identify.solver import minimise
 from control.model.arm import Arm
 from control.model.description import load_arm

@@ -13,7 +13,7 @@ import sys
 import time
 from pathlib import Path
 
-from console.demo.gap_hidden import SIZES
+from procedures.demo.gap_hidden import SIZES
 
 EFFECTS = (
     "backlash", "joint_compliance", "encoder_scale", "encoder_eccentricity", "belt_coupling", "coulomb_friction",

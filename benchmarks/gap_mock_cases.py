@@ -17,8 +17,8 @@ import numpy as np
 from benchmarks.gap_matrix import Hidden, Truth
 from calib.gap.finding import EffectName
 from calib.gap.log import Log
-from calib.points import Points
-from calib.points_writer import write_points
+from calib.points.points import Points
+from calib.points.writer import write_points
 from control.model.arm import Arm, Effect
 from control.model.description import save_arm
 from hil_mocks.plant.effects import EffectEntry
@@ -101,7 +101,7 @@ def joints_of(effect: str, level: Level, arm: Arm) -> tuple[int, ...]:
 
 def _bent_by_gravity(arm: Arm) -> tuple[int, ...]:
     """Joints whose axis is not always along gravity."""
-    from control.model.dynamics import Dynamics
+    from control.dynamics.dynamics import Dynamics
 
     scatter = np.random.default_rng(0).uniform(-1.0, 1.0, (20, arm.joint_count))
     torques = np.array([Dynamics(arm).gravity(q.tolist()) for q in scatter])

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
+from control.dynamics.feedforward import torque_model
+from control.dynamics.gains import gains_of
 from control.model.arm import Arm
-from control.model.feedforward import torque_model
-from control.model.gains import gains_of
 from hil_mocks.plant.effects import EffectEntry, PlantEffects, gather
 from hil_mocks.plant.parts import parts_of
 from hil_mocks.plant.plant import Plant, PlantOptions

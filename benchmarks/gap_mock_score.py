@@ -36,7 +36,7 @@ from calib.gap.finding import GapFinding
 from calib.gap.log import Log
 from calib.gap.static.find import find as find_in_poses
 from calib.gap.static.nameable import is_nameable as is_nameable_in_poses
-from calib.points import Points
+from calib.points.points import Points
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.effects import EFFECTS

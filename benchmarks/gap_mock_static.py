@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.gap_mock_rig import CAMERA_NOISE_m, MockRig, Reading, eased, effects_with
 from calib.arrays import Array
-from calib.points import Points, make_points
+from calib.points.points import Points, make_points
 from control.model.arm import Arm
 from hil_mocks.plant.effects import EffectEntry
 

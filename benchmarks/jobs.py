@@ -5,12 +5,12 @@ from typing import Literal
 
 import msgspec
 
-from control.loop.client import ArmClient
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.table import table_of
 from control.motion.plan import PlannedPath, plan_path
 from control.motion.waypoints import Waypoints, circle
+from control.server.client import ArmClient
 from hil_mocks.scenario import Scenario, Start, TrueDh, load_scenario
 
 CIRCLE_SPEED_m_s = 0.15

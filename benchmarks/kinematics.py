@@ -12,11 +12,11 @@ import numpy as np
 
 from benchmarks.peer import Peer, PeerMissing
 from benchmarks.table import BenchRow, compared, seconds_a_call
+from control.dynamics.dynamics import Dynamics
+from control.kinematics.inverse import Branch, InverseKinematics
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.model.dynamics import Dynamics
-from control.model.inverse import Branch, InverseKinematics
-from control.model.kinematics import Kinematics
 
 ROUNDS = 25
 POSES = 200

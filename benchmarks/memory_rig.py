@@ -7,9 +7,9 @@ times. A host that does the same gets the same, and the boards cost nothing whil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from control.loop.boards import BoardHardware, JointWiring
+from control.dynamics.gains import gains_of
+from control.hardware.boards import BoardHardware, JointWiring
 from control.model.arm import Arm
-from control.model.gains import gains_of
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.memory_link import MemoryBus, MemoryByteLink, MemoryFrameLink, byte_pair
@@ -100,7 +100,7 @@ class MemoryRig:
         self.hardware = self._connected(arm, period_s)
 
     def _connected(self, arm: Arm, period_s: float) -> BoardHardware:
-        """The hosts' drivers on the links, as control.loop.connect makes them on ports."""
+        """The hosts' drivers on the links, as control.hardware.connect makes them on ports."""
         encoder = EncoderBoard(self._serial, self.clock)
         encoder.identify()
         encoder.stream(0.5 * period_s)

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from benchmarks.jobs import circle_path, go_to_start, reference_arm
 from benchmarks.table import BenchRow
-from console.mock_arm import wired_to
 from control.errors import ArmError
-from control.loop.client import ArmClient, RuntimeGone, SocketChannel
-from control.loop.record import Recording
 from control.model.description import save_arm
+from control.recording.record import Recording
+from control.server.client import ArmClient, RuntimeGone, SocketChannel
 from hil_mocks.realtime import RealTimeRig
+from procedures.mock.arm import wired_to
 
 APPROACH_SPEED = 0.3  # so that an arm whose host pauses does not get far at its last voltage
 RATES_Hz = (1000, 500)

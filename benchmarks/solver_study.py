@@ -22,8 +22,8 @@ import numpy.typing as npt
 from calib.identify import ArmModel, ArmProblem, Observations
 from calib.identify.objective import LeastSquares, Objective, SumOfCoordinates, objective_named, value_of
 from calib.identify.solver import best_of_starts, minimise
+from control.kinematics.inverse import InverseKinematics
 from control.model.description import load_arm
-from control.model.inverse import InverseKinematics
 from control.model.table import SETUPS, cavities, table_of
 
 Array = npt.NDArray[np.float64]

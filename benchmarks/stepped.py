@@ -13,14 +13,14 @@ from typing import ParamSpec, TypeVar
 from benchmarks.jobs import circle_path, go_to_start, reference_arm
 from benchmarks.memory_rig import MemoryRig
 from benchmarks.table import BenchRow
-from console.demo.bench import PERIOD_S, SteppedBench
-from control.loop.assemble import assemble
-from control.loop.client import ArmClient
-from control.loop.in_process import InProcessChannel
 from control.model.arm import Arm
+from control.server.assemble import assemble
+from control.server.client import ArmClient
+from control.server.in_process import InProcessChannel
 from firmware_iface.clock import Clock
 from hil_mocks.rig import MockArm, SteppedRig
 from hil_mocks.scenario import load_scenario
+from procedures.mock.bench import PERIOD_S, SteppedBench
 
 ROUNDS = 5
 HOLDING_S = 6.0

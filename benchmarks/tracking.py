@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from benchmarks.jobs import PidMode, circle_path, go_to_start, known_geometry, reference_arm
 from benchmarks.table import BenchRow
-from console.mock_arm import wired_to
-from control.loop.assemble import assemble
-from control.loop.client import ArmClient
-from control.loop.connect import connect
-from control.loop.in_process import InProcessChannel
-from control.loop.record import Layout
+from control.dynamics.joint_side import has_joint_side
+from control.hardware.connect import connect
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
-from control.model.joint_side import has_joint_side
-from control.model.kinematics import Kinematics
+from control.recording.record import Layout
 from control.safety.table import Mode
+from control.server.assemble import assemble
+from control.server.client import ArmClient
+from control.server.in_process import InProcessChannel
 from hil_mocks.rig import MockArm, SteppedRig
+from procedures.mock.arm import wired_to
 
 PERIOD_S = 0.002
 SEEDS = (12, 1, 2)  # the demo's first

@@ -65,7 +65,7 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
     """Run a command and turn what the packages raise into one message and an exit status."""
     from calib.errors import CalibrationError
     from control.errors import ArmError
-    from control.loop.client import ArmFaulted, MotionStopped
+    from control.server.client import ArmFaulted, MotionStopped
     from firmware_iface.errors import LinkError
     from hil_mocks.errors import MockError
 

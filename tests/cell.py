@@ -10,15 +10,15 @@ from typing import Any
 
 import msgspec
 
-from control.loop.assemble import Assembly, assemble
-from control.loop.client import ArmClient
-from control.loop.connect import Connection, connect
-from control.loop.in_process import InProcessChannel
-from control.loop.record import RowSink
+from control.hardware.connect import Connection, connect
 from control.loop.runtime import Runtime
 from control.model.arm import Arm, CanBus
 from control.model.description import load_arm
+from control.recording.record import RowSink
 from control.safety.table import Mode
+from control.server.assemble import Assembly, assemble
+from control.server.client import ArmClient
+from control.server.in_process import InProcessChannel
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import EffectTable, FaultTable, Scenario, Start, load_scenario
 
@@ -110,7 +110,7 @@ class Cell:
 
 
 def wired_to(arm: Arm, rig: SteppedRig) -> Arm:
-    """The arm on the rig's wires, with the limits of a real one (console.mock_arm has more patience with its boards)."""
+    """The arm on the rig's wires, with the limits of a real one (procedures.mock.arm has more patience with its boards)."""
     boards = tuple(
         replace(board, port=url) for board, url in zip(arm.encoder_boards, rig.encoder_urls, strict=True)
     )

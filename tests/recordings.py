@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from control.loop.record import Layout
+from control.recording.record import Layout
 
 PERIOD_s = 0.002
 STARTED_s = 1_700_000_000.5

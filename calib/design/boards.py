@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.frames import Frame
 from calib.arrays import Array, frozen
+from calib.boards.rigid import best_motion
 from calib.errors import CalibrationError
-from calib.identify.arm_model import ArmModel
-from calib.identify.frames import Frame
-from calib.points import Points
-from calib.rigid import best_motion
+from calib.points.points import Points
 from control.model.arm import Arm, Table
 from control.model.table import SETUPS, board_cavities, board_rotation
 

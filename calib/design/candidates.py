@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array
 from calib.design.boards import PlacedBoard
 from calib.design.reach import (
@@ -21,8 +22,7 @@ from calib.design.reach import (
     postures,
     spread_poses,
 )
-from calib.identify.arm_model import ArmModel
-from calib.points import Points, make_points
+from calib.points.points import Points, make_points
 from control.model.arm import Arm
 
 FREE = "free"

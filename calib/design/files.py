@@ -11,8 +11,8 @@ import numpy as np
 from calib.design.information import Standing
 from calib.design.plan import Plan
 from calib.design.words import in_words
-from calib.points import make_points
-from calib.points_writer import replace_file, write_points
+from calib.points.points import make_points
+from calib.points.writer import replace_file, write_points
 
 FORMAT = "plan/1"
 

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.assembly import Choice, problem_of
+from calib.arm_problem.frames import cross_matrix
+from calib.arm_problem.parameters import Parameter, dh_names
+from calib.arm_problem.problem import TOOL_NAMES, ArmProblem
 from calib.arrays import Array, frozen
 from calib.design.observability import Indices, indices_of
 from calib.design.reach import Mask, Rows
-from calib.identify.assembly import Choice, problem_of
 from calib.identify.determinability import RANK_TOLERANCE
-from calib.identify.frames import cross_matrix
-from calib.identify.parameters import Parameter, dh_names
-from calib.identify.problem import TOOL_NAMES, ArmProblem
-from calib.points import Points
+from calib.points.points import Points
 from control.model.arm import Arm
 
 

@@ -10,7 +10,7 @@ from calib.arrays import Array
 from calib.design.boards import PlacedBoard
 from calib.design.candidates import FREE
 from calib.design.reach import Mask, body_points, heights_over_board, is_above_floor
-from calib.points import Points
+from calib.points.points import Points
 from control.model.arm import Arm
 
 WAY_SAMPLES = 16

@@ -8,7 +8,7 @@ from typing import Literal
 
 from calib.design.candidates import View
 from calib.design.information import Standing
-from calib.points import Points
+from calib.points.points import Points
 
 USUAL_COUNT = 12
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.assembly import Choice
 from calib.design.boards import OTHER_TILTS, PlacedBoard, boards_in_the_way, placed_boards, usual_setups
 from calib.design.candidates import (
     FREE,
@@ -25,8 +26,7 @@ from calib.design.order import clear_ways, visiting_order
 from calib.design.plan import Alternative, Plan, PlannedPose, Request
 from calib.design.reach import Rows
 from calib.errors import CalibrationError
-from calib.identify.assembly import Choice
-from calib.points import Points
+from calib.points.points import Points
 from control.model.arm import Arm
 from control.model.table import SETUPS
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array
 from calib.design.boards import PlacedBoard
-from calib.identify.arm_model import ArmModel
+from control.kinematics.chain import link_transforms
 from control.model.arm import Arm
-from control.model.chain import link_transforms
 
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.intp]

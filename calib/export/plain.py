@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from control.kinematics.chain import link_transforms, tips
 from control.model.arm import Arm
-from control.model.chain import link_transforms, tips
 
 FORMAT = "armwright-arm/1"
 CONVENTIONS = {

@@ -86,8 +86,8 @@ def brought_together(
     denied = {**_denied(poses, series), **_denied(series, poses)}
     resolved = _resolved(poses, series) + _resolved(series, poses)
     kept = (
-        _without(_told_later(static, series), denied),
-        _without(_told_later(dynamic, poses), denied),
+        _without(_named_later(static, series), denied),
+        _without(_named_later(dynamic, poses), denied),
     )
     both = _merged(*kept, _sets(poses, series), tuple(denied), tuple(denied.values()))
     return both, (*denied.values(), *resolved, *disagreements(*kept))
@@ -155,7 +155,7 @@ def _sets(poses: Level, series: Level) -> tuple[tuple[EffectName, ...], ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _told_later(finding: GapFinding, other: Level) -> GapFinding:
+def _named_later(finding: GapFinding, other: Level) -> GapFinding:
     """Without a gap afterwards where the other level names what this one left open: nobody has looked with that name added."""
     if not any(name in other.names() for names in finding.ambiguous for name in names):
         return finding
@@ -208,7 +208,7 @@ def _merged(
         unknown=_unknown(static, dynamic, denied, reasons),
         nameable=_nameable(static, dynamic),
         next_experiment=" ".join(_ended(s) for s in sentences) or None,
-        is_kept_apart=static.is_kept_apart and dynamic.is_kept_apart,
+        is_held_out=static.is_held_out and dynamic.is_held_out,
     )
 
 

@@ -76,12 +76,12 @@ class GapFinding:
     unknown: Unknown | None = None
     nameable: tuple[Nameable, ...] = ()
     next_experiment: str | None = None
-    is_kept_apart: bool = True
+    is_held_out: bool = True
 
     @property
     def judged_on(self) -> str:
         """Where the gap was looked at, in words."""
-        return "recordings kept apart" if self.is_kept_apart else "what was fitted (none could be kept apart)"
+        return "recordings kept apart" if self.is_held_out else "what was fitted (none could be kept apart)"
 
 
 def write_gap_json(path: Path, found: GapFinding) -> None:

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from calib.drawing import AFTER, BEFORE, PLANNED, svg
 from calib.gap.finding import GapFinding
-from calib.page import paragraph, table
+from calib.report.drawing import AFTER, BEFORE, PLANNED, svg
+from calib.report.page import paragraph, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

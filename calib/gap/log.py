@@ -21,7 +21,7 @@ import numpy as np
 
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError, PointsFileError
-from calib.points import opened_text
+from calib.points.points import opened_text
 
 REQUIRED = ("run", "t_s")
 TIP = ("x_m", "y_m", "z_m")

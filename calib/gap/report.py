@@ -16,7 +16,7 @@ from calib.gap.static.find import StaticGap
 from calib.gap.static.nameable import NAMEABLE_sd, is_nameable
 from calib.gap.static.pictures import joint_picture, places_picture, recordings_picture
 from calib.gap.words import in_words, listed
-from calib.page import Section, bullets, page, paragraph, table, tiles, verdict
+from calib.report.page import Section, bullets, page, paragraph, table, tiles, verdict
 
 MOST_PARAMETERS = 12  # rows of one effect; the geometry has more
 

@@ -1,12 +1,12 @@
 """Identification: which deviations explain the measured tips best, and how well each is known."""
 
-from calib.identify.arm_model import ArmModel
-from calib.identify.assembly import Choice, problem_of
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.assembly import Choice, problem_of
+from calib.arm_problem.observations import Observations
+from calib.arm_problem.parameters import Bounds, Parameter
+from calib.arm_problem.problem import ArmProblem, Problem
 from calib.identify.identification import Identification, identify
 from calib.identify.objective import LeastSquares, Objective, SumOfDistances
-from calib.identify.observations import Observations
-from calib.identify.parameters import Bounds, Parameter
-from calib.identify.problem import ArmProblem, Problem
 
 __all__ = [
     "ArmModel",

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from calib.arm_problem.parameters import Parameter
 from calib.arrays import Array, frozen
 from calib.identify.open_combinations import NOTICEABLE, Undetermined, described
-from calib.identify.parameters import Parameter
 
 __all__ = ["NOTICEABLE", "Determinability", "Undetermined", "determinability", "null_space"]
 

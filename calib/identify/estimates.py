@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from calib.arm_problem.parameters import Parameter
 from calib.arrays import Array
 from calib.identify.determinability import NOTICEABLE, Determinability, determinability
 from calib.identify.objective import Objective
-from calib.identify.parameters import Parameter
 from calib.identify.spread import NoiseScale, leverages, noise_scale
 
 AT_BOUND = 1.0 - 1e-6  # a deviation beyond this share of its bound rests on it

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.checks import require_sound
+from calib.arm_problem.problem import ArmProblem, Solution
 from calib.arrays import Array, frozen, norms
 from calib.identify.budget import Accuracy
-from calib.identify.checks import require_sound
 from calib.identify.estimates import Estimate, uncertainty
 from calib.identify.objective import Objective, SumOfDistances, value_of
 from calib.identify.open_combinations import Undetermined, open_in_words
-from calib.identify.problem import ArmProblem, Solution
 from calib.identify.solver import Minimum, minimise
 from calib.identify.spread import NoiseScale
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.identify.determinability import determinability
 from calib.identify.estimates import AT_BOUND
-from calib.identify.problem import ArmProblem
 
 Mask = npt.NDArray[np.bool_]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.parameters import Parameter
 from calib.arrays import Array
-from calib.identify.parameters import Parameter
 
 NOTICEABLE = 0.02  # share of a parameter, or coupling of two, that is worth naming
 MADE_UP_FOR = (

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, norms
-from calib.identify.problem import ArmProblem
 
 ALIKE = 4.0  # noise standard deviations within which two places are the same
 LEAST_SLIP_rad = 1e-3

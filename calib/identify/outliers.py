@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, frozen, norms
 from calib.identify.linear_fit import LinearFit, Mask
 from calib.identify.outlier_stories import Story, story_of
-from calib.identify.problem import ArmProblem
 
 FALSE_ALARM = 0.02
 TRUSTED_SHARE = 0.55  # of the points: as many are taken to be right in the search; a slip may last to the end

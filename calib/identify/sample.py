@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.problem import Problem
 from calib.arrays import Array
 from calib.identify.objective import Objective
-from calib.identify.problem import Problem
 
 CHUNK = 1000  # poses at a time: their columns stay in the processor's cache, and memory does not grow with the poses
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.frames import cross_matrix
+from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
-from calib.identify.frames import cross_matrix
 from calib.identify.linear_fit import LinearFit, Mask
 from calib.identify.outliers import sort_points
-from calib.identify.problem import ArmProblem
 
 FREE = "free"  # poses away from any board
 POINTS_MINIMUM_COUNT = 6  # of a setup, to tell its board's shift and turn from its points

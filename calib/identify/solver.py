@@ -13,13 +13,13 @@ from itertools import product
 
 import numpy as np
 
+from calib.arm_problem.problem import Problem
 from calib.arrays import Array, norms
 from calib.errors import CalibrationError
 from calib.identify.budget import Accuracy, WithDistances
 from calib.identify.descent import NOTHING_M, End, Goal, descend
 from calib.identify.determinability import null_space
 from calib.identify.objective import Huber, LeastSquares, Objective, SumOfDistances
-from calib.identify.problem import Problem
 from calib.identify.sample import Sample
 
 COST_OF_NEARNESS = 8e-7  # share of the objective that staying near nominal may cost

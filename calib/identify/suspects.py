@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.identify.outliers import Outlier, find_outliers
-from calib.identify.problem import ArmProblem
 from calib.identify.shifted import ShiftedSetup, moved_columns, shifted_setups
 
 TOLD_LIMIT = 10  # points told one by one

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.iso9283.checks import above_zero, position
+from calib.iso9283.criteria.checks import above_zero, position
 
 Point = tuple[float, float, float]
 FROM_THE_ENDS = 0.1  # of a diagonal's length: where P2 .. P5 are; the standard: 10 % +- 2 %

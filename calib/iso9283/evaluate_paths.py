@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from calib.arrays import Array, frozen, norms
-from calib.iso9283 import cornering, path, velocity, weaving
-from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.criteria import cornering, path, velocity, weaving
+from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.recorded import CAMERA, NO_LOG, Run
 from calib.iso9283.result import Criterion, Figure, PathTrace, criterion, with_headlines
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import frozen, norms
-from calib.iso9283 import settling
-from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.criteria import settling
+from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.recorded import CAMERA, ENCODERS, NO_LOG, Run
 from calib.iso9283.result import Criterion, Figure, SettlingTrace, criterion, with_headlines
 

@@ -8,7 +8,7 @@ from calib.arrays import Array
 from calib.iso9283 import evaluate_paths as of_paths
 from calib.iso9283 import evaluate_poses as of_poses
 from calib.iso9283 import evaluate_settling as of_settling
-from calib.iso9283.checks import above_zero
+from calib.iso9283.criteria.checks import above_zero
 from calib.iso9283.recorded import PoseGroup, Run
 from calib.iso9283.result import Criterion, Evaluation
 

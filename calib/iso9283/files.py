@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 
-from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.criteria.checks import Iso9283Error
 
 SET = ("x_set_m", "y_set_m", "z_set_m")
 TIP = ("x_m", "y_m", "z_m")

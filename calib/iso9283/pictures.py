@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.arrays import Array, norms
-from calib.drawing import PLANNED, svg
-from calib.iso9283.pose import pose_repeatability
+from calib.iso9283.criteria.pose import pose_repeatability
 from calib.iso9283.result import PathTrace, SettlingTrace
+from calib.report.drawing import PLANNED, svg
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

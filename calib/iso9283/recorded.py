@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array, frozen
-from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.files import SET, TIP
-from calib.points import Points
+from calib.points.points import Points
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
-from control.model.kinematics import Kinematics
 
 ANGLES, ANGLES_SET, FORCE = (
     ("a_rad", "b_rad", "c_rad"),

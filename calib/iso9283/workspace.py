@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from calib.arrays import Array
-from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube, point_of
 from control.errors import ArmError
+from control.kinematics.inverse import BRANCHES, InverseKinematics
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
-from control.model.inverse import BRANCHES, InverseKinematics
-from control.model.kinematics import Kinematics
 from control.motion.checks import LEAST_SINGULAR_M_RAD
 
 CLEARANCE_m = 0.08  # of the cube above the floor: an arm that is not calibrated is some 3 cm off

@@ -4,8 +4,8 @@ plan, state: what is to be taken and what has been, without I/O; folder, journal
 between operator, arm and folder; sequence: the same walk with nobody to ask.
 """
 
-from calib.session.geometry import ArmGeometry
-from calib.session.ports import ArmPort, Camera, Geometry, Sample, TipSeat
+from calib.session.moves.geometry import ArmGeometry
+from calib.session.moves.ports import ArmPort, Camera, Geometry, Sample, TipSeat
 from calib.session.sequence import (
     BoardPoint,
     FreePose,

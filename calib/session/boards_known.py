@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calib.boards import BoardPose
+from calib.arm_problem.assembly import base_frame_of
+from calib.boards.boards import BoardPose
+from calib.boards.outlying_markers import FEWEST_TO_NAME
+from calib.boards.registration import Markers, Registration, register_boards
 from calib.design.boards import OTHER_TILTS, tilted
 from calib.errors import RegistrationError, SessionError
-from calib.identify.assembly import base_frame_of
-from calib.outlying import FEWEST_TO_NAME
-from calib.points import Points
-from calib.registration import Markers, Registration, register_boards
+from calib.points.points import Points
+from calib.session.moves.ports import Vector
 from calib.session.plan import Board, SessionPlan, Target
-from calib.session.ports import Vector
 from control.model import table as tables
 from control.model.arm import Arm
 

@@ -1,6 +1,6 @@
 """A session with an operator: asks, moves, records, keeps; the front end answers.
 
-`conduct` is a generator: it yields what it has to say (`calib.session.talk`) and is sent a Command for every Ask. It reads no
+`conduct` is a generator: it yields what it has to say (`calib.session.dialogue`) and is sent a Command for every Ask. It reads no
 keyboard and prints nothing, so that a terminal, a script and a screen run the same session. Nothing moves, and no drive lets
 go, before an Ask was answered with GO. On every way out the hand is off and the drives hold.
 """
@@ -14,19 +14,19 @@ from typing import Protocol
 
 from calib.errors import RegistrationError, SessionError
 from calib.session.boards_known import Boards
+from calib.session.commands import done_to
+from calib.session.dialogue import Ask, Command, Do, Message, Question, Recorded, Saying
 from calib.session.folder import SessionFolder
 from calib.session.jog import jogged
 from calib.session.measured import BoardSurvey
+from calib.session.moves.clear_paths import ClearPaths, NoClearPath
+from calib.session.moves.ports import Camera, Geometry, JogPort, Vector
+from calib.session.moves.transfers import Transfers
 from calib.session.plan import Target
-from calib.session.ports import Camera, Geometry, JogPort, Vector
+from calib.session.residual_watch import ResidualWatch
 from calib.session.take import SessionSettings, take
-from calib.session.talk import Ask, Command, Do, Kept, Question, Saying, Told
-from calib.session.walk import Walk
-from calib.session.watch import ResidualWatch
-from calib.session.ways import NoClearWay, Ways
-from calib.session.wishes import done_to
 from control.errors import ArmError
-from control.loop.client import ArmFaulted, RuntimeGone
+from control.server.client import ArmFaulted, RuntimeGone
 
 Talk = Generator[Saying, Command, None]
 Answer = Generator[Saying, Command, bool]
@@ -58,7 +58,7 @@ class Station:
     watch: ResidualWatch
     hand: Hand | None = None
     camera: Camera | None = None
-    ways: Ways | None = None
+    ways: ClearPaths | None = None
     settings: SessionSettings = field(default_factory=SessionSettings)
     clock_offset_s: float = 0.0
 
@@ -96,14 +96,14 @@ class _Conductor:
                     return
         except _Quit:
             if left := len(self._folder.state.left()):
-                yield Told(
+                yield Message(
                     f"stopped; left: {left} of {len(self._folder.plan.targets)}; the same command resumes"
                 )
 
     def _begin(self) -> Talk:
         """Learn from what is on the disk, and whether the tip is at a point."""
         yield from self._survey.resume()
-        self._walk = Walk(
+        self._walk = Transfers(
             self._station.geometry,
             self._arm,
             self._station.settings.approach_m,
@@ -116,7 +116,7 @@ class _Conductor:
             for setup in self._boards.poses:
                 self._walk.stands_over(self._boards.origin_m(setup), self._boards.normal(setup))
         if self._walk.is_at_point:
-            yield Told("the tip may be at a point: the arm will first lift it straight off")
+            yield Message("the tip may be at a point: the arm will first lift it straight off")
 
     def _next(self) -> Target | None:
         target = self._folder.state.next(self._standing or self._folder.standing)
@@ -225,13 +225,13 @@ class _Conductor:
         board = self._boards.poses.get(self._standing or self._folder.standing)
         try:
             self._walk.go(q_rad, board)
-        except NoClearWay as error:
+        except NoClearPath as error:
             return (yield from self._skip(target, error))
         return True
 
     def _skip(self, target: Target, reason: ArmError) -> Answer:
         self._folder.skip(target.key, str(reason))
-        yield Told(f"{target.name} is skipped: {reason}", is_warning=True)
+        yield Message(f"{target.name} is skipped: {reason}", is_warning=True)
         return False
 
     def _record(self, target: Target) -> Talk:
@@ -245,7 +245,7 @@ class _Conductor:
         verdict = station.watch.judge(sighting)
         kept = self._folder.record(record)
         station.watch.add(kept.key, sighting)
-        yield Kept(kept, verdict)
+        yield Recorded(kept, verdict)
         if not target.is_free:
             yield from self._survey.place(target.setup)
 
@@ -262,14 +262,14 @@ class _Conductor:
             except (ArmFaulted, RuntimeGone):
                 raise
             except (SessionError, RegistrationError, ArmError) as refusal:
-                yield Told(str(refusal), is_warning=True)
+                yield Message(str(refusal), is_warning=True)
             if self._next() != target:
                 return False
 
     def _obey(self, command: Command, target: Target | None) -> Talk:
         if command.do is Do.NOTE:
             self._folder.note(command.text, target.key if target else None)
-            yield Told("noted")
+            yield Message("noted")
         elif command.jog is not None:
             if self._is_released:
                 raise SessionError("the drives are off: the hand moves the arm, not jog")
@@ -279,4 +279,4 @@ class _Conductor:
             for key in changed:
                 self._station.watch.forget(key)
             names = ", ".join(self._folder.state.targets[key].name for key in changed)
-            yield Told(f"{command.do.value}: {names}")
+            yield Message(f"{command.do.value}: {names}")

@@ -20,8 +20,8 @@ from types import TracebackType
 from typing import Self
 
 from calib.errors import SessionError
-from calib.points import Points, read_points
-from calib.points_writer import Key, PointsWriter, Record, replace_file
+from calib.points.points import Points, read_points
+from calib.points.writer import Key, PointsWriter, Record, replace_file
 from calib.session.journal import Entry, Journal
 from calib.session.plan import SessionPlan, from_json, require_same, to_json
 from calib.session.state import Event, Mark, SessionState

@@ -6,8 +6,8 @@ import re
 from collections.abc import Sequence
 
 from calib.errors import SessionError
-from calib.session.ports import ArmPort, Geometry, Vector
-from calib.session.talk import Jog
+from calib.session.dialogue import Jog
+from calib.session.moves.ports import ArmPort, Geometry, Vector
 
 LONGEST_m, LONGEST_rad = 0.05, 0.1  # a slip of the finger is no crash
 WINDOW_s = 0.02

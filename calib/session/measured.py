@@ -7,18 +7,18 @@ from collections.abc import Generator
 from importlib.metadata import version
 
 from calib.arrays import norms
-from calib.boards import write_boards
+from calib.boards.boards import write_boards
+from calib.boards.markers import markers_text
+from calib.boards.registration import Registration
 from calib.errors import RegistrationError
-from calib.markers import markers_text
-from calib.points import Points
-from calib.points_writer import Record, replace_file
-from calib.registration import Registration
+from calib.points.points import Points
+from calib.points.writer import Record, replace_file
 from calib.session.boards_known import Boards, markers_of
+from calib.session.dialogue import Command, Message, Saying
 from calib.session.folder import SessionFolder
+from calib.session.moves.ports import Vector
 from calib.session.plan import FREE
-from calib.session.ports import Vector
-from calib.session.talk import Command, Saying, Told
-from calib.session.watch import ResidualWatch, Sighting
+from calib.session.residual_watch import ResidualWatch, Sighting
 
 MARKERS, BOARDS = "markers.csv", "boards.json"
 
@@ -56,7 +56,7 @@ class BoardSurvey:
         try:
             found = self._boards.register(points, setup, is_last)
         except RegistrationError as error:
-            yield Told(str(error), is_warning=True)
+            yield Message(str(error), is_warning=True)
             return
         if found is None:
             return
@@ -64,7 +64,7 @@ class BoardSurvey:
         self._found[setup] = found
         self._write()
         if before is None or before.outliers != found.outliers:
-            yield Told(_described(setup, found), is_warning=bool(found.outliers))
+            yield Message(_described(setup, found), is_warning=bool(found.outliers))
 
     def _write(self) -> None:
         date = datetime.datetime.now(datetime.UTC).date().isoformat()

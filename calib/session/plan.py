@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from calib.errors import SessionError
-from calib.points_writer import Key
+from calib.points.writer import Key
 from control.model.arm import Arm, Camera
 
 FORMAT = "session/1"

@@ -14,11 +14,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 
-from calib.points_writer import PointsWriter, Record
+from calib.points.writer import PointsWriter, Record
+from calib.session.moves.ports import ArmPort, Camera, Geometry, TipSeat, Vector
+from calib.session.moves.transfers import Transfers
 from calib.session.plan import Target
-from calib.session.ports import ArmPort, Camera, Geometry, TipSeat, Vector
 from calib.session.take import SessionSettings, take
-from calib.session.walk import Walk
 from control.errors import ArmError
 
 
@@ -85,7 +85,7 @@ def step_through(
     is reported and left.
     """
     how = settings or SessionSettings()
-    walk = Walk(geometry, arm, how.approach_m, how.window_s)
+    walk = Transfers(geometry, arm, how.approach_m, how.window_s)
     if points:
         walk.stands_over(points[0].tip_m, points[0].normal)
     standing = ""

@@ -20,7 +20,7 @@ from enum import Enum
 from types import MappingProxyType
 
 from calib.errors import SessionError
-from calib.points_writer import Key
+from calib.points.writer import Key
 from calib.session.plan import Target
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calib.points_writer import Record
+from calib.points.writer import Record
+from calib.session.moves.ports import ArmPort, Camera, Vector
 from calib.session.plan import Target
-from calib.session.ports import ArmPort, Camera, Vector
-from calib.session.still import wait_for_rest
+from calib.session.standstill import wait_for_rest
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,16 +7,16 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from console.bringup.bench import Bench
-from console.bringup.findings import Diagnosis
-from console.bringup.journal import Journal, brought_up
-from console.bringup.opening import Setting, opened
-from console.bringup.operator import Operator, Stopped
-from console.bringup.procedure import Options, Outcome, bring_up, serial_numbers
-from console.bringup.terminal import TerminalOperator
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import save_arm
+from procedures.bringup.bench import Bench
+from procedures.bringup.findings import Diagnosis
+from procedures.bringup.journal import Journal, brought_up
+from procedures.bringup.opening import Setting, opened
+from procedures.bringup.operator import Operator, Stopped
+from procedures.bringup.procedure import Options, Outcome, bring_up, serial_numbers
+from procedures.bringup.terminal import TerminalOperator
 
 FASTEST_rad_s = 1.0
 PREFACE = """Bring-up of arm {name}. One motor at a time gets a low current; all others stay off with shorted windings.
@@ -60,7 +60,7 @@ def _options(given: argparse.Namespace, arm: Arm, journal: Journal) -> Options:
 @contextlib.contextmanager
 def _operator(given: argparse.Namespace, setting: Setting) -> Iterator[Operator]:
     if setting.rig is not None:
-        from console.bringup.mock_operator import MockOperator
+        from procedures.bringup.mock_operator import MockOperator
 
         yield MockOperator(setting.rig)
         return

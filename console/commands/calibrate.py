@@ -6,20 +6,20 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from calib.boards import read_boards
-from calib.calibration import Calibrated, CalibrationPlan, LeaveOut, calibrate
-from calib.calibration_report import calibration_report
-from calib.calibration_text import judgement_json, summary_text
+from calib.arm_problem.assembly import Choice
+from calib.arm_problem.frames import Frame
+from calib.arm_problem.parameters import Bounds
+from calib.boards.boards import read_boards
+from calib.calibration.calibrate import Calibrated, CalibrationPlan, LeaveOut, calibrate
+from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
+from calib.calibration.report import calibration_report
+from calib.calibration.text import judgement_json, summary_text
 from calib.errors import CalibrationError
 from calib.export import FORMS, export
-from calib.identify.assembly import Choice
-from calib.identify.frames import Frame
 from calib.identify.objective import objective_named
-from calib.identify.parameters import Bounds
-from calib.outcome import write_calibrated_arm, write_calibration_json
-from calib.points import Points, joined, read_points
-from calib.report import write_report
-from calib.report_data import InputFile, input_file
+from calib.points.points import Points, joined, read_points
+from calib.report.report import write_report
+from calib.report.report_data import InputFile, input_file
 from console.commands.progress import Bar
 from console.quantities import quantity, unit_of
 from control.errors import ArmError

@@ -6,9 +6,9 @@ import sys
 from typing import Any
 
 from console.commands.serve import camera_port, link_options
-from control.loop.connect import Connection, connect, with_links
-from control.loop.scheduling import punctuality_remedy
+from control.hardware.connect import Connection, connect, with_links
 from control.model.description import load_arm
+from control.server.scheduling import punctuality_remedy
 from firmware_iface.clock import MonotonicClock
 
 PERIOD_S = 0.002

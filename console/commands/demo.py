@@ -7,12 +7,12 @@ from pathlib import Path
 
 from calib.errors import CalibrationError
 from console.commands.progress import Bar
-from console.demo import job
-from console.demo.bench import Bench, RealTimeBench, SteppedBench
-from console.folders import free_folder
-from console.scenario_file import seeded_scenario
 from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
+from procedures.demo import job
+from procedures.folders import free_folder
+from procedures.mock.bench import Bench, RealTimeBench, SteppedBench
+from procedures.mock.scenario_file import seeded_scenario
 
 GAP_SEED = 1  # of what `demo gap` hides by default
 Conduct = Callable[[Arm, Bench, Path, job.Advance], str]
@@ -49,7 +49,7 @@ def run(given: argparse.Namespace) -> int:
 
 def _job(arm: Arm, bench: Bench, out: Path, advance: job.Advance) -> str:
     """Home, move, record the table, calibrate, verify, report."""
-    from calib.verify import comparison_text
+    from calib.validation.verify import comparison_text
 
     outcome = job.run(arm, bench, out, advance)
     found = comparison_text(outcome.verification)
@@ -66,9 +66,9 @@ def _job(arm: Arm, bench: Bench, out: Path, advance: job.Advance) -> str:
 
 def _paper(arm: Arm, bench: Bench, out: Path, advance: job.Advance) -> str:
     """The experiment of SpringerPlus 5:1771, and what goes past it."""
-    from console.demo import paper
-    from console.demo.paper_page import findings
-    from console.demo.paper_result import table_text, widths_text
+    from procedures.demo import paper
+    from procedures.demo.paper_page import findings
+    from procedures.demo.paper_result import table_text, widths_text
 
     outcome = paper.run(arm, bench, out, advance)
     table = table_text(outcome.replay)
@@ -85,9 +85,9 @@ def _paper(arm: Arm, bench: Bench, out: Path, advance: job.Advance) -> str:
 
 def _gap(given: argparse.Namespace) -> int:
     """An effect is hidden, found, added and corrected; exit status 1 where it was not found as it is."""
-    from console.demo import gap
-    from console.demo.gap_hidden import beyond_known, drawn, with_known_friction
-    from console.demo.gap_page import findings, write_page
+    from procedures.demo import gap
+    from procedures.demo.gap_hidden import beyond_known, drawn, with_known_friction
+    from procedures.demo.gap_page import findings, write_page
 
     for name in ("scenario", "realtime"):
         if getattr(given, name):

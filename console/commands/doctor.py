@@ -5,15 +5,15 @@ import json
 import sys
 from pathlib import Path
 
-from console.bringup.opening import opened
-from console.doctor.boards import open_boards
-from console.doctor.finding import Finding, Level, as_json, as_text, verdict, worst
-from console.doctor.host import look_at_host, look_at_ports
-from console.doctor.judging import judge
-from console.doctor.sampling import sample
 from control.errors import ArmError
 from control.model.arm import Arm
 from firmware_iface.clock import Clock
+from procedures.bringup.opening import opened
+from procedures.doctor.boards import open_boards
+from procedures.doctor.finding import Finding, Level, as_json, as_text, verdict, worst
+from procedures.doctor.host import look_at_host, look_at_ports
+from procedures.doctor.judging import judge
+from procedures.doctor.sampling import sample
 
 LONGEST_S = 600.0
 

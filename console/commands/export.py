@@ -7,10 +7,10 @@ from pathlib import Path
 
 from console.commands.progress import Bar
 from control.errors import ArmError
-from control.loop.export import export
-from control.loop.record import Recording
-from control.loop.recorded_arm import recorded_arm
 from control.model.description import load_arm
+from control.recording.export import export
+from control.recording.record import Recording
+from control.recording.recorded_arm import recorded_arm
 
 
 def run(given: argparse.Namespace) -> int:

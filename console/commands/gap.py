@@ -12,10 +12,18 @@ from calib.gap.finding import gap_content
 from calib.gap.words import in_words
 from console.commands.connection import connected
 from console.commands.progress import Bar
-from console.gap.workflow import Outcome, known_effects, look, read_inputs, require_free, say_warnings, write
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
+from procedures.gap.workflow import (
+    Outcome,
+    known_effects,
+    look,
+    read_inputs,
+    require_free,
+    say_warnings,
+    write,
+)
 
 if TYPE_CHECKING:
     from calib.gap.plan.plan import RecordingPlan
@@ -89,7 +97,7 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
     sys.stderr.write(f"{foresight.in_short(arm, plan)}\n")
     try:
         if given.mock:
-            from console.gap.mock import record_on_mock
+            from procedures.gap.mock import record_on_mock
 
             with Bar("record") as bar:
                 record_on_mock(arm, given.scenario or "demo", given.seed, plan, out, bar.advance)
@@ -128,7 +136,7 @@ def _require_recording_options(given: argparse.Namespace) -> None:
 
 def _record_real(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path) -> None:
     """On the connected arm, which is homed and holds."""
-    from console.gap.recording import Bench, note_plan, record
+    from procedures.gap.recording import Bench, note_plan, record
 
     with contextlib.closing(connected(given)) as client:
         status = client.status()

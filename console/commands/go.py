@@ -14,7 +14,7 @@ def run(given: argparse.Namespace) -> int:
     client = connected(given)
     target = place.q_rad
     if target is None:
-        from control.model.inverse import InverseKinematics
+        from control.kinematics.inverse import InverseKinematics
 
         inverse = InverseKinematics(load_arm(given.arm))
         target = inverse.nearest(place.tip_m or (), client.status()["joint_rad"])

@@ -5,19 +5,19 @@ import contextlib
 import sys
 from pathlib import Path
 
-from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
 from calib.iso9283.page import summary_text
 from calib.iso9283.programme import PROGRAMMES, Extent
 from calib.iso9283.workspace import largest_cube
 from console.commands.connection import connected
 from console.commands.progress import Bar
-from console.iso9283 import recording
-from console.iso9283.evaluating import evaluate_files
 from control.errors import ArmError
-from control.loop.client import ArmClient
 from control.model.arm import Arm
 from control.model.description import load_arm
+from control.server.client import ArmClient
+from procedures.iso9283 import recording
+from procedures.iso9283.evaluating import evaluate_files
 
 FULL = Extent()
 QUICK = Extent(repeats=5, path_cycles=3, speed_shares=(0.5, 1.0), drift_s=30.0, drift_sets=2)
@@ -146,7 +146,7 @@ def _cube(given: argparse.Namespace, arm: Arm) -> TestCube:
 
 def _record_mock(given: argparse.Namespace, arm: Arm, planned: recording.Planned, out: Path) -> None:
     """On a mock arm in this process; only this needs the simulation."""
-    from console.iso9283.mock import record_on_mock
+    from procedures.iso9283.mock import record_on_mock
 
     with Bar("iso9283") as bar:
         speed = given.speed or MOCK_SPEED

@@ -6,9 +6,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from console.mock_arm import wired_to
 from control.model.description import load_arm, save_arm
 from hil_mocks.realtime import RealTimeRig
+from procedures.mock.arm import wired_to
 
 
 def run(given: argparse.Namespace) -> int:

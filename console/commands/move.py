@@ -15,7 +15,7 @@ def run(given: argparse.Namespace) -> int:
     if given.joints is not None:
         target = tuple(given.joints)
     else:
-        from control.model.inverse import InverseKinematics
+        from control.kinematics.inverse import InverseKinematics
 
         target = InverseKinematics(load_arm(given.arm)).nearest(
             tuple(given.tip), client.status()["joint_rad"]

@@ -5,14 +5,14 @@ import json
 import sys
 from pathlib import Path
 
-from calib.boards import read_boards
+from calib.arm_problem.assembly import Choice
+from calib.arm_problem.frames import Frame
+from calib.boards.boards import read_boards
 from calib.design import Plan, Request, Standing, View, in_words, plan_json, plan_poses, write_plan
 from calib.design.observability import NAMES
 from calib.design.words import known_to
 from calib.errors import CalibrationError
-from calib.identify.assembly import Choice
-from calib.identify.frames import Frame
-from calib.points import Points, read_points
+from calib.points.points import Points, read_points
 from control.model.arm import Arm
 from control.model.description import load_arm
 

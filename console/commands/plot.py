@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from console.commands.progress import Bar
-from console.folders import free_folder
-from console.seeing.merit import Merit, merit_json, merit_of, merit_text
-from console.seeing.pictures import PICTURES, Picture
-from console.seeing.reading import read_series
-from console.seeing.series import Series, chosen
-from console.seeing.sheets import FORMS, show, write_each, write_sheet
+from console.visualisation.metrics import Metrics, metrics_json, metrics_of, metrics_text
+from console.visualisation.pictures import PICTURES, Picture
+from console.visualisation.reading import read_series
+from console.visualisation.series import Series, chosen
+from console.visualisation.sheets import FORMS, show, write_each, write_sheet
 from control.errors import ArmError
 from control.model.description import load_arm
+from procedures.folders import free_folder
 
 USUAL_OUT = Path("out/plot")
 
@@ -28,7 +28,7 @@ def run(given: argparse.Namespace) -> int:
         show(pictures, series, joints)
     elif given.out or not given.json:
         files = _written(given.out, pictures, series, joints)
-    _say(given, series, merit_of(series), joints, files)
+    _say(given, series, metrics_of(series), joints, files)
     return 0
 
 
@@ -90,12 +90,12 @@ def _drawn(folder: Path, pictures: Sequence[Picture], series: Series, joints: Se
 
 
 def _say(
-    given: argparse.Namespace, series: Series, merit: Merit, joints: Sequence[int], files: Sequence[Path]
+    given: argparse.Namespace, series: Series, merit: Metrics, joints: Sequence[int], files: Sequence[Path]
 ) -> None:
-    content = merit_json(series, merit)
+    content = metrics_json(series, merit)
     content["joints"] = [joint for joint in content["joints"] if joint["joint"] in joints]
     if given.json:
         text = json.dumps({**content, "files": [str(file) for file in files]}, indent=2, allow_nan=False)
         sys.stdout.write(f"{text}\n")
     else:
-        sys.stdout.write(merit_text(series, merit) + "".join(f"written: {file}\n" for file in files))
+        sys.stdout.write(metrics_text(series, merit) + "".join(f"written: {file}\n" for file in files))

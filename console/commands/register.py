@@ -8,8 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from calib.arrays import norms
-from calib.boards import write_boards
-from calib.registration import Registration, read_markers, register_boards
+from calib.boards.boards import write_boards
+from calib.boards.registration import Registration, read_markers, register_boards
 from control.model.description import load_arm
 from control.model.table import board_cavities, table_of
 

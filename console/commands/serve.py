@@ -6,10 +6,10 @@ from pathlib import Path
 
 from console.commands.connection import socket_path
 from control.errors import ArmError
-from control.loop.connect import LinkOptions, with_links
-from control.loop.process import ServeOptions, serve
+from control.hardware.connect import LinkOptions, with_links
 from control.model.arm import Arm
 from control.model.description import load_arm
+from control.server.process import ServeOptions, serve
 
 LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 50.0, 1200.0  # three boards at 1 Mbit/s end at 1234 Hz
 

@@ -12,23 +12,23 @@ from calib.errors import SessionError
 from calib.session.boards_known import Boards
 from calib.session.conduct import Hand, Station, conduct
 from calib.session.folder import POINTS, SessionFolder
-from calib.session.geometry import ArmGeometry
+from calib.session.moves.clear_paths import ClearPaths
+from calib.session.moves.geometry import ArmGeometry
 from calib.session.plan import SessionPlan, fingerprint
+from calib.session.residual_watch import ResidualWatch
 from calib.session.state import Mark
 from calib.session.take import SessionSettings
-from calib.session.watch import ResidualWatch
-from calib.session.ways import Ways
 from console.commands.connection import connected
-from console.ports import RuntimePort
-from console.session.mock_session import SCENARIO, MockSession, mock_session
-from console.session.operator import Operator
-from console.session.planning import wanted_plan
-from console.session.reporter import Reporter, tell
 from control.errors import ArmError
-from control.loop.client import ArmClient, ArmFaulted, Message, fault_text
 from control.model.arm import Arm
 from control.model.description import load_arm
+from control.server.client import ArmClient, ArmFaulted, Message, fault_text
 from hil_mocks.scenario import load_scenario
+from procedures.ports import RuntimePort
+from procedures.session.mock_session import SCENARIO, MockSession, mock_session
+from procedures.session.operator import Operator
+from procedures.session.planning import wanted_plan
+from procedures.session.reporter import Reporter, tell
 
 SPEED = 0.5  # of the joints' limits, for moves near people
 
@@ -112,7 +112,7 @@ def _station(
         watch=ResidualWatch(arm),
         hand=hand,
         camera=port if folder.plan.has_camera else None,
-        ways=Ways(arm, geometry),
+        ways=ClearPaths(arm, geometry),
         settings=SessionSettings(payload_kg=folder.plan.payload_kg),
         clock_offset_s=offset_s,
     )

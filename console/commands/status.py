@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from console.commands.connection import connected
-from control.loop.client import Message
+from control.server.client import Message
 
 
 def run(given: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from console.specs.calibrating import CALIBRATING
 from console.specs.files import FILES
 from console.specs.operating import OPERATING
 from console.specs.recording import RECORDING
-from console.specs.seeing import SEEING
 from console.specs.trying import TRYING
+from console.specs.visualisation import SEEING
 
 COMMANDS = (*TRYING, *BRINGUP, *OPERATING, *RECORDING, *CALIBRATING, *FILES, *SEEING)

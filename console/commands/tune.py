@@ -5,12 +5,12 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from console.bringup.opening import opened
 from console.commands.progress import Bar
-from console.tuning.procedure import NotTuned, Options, Result, tune
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import save_arm
+from procedures.bringup.opening import opened
+from procedures.tuning.procedure import NotTuned, Options, Result, tune
 
 LOWEST_Hz, HIGHEST_Hz = 2.0, 40.0
 
@@ -69,7 +69,7 @@ def _allowed(arm: Arm, options: Options) -> bool:
 def _write(result: Result, draft: Arm, out: Path, page: Path) -> None:
     from dataclasses import replace
 
-    from console.tuning.report import HEADER, rows, worst_pose, write_report
+    from procedures.tuning.report import HEADER, rows, worst_pose, write_report
 
     pids = {drive.joint: drive.pid for drive in result.arm.drives}
     drives = tuple(replace(drive, pid=pids[drive.joint]) for drive in draft.drives)

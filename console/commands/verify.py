@@ -8,21 +8,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.errors import CalibrationError
-from calib.verification import Verification
-from calib.verify import comparison_text
+from calib.report.verification import Verification
+from calib.validation.verify import comparison_text
 from console.commands.connection import connected
 from console.commands.progress import Bar
-from console.folders import free_folder
-from console.verify.models import Model, Pair, believed_by, nominal_of
-from console.verify.places import places, ways
-from console.verify.procedure import Drive, driven, on_recorded, write
-from console.verify.survey import Programme
-from console.verify.tracks import wait_until_recorded
 from control.errors import ArmError
-from control.loop.client import ArmClient
 from control.model import table as tables
 from control.model.arm import Arm
 from control.model.description import load_arm
+from control.server.client import ArmClient
+from procedures.folders import free_folder
+from procedures.verify.models import Model, Pair, believed_by, nominal_of
+from procedures.verify.places import places, ways
+from procedures.verify.procedure import Drive, driven, on_recorded, write
+from procedures.verify.survey import Programme
+from procedures.verify.tracks import wait_until_recorded
 
 REAL_SPEED = 0.5  # of a real arm's joint limits
 
@@ -109,8 +109,8 @@ def _real(given: argparse.Namespace, pair: Pair) -> Bench:
 
 def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) -> Bench:
     """A stepped mock of the nominal arm with what the scenario hides, homed, its runtime believing in the calibrated one."""
-    from console.demo.bench import SteppedBench  # brings MuJoCo, which takes a second
-    from console.scenario_file import seeded_scenario
+    from procedures.mock.bench import SteppedBench  # brings MuJoCo, which takes a second
+    from procedures.mock.scenario_file import seeded_scenario
 
     nominal = pair.nominal.arm
     can_home = all(drive.home is not None for drive in nominal.drives)

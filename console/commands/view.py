@@ -7,16 +7,16 @@ from pathlib import Path
 
 from console.commands.connection import connected
 from console.commands.progress import Bar
-from console.seeing.moments import Moment, live, moment_at, moment_of, recorded
-from console.seeing.reading import read_series
-from console.seeing.render import FRAMES_MOST, Image, frames, painter_of, write_images
-from console.seeing.series import Series, chosen
-from console.seeing.traces import Traces, Trail, traces_of
+from console.visualisation.moments import Moment, live, moment_at, moment_of, recorded
+from console.visualisation.reading import read_series
+from console.visualisation.render import FRAMES_MOST, Image, frames, painter_of, write_images
+from console.visualisation.series import Series, chosen
+from console.visualisation.traces import Traces, Trail, traces_of
 from control.errors import ArmError
-from control.loop.client import RuntimeGone
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.model.kinematics import Kinematics
+from control.server.client import RuntimeGone
 from firmware_iface.clock import MonotonicClock
 
 LIVE_PERIOD_s = 1.0 / 30.0  # the loop serves a request a cycle at most, and hardly notices these
@@ -50,7 +50,7 @@ def _recorded(given: argparse.Namespace) -> int:
     if given.render:
         return _render(given, arm, series)
     if given.rerun is not None:
-        from console.seeing.rerun_stream import stream
+        from console.visualisation.rerun_stream import stream
 
         rows, _ = recorded(series, RERUN_PERIOD_s)
         count = stream(arm, (moment_at(series, int(row)) for row in rows), _file(given.rerun))
@@ -61,8 +61,8 @@ def _recorded(given: argparse.Namespace) -> int:
 
 
 def _play(given: argparse.Namespace, arm: Arm, series: Series) -> None:
-    from console.seeing.scene import ArmScene
-    from console.seeing.window import open_window, play
+    from console.visualisation.scene import ArmScene
+    from console.visualisation.window import open_window, play
 
     rows = _rows(series, 1.0 / 60.0)
     scene = ArmScene(arm)
@@ -124,12 +124,12 @@ def _live(given: argparse.Namespace) -> int:
     moments = live(client, MonotonicClock(), LIVE_PERIOD_s)
     try:
         if given.rerun is not None:
-            from console.seeing.rerun_stream import stream
+            from console.visualisation.rerun_stream import stream
 
             stream(arm, moments, _file(given.rerun))
         else:
-            from console.seeing.scene import ArmScene
-            from console.seeing.window import follow, open_window
+            from console.visualisation.scene import ArmScene
+            from console.visualisation.window import follow, open_window
 
             follow(ArmScene(arm), moments, open_window)
     except RuntimeGone as gone:

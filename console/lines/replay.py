@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TextIO
 
 from console.lines.grammar import Grammar, Line, LineError
-from control.loop.client import ArmClient
+from control.server.client import ArmClient
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from console.screen.braille import Canvas
+from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
 from control.model.arm import Arm
-from control.model.kinematics import Kinematics
 from control.motion.jog_limits import reaches_m
 
 Point = tuple[float, float, float]

@@ -126,7 +126,7 @@ class SessionScreen(Screen[None]):
         if "ask" in message:
             self._asked(message)
         elif "kept" in message:
-            self._write(kept_line(message), is_markup=True)
+            self._write(recorded_line(message), is_markup=True)
         elif not str(message.get("told", "")).endswith(" >"):
             text = escaped(str(message.get("told", row)))
             self._write(f"[yellow]{text}[/]" if message.get("is_warning") else text, is_markup=True)
@@ -219,7 +219,7 @@ def board_lines(board: Sequence[Mapping[str, Any]], width: int, height: int) -> 
     return ["".join(line).rstrip() for line in grid]
 
 
-def kept_line(message: Mapping[str, Any]) -> str:
+def recorded_line(message: Mapping[str, Any]) -> str:
     """A record, the model's error there, and how far it is from what the others say; a suspect one in red with what to do."""
     if message["is_suspect"]:
         return f"[b red]{escaped(message['text'])}[/]"

@@ -1,18 +1,18 @@
 """All that changes while an arm is under control, in one place: what the steps of a cycle read and write.
 
-The steps are functions of it, by what they are about: control.loop.aiming (where the arm is to be), travelling (motions, jogs,
+The steps are functions of it, by what they are about: control.loop.set_points (where the arm is to be), travelling (motions, jogs,
 stops), reactions (faults), zeroing (homing), way_off. Each says which of these attributes it changes; others only read them.
 """
 
 import math
 
-from control.loop.averaging import Averaging
-from control.loop.homing import HomingSequence
+from control.hardware.averaging import Averaging
+from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.parts import NOWHERE, Parts
 from control.loop.punctuality import Punctuality
 from control.loop.readiness import DriveReadiness
-from control.loop.stillness import Stillness
+from control.loop.standstill import Standstill
 from control.motion.pace import Paced
 from control.motion.setpoint import Motion, at_rest
 from control.safety.monitor import Monitor
@@ -37,7 +37,7 @@ class ArmState:
         self.camera_m = self.new_camera_m = NOWHERE  # of the last frame; of this cycle's
         self.camera_at_s = -math.inf
         self.drives = DriveReadiness(parts.joint_names)
-        self.stillness = Stillness()
+        self.stillness = Standstill()
         # where the arm is to be (aiming)
         self.no_motion = (0.0,) * n  # speeds or accelerations
         self.set_point = self.aim = at_rest(self.no_motion)  # of the joints; of their encoders

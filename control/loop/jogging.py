@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from control.errors import ArmError
-from control.model.inverse import InverseKinematics
+from control.kinematics.inverse import InverseKinematics
 from control.motion.jog_joints import JointJog
 from control.motion.jog_limits import JogLimits
 from control.motion.jog_tip import TipJog

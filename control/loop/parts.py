@@ -1,22 +1,22 @@
-"""What a runtime is made of: the fixed parts that control.loop.assemble hands to it."""
+"""What a runtime is made of: the fixed parts that control.server.assemble hands to it."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from control.loop.carrying import Carrying
-from control.loop.hardware import Hardware
-from control.loop.homing import HomingSequence
+from control.dynamics.joint_side import JointSide
+from control.hardware.interface import Hardware
+from control.hardware.measurement import Measurement
+from control.kinematics.inverse import InverseKinematics
+from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
-from control.loop.measure import Measurement
-from control.loop.record import Recorder
-from control.loop.servo import Servo
 from control.loop.watch import Watch
-from control.model.inverse import InverseKinematics
-from control.model.joint_side import JointSide
 from control.motion.setpoint import Motion, SetPoint
+from control.recording.record import Recorder
 from control.safety.limits import SetPointLimits
+from control.servo.gravity_compensation import GravityCompensation
+from control.servo.servo import Servo
 
 Vector = tuple[float, float, float]
 NOWHERE: Vector = (math.nan, math.nan, math.nan)
@@ -32,7 +32,7 @@ class Camera(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What a runtime is made of; see control.loop.assemble."""
+    """What a runtime is made of; see control.server.assemble."""
 
     hardware: Hardware
     recorder: Recorder
@@ -41,7 +41,7 @@ class Parts:
     watch: Watch
     set_point_limits: tuple[SetPointLimits, ...]
     homing: Callable[[], HomingSequence]
-    carrying: Carrying
+    gravity_compensation: GravityCompensation
     jogging: Callable[[bool], Jogging]  # of an arm that is homed, or not
     stop_from: Callable[[SetPoint], Motion]
     inverse: InverseKinematics

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from control.loop.hardware import Feedback
+from control.hardware.interface import Feedback
 from control.loop.watch import OPERATION_ENABLED, STATE_MASK
 from control.safety.fault import Fault, Reaction
 

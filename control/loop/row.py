@@ -1,8 +1,8 @@
-"""One cycle as a row of the recording, in the order of control.loop.record.Layout."""
+"""One cycle as a row of the recording, in the order of control.recording.record.Layout."""
 
 import math
 
-from control.loop import aiming
+from control.loop import set_points
 from control.loop.arm_state import ArmState
 from control.safety.table import Mode
 
@@ -21,7 +21,7 @@ def row_of(state: ArmState, late_s: float) -> list[float]:
         state.now_s, state.cycles & 0xFFFFFFFF, state.run_number, MODE_NUMBER[mode],
         state.punctuality.missed, late_s, state.punctuality.end(), state.payload_kg(), *state.new_camera_m,
     ]  # fmt: skip
-    joints = aiming.joint_rad(state) if state.parts.joint_side is not None else None
+    joints = set_points.joint_rad(state) if state.parts.joint_side is not None else None
     is_open = mode in (Mode.GUIDING, Mode.OFF)
     for joint in range(feedback.joint_count):
         row += (

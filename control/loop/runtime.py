@@ -8,15 +8,15 @@
       _drive           set-point -> feed-forward + PID -> hardware.write()
       _record          one row
 
-The runtime never waits and opens nothing: a hardware, a recorder and the rest are handed to it (control.loop.assemble). The
+The runtime never waits and opens nothing: a hardware, a recorder and the rest are handed to it (control.server.assemble). The
 same object runs in a process of its own in real time and inside a test on a stepped clock. What it knows is ArmState; what the
-modes do stands by its subject in control.loop.aiming, travelling, zeroing, way_off and reactions.
+modes do stands by its subject in control.loop.set_points, travelling, zeroing, way_off and reactions.
 """
 
 from control.errors import ArmError
-from control.loop import aiming, reactions, travelling, way_off, zeroing
+from control.hardware.interface import OutputMode
+from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown
 from control.loop.arm_state import ArmState
-from control.loop.hardware import OutputMode
 from control.loop.jogging import Wish
 from control.loop.parts import NOWHERE
 from control.loop.row import row_of
@@ -30,7 +30,7 @@ HOMING_CURRENT_FRACTION = 0.5  # in search of the zero, and while joints without
 
 
 class Runtime(ArmState):
-    """The arm under control. `cycle` is called every period; the requests are in control.loop.requests."""
+    """The arm under control. `cycle` is called every period; the requests are in control.server.requests."""
 
     # ---- the cycle
 
@@ -51,12 +51,12 @@ class Runtime(ArmState):
         except Exception as error:  # whatever breaks here, the arm must not be left moving
             self._break_down(error)
         self._record(late_s)
-        return not (self.is_quitting and way_off.has_left(self))
+        return not (self.is_quitting and shutdown.has_left(self))
 
     def _read(self) -> None:
         feedback = self.parts.hardware.read()
         if self.parts.measurement.update(feedback.count, feedback.shift_count, feedback.counted_at_s):
-            aiming.follow_shift(self)
+            set_points.follow_shift(self)
         self.new_camera_m = NOWHERE
         if self.parts.camera is not None and (tip := self.parts.camera.newest_tip_m()) is not None:
             self.new_camera_m = self.camera_m = tip
@@ -82,20 +82,20 @@ class Runtime(ArmState):
     def _advance(self) -> None:
         mode = self.monitor.mode
         if mode in (Mode.MOVING, Mode.PAUSED, Mode.STOPPING) or self.monitor.is_held_fault:
-            travelling.follow_motion(self)
+            motion_modes.follow_motion(self)
         elif mode is Mode.JOGGING:
-            travelling.follow_jog(self)
+            motion_modes.follow_jog(self)
         elif mode is Mode.HOMING:
-            zeroing.follow(self)
+            homing.follow(self)
         elif mode is not Mode.HOLDING:
-            aiming.stay(self)
-            way_off.follow_hold(self)
+            set_points.stay(self)
+            shutdown.follow_hold(self)
         if self.is_going_off:
-            way_off.follow(self)
+            shutdown.follow(self)
 
     def _aim(self) -> None:
-        if (clip := aiming.aim(self)) is not None:
-            reactions.refuse(self, clip)
+        if (clip := set_points.aim(self)) is not None:
+            fault_reactions.refuse(self, clip)
 
     def _drive(self) -> None:
         if self.is_controlled():
@@ -118,11 +118,17 @@ class Runtime(ArmState):
 
     def _carry(self) -> bool:
         """Let the drives carry the arm; not where it moves too fast, which is a fault."""
-        measured, servo, carrying = self.parts.measurement, self.parts.servo, self.parts.carrying
-        if (fault := carrying.too_fast(measured.speed_rad_s)) is not None:
+        measured, servo, gravity_compensation = (
+            self.parts.measurement,
+            self.parts.servo,
+            self.parts.gravity_compensation,
+        )
+        if (fault := gravity_compensation.too_fast(measured.speed_rad_s)) is not None:
             self.fail(fault)
             return False
-        amperes = carrying.update(aiming.joints_standing(self, measured.q_rad), measured.speed_rad_s)
+        amperes = gravity_compensation.update(
+            set_points.joints_standing(self, measured.q_rad), measured.speed_rad_s
+        )
         self.parts.hardware.write(OutputMode.CURRENT, amperes, servo.feedforward_V)
         return True
 
@@ -132,10 +138,10 @@ class Runtime(ArmState):
     def _break_down(self, error: Exception) -> None:
         """Something in the cycle raised: fault, and 0 V as long as the links still carry it."""
         if not (self.is_quitting and self.monitor.mode is Mode.OFF):
-            self.fail(reactions.fault_of(error))
+            self.fail(fault_reactions.fault_of(error))
         if isinstance(error, BoardReset):
             self.monitor.forget_home()  # boards that still know their zero are taken at their word by `home`
-        way_off.follow(self)
+        shutdown.follow(self)
         servo = self.parts.servo
         servo.silence()
         try:
@@ -147,7 +153,7 @@ class Runtime(ArmState):
 
     def fail(self, fault: Fault) -> None:
         """A fault: to FAULT with the reaction that it asks for, the cycles before it kept."""
-        reactions.fail(self, fault)
+        fault_reactions.fail(self, fault)
 
     def acknowledge(self) -> tuple[Fault, ...]:
         """A human has seen the faults. Drives that faulted are reset and enabled again, at 0 V."""
@@ -167,31 +173,31 @@ class Runtime(ArmState):
 
     def want_hold(self) -> None:
         """Get to HOLDING from OFF, BRAKED or GUIDING, through all that lies between."""
-        way_off.want_hold(self)
+        shutdown.want_hold(self)
 
     def go_off(self, quits: bool) -> None:
         """Stop, hold, brake, off: begun here, carried on by the cycle."""
-        way_off.begin(self, quits)
+        shutdown.begin(self, quits)
 
     def take_known_zeros(self) -> bool:
         """Believe boards that all say that their zero was set since power-up; returns whether they do."""
-        return zeroing.take_known_zeros(self)
+        return homing.take_known_zeros(self)
 
     def start_homing(self) -> None:
         """Home every joint, one after the other. ArmError when arm.toml does not say how."""
-        zeroing.start(self)
+        homing.start(self)
 
     def start(self, motion: Motion, as_encoders: bool = False) -> None:
         """Start a motion that was checked and that begins where the arm is `seen`, at rest."""
-        travelling.start(self, motion, as_encoders)
+        motion_modes.start(self, motion, as_encoders)
 
     def jog(self, wish: Wish) -> None:
         """Move as somebody keeps asking; ArmError says why not, and nothing has changed then."""
-        travelling.jog(self, wish)
+        motion_modes.jog(self, wish)
 
     def renew_jog(self) -> None:
         """Whoever jogs still wants it; ArmError where nothing is jogged."""
-        travelling.renew_jog(self)
+        motion_modes.renew_jog(self)
 
     def pause(self) -> None:
         """Slow to rest along the motion and hold on it."""
@@ -203,11 +209,11 @@ class Runtime(ArmState):
 
     def stop(self) -> None:
         """Controlled stop; legal in every mode."""
-        travelling.stop(self)
+        motion_modes.stop(self)
 
     def brake(self) -> None:
         """Windings shorted now: under control first to a stop where something moves would be `stop`."""
-        travelling.brake(self)
+        motion_modes.brake(self)
 
     def guide(self, weightless: bool) -> None:
         """Let a hand move the arm: circuits open, somebody holds it; or `weightless`, the drives carry it.
@@ -223,11 +229,11 @@ class Runtime(ArmState):
         self.on(Event.GUIDE)
         self.run_number += 1
 
-    def joint_rad(self) -> tuple[aiming.Angles, aiming.Angles]:
+    def joint_rad(self) -> tuple[set_points.Angles, set_points.Angles]:
         """Angles that the joints have and are to have, as far as the model knows what is between them and their encoders."""
-        measured, wanted = aiming.joint_rad(self)
+        measured, wanted = set_points.joint_rad(self)
         return tuple(measured), wanted
 
     def seen(self, as_encoders: bool) -> SetPoint:
         """Where the arm is to stand now, as joint angles or as encoder angles."""
-        return aiming.seen(self, as_encoders)
+        return set_points.seen(self, as_encoders)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from control.loop.hardware import Feedback
+from control.hardware.interface import Feedback
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import following_error_excess, is_stale, overrun
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
 from control.model.arm import Arm
-from control.model.kinematics import Kinematics
 from control.motion.errors import PathError
 from control.motion.joint_limits import JointLimits
 from control.motion.samples import Array, JointSamples, TipSamples

@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass, replace
 
+from control.dynamics.joint_side import usable_range_rad
 from control.errors import MissingModel
 from control.model.arm import Arm
-from control.model.joint_side import room_rad
 from control.motion.errors import MotionError
 
 
@@ -32,7 +32,7 @@ class JointLimits:
                     raise MissingModel(
                         f"arm {arm.name}: to move, joint {drive.joint} needs joint_{quantity} in its [[drive]]"
                     )
-        room = room_rad(arm)
+        room = usable_range_rad(arm)
         return JointLimits(
             lower_rad=tuple(lower for lower, _ in room),
             upper_rad=tuple(upper for _, upper in room),

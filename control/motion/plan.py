@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from control.errors import ArmError
+from control.kinematics.inverse import Branch, InverseKinematics, Solution
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
-from control.model.inverse import Branch, InverseKinematics, Solution
-from control.model.kinematics import Kinematics
 from control.motion import checks
 from control.motion.errors import PathError
 from control.motion.joint_limits import JointLimits

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from control.model.kinematics import Kinematics
+from control.kinematics.kinematics import Kinematics
 from control.motion.spline import CartesianSpline
 
 Array = NDArray[np.float64]

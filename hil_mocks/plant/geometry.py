@@ -1,6 +1,6 @@
 """Denavit-Hartenberg frames as MuJoCo bodies: pose of a body in its parent at joint angle zero, and its hinge.
 
-Written for the plant alone and independent of control.model.kinematics, so that a test of one against the other is worth
+Written for the plant alone and independent of control.kinematics.kinematics, so that a test of one against the other is worth
 something. Frames and signs: Siciliano et al., Robotics (2009), section 2.8 (standard); Craig, Introduction to Robotics (2005),
 section 3.4 (modified).
 """

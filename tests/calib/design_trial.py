@@ -19,7 +19,7 @@ from calib.design import Request, plan_poses
 from calib.design.candidates import workspace_poses
 from calib.design.information import experiment_of, standing
 from calib.identify import Choice, LeastSquares, SumOfDistances, identify, problem_of
-from calib.points import Points, make_points
+from calib.points.points import Points, make_points
 from control.model.description import load_arm
 
 NOISE_m = 0.00014

@@ -7,8 +7,7 @@ import math
 import numpy as np
 from calib_arms import REFERENCE, REFERENCE_DH, TILTS, board_points
 
-from calib import table
-from calib.session import ArmGeometry, Sample
+from calib.session import ArmGeometry, Sample, table
 from control.errors import ArmError
 from control.model.description import load_arm
 

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from calib.points_writer import Key, Record
+from calib.points.writer import Key, Record
 from calib.session.folder import SessionFolder
 from calib.session.plan import SessionPlan, board_targets
 from calib.session.state import Event, Mark

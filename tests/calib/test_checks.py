@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from worth import RIGHT, board_points, seated, true_dh, with_rows
 
+from calib.arm_problem.checks import require_sound, require_usable
 from calib.errors import CalibrationError, UnusablePointsError
 from calib.identify import ArmModel, ArmProblem, Observations, problem_of
-from calib.identify.checks import require_sound, require_usable
-from calib.points import make_points
+from calib.points.points import make_points
 from control.model.arm import Arm, Link, Table, Tool
 
 POINTS = board_points(np.random.default_rng(1), true_dh(np.random.default_rng(1), size=0.9))

@@ -8,6 +8,7 @@ import pytest
 from calib_arms import REFERENCE, REFERENCE_DH, board_points
 from design_trial import ARM, table_points
 
+from calib.arm_problem.frames import Frame
 from calib.design.boards import OTHER_TILTS, placed_boards, tilted, usual_setups
 from calib.design.candidates import (
     FREE_HEIGHT_M,
@@ -21,8 +22,7 @@ from calib.design.order import WAY_HEIGHT_M, clear_ways, visiting_order
 from calib.design.reach import joint_box, postures, spread_poses
 from calib.errors import CalibrationError
 from calib.identify import ArmModel
-from calib.identify.frames import Frame
-from calib.points import make_points
+from calib.points.points import make_points
 from control.model.arm import Arm, Link
 
 SETUPS = ("normal", "roll", "pitch")

@@ -17,15 +17,15 @@ from design_trial import (
     table_points,
 )
 
+from calib.arm_problem.assembly import Choice
+from calib.arm_problem.frames import Frame
 from calib.design import Request, View, in_words, plan_json, plan_poses, write_plan
 from calib.design.boards import boards_in_the_way
 from calib.design.candidates import free_candidates, workspace_poses
 from calib.design.information import experiment_of, standing
 from calib.errors import CalibrationError
 from calib.identify import LeastSquares, SumOfDistances
-from calib.identify.assembly import Choice
-from calib.identify.frames import Frame
-from calib.points import make_points, read_points
+from calib.points.points import make_points, read_points
 
 UNKNOWN = dataclasses.replace(ARM, table=dataclasses.replace(ARM.table, known_pose=False))
 EVERYWHERE = workspace_poses(ARM, [], 300)

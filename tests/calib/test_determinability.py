@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from worth import RIGHT, NOISE_m, board_points, true_dh
 
+from calib.arm_problem.parameters import Parameter
 from calib.identify import ArmModel, ArmProblem, Choice, Observations, identify, problem_of
 from calib.identify.determinability import determinability, null_space
 from calib.identify.open_combinations import open_in_words
-from calib.identify.parameters import Parameter
 
 UNPLACED = dataclasses.replace(RIGHT, table=dataclasses.replace(RIGHT.table, known_pose=False))
 

@@ -18,10 +18,10 @@ from pytransform3d.urdf import UrdfTransformManager
 from calib.errors import CalibrationError
 from calib.export import FORMS, export, export_text
 from console.main import main
+from control.dynamics.dynamics import Dynamics
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Calibration, Drive, Effect, Link, Tool
 from control.model.description import load_arm
-from control.model.dynamics import Dynamics
-from control.model.kinematics import Kinematics
 
 SAME_m = 1e-9
 SAME_Nm = 1e-9

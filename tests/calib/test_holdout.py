@@ -8,9 +8,9 @@ from worth import RIGHT, NOISE_m, board_points, true_dh, with_rows
 
 from calib.arrays import norms
 from calib.errors import CalibrationError
-from calib.holdout import held_out
 from calib.identify import ArmModel, LeastSquares, problem_of
-from calib.points import joined, make_points
+from calib.points.points import joined, make_points
+from calib.validation.holdout import held_out
 
 LSQ = LeastSquares()
 UNPLACED = dataclasses.replace(RIGHT, table=dataclasses.replace(RIGHT.table, known_pose=False))

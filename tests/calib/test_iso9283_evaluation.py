@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
 from calib.iso9283.evaluation import evaluate
 from calib.iso9283.files import RecordFile
@@ -19,10 +19,10 @@ from calib.iso9283.page import summary_text, write_page
 from calib.iso9283.recorded import Run, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import CRITERIA, Criterion, Evaluation, document
 from calib.iso9283.workspace import solver_of
-from calib.points import Points, make_points, read_points
+from calib.points.points import Points, make_points, read_points
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.model.kinematics import Kinematics
 
 CUBE = TestCube((0.40, 0.0, 0.30), 0.2)
 OFFSET = np.array((0.003, -0.004, 0.0))  # 5 mm

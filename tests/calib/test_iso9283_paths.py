@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.iso9283 import cornering, path, settling, velocity, weaving
-from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.criteria import cornering, path, settling, velocity, weaving
+from calib.iso9283.criteria.checks import Iso9283Error
 
 MM = 1e-3
 LINE = np.array([(0.0, 0, 0), (0.4, 0, 0)])

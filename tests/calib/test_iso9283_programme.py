@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from calib.iso9283 import programme as programmes
-from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
 from calib.iso9283.programme import Extent, PathRun, Visit, steps
 from calib.iso9283.workspace import CLEARANCE_m, largest_cube, solver_of
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.model.kinematics import Kinematics
 
 CUBE = TestCube((0.4, 0.1, 0.3), 0.2)
 SMALL = Extent(repeats=2, path_cycles=2, speed_shares=(0.5,), drift_s=10.0, drift_sets=2, rated_load_kg=1.0)

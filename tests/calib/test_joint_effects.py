@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.errors import CalibrationError
-from calib.identify import Choice, LeastSquares, identify, problem_of
-from calib.identify.arm_model import ArmModel
-from calib.identify.joint_effects import (
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.joint_effects import (
     corrections,
     effects_of,
     known_corrections,
@@ -19,11 +17,13 @@ from calib.identify.joint_effects import (
     unphysical,
     with_effects,
 )
-from calib.points import Points, make_points
+from calib.errors import CalibrationError
+from calib.identify import Choice, LeastSquares, identify, problem_of
+from calib.points.points import Points, make_points
+from control.dynamics.dynamics import Dynamics
+from control.dynamics.static_pose import resting
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
-from control.model.dynamics import Dynamics
-from control.model.static_pose import resting
 
 ARM = load_arm("right")
 FRICTION_Nm = np.array([1.3, 1.5, 0.9])

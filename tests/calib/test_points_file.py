@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from calib.errors import PointsFileError, SessionError
-from calib.points import make_points, read_points
-from calib.points_writer import PointsWriter, Record, write_points
+from calib.points.points import make_points, read_points
+from calib.points.writer import PointsWriter, Record, write_points
 
 GOOD = "setup,point,repeat,q1_rad,q2_rad,x_m,y_m,z_m\nnormal,1,1,0.1,0.2,0.5,0,0\nroll,2,1,0.3,0.4,,,\n"
 
@@ -169,7 +169,7 @@ def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
     """The child says each point after append has returned, then is killed while it writes the next ones."""
     path = tmp_path / "points.csv"
     code = (
-        "import itertools, sys; from pathlib import Path; from calib.points_writer import PointsWriter, Record\n"
+        "import itertools, sys; from pathlib import Path; from calib.points.writer import PointsWriter, Record\n"
         "writer = PointsWriter(Path(sys.argv[1]), 1)\n"
         "for k in itertools.count():\n"
         "    writer.append(Record('n', str(k), 1, (0.1,), (0.0,), (1,), (0.5,), 1.0, 0.0, None)); print(k, flush=True)\n"

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from calib_arms import MODIFIED, MODIFIED_DH, REFERENCE, REFERENCE_DH, arm_of
 
+from calib.arm_problem.frames import Frame, left_jacobian, rotation_of, rotation_vector
+from calib.arm_problem.observations import Correction
 from calib.errors import CalibrationError, UnusablePointsError
 from calib.identify import ArmModel, ArmProblem, Bounds, Choice, Observations, problem_of
-from calib.identify.frames import Frame, left_jacobian, rotation_of, rotation_vector
-from calib.identify.observations import Correction
-from calib.points import make_points
+from calib.points.points import make_points
 from control.model.arm import Table
 from control.model.description import load_arm
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from calib_arms import board_points
 
-from calib.boards import read_boards, write_boards
+from calib.boards.boards import read_boards, write_boards
+from calib.boards.markers import Markers, markers_text, read_markers
+from calib.boards.registration import register, register_boards
 from calib.errors import PointsFileError, RegistrationError
-from calib.markers import Markers, markers_text, read_markers
-from calib.registration import register, register_boards
 
 BOARD = board_points() - np.array([0.5, 0.0, 0.0])
 NAMES = tuple(str(k + 1) for k in range(33))

@@ -7,12 +7,11 @@ import pytest
 from calib_arms import REFERENCE, REFERENCE_DH, TILTS, angles_for
 from session_arm import SEED, NumericGeometry, ScriptedArm, board
 
-from calib import table
 from calib.errors import SessionError, UnusablePointsError
-from calib.points import read_points
-from calib.points_writer import PointsWriter
-from calib.session import FreePose, SessionSettings, Stage, step_through, take_free_poses
-from calib.session.still import StillStand, wait_for_rest
+from calib.points.points import read_points
+from calib.points.writer import PointsWriter
+from calib.session import FreePose, SessionSettings, Stage, step_through, table, take_free_poses
+from calib.session.standstill import StillStand, wait_for_rest
 
 
 def run(path: Path, arm: ScriptedArm, points, geometry=None, **others):

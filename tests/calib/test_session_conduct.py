@@ -11,15 +11,15 @@ import pytest
 from calib_arms import REFERENCE, REFERENCE_DH
 from session_arm import GEOMETRY, RIGHT, NumericGeometry, ScriptedArm
 
-from calib.boards import read_boards
-from calib.points import read_points
+from calib.boards.boards import read_boards
+from calib.points.points import read_points
 from calib.session.boards_known import Boards
 from calib.session.conduct import Station, conduct
+from calib.session.dialogue import GO, Ask, Command, Do, Jog, Message, Question, Recorded
 from calib.session.folder import SessionFolder
 from calib.session.plan import SessionPlan, Target, board_targets, free_targets
+from calib.session.residual_watch import ResidualWatch
 from calib.session.state import Mark
-from calib.session.talk import GO, Ask, Command, Do, Jog, Kept, Question, Told
-from calib.session.watch import ResidualWatch
 from control.model.table import cavities, table_of
 
 TABLE = table_of(RIGHT)
@@ -89,11 +89,11 @@ class Bench:
 
     @property
     def told(self) -> list[str]:
-        return [saying.text for saying in self.said if isinstance(saying, Told)]
+        return [saying.text for saying in self.said if isinstance(saying, Message)]
 
     @property
-    def kept(self) -> list[Kept]:
-        return [saying for saying in self.said if isinstance(saying, Kept)]
+    def kept(self) -> list[Recorded]:
+        return [saying for saying in self.said if isinstance(saying, Recorded)]
 
 
 def bench(tmp_path: Path, points=("1", "7"), setups=("normal",), has_hand=True, **plan) -> Bench:

@@ -15,7 +15,7 @@ from session_arm import RIGHT
 from session_killer import KEYS, PLAN, record
 
 from calib.errors import SessionError
-from calib.points import read_points
+from calib.points.points import read_points
 from calib.session.folder import SessionFolder
 from calib.session.plan import (
     Target,

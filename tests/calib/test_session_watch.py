@@ -9,8 +9,8 @@ import pytest
 from calib_arms import REFERENCE, REFERENCE_DH, board_points, board_session
 from session_arm import RIGHT
 
-from calib.identify.frames import rotation_of
-from calib.session.watch import ResidualWatch, Sighting
+from calib.arm_problem.frames import rotation_of
+from calib.session.residual_watch import ResidualWatch, Sighting
 from control.model.arm import Effect
 
 BOARD = board_points() - np.array([0.5, 0.0, 0.0])

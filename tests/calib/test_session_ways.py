@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from session_arm import GEOMETRY, RIGHT
 
-from calib.boards import BoardPose
-from calib.session.ways import EDGE_m, MARGIN_m, NoClearWay, Ways
-from control.model.kinematics import Kinematics
+from calib.boards.boards import BoardPose
+from calib.session.moves.clear_paths import ClearPaths, EDGE_m, MARGIN_m, NoClearPath
+from control.kinematics.kinematics import Kinematics
 from control.model.table import board_rotation, cavities, table_of
 
 TABLE = table_of(RIGHT)
@@ -31,7 +31,7 @@ def lowest_over_board_m(stops, board: BoardPose) -> float:
 @pytest.mark.parametrize("setup", ["normal", "roll", "pitch"])
 def test_between_points_above_cavities_the_way_is_straight(setup: str) -> None:
     rotation = np.array(board_rotation(TABLE, setup))
-    board, ways = BoardPose(rotation, np.array(TABLE.origin_m)), Ways(RIGHT, GEOMETRY)
+    board, ways = BoardPose(rotation, np.array(TABLE.origin_m)), ClearPaths(RIGHT, GEOMETRY)
     here = RIGHT.rest.q_rad
     for place in cavities(TABLE, setup).values():
         there = tuple(GEOMETRY.nearest(tuple(np.add(place, 0.06 * rotation[:, 2])), here))
@@ -53,7 +53,7 @@ RAISED = BoardPose(np.eye(3), np.add(TABLE.origin_m, (0.0, 0.0, 0.12)))  # a boa
 
 
 def test_where_the_straight_way_is_blocked_another_one_is_found_and_is_clear() -> None:
-    ways, rng = Ways(RIGHT, GEOMETRY), np.random.default_rng(1)
+    ways, rng = ClearPaths(RIGHT, GEOMETRY), np.random.default_rng(1)
     for _ in range(8):
         start, end = across_the_board(rng)
         stops = ways.stops(start, end, RAISED)
@@ -67,13 +67,13 @@ def test_where_the_straight_way_is_blocked_another_one_is_found_and_is_clear() -
 def test_where_no_way_is_clear_it_is_said() -> None:
     start, end = across_the_board(np.random.default_rng(2))
     high = BoardPose(np.eye(3), np.array((0.45, 0.0, 0.9)))  # nothing passes over it
-    with pytest.raises(NoClearWay, match="no clear way from"):
-        Ways(replace(RIGHT, rest=None), GEOMETRY).stops(start, end, high)
+    with pytest.raises(NoClearPath, match="no clear way from"):
+        ClearPaths(replace(RIGHT, rest=None), GEOMETRY).stops(start, end, high)
 
 
 def test_a_pose_that_is_low_may_be_left_and_reached() -> None:
     low = tuple(GEOMETRY.nearest((0.5, 0.0, 0.01), (0.0, -1.0, 0.0)))
     high = tuple(GEOMETRY.nearest((0.5, 0.0, 0.06), low))
-    ways = Ways(RIGHT, GEOMETRY)
+    ways = ClearPaths(RIGHT, GEOMETRY)
     assert ways.stops(low, high, LEVEL) == [high]
     assert ways.stops(high, low, LEVEL) == [low]

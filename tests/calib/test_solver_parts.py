@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from test_problem import problem_with_everything_free
 
+from calib.arm_problem.slim_product import SERIAL, slim_product
 from calib.arrays import norms
 from calib.errors import CalibrationError
 from calib.identify.box import step_in_box
 from calib.identify.budget import WithDistances
 from calib.identify.objective import HUBER_BEND, LeastSquares, SumOfCoordinates, objective_named, value_of
-from calib.identify.slim_product import SERIAL, slim_product
 
 OBJECTIVES = {
     "e2": objective_named("e2"),

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from worth import RIGHT, NOISE_m, board_points, true_dh, with_rows
 
-from calib.holdout import Fold, HeldOut, held_out
 from calib.identify import LeastSquares, identify, problem_of
 from calib.identify.suspects import find_suspects
-from calib.points import make_points
-from calib.verdict import NoiseFloor, noise_floor, verdict
+from calib.points.points import make_points
+from calib.validation.holdout import Fold, HeldOut, held_out
+from calib.validation.verdict import NoiseFloor, noise_floor, verdict
 
 FLOOR = NoiseFloor(NOISE_m, "the camera's noise in the arm's file")
 

@@ -10,11 +10,11 @@ import pytest
 from calib_arms import board_session
 
 from calib.errors import CalibrationError
-from calib.points import Points, make_points
-from calib.verify_recorded import LEAST_POSES, compare_arms
+from calib.points.points import Points, make_points
+from calib.validation.verify_recorded import LEAST_POSES, compare_arms
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Effect, Table, Tool
 from control.model.description import load_arm
-from control.model.kinematics import Kinematics
 
 RIGHT = load_arm("right")
 PANDA = load_arm(Path(__file__).parents[1] / "control" / "model" / "arms" / "panda.toml")

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.points import Points, make_points
-from calib.points_writer import write_points
-from calib.tracks import Track, TrackPair
-from calib.used_points import SAME_POSE_rad, Used, already_used
-from calib.verification import Verification, write_verification_json, write_verification_report
-from calib.verify import compare
+from calib.points.points import Points, make_points
+from calib.points.writer import write_points
+from calib.report.verification import Verification, write_verification_json, write_verification_report
+from calib.validation.tracks import Track, TrackPair
+from calib.validation.used_points import SAME_POSE_rad, Used, already_used
+from calib.validation.verify import compare
 from control.model.arm import Arm, Calibration
 from control.model.description import load_arm, save_arm
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.identify import ArmModel, ArmProblem, Choice, LeastSquares, SumOfDistances, problem_of
 from calib.identify.solver import minimise
-from calib.points import Points, make_points
+from calib.points.points import Points, make_points
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.table import SETUPS, cavities, table_of

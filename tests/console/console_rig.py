@@ -18,8 +18,8 @@ from textual.widget import Widget
 from textual.widgets import RichLog, Static
 
 from console.screen.app import ConsoleApp, Files
-from control.loop.server import Server
 from control.model.arm import Arm
+from control.server.server import Server
 from tests.cell import PERIOD_S, RIGHT, Cell
 
 STEP_S = 0.01

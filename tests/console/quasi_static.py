@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from calib.identify.arm_model import ArmModel
-from control.loop.client import Average
+from calib.arm_problem.arm_model import ArmModel
+from control.dynamics.dynamics import Dynamics
+from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm
-from control.model.dynamics import Dynamics
-from control.model.inverse import InverseKinematics
+from control.server.client import Average
 
 FRICTION_Nm = np.array([1.3, 1.5, 0.9])
 LINK_SHARE = 0.5
@@ -21,7 +21,7 @@ ENCODER_NOISE_rad, CURRENT_NOISE_A = 1e-5, 0.005
 
 
 class QuasiStaticBench:
-    """`console.demo.bench.Bench`: DH deviations and play are hidden, nothing takes time."""
+    """`procedures.mock.bench.Bench`: DH deviations and play are hidden, nothing takes time."""
 
     speed = 1.0
 

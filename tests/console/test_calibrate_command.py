@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.points import Points, read_points
+from calib.points.points import Points, read_points
 from console.main import main
+from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.model.inverse import InverseKinematics
-from control.model.kinematics import Kinematics
 from control.model.table import SETUPS, cavities, table_of
 
 PANDA = Path(__file__).parents[1] / "real" / "mukca_panda_1"

@@ -224,7 +224,7 @@ def test_a_wrong_board_is_one_message_and_nothing_moves(
     arm = with_drive(RIGHT, 2, motor_serial_number=0xD0002)
     with SteppedRig(arm, scenario(fault=(fault,))) as rig:
         save_arm(wired_to(arm, rig), tmp_path / "arm.toml")
-        for module in ("console.commands.check", "control.loop.process"):
+        for module in ("console.commands.check", "control.server.process"):
             monkeypatch.setattr(f"{module}.MonotonicClock", lambda: rig.clock)
         options = (
             ["--socket", str(tmp_path / "a.sock"), "--log", str(tmp_path / "log")]

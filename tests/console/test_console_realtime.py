@@ -17,8 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from console.demo.bench import RealTimeBench
-from control.loop.client import ArmClient
+from control.server.client import ArmClient
+from procedures.mock.bench import RealTimeBench
 from tests.cell import RIGHT
 
 pytestmark = pytest.mark.realtime

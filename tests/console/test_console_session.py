@@ -13,7 +13,7 @@ from textual.pilot import Pilot
 from textual.widgets import RichLog, Static
 
 from console.screen.app import ConsoleApp
-from console.screen.session import SessionScreen, board_lines, kept_line
+from console.screen.session import SessionScreen, board_lines, recorded_line
 from tests.cell import Cell, holding_cell
 from tests.console.console_rig import console_on, press, said, until
 
@@ -104,11 +104,11 @@ def test_the_board_keeps_its_proportions_in_any_room() -> None:
 def test_a_record_says_how_it_fits_and_one_that_does_not_is_red() -> None:
     kept = {"kept": "normal 3", "text": "normal 3 recorded; look", "error_mm": 20.0}
     kept |= {"off_mm": 0.4, "surprise": 2.6, "is_suspect": False}
-    assert kept_line(kept).split() == ["normal", "3", "20.00", "0.40", "mm", "[none]", "2.6", "sd[/]"]
-    assert "[yellow] 3.1 sd" in kept_line({**kept, "surprise": 3.1})
-    assert kept_line({**kept, "is_suspect": True}) == "[b red]normal 3 recorded; look[/]"
-    assert kept_line({**kept, "surprise": None, "off_mm": None}).split() == ["normal", "3", "20.00"]
-    assert kept_line({**kept, "surprise": None, "off_mm": None, "error_mm": None}).split() == [
+    assert recorded_line(kept).split() == ["normal", "3", "20.00", "0.40", "mm", "[none]", "2.6", "sd[/]"]
+    assert "[yellow] 3.1 sd" in recorded_line({**kept, "surprise": 3.1})
+    assert recorded_line({**kept, "is_suspect": True}) == "[b red]normal 3 recorded; look[/]"
+    assert recorded_line({**kept, "surprise": None, "off_mm": None}).split() == ["normal", "3", "20.00"]
+    assert recorded_line({**kept, "surprise": None, "off_mm": None, "error_mm": None}).split() == [
         "normal",
         "3",
         "-",

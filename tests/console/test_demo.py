@@ -10,14 +10,14 @@ import pytest
 
 from calib.arrays import norms
 from console.commands import demo as demo_command
-from console.demo.job import Outcome, run
 from console.main import main
-from console.verify.places import places, ways
-from console.verify.survey import Programme
-from control.loop import stillness
+from control.kinematics.kinematics import Kinematics
+from control.loop import standstill as stillness
 from control.model.arm import Table
 from control.model.description import load_arm
-from control.model.kinematics import Kinematics
+from procedures.demo.job import Outcome, run
+from procedures.verify.places import places, ways
+from procedures.verify.survey import Programme
 
 RIGHT_TOML = Path(__file__).parents[2] / "control" / "arms" / "right.toml"
 

@@ -10,15 +10,15 @@ import pytest
 
 from calib.errors import CalibrationError
 from calib.gap.finding import EffectName
-from console.demo.gap import programme_of
-from console.demo.gap_hidden import DRAWN, SIZES, Hidden, beyond_known, drawn, with_known_friction
 from console.main import main
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Effect
 from control.model.description import load_arm
 from control.model.effects import EFFECTS
-from control.model.kinematics import Kinematics
 from hil_mocks.assembly import build_plant
 from hil_mocks.scenario import Scenario, parse_scenario
+from procedures.demo.gap import programme_of
+from procedures.demo.gap_hidden import DRAWN, SIZES, Hidden, beyond_known, drawn, with_known_friction
 
 RIGHT = load_arm("right")
 

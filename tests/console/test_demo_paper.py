@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from calib.arrays import norms
-from console.demo import paper
-from console.demo.paper import Outcome
-from console.demo.paper_models import BACKLASH, FREE, TILTS, commands
-from console.demo.paper_poses import OTHER, SETUPS, free_poses, verification_targets
-from console.demo.paper_result import improvement, table_text
 from console.main import main
+from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
 from control.model.description import load_arm
-from control.model.kinematics import Kinematics
+from procedures.demo import paper
+from procedures.demo.paper import Outcome
+from procedures.demo.paper_models import BACKLASH, FREE, TILTS, commands
+from procedures.demo.paper_poses import OTHER, SETUPS, free_poses, verification_targets
+from procedures.demo.paper_result import improvement, table_text
 from tests.console.quasi_static import QuasiStaticBench
 
 ARM = load_arm("right")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from static_cases import Hidden, case
 
-from calib.points import Points
+from calib.points.points import Points
 from console.main import main
 from control.model.description import load_arm
 

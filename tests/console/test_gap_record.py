@@ -13,14 +13,14 @@ import pytest
 
 from calib.errors import CalibrationError
 from calib.gap.log import Log, read_log
+from calib.gap.plan.collision_free_box import collision_free_box
 from calib.gap.plan.motions import Limits, multisine
 from calib.gap.plan.plan import RecordingPlan, Run, Visit
-from calib.gap.plan.room import room_of
-from calib.points import Points, read_points
-from console.demo.bench import SteppedBench
-from console.gap.recording import Bench, note_plan, record
+from calib.points.points import Points, read_points
 from console.main import main
 from control.model.description import load_arm
+from procedures.gap.recording import Bench, note_plan, record
+from procedures.mock.bench import SteppedBench
 
 RIGHT = load_arm("right")
 POSES = ((0.10, 0.20, 0.30), (0.16, 0.14, 0.36))
@@ -51,7 +51,7 @@ class Recorded:
 
 def tiny() -> RecordingPlan:
     """Two poses from two sides, one of them loaded, a short swing with and without the load."""
-    room = room_of(RIGHT)
+    room = collision_free_box(RIGHT)
     near = dataclasses.replace(room, lower_rad=np.array([0.0, 0.1, 0.2]), upper_rad=np.array([0.2, 0.3, 0.4]))
     swing = multisine(near, Limits.of(RIGHT), (1.0, 3.0), 1.0, 1.8, 1)
     steps = (

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from console.gap.timing import MEAN_s, Raw, aligned, clocks_of
+from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
-from control.model.kinematics import Kinematics
+from procedures.gap.timing import MEAN_s, Raw, aligned, clocks_of
 
 ARM = load_arm("right")
 PERIOD_s, LENGTH_s = 0.002, 6.0

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.iso9283 import pose
-from calib.iso9283.checks import Iso9283Error
+from calib.iso9283.criteria import pose
+from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
 from calib.iso9283.programme import Extent
-from calib.points import read_points
-from console.demo.bench import SteppedBench
-from console.iso9283.recording import AVERAGE_S, Bench, plan, rated_speed_m_s, record
+from calib.points.points import read_points
 from console.main import main
-from control.loop.client import Average
 from control.model.description import load_arm
+from control.server.client import Average
+from procedures.iso9283.recording import AVERAGE_S, Bench, plan, rated_speed_m_s, record
+from procedures.mock.bench import SteppedBench
 
 DEMO = Path(__file__).parents[2] / "hil_mocks" / "scenarios" / "demo.toml"
 CUBE = TestCube((0.40, 0.0, 0.30), 0.2)

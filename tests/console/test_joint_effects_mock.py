@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.identify.joint_effects import corrections
-from calib.points import Points, read_points
-from calib.points_writer import PointsWriter
-from console.demo.bench import SteppedBench
-from console.demo.paper_moves import Mover, Pose
+from calib.arm_problem.joint_effects import corrections
+from calib.points.points import Points, read_points
+from calib.points.writer import PointsWriter
+from control.dynamics.static_pose import resting
 from control.errors import MissingModel
 from control.model.description import load_arm
-from control.model.static_pose import resting
+from procedures.demo.paper_moves import Mover, Pose
+from procedures.mock.bench import SteppedBench
 
 ARM = load_arm("right")
 FRICTION = "".join(

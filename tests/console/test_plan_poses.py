@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from calib.points import make_points, read_points
-from calib.points_writer import write_points
+from calib.points.points import make_points, read_points
+from calib.points.writer import write_points
 from console.main import main
+from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
-from control.model.kinematics import Kinematics
 
 ARM = load_arm("right")
 

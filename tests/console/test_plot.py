@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 
 from console.main import main
-from console.seeing import sheets
-from console.seeing.merit import merit_json, merit_of, tip_error_m
-from console.seeing.pictures import PICTURES
-from console.seeing.reading import of_columns, read_series
-from console.seeing.series import Series, chosen, joined_runs
-from console.seeing.thinning import TURNS, envelope, orders, spectrum, with_gaps
-from console.seeing.traces import traces_of
+from console.visualisation import sheets
+from console.visualisation.metrics import metrics_json, metrics_of, tip_error_m
+from console.visualisation.pictures import PICTURES
+from console.visualisation.reading import of_columns, read_series
+from console.visualisation.series import Series, chosen, joined_runs
+from console.visualisation.thinning import TURNS, envelope, orders, spectrum, with_gaps
+from console.visualisation.traces import traces_of
 from control.errors import ArmError
-from control.loop.export import to_csv, to_mcap
-from control.loop.record import Recording
+from control.kinematics.kinematics import Kinematics
 from control.model.description import arm_text, load_arm
-from control.model.kinematics import Kinematics
+from control.recording.export import to_csv, to_mcap
+from control.recording.record import Recording
 from tests.recordings import MODES, AHEAD_rad, ERROR_rad, PERIOD_s, write_recording
 
 RIGHT = load_arm("right")
@@ -127,7 +127,7 @@ def test_saturation_is_counted_against_the_arms_own_limits(tmp_path: Path) -> No
     changes: dict[int, dict[str, float]] = {k: {"i2_A": -7.95, "u1_V": 23.9} for k in range(40)}
     changes[41] = {"missed": 7, "late_s": 0.5}
     series = read_series(write_recording(tmp_path / "a.armlog", 100, changes=changes, arm_toml=TOML))
-    merit = merit_of(series)
+    merit = metrics_of(series)
     assert merit.joints[1].current_saturated_share == pytest.approx(0.4)
     assert merit.joints[1].current_peak_A == pytest.approx(7.95)
     assert merit.joints[0].voltage_saturated_share == pytest.approx(0.4)
@@ -137,7 +137,7 @@ def test_saturation_is_counted_against_the_arms_own_limits(tmp_path: Path) -> No
 def test_an_error_counts_only_where_a_set_point_is_followed(tmp_path: Path) -> None:
     guiding = {k: {"mode": MODES.index("GUIDING"), "q1_rad": 1.0} for k in range(20, 30)}
     series = read_series(write_recording(tmp_path / "a.armlog", 60, changes=guiding))
-    assert merit_of(series).joints[0].following_max_rad == pytest.approx(ERROR_rad)
+    assert metrics_of(series).joints[0].following_max_rad == pytest.approx(ERROR_rad)
     assert np.isnan(series.following_error_rad[20:30]).all()
 
 
@@ -340,7 +340,7 @@ def test_cogging_shows_at_its_order_whatever_the_speed(direction: float) -> None
 
 
 def test_a_recording_whose_clock_starts_again_is_one_that_rises(tmp_path: Path) -> None:
-    from control.loop.record import Layout
+    from control.recording.record import Layout
 
     layout = Layout.of(3)
     block = write_recording(tmp_path / "few.armlog", 1000, arm_toml=TOML).read_bytes()
@@ -349,7 +349,7 @@ def test_a_recording_whose_clock_starts_again_is_one_that_rises(tmp_path: Path) 
     series = read_series(tmp_path / "huge.armlog")
     assert len(series) == 200_000
     assert (np.diff(series.t_s) > 0.0).all()
-    said = merit_json(series, merit_of(series))
+    said = metrics_json(series, metrics_of(series))
     assert said["joints"][2]["following_rms_rad"] == pytest.approx(3 * ERROR_rad)
 
 

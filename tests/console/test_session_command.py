@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.identify.assembly import problem_of
+from calib.arm_problem.assembly import problem_of
 from calib.identify.identification import identify
-from calib.points import read_points
+from calib.points.points import read_points
 from console.main import main
-from control.loop import stillness
+from control.kinematics.kinematics import Kinematics
+from control.loop import standstill as stillness
 from control.model.description import load_arm
-from control.model.kinematics import Kinematics
 from hil_mocks.scenario import load_scenario
 
 RIGHT_TOML = Path(__file__).parents[2] / "control" / "arms" / "right.toml"

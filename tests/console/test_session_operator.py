@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from calib.errors import SessionError
-from calib.points_writer import Record
+from calib.points.writer import Record
 from calib.session.boards_known import Boards
+from calib.session.dialogue import Ask, Command, Do, Jog, Message, Question, Recorded
 from calib.session.folder import SessionFolder
-from calib.session.free_poses import chosen_free_poses, read_free_poses
+from calib.session.moves.free_poses import chosen_free_poses, read_free_poses
 from calib.session.plan import SessionPlan, board_targets, free_targets
+from calib.session.residual_watch import Verdict
 from calib.session.state import Mark, SessionState
-from calib.session.talk import Ask, Command, Do, Jog, Kept, Question, Told
-from calib.session.watch import Verdict
-from console.session.dialogue import HELP, Auto, NotUnderstood, View, understood
-from console.session.drawing import board_text, status_text
-from console.session.operator import Operator
+from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
-from control.model.kinematics import Kinematics
 from control.model.table import board_cavities, table_of
+from procedures.session.dialogue import HELP, Auto, NotUnderstood, View, understood
+from procedures.session.drawing import board_text, status_text
+from procedures.session.operator import Operator
 
 RIGHT = load_arm("right")
 CAVITIES = board_cavities(table_of(RIGHT))
@@ -157,8 +157,8 @@ def talked(
         for target in plan.targets:
             answers.append((yield Ask(Question.NEXT, target)))
             record = Record(*target.key, (0.1,) * 3, (0.0,) * 3, (0,) * 3, (0.0,) * 3, 0.0, 0.0, None)
-            yield Kept(record, Verdict(np.full(3, 0.01), 0.004, surprise if target.point == "2" else 1.0))
-        yield Told("all is well")
+            yield Recorded(record, Verdict(np.full(3, 0.01), 0.004, surprise if target.point == "2" else 1.0))
+        yield Message("all is well")
         answers.append((yield Ask(Question.DONE, None)))
 
     with SessionFolder(tmp_path, plan) as folder:

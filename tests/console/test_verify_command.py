@@ -10,24 +10,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.points import make_points, read_points
-from calib.points_writer import write_points
+from calib.points.points import make_points, read_points
+from calib.points.writer import write_points
 from console.commands import verify as verify_command
 from console.main import main
-from console.verify import places as verify_places
-from console.verify import procedure
-from console.verify.driving import Run, handed_over, planned, poses_at
-from console.verify.driving import run as run_way
-from console.verify.models import Model, Pair, believed_by, nominal_of
-from console.verify.places import places, ways
-from console.verify.tracks import MOVING, _planned_m, recorded, track_of, wait_until_recorded
 from control.errors import ArmError
-from control.loop import stillness
-from control.loop.record import FileSink, Layout
+from control.kinematics.kinematics import Kinematics
+from control.loop import standstill as stillness
 from control.model import table as tables
 from control.model.arm import Arm, Calibration, Effect, Tool
 from control.model.description import load_arm, save_arm
-from control.model.kinematics import Kinematics
+from control.recording.record import FileSink, Layout
+from procedures.verify import places as verify_places
+from procedures.verify import procedure
+from procedures.verify.driving import Run, handed_over, planned, poses_at
+from procedures.verify.driving import run as run_way
+from procedures.verify.models import Model, Pair, believed_by, nominal_of
+from procedures.verify.places import places, ways
+from procedures.verify.tracks import MOVING, _planned_m, recorded, track_of, wait_until_recorded
 
 RIGHT = load_arm("right")
 TABLE = tables.table_of(RIGHT)

@@ -17,17 +17,17 @@ from PIL import Image
 
 from console.commands import view
 from console.main import main
-from console.seeing import render
-from console.seeing.moments import Moment, live, moment_at, recorded
-from console.seeing.reading import read_series
-from console.seeing.scene import PREFIX, ArmScene
-from console.seeing.traces import Traces, Trail, traces_of
-from console.seeing.window import DOWN, HOME, LEFT, RIGHT, SPACE, UP, Player, follow, play
+from console.visualisation import render
+from console.visualisation.moments import Moment, live, moment_at, recorded
+from console.visualisation.reading import read_series
+from console.visualisation.scene import PREFIX, ArmScene
+from console.visualisation.traces import Traces, Trail, traces_of
+from console.visualisation.window import DOWN, HOME, LEFT, RIGHT, SPACE, UP, Player, follow, play
 from control.errors import ArmError
-from control.loop.client import RuntimeGone
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Link, Tool
 from control.model.description import arm_text, load_arm
-from control.model.kinematics import Kinematics
+from control.server.client import RuntimeGone
 from tests.recordings import MODES, write_recording
 
 ARM = load_arm("right")

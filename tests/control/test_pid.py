@@ -6,7 +6,7 @@ import random
 import pytest
 
 from control.errors import ArmError
-from control.loop.pid import NonFiniteInput, Pid
+from control.servo.pid import NonFiniteInput, Pid
 
 PERIOD_S = 0.002
 

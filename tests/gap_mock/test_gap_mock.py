@@ -21,7 +21,7 @@ from calib.gap.dynamic.find import find as find_in_motion
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log
 from calib.gap.static.find import find as find_in_poses
-from calib.points import Points, read_points
+from calib.points.points import Points, read_points
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.effects import EFFECTS

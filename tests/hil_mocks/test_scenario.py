@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from control.kinematics.inverse import InverseKinematics
 from control.model.description import load_arm
 from control.model.effects import EFFECTS
-from control.model.inverse import InverseKinematics
 from hil_mocks.assembly import effects_of
 from hil_mocks.errors import ScenarioError
 from hil_mocks.plant.effects import KNOWN

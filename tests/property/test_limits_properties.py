@@ -3,8 +3,8 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from control.loop.pid import Pid
 from control.safety.limits import SetPointLimits, limit_set_point, stopping_speed
+from control.servo.pid import Pid
 
 T = 0.002
 LIMIT = SetPointLimits(-1.0, 1.0, 2.0, 10.0)

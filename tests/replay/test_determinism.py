@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from control.loop.record import FileSink, Layout
+from control.recording.record import FileSink, Layout
 from tests.cell import holding_cell, scenario
 
 NEAR_HOME = (-0.1, 0.0, 0.6)

@@ -10,11 +10,11 @@ import dataclasses
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-from calib.gap.dynamic.angles import BEHIND, SEEN
-from calib.gap.dynamic.recording import Recording
-from calib.gap.dynamic.terms import Term
+from calib.arm_problem.link_bending import beams
 from calib.gap.finding import EffectName
-from calib.identify.link_bending import beams
+from calib.gap.signals.angles import BEHIND, SEEN
+from calib.gap.signals.recording import Recording
+from calib.gap.signals.terms import Term
 from control.model.arm import Arm
 
 STRIBECK_rad_s = (0.012, 0.022, 0.04, 0.07, 0.12, 0.22)

@@ -14,8 +14,8 @@ from calib.gap.dynamic.rows import Rows
 from calib.gap.dynamic.screen import Screen, Start
 from calib.gap.dynamic.sizes import is_worth_a_name
 from calib.gap.dynamic.split import Split
-from calib.gap.dynamic.terms import Term
 from calib.gap.finding import EffectName
+from calib.gap.signals.terms import Term
 
 # Fixed on seeds that no reported figure uses; docs/gap.md says how.
 MATERIAL = (

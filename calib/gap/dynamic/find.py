@@ -8,22 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.dynamic import forms
-from calib.gap.dynamic.borne_out import borne_out
 from calib.gap.dynamic.catalogue import candidates as all_candidates
 from calib.gap.dynamic.choose import CAMERA_TIME, SAMPLING_TIME, Choice, Step
 from calib.gap.dynamic.fit import Fitted
-from calib.gap.dynamic.motion import MotionGap, motion_gaps
 from calib.gap.dynamic.nameable import nameable
-from calib.gap.dynamic.physics import Physics
 from calib.gap.dynamic.plausible import plausible
-from calib.gap.dynamic.recording import Recording, prepare
 from calib.gap.dynamic.rows import Cell, Rows, RowTable
 from calib.gap.dynamic.split import Picked, Split, split
-from calib.gap.dynamic.terms import Term, known_terms
+from calib.gap.dynamic.validation import validate
 from calib.gap.dynamic.verdict import Verdict, judge
 from calib.gap.finding import GapFinding, NamedEffect
 from calib.gap.log import Log
+from calib.gap.signals import forms
+from calib.gap.signals.motion import MotionGap, motion_gaps
+from calib.gap.signals.physics import Physics
+from calib.gap.signals.recording import Recording, prepare
+from calib.gap.signals.terms import Term, known_terms
 from control.model.arm import Arm
 
 FAR_OFF = 20.0  # floors
@@ -78,7 +78,7 @@ def examine(
     steps = choice.steps()
     told("the gap on runs used for nothing else", 0.95)
     before = rows.residual(known)
-    last = borne_out(choice, steps, judge(choice, steps, arm))
+    last = validate(choice, steps, judge(choice, steps, arm))
     verdict, accepted = last.verdict, last.accepted
     after = accepted.residual
     parts = choice.split

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from calib.arrays import Array
 from calib.gap.dynamic.rows import Rows
-from calib.gap.dynamic.terms import STEP, Term
+from calib.gap.signals.terms import STEP, Term
 
 Picked = npt.NDArray[np.bool_]
 ITERATIONS = 8

@@ -12,9 +12,9 @@ from calib.gap.dynamic.choose import MARGIN
 from calib.gap.dynamic.screen import Screen
 from calib.gap.dynamic.sizes import smallest
 from calib.gap.dynamic.split import Split
-from calib.gap.dynamic.terms import Term
 from calib.gap.dynamic.verdict import GEOMETRIC, SHARE_EXACT
 from calib.gap.finding import EffectName, Nameable
+from calib.gap.signals.terms import Term
 from control.model.arm import Arm
 
 ALIKE = 0.98  # cosine of two signatures that noise hardly separates

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.arrays import Array
-from calib.drawing import AFTER, BEFORE, PLANNED, svg
 from calib.gap.dynamic.find import DynamicOutcome
 from calib.gap.dynamic.rows import Cell
 from calib.gap.finding import EffectName, NamedEffect
-from calib.page import Section, bullets, paragraph
+from calib.report.drawing import AFTER, BEFORE, PLANNED, svg
+from calib.report.page import Section, bullets, paragraph
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

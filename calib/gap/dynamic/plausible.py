@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.dynamic.body import Body, Load
-from calib.gap.dynamic.held import not_held
-from calib.gap.dynamic.recording import Recording, UnusableLogError
+from calib.gap.signals.body import Body, Load
+from calib.gap.signals.held import not_held
+from calib.gap.signals.recording import Recording, UnusableLogError
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
-from control.model.kinematics import Kinematics
 
 TOGETHER = 0.6  # correlation from which the factor between two signals means something
 WITHIN = 2.5  # factor that no effect of the list reaches

@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array
-from calib.gap.dynamic.body import Load
-from calib.gap.dynamic.floor import Block, floors
-from calib.gap.dynamic.laws import sampled_friction_Nm
-from calib.gap.dynamic.physics import Physics, Prediction
-from calib.gap.dynamic.recording import Flags, Motion, Recording
-from calib.gap.dynamic.terms import Term
+from calib.gap.signals.body import Load
+from calib.gap.signals.floor import Block, floors
+from calib.gap.signals.laws import sampled_friction_Nm
+from calib.gap.signals.physics import Physics, Prediction
+from calib.gap.signals.recording import Flags, Motion, Recording
+from calib.gap.signals.terms import Term
 
 SLOW_rad_s = 0.008  # below, friction of real joints is pre-sliding, and no law here speaks of that
 PRESLIDING_rad = 0.0005  # since a joint turned: within it friction is a spring, as long as it may take

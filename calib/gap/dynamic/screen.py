@@ -11,7 +11,7 @@ from calib.arrays import Array
 from calib.gap.dynamic.catalogue import Candidate
 from calib.gap.dynamic.fit import Fitted, Picked, columns
 from calib.gap.dynamic.rows import Rows
-from calib.gap.dynamic.terms import Term
+from calib.gap.signals.terms import Term
 
 FRICTION = {
     "coulomb_friction",

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
-from calib.gap.dynamic.angles import plain
-from calib.gap.dynamic.terms import Term
 from calib.gap.finding import Nameable
+from calib.gap.signals.angles import plain
+from calib.gap.signals.terms import Term
 from control.model.arm import Arm
 
 SMALLEST = {

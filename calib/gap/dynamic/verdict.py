@@ -10,8 +10,8 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.dynamic.catalogue import Candidate
 from calib.gap.dynamic.choose import FIRST_LAWS, MARGIN, OF_SENSORS, SHARE_MARGIN, Choice, Step
-from calib.gap.dynamic.terms import Term
 from calib.gap.finding import EffectName, Unknown
+from calib.gap.signals.terms import Term
 from control.model.arm import Arm
 
 SUFFICIENT = 0.99  # of what a cell showed beyond its floor, and the effect claims, a name has to take

@@ -8,11 +8,11 @@ from calib.gap.finding import Nameable
 from calib.gap.plan.plan import AVERAGE_s, RecordingPlan, Visit
 from calib.gap.static.find import find
 from calib.gap.static.nameable import is_nameable
-from calib.points import Points, make_points
+from calib.points.points import Points, make_points
+from control.dynamics.static_pose import ASSUMED_FRICTION, gravity_Nm, torque_per_A
 from control.errors import MissingModel
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
-from control.model.kinematics import Kinematics
-from control.model.static_pose import ASSUMED_FRICTION, gravity_Nm, torque_per_A
 
 CAMERA_Hz = 100.0
 NOISE_m = 0.0003  # where the arm's file says nothing about its camera

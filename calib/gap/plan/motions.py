@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.plan.room import Room
+from calib.gap.plan.collision_free_box import CollisionFreeBox
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
-from control.model.kinematics import Kinematics
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.setpoint import SetPoint
@@ -44,7 +44,12 @@ class Limits:
 
 
 def multisine(
-    room: Room, limits: Limits, band_Hz: tuple[float, float], size: float, duration_s: float, seed: int
+    room: CollisionFreeBox,
+    limits: Limits,
+    band_Hz: tuple[float, float],
+    size: float,
+    duration_s: float,
+    seed: int,
 ) -> JointPath:
     """Sums of five sines within a band, other phases and frequencies for every joint; `size`: of what room and limits allow."""
     draw = np.random.default_rng((seed, round(100 * band_Hz[0])))
@@ -72,7 +77,7 @@ def _room_for(curve: Curve, j: int, half_rad: float, limits: JointLimits) -> flo
 
 
 def shake(
-    room: Room, limits: Limits, band_Hz: tuple[float, float], duration_s: float, seed: int
+    room: CollisionFreeBox, limits: Limits, band_Hz: tuple[float, float], duration_s: float, seed: int
 ) -> JointPath:
     """As fast as the limits on jerk and acceleration allow, past where the joints can be controlled; a few milliradians."""
     draw = np.random.default_rng((seed, 7))
@@ -88,7 +93,7 @@ def shake(
 
 
 def ramps(
-    room: Room, limits: Limits, shares: Sequence[float], leg_s: float, at: Sequence[float] = ()
+    room: CollisionFreeBox, limits: Limits, shares: Sequence[float], leg_s: float, at: Sequence[float] = ()
 ) -> JointPath:
     """There and back at constant speeds, each for `leg_s`; every joint has them in another order.
 
@@ -174,7 +179,13 @@ def _smooth(s: Array) -> Curve:
 
 
 def _there_and_back(
-    start_rad: float, sign: float, shares: Sequence[float], leg_s: float, limits: Limits, room: Room, j: int
+    start_rad: float,
+    sign: float,
+    shares: Sequence[float],
+    leg_s: float,
+    limits: Limits,
+    room: CollisionFreeBox,
+    j: int,
 ) -> Curve:
     """Legs out and back about the start, each with a constant speed between smooth turns; held inside the room."""
     speeds = [share * limits.joints.speed_rad_s[j] for share in shares]

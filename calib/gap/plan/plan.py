@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.errors import CalibrationError
+from calib.gap.plan.collision_free_box import CollisionFreeBox, clear, collision_free_box
 from calib.gap.plan.motions import Limits, demand, multisine, poses_of, ramps, shake
 from calib.gap.plan.poses import APPROACH_rad, Extent, Pose, static_poses
-from calib.gap.plan.room import Room, clear, room_of
 from control.model.arm import Arm
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
@@ -79,7 +79,7 @@ class Wish:
 class RecordingPlan:
     """Steps in order, the room that they stay in, and the time that the arm needs for them."""
 
-    room: Room
+    room: CollisionFreeBox
     steps: tuple[Step, ...]
     duration_s: float
 
@@ -99,7 +99,7 @@ def recording_plan(arm: Arm, wish: Wish, speed: float = 1.0) -> RecordingPlan:
 
     `speed`: of the joints' limits, for moves between poses.
     """
-    room = room_of(arm)
+    room = collision_free_box(arm)
     extent, run_s, spare = (QUICK, 6.0, 1) if wish.is_quick else (FULL, 8.0, 2)
     steps = _steps(arm, room, wish, extent, run_s, spare)
     plan = RecordingPlan(room, steps, _duration_s(arm, steps, speed))
@@ -115,7 +115,7 @@ LEAST = Extent(levels=2, spread=2, outside=0, pulled=1)
 
 
 def _of_length(
-    arm: Arm, room: Room, wish: Wish, plan: RecordingPlan, run_s: float, speed: float
+    arm: Arm, room: CollisionFreeBox, wish: Wish, plan: RecordingPlan, run_s: float, speed: float
 ) -> RecordingPlan:
     """More or fewer poses and runs, until the time is used. CalibrationError where the least takes longer."""
     wanted_s = 60.0 * (wish.minutes or 0.0)
@@ -136,7 +136,9 @@ def _of_length(
     return best or plan
 
 
-def _steps(arm: Arm, room: Room, wish: Wish, extent: Extent, run_s: float, spare: int) -> tuple[Step, ...]:
+def _steps(
+    arm: Arm, room: CollisionFreeBox, wish: Wish, extent: Extent, run_s: float, spare: int
+) -> tuple[Step, ...]:
     empty: list[Step] = []
     loaded: list[Step] = []
     if wish.has_poses:
@@ -166,7 +168,7 @@ def _blocks(poses: Sequence[Pose], draw: np.random.Generator) -> list[list[Pose]
     return [[block[k] for k in draw.permutation(len(block)).tolist()] for block in blocks]
 
 
-def _visits(poses: Sequence[Pose], room: Room, payload_kg: float, number: int) -> Iterator[Visit]:
+def _visits(poses: Sequence[Pose], room: CollisionFreeBox, payload_kg: float, number: int) -> Iterator[Visit]:
     """A block: every pose from two opposite sides, every other one from the other pair of sides; the reference in between.
 
     The reference comes from all four sides first. In which order is another in each block, so that each side is kept apart for
@@ -200,7 +202,7 @@ def _against(side: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(-s for s in side)
 
 
-def _runs(arm: Arm, room: Room, payload_kg: float, run_s: float, spare: int) -> Iterator[Run]:
+def _runs(arm: Arm, room: CollisionFreeBox, payload_kg: float, run_s: float, spare: int) -> Iterator[Run]:
     """Several kinds of motion, each at its own speed; some twice, for the noise; some with the load."""
     limits = Limits.of(arm)
     leg_s = run_s / 10.0
@@ -232,7 +234,7 @@ def _runs(arm: Arm, room: Room, payload_kg: float, run_s: float, spare: int) -> 
         yield Run(f"{number}", kind, path, mass)
 
 
-def _aside(room: Room) -> tuple[float, ...]:
+def _aside(room: CollisionFreeBox) -> tuple[float, ...]:
     """Another place for slow ramps, where gravity pulls otherwise."""
     return tuple(0.3 if j % 2 else 0.7 for j in range(len(room.lower_rad)))
 

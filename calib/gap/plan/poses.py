@@ -8,10 +8,10 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.design.reach import joint_box, spread_poses
-from calib.gap.plan.room import Room, clear
+from calib.gap.plan.collision_free_box import CollisionFreeBox, clear
+from control.dynamics.static_pose import gravity_Nm
 from control.errors import MissingModel
 from control.model.arm import Arm
-from control.model.static_pose import gravity_Nm
 
 APPROACH_rad = 0.03  # of every joint before it stops: several times the play and the windup of a sound gear
 SPREAD_FROM = 400  # poses that the rarer pull of gravity is looked for among
@@ -38,7 +38,7 @@ class Pose:
     via_rad: tuple[float, ...] | None = None
 
 
-def static_poses(arm: Arm, room: Room, extent: Extent) -> tuple[Pose, ...]:
+def static_poses(arm: Arm, room: CollisionFreeBox, extent: Extent) -> tuple[Pose, ...]:
     """All poses; the approach to each stays inside the joints' ranges and clear."""
     inner = room.inset(APPROACH_rad)
     found = _alone(inner, extent.levels)
@@ -52,7 +52,7 @@ def static_poses(arm: Arm, room: Room, extent: Extent) -> tuple[Pose, ...]:
     return (*numbered, *(Pose(f"o{k + 1}", _plain(q), via) for k, q in enumerate(outside)))
 
 
-def _alone(inner: Room, levels: int) -> list[tuple[str, Array]]:
+def _alone(inner: CollisionFreeBox, levels: int) -> list[tuple[str, Array]]:
     """Each joint through its travel while the others stand in the middle: also joint 2 while motor 3 stands."""
     found = []
     for j in range(len(inner.lower_rad)):
@@ -63,7 +63,7 @@ def _alone(inner: Room, levels: int) -> list[tuple[str, Array]]:
     return found
 
 
-def _pulled(arm: Arm, inner: Room, count: int) -> list[Array]:
+def _pulled(arm: Arm, inner: CollisionFreeBox, count: int) -> list[Array]:
     """For every joint that gravity pulls both ways, poses with the strongest of the rarer pull."""
     poses = spread_poses((inner.lower_rad, inner.upper_rad), SPREAD_FROM, edge_share=0.3)
     try:
@@ -78,7 +78,7 @@ def _pulled(arm: Arm, inner: Room, count: int) -> list[Array]:
     return found
 
 
-def _outside(arm: Arm, room: Room, count: int) -> list[Array]:
+def _outside(arm: Arm, room: CollisionFreeBox, count: int) -> list[Array]:
     """Poses beyond the room, far from each other, with a clear straight way from its middle, and room to approach."""
     lower, upper = joint_box(arm)
     poses = spread_poses((lower + APPROACH_rad, upper - APPROACH_rad), OUTSIDE_FROM)

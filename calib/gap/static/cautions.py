@@ -7,16 +7,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.arm_problem.assembly import problem_of
+from calib.arm_problem.checks import require_usable
 from calib.arrays import Array, Mask, frozen
 from calib.errors import UnusablePointsError
-from calib.gap.static.currents import SATURATED
-from calib.gap.static.floor import Floor
-from calib.gap.static.generic import load_of
-from calib.gap.static.model import Fitted
+from calib.gap.poses.currents import SATURATED
+from calib.gap.poses.floor import Floor
+from calib.gap.poses.generic import load_of
+from calib.gap.poses.model import Fitted
 from calib.gap.static.split import RECORDINGS_LEAST, Split, recordings
-from calib.identify.assembly import problem_of
-from calib.identify.checks import require_usable
-from calib.points import Points
+from calib.points.points import Points
 from control.model.arm import Arm
 
 FEW_POSES = 24

@@ -15,8 +15,8 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName
-from calib.gap.static.candidate import Candidate
-from calib.gap.static.evidence import Evidence, tail
+from calib.gap.poses.candidate import Candidate
+from calib.gap.poses.evidence import Evidence, tail
 from calib.gap.static.linearised import places
 
 MARGIN = (

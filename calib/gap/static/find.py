@@ -11,21 +11,21 @@ import numpy as np
 from calib.arrays import Array, Mask
 from calib.errors import UnusablePointsError
 from calib.gap.finding import GapFinding
-from calib.gap.static.candidate import Candidate
-from calib.gap.static.candidates import candidates
+from calib.gap.poses.candidate import Candidate
+from calib.gap.poses.candidates import candidates
+from calib.gap.poses.currents import holding_currents
+from calib.gap.poses.floor import Floor, noise_floor
+from calib.gap.poses.generic import load_of
+from calib.gap.poses.model import Fitted, fitted
 from calib.gap.static.cautions import about_data, about_fit, about_outliers, cleaned, require_posed
-from calib.gap.static.currents import holding_currents
 from calib.gap.static.experiments import next_experiment
-from calib.gap.static.floor import Floor, noise_floor
-from calib.gap.static.generic import load_of
 from calib.gap.static.linearised import Linearised
-from calib.gap.static.model import Fitted, fitted
 from calib.gap.static.nameable import nameable
 from calib.gap.static.naming import named, rms, stages
 from calib.gap.static.outlying import outlying
 from calib.gap.static.search import Search, working_noise_m
 from calib.gap.static.split import Split, split
-from calib.points import Points
+from calib.points.points import Points
 from control.model.arm import Arm
 
 FREEDOM_LEAST = 60  # values beyond all parameters that a noise from the richest model needs
@@ -96,7 +96,7 @@ def find(
         unknown=verdict.unknown,
         nameable=could,
         next_experiment=next_experiment(ambiguous, verdict.unknown, could, "free" in points.setup),
-        is_kept_apart=parts.is_divided,
+        is_held_out=parts.is_divided,
     )
     drawn = (("as it is", nominal), *((name, one.residual_m) for name, one in fits))
     return StaticGap(finding, points, parts, floor, drawn, final, tuple(warnings), out, load_of(arm, points))

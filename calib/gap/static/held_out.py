@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from calib.arrays import Mask
-from calib.gap.static.candidate import Candidate
-from calib.gap.static.evidence import Evidence
+from calib.gap.poses.candidate import Candidate
+from calib.gap.poses.evidence import Evidence
 from calib.gap.static.linearised import Linearised, places
 from calib.gap.static.split import Split
 
@@ -22,7 +22,7 @@ SHARE_LEAST = 0.25  # of the gain that the effect should bring there, where that
 Weigh = Callable[[Mask], Evidence]
 
 
-def unborne(
+def refuted(
     around: Linearised, tried: Sequence[Candidate], chosen: Sequence[int], parts: Split
 ) -> tuple[int, ...]:
     """Of the chosen candidates those that the choose recordings could show, and do not bear out."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from calib.arrays import Mask
 from calib.gap.finding import EffectName, Unknown
-from calib.gap.static.candidate import Candidate
-from calib.gap.static.floor import Floor
-from calib.gap.static.model import Fitted
+from calib.gap.poses.candidate import Candidate
+from calib.gap.poses.floor import Floor
+from calib.gap.poses.model import Fitted
+from calib.gap.poses.shape import WHOLE_ARM, Shape
 from calib.gap.static.remainder import Remainder
-from calib.gap.static.shape import WHOLE_ARM, Shape
 
 EXPLAINED_LEAST = (
     0.9  # share of the excess over the floor below which a name beside a remainder would be a proxy

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask
-from calib.gap.static.candidate import Candidate
-from calib.gap.static.currents import Currents
-from calib.gap.static.evidence import Evidence
+from calib.gap.poses.candidate import Candidate
+from calib.gap.poses.currents import Currents
+from calib.gap.poses.evidence import Evidence
 from calib.gap.static.signature import Signature
-from calib.identify.problem import ArmProblem
 
 
 @dataclass(frozen=True, slots=True)

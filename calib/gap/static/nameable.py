@@ -11,9 +11,9 @@ import numpy as np
 
 from calib.arrays import Mask
 from calib.gap.finding import EffectName, Nameable
-from calib.gap.static.candidate import Candidate
+from calib.gap.poses.candidate import Candidate
+from calib.gap.poses.evidence import Evidence
 from calib.gap.static.decision import FIRST_COST, MARGIN
-from calib.gap.static.evidence import Evidence
 from calib.gap.static.linearised import Linearised, places
 
 # Standard deviations at which the expected log evidence, half their square, pays a first name and a margin over its rivals in
@@ -31,14 +31,14 @@ def nameable(around: Linearised, tried: Sequence[Candidate], rows: Mask) -> tupl
     found = []
     for one, own in zip(seen, at, strict=True):
         alone = _detectability(evidence, own)
-        doubles = [
+        confounders = [
             rival.name
             for rival, other in zip(seen, at, strict=True)
             if rival is not one
             and alone >= TOLD_APART_sd
             and _detectability(evidence, own, other) < TOLD_APART_sd
         ]
-        found.append(Nameable(one.name, round(alone, 2), tuple(doubles)))
+        found.append(Nameable(one.name, round(alone, 2), tuple(confounders)))
     return tuple(found)
 
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName, NamedEffect
-from calib.gap.static.candidate import Candidate
-from calib.gap.static.currents import Currents
-from calib.gap.static.floor import Floor
-from calib.gap.static.model import Fitted, fitted, parameters_of
+from calib.gap.poses.candidate import Candidate
+from calib.gap.poses.currents import Currents
+from calib.gap.poses.floor import Floor
+from calib.gap.poses.model import Fitted, fitted, parameters_of
 from calib.gap.static.split import Split
-from calib.points import Points
+from calib.points.points import Points
 from control.model.arm import Arm
 
 GEOMETRY_PAYS = 40.0  # mean square of chi-square beyond its count that 16 refitted parameters must gain

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.arrays import Array, Mask, norms
-from calib.gap.static.candidate import Candidate
+from calib.gap.poses.candidate import Candidate
 from calib.gap.static.linearised import Linearised
 
 FAR = 7.0  # times the scatter of the others

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.arrays import Array
-from calib.drawing import AFTER, BEFORE, PLANNED, svg
 from calib.gap.static.find import StaticGap
 from calib.gap.static.split import recordings
+from calib.report.drawing import AFTER, BEFORE, PLANNED, svg
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

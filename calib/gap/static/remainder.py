@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Mask
-from calib.gap.static.evidence import Evidence
+from calib.gap.poses.evidence import Evidence
+from calib.gap.poses.model import Fitted
+from calib.gap.poses.shape import Shape
 from calib.gap.static.linearised import Linearised
-from calib.gap.static.model import Fitted
-from calib.gap.static.shape import Shape
 
 CLEAR = 9.0  # log evidence, some 700 shapes being tried: by chance once in a thousand data sets
 

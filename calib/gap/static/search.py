@@ -8,27 +8,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.link_bending import FLEXURE
 from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName, Unknown
 from calib.gap.model_update import effect_of, with_named
-from calib.gap.static.candidate import Candidate
-from calib.gap.static.candidates import candidates
-from calib.gap.static.currents import Currents
+from calib.gap.poses.candidate import Candidate
+from calib.gap.poses.candidates import candidates
+from calib.gap.poses.currents import Currents
+from calib.gap.poses.evidence import Evidence
+from calib.gap.poses.floor import Floor
+from calib.gap.poses.generic import shapes
+from calib.gap.poses.load_shapes import contradiction
+from calib.gap.poses.model import Fitted, fitted, parameters_of, unsound, unsure
+from calib.gap.poses.shape import Shape
+from calib.gap.static.confounders import confounders
 from calib.gap.static.decision import FURTHER_COST, Decision, decide, with_doubt
-from calib.gap.static.doubles import doubles
-from calib.gap.static.evidence import Evidence
-from calib.gap.static.floor import Floor
-from calib.gap.static.generic import shapes
-from calib.gap.static.held_out import unborne
+from calib.gap.static.held_out import refuted
 from calib.gap.static.judgement import Judgement, explained_share, is_same_joint, judge
 from calib.gap.static.linearised import Linearised, places
-from calib.gap.static.load_shapes import contradiction
-from calib.gap.static.model import Fitted, fitted, parameters_of, unsound, unsure
 from calib.gap.static.remainder import Remainder, remainders
-from calib.gap.static.shape import Shape
 from calib.gap.static.split import Split
-from calib.identify.link_bending import FLEXURE
-from calib.points import Points
+from calib.points.points import Points
 from control.model.arm import Arm
 
 LOOKS = 3  # the geometry moves when an effect joins it, and the evidence is linear around it: look again
@@ -119,8 +119,8 @@ class Search:
         """
         nameless = shapes_beside(self.tried, self.loaded, self.points)
         left = remainders(fit, self.parts.known, nameless, self.noise_m)
-        twins, orphans = self._replaceable(decision, fit, left, nameless)
-        broken = unborne(self.around(fit.geometry_x), self.tried, decision.best.chosen, self.parts)
+        confounded, unsupported = self._replaceable(decision, fit, left, nameless)
+        broken = refuted(self.around(fit.geometry_x), self.tried, decision.best.chosen, self.parts)
         vague = unsound(fit, self.parts.known, self.noise_m)
         broken = tuple(k for k in decision.best.chosen if k in broken or self.tried[k].name in vague)
         loads = [self.tried[k] for k in decision.best.chosen if not self.tried[k].moves_tip]
@@ -128,17 +128,19 @@ class Search:
         if against is not None:
             vague |= {one.name for one in loads}
             broken = tuple(k for k in decision.best.chosen if k in broken or self.tried[k].name in vague)
-        sure = {self.tried[k].name for k in decision.accepted if k not in {*twins, *orphans, *broken}}
+        sure = {
+            self.tried[k].name for k in decision.accepted if k not in {*confounded, *unsupported, *broken}
+        }
         accepted = [
             one
             for one in fit.chosen
-            if one.name in sure and not any(is_same_joint(one, shape) for shape in twins.values())
+            if one.name in sure and not any(is_same_joint(one, shape) for shape in confounded.values())
         ]
         verdict = judge(accepted, decision.leader, self.bare, fit, left, self.parts.known, self.floor)
-        if verdict.unknown is not None or not (twins or broken):  # orphans come with one of these
+        if verdict.unknown is not None or not (confounded or broken):  # orphans come with one of these
             return verdict
         share = round(explained_share(self.bare, fit, self.parts.known, self.floor.tip_m), 3)
-        for number, shape in twins.items():
+        for number, shape in confounded.items():
             return Judgement(verdict.kept, Unknown(shape.words, self.tried[number].name, share))
         name = self.tried[broken[0]].name
         if against is not None:
@@ -158,22 +160,22 @@ class Search:
         if not seen:
             return {}, set()
         evidence, at, shapes_at = self._evidence_beside(nameless, fit)
-        twins = doubles(evidence, at, shapes_at, self.tried, seen, nameless)
+        confounded = confounders(evidence, at, shapes_at, self.tried, seen, nameless)
         number = {id(shape): k for k, shape in enumerate(nameless)}
-        instead = [number[id(shape)] for shape in twins.values()]
+        instead = [number[id(shape)] for shape in confounded.values()]
         instead += [number[id(one.shape)] for one in left[:1]]
         if not instead:
-            return twins, set()
+            return confounded, set()
         beside = [place for k in dict.fromkeys(instead) for place in shapes_at[k]]
-        rest = [k for k in seen if k not in twins]
+        rest = [k for k in seen if k not in confounded]
         whole = evidence.log([*beside, *(place for k in rest for place in at[k])])
-        orphans = {
+        unsupported = {
             k
             for k in rest
             if whole - evidence.log([*beside, *(place for o in rest if o != k for place in at[o])])
             < FURTHER_COST
         }
-        return twins, orphans
+        return confounded, unsupported
 
     def _evidence_beside(
         self, nameless: Sequence[Shape], fit: Fitted

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Mask
-from calib.points import Points
+from calib.points.points import Points
 
 RECORDINGS_LEAST = 4  # fewer cannot be divided in three
 

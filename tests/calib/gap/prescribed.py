@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from calib.arrays import Array
 from calib.gap.log import Log, Run
+from control.dynamics.dynamics import Dynamics
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
-from control.model.dynamics import Dynamics
-from control.model.kinematics import Kinematics
 
 RATE_Hz, SECONDS = 500.0, 4.0
 COULOMB_Nm = (0.6, 0.7, 0.5)

@@ -10,7 +10,7 @@ import numpy as np
 from calib_arms import REFERENCE, TILTS, ChainModel, angles_for, board_points, deviations
 from static_physics import Hidden, Poses, Rig, ahead_rad, camera_m, gravity_torques, known_wrong, shifted_m
 
-from calib.points import Points, make_points
+from calib.points.points import Points, make_points
 from control.model.arm import Arm, Camera, Drive, Link
 from control.model.description import load_arm
 

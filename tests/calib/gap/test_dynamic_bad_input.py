@@ -12,9 +12,9 @@ from prescribed import arm_with_friction, log_of
 from calib.arrays import Array
 from calib.gap.dynamic.find import DynamicOutcome, examine
 from calib.gap.dynamic.plausible import plausible
-from calib.gap.dynamic.recording import Recording, UnusableLogError, prepare
 from calib.gap.log import Log, Run
-from control.model.kinematics import Kinematics
+from calib.gap.signals.recording import Recording, UnusableLogError, prepare
+from control.kinematics.kinematics import Kinematics
 
 ARM = arm_with_friction()
 LOG = log_of(ARM)
@@ -114,11 +114,11 @@ def late_camera() -> DynamicOutcome:
         tip[seen] += kinematics.tips(earlier) - kinematics.tips(run.q_rad[seen])
         return replace(run, tip_m=tip)
 
-    def rubbing(j: int, q: Array, speed: Array, link: Array) -> Array:
+    def link_friction(j: int, q: Array, speed: Array, link: Array) -> Array:
         return np.asarray(0.6 * speed) if j == 1 else np.zeros_like(q)
 
     names = ("viscous_friction", "coulomb_friction", "encoder_scale", "joint_compliance")
-    return examine(ARM, changed(late, log_of(ARM, rubbing)), candidates=names)
+    return examine(ARM, changed(late, log_of(ARM, link_friction)), candidates=names)
 
 
 def test_a_late_camera_is_said_and_the_answer_given_all_the_same() -> None:

@@ -16,13 +16,13 @@ ARM = arm_with_friction()
 LOAD_2 = EffectName("load_friction", 2)
 
 
-def rubbing(joint: int, q: Array, speed: Array, link: Array) -> Array:
+def link_friction(joint: int, q: Array, speed: Array, link: Array) -> Array:
     return 0.2 * np.abs(link) * np.sign(speed) if joint == 1 else np.zeros_like(q)
 
 
 def with_reported(change: float) -> DynamicOutcome:
     """Load friction in all runs; in those that only report, `change` times as much."""
-    plain, rubbed = log_of(ARM), log_of(ARM, rubbing)
+    plain, rubbed = log_of(ARM), log_of(ARM, link_friction)
     reported = examine(ARM, plain, candidates=("load_friction",)).split.report_runs
 
     def mixed(run: Run, other: Run) -> Run:

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.gap_dynamic_cases import Asked, Case, Conditions, made
 from benchmarks.gap_dynamic_score import GROUPS, arm_of, log_of, plan
-from control.model.kinematics import Kinematics
+from control.kinematics.kinematics import Kinematics
 
 SHORT = Conditions(seconds=0.3)
 

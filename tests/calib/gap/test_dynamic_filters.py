@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.gap.dynamic.filters import filters_for
+from calib.gap.signals.filters import filters_for
 
 
 @pytest.mark.parametrize("rate_Hz", [200.0, 500.0, 1000.0])

@@ -14,10 +14,10 @@ from prescribed import Hidden, arm_with_friction, log_of
 
 from calib.arrays import Array
 from calib.gap.dynamic.find import DynamicOutcome, examine, find
-from calib.gap.dynamic.recording import UnusableLogError
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log, Run
-from control.model.kinematics import Kinematics
+from calib.gap.signals.recording import UnusableLogError
+from control.kinematics.kinematics import Kinematics
 
 ARM = arm_with_friction()
 FEW = (

@@ -9,9 +9,9 @@ import pytest
 from prescribed import arm_with_friction
 
 from calib.arrays import Array
-from calib.gap.dynamic.held import not_held
-from calib.gap.dynamic.recording import prepare
 from calib.gap.log import Log, Run
+from calib.gap.signals.held import not_held
+from calib.gap.signals.recording import prepare
 
 ARM = arm_with_friction()
 FIELDS = ("t_s", "q_rad", "q_set_rad", "current_A", "voltage_V", "payload_kg", "tip_m")

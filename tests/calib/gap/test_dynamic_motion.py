@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.gap.dynamic.forward import Forward, State
-from calib.gap.dynamic.motion import CLOSED, OPEN, motion_gaps
-from calib.gap.dynamic.physics import Physics
-from calib.gap.dynamic.recording import prepare
-from calib.gap.dynamic.terms import Term, known_terms
 from calib.gap.finding import EffectName
 from calib.gap.log import Log
-from control.model.dynamics import Dynamics
+from calib.gap.signals.forward import Forward, State
+from calib.gap.signals.motion import CLOSED, OPEN, motion_gaps
+from calib.gap.signals.physics import Physics
+from calib.gap.signals.recording import prepare
+from calib.gap.signals.terms import Term, known_terms
+from control.dynamics.dynamics import Dynamics
 from tests.calib.gap.prescribed import arm_with_friction, log_of
 
 ARM = arm_with_friction()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.dynamic.play import Follower, elastic, loose
+from calib.gap.signals.play import Follower, elastic, loose
 
 PERIOD_s = 0.002
 

@@ -10,8 +10,8 @@ import pytest
 from benchmarks.gap_dynamic_cases import Asked, Conditions, made
 from benchmarks.gap_dynamic_score import arm_of, log_of
 from calib.gap.dynamic.find import examine
-from calib.gap.dynamic.staircase import Winding, response
 from calib.gap.log import Log
+from calib.gap.signals.staircase import Winding, response
 from control.model.arm import Arm
 
 SLOW = Conditions(rate_Hz=250, seconds=4.0, sampled_late=15)  # 1.5 ms after the voltage has changed

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from calib.errors import CalibrationError
+from calib.gap.plan.collision_free_box import CLEARANCE_m, clear, collision_free_box
 from calib.gap.plan.foresight import as_recorded, in_words
 from calib.gap.plan.motions import Limits, demand, multisine, poses_of, ramps, shake
 from calib.gap.plan.plan import REFERENCE, Wish, recording_plan
 from calib.gap.plan.poses import APPROACH_rad
-from calib.gap.plan.room import CLEARANCE_m, clear, room_of
 from calib.gap.static.split import split
+from control.dynamics.static_pose import gravity_Nm
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.model.kinematics import Kinematics
-from control.model.static_pose import gravity_Nm
 
 RIGHT = load_arm("right")
 QUICK = Wish(payload_kg=0.5, is_quick=True)
@@ -30,7 +30,7 @@ def quick():
 
 @pytest.fixture(scope="module")
 def room():
-    return room_of(RIGHT)
+    return collision_free_box(RIGHT)
 
 
 def test_every_pose_of_the_room_keeps_the_arm_clear_of_the_floor(room) -> None:
@@ -51,7 +51,7 @@ def test_gravity_pulls_joints_two_and_three_both_ways_in_the_room(room) -> None:
 def test_an_arm_without_room_is_told_so() -> None:
     high = dataclasses.replace(RIGHT, limits=dataclasses.replace(RIGHT.limits, floor_z_m=0.7))
     with pytest.raises(CalibrationError, match="no room to record"):
-        room_of(high)
+        collision_free_box(high)
 
 
 def test_motions_stay_in_the_room_below_every_limit_and_are_what_their_derivatives_say(room) -> None:

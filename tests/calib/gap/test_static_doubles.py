@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from calib.gap.static.candidate import Candidate, plain
-from calib.gap.static.doubles import doubles
-from calib.gap.static.evidence import Evidence
-from calib.gap.static.floor import noise_floor
-from calib.gap.static.shape import Shape, of_joint
-from calib.points import make_points
+from calib.gap.poses.candidate import Candidate, plain
+from calib.gap.poses.evidence import Evidence
+from calib.gap.poses.floor import noise_floor
+from calib.gap.poses.shape import Shape, of_joint
+from calib.gap.static.confounders import confounders
+from calib.points.points import make_points
 from control.model.description import load_arm
 
 ROWS, SHAPES, NOISE_m = 300, 100, 0.00014
@@ -31,7 +31,7 @@ def replaced(alike: int, towards: float = 0.0) -> bool:
     y = 12.0 * (effect + 0.05 * towards * beyond)  # without noise, half way is where both explain the same
     evidence = Evidence.of(np.zeros((ROWS, 1)), np.column_stack((effect, near, other)), y)
     places = [[1 + k] for k in range(SHAPES)]
-    return bool(doubles(evidence, [[0]], places, [EFFECT], [0], [SHAPE] * SHAPES))
+    return bool(confounders(evidence, [[0]], places, [EFFECT], [0], [SHAPE] * SHAPES))
 
 
 def test_a_shape_that_does_as_well_does_not_take_a_name_away() -> None:

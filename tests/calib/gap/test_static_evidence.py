@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.gap.static.evidence import Evidence
+from calib.gap.poses.evidence import Evidence
 
 
 def marginal(columns: np.ndarray, base: np.ndarray, y: np.ndarray) -> float:

@@ -7,7 +7,7 @@ from static_cases import ARM, DESIGNS, Design, FRICTION_Nm, Hidden, case, design
 from calib.gap.finding import EffectName
 from calib.gap.static.find import find
 from calib.gap.static.nameable import is_nameable
-from control.model.dynamics import Dynamics
+from control.dynamics.dynamics import Dynamics
 
 HIDDEN = [
     Hidden("backlash", 3, 0.004),

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from static_cases import ARM, Design, Hidden, designed
 
+from calib.arm_problem.link_bending import bending_m
 from calib.errors import UnusablePointsError
 from calib.gap.static.cautions import about_data, cleaned, require_posed
-from calib.identify.link_bending import bending_m
-from calib.points import Points
+from calib.points.points import Points
 
 POINTS = designed(31, (Hidden("backlash", 1, 0.006),), Design())[1]
 

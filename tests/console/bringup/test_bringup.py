@@ -12,24 +12,24 @@ from typing import Any
 
 import pytest
 
-from console.bringup import measuring
-from console.bringup.bench import Bench, DriveLimits, Surprise
-from console.bringup.diagnosis import rewired
-from console.bringup.journal import Journal, brought_up
-from console.bringup.measuring import Measured
-from console.bringup.mock_operator import MockOperator
-from console.bringup.operator import Stopped
-from console.bringup.procedure import Options, Outcome, bring_up, caution_of
 from console.main import main
-from control.loop.assemble import assemble
-from control.loop.client import ArmClient
-from control.loop.connect import connect
-from control.loop.in_process import InProcessChannel
+from control.hardware.connect import connect
 from control.model.arm import Arm, DrivePid
 from control.model.description import load_arm
+from control.server.assemble import assemble
+from control.server.client import ArmClient
+from control.server.in_process import InProcessChannel
 from firmware_iface.motor.cia402 import State
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
+from procedures.bringup import measuring
+from procedures.bringup.bench import Bench, DriveLimits, Surprise
+from procedures.bringup.diagnosis import rewired
+from procedures.bringup.journal import Journal, brought_up
+from procedures.bringup.measuring import Measured
+from procedures.bringup.mock_operator import MockOperator
+from procedures.bringup.operator import Stopped
+from procedures.bringup.procedure import Options, Outcome, bring_up, caution_of
 from tests.cell import RIGHT, scenario, wired_to, with_drive
 
 QUICK = Options((1,), None, 0.3, False)
@@ -418,7 +418,7 @@ def test_after_a_repair_only_what_had_not_passed_is_measured(
     assert [joint for joint, entry in journal["joints"].items() if entry["passed"]] == ["1"]
     measured: list[int] = []
     monkeypatch.setattr(
-        "console.bringup.procedure._measure_joint", lambda *given: measured.append(given[6].joint)
+        "procedures.bringup.procedure._measure_joint", lambda *given: measured.append(given[6].joint)
     )
     assert run_command(tmp_path) == 0
     assert measured == [2, 3]

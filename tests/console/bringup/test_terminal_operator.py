@@ -9,8 +9,8 @@ import termios
 
 import pytest
 
-from console.bringup.operator import Stopped
-from console.bringup.terminal import TerminalOperator
+from procedures.bringup.operator import Stopped
+from procedures.bringup.terminal import TerminalOperator
 
 
 def answering(monkeypatch: pytest.MonkeyPatch, text: str) -> TerminalOperator:

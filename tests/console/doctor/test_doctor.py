@@ -11,18 +11,18 @@ from typing import Any
 
 import pytest
 
-from console.doctor import host
-from console.doctor.boards import Boards, open_boards
-from console.doctor.finding import Finding, Level, as_text, graded, percentile, verdict, worst
-from console.doctor.host import judge_lateness, lateness, look_at_disk
-from console.doctor.judging import clock_drift, judge
-from console.doctor.sampling import sample
 from console.main import main
 from control.model.arm import Arm
 from firmware_iface.clock import MonotonicClock
 from firmware_iface.motor.cia402 import State
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
+from procedures.doctor import host
+from procedures.doctor.boards import Boards, open_boards
+from procedures.doctor.finding import Finding, Level, as_text, graded, percentile, verdict, worst
+from procedures.doctor.host import judge_lateness, lateness, look_at_disk
+from procedures.doctor.judging import clock_drift, judge
+from procedures.doctor.sampling import sample
 from tests.cell import RIGHT, scenario, wired_to, with_drive
 
 QUICK_S = 0.2

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from console.main import main
-from console.tuning import multisine as signal
-from console.tuning import procedure, session
-from console.tuning.multisine import Measured, PoorResponse, evaluate, multisine, usable
-from console.tuning.procedure import NotTuned, Options, inertia_ratios, tune
-from console.tuning.report import write_report
+from control.dynamics.tuning import MotorFit
 from control.errors import ArmError
 from control.model.arm import DrivePid
-from control.model.tuning import MotorFit
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
+from procedures.tuning import multisine as signal
+from procedures.tuning import procedure, session
+from procedures.tuning.multisine import Measured, PoorResponse, evaluate, multisine, usable
+from procedures.tuning.procedure import NotTuned, Options, inertia_ratios, tune
+from procedures.tuning.report import write_report
 from tests.cell import RIGHT, scenario, wired_to, with_drive, with_drives
 
 WAVE = multisine(2.0, 500.0)

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from control.loop.carrying import FASTEST_rad_s
 from control.safety.table import Mode
+from control.servo.gravity_compensation import FASTEST_rad_s
 from tests.cell import FRICTION, RIGHT, Cell, holding_cell, scenario, with_drives
 
 POSES = [(0.1, -0.6, 0.2), (0.0, 0.5, 1.0), (-1.0, -1.4, -0.5)]
@@ -90,7 +90,7 @@ def test_a_stop_brakes_and_currents_stay_within_half_of_their_limit() -> None:
     with holding_cell(scenario(), believed=weak) as cell:
         cell.client.guide(weightless=True)
         amperes: list[float] = []
-        cell.watchers.append(lambda: amperes.extend(cell.runtime.parts.carrying.amperes))
+        cell.watchers.append(lambda: amperes.extend(cell.runtime.parts.gravity_compensation.amperes))
         cell.run(0.05)
         assert max(map(abs, amperes)) <= 0.6
         assert not math.isnan(sum(amperes))

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from control.errors import MissingModel
-from control.loop.connect import LinkOptions, connect, with_links
+from control.hardware.connect import LinkOptions, connect, with_links
 from control.model.arm import Arm
 from firmware_iface.errors import ConnectionFailed
 from hil_mocks.rig import SteppedRig

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from console.main import main
-from control.loop.export import export, to_csv, to_mcap
-from control.loop.record import FileSink, Layout, RecordError, Recording
+from control.recording.export import export, to_csv, to_mcap
+from control.recording.record import FileSink, Layout, RecordError, Recording
 from control.safety.table import Mode
 from hil_mocks.scenario import CameraTable
 from tests.cell import FRICTION, RIGHT, holding_cell, run_numbers, scenario

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 import msgspec
 import pytest
 
-from control.loop.client import ArmFaulted
-from control.loop.hardware import Feedback
-from control.loop.homing import HOME_SWITCH, HomingFailed, HomingSequence, JointHome, Phase
+from control.hardware.interface import Feedback
+from control.loop.homing_sequence import HOME_SWITCH, HomingFailed, HomingSequence, JointHome, Phase
 from control.model.description import Home
 from control.motion.setpoint import SetPoint, at_rest
 from control.safety.table import Mode
+from control.server.client import ArmFaulted
 from hil_mocks.scenario import EncoderBoardTable
 from tests.cell import FRICTION, RIGHT, holding_cell, open_cell, scenario, with_drive, with_drives
 

@@ -11,12 +11,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from control.loop.client import ArmFaulted
+from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Effect
-from control.model.inverse import InverseKinematics
-from control.model.kinematics import Kinematics
 from control.motion.plan import PlannedPath, plan_path
 from control.safety.table import Mode
+from control.server.client import ArmFaulted
 from hil_mocks.scenario import EffectTable
 from tests.cell import RIGHT, Cell, holding_cell, scenario
 

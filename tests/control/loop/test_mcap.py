@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from control.loop import mcap_scene as scene
-from control.loop.export import to_mcap
-from control.loop.mcap_events import Events
-from control.loop.mcap_schemas import FOXGLOVE, TOPICS, columns_of
-from control.loop.record import Layout, Recording
-from control.loop.recorded_arm import recorded_arm
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Link, Tool
 from control.model.description import arm_text, load_arm
-from control.model.kinematics import Kinematics
+from control.recording import mcap_scene as scene
+from control.recording.export import to_mcap
+from control.recording.mcap_events import Events
+from control.recording.mcap_schemas import FOXGLOVE, TOPICS, columns_of
+from control.recording.record import Layout, Recording
+from control.recording.recorded_arm import recorded_arm
 from tests.recordings import MODES, ERROR_rad, PERIOD_s, STARTED_s, write_recording
 
 RIGHT = load_arm("right")

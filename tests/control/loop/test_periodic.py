@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from control.loop.periodic import Beat
+from control.server.periodic import PeriodicTimer
 
 PERIOD_S = 0.002
 
@@ -33,7 +33,7 @@ def clock() -> FakeClock:
 
 
 def test_lateness_does_not_add_up(clock: FakeClock) -> None:
-    beat = Beat(clock, PERIOD_S)
+    beat = PeriodicTimer(clock, PERIOD_S)
     clock.late_s = 0.0007
     for _ in range(1000):
         assert beat.wait() == pytest.approx(0.0007, abs=1e-9)
@@ -42,7 +42,7 @@ def test_lateness_does_not_add_up(clock: FakeClock) -> None:
 
 
 def test_after_a_pause_the_missed_deadlines_are_counted_and_there_is_no_burst(clock: FakeClock) -> None:
-    beat = Beat(clock, PERIOD_S)
+    beat = PeriodicTimer(clock, PERIOD_S)
     beat.wait()
     clock.time_s += 20.5 * PERIOD_S
     late_s = beat.wait()
@@ -58,14 +58,14 @@ def test_after_a_pause_the_missed_deadlines_are_counted_and_there_is_no_burst(cl
 def test_a_deadline_is_missed_when_the_next_one_has_come_too(
     clock: FakeClock, periods: float, skipped: int
 ) -> None:
-    beat = Beat(clock, PERIOD_S)
+    beat = PeriodicTimer(clock, PERIOD_S)
     clock.late_s = periods * PERIOD_S
     beat.wait()
     assert beat.skipped == skipped
 
 
 def test_missed_in_a_row_grows_while_every_cycle_is_late_and_ends_with_one_in_time(clock: FakeClock) -> None:
-    beat = Beat(clock, PERIOD_S)
+    beat = PeriodicTimer(clock, PERIOD_S)
     clock.late_s = 1.5 * PERIOD_S
     for cycle in range(1, 6):
         beat.wait()
@@ -77,7 +77,7 @@ def test_missed_in_a_row_grows_while_every_cycle_is_late_and_ends_with_one_in_ti
 
 
 def test_a_restart_forgives_what_was_waited_outside_of_a_cycle(clock: FakeClock) -> None:
-    beat = Beat(clock, PERIOD_S)
+    beat = PeriodicTimer(clock, PERIOD_S)
     beat.wait()
     clock.time_s += 0.3
     beat.restart()
@@ -91,7 +91,7 @@ def test_a_restart_forgives_what_was_waited_outside_of_a_cycle(clock: FakeClock)
 @given(st.lists(st.floats(0.0, 0.2), min_size=1, max_size=50))
 def test_every_deadline_is_either_served_or_counted_as_missed(pauses_s: list[float]) -> None:
     clock = FakeClock()
-    beat = Beat(clock, PERIOD_S)
+    beat = PeriodicTimer(clock, PERIOD_S)
     for pause_s in pauses_s:
         clock.time_s += pause_s
         assert beat.wait() >= 0.0

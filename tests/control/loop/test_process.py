@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from console.mock_arm import wired_to
-from control.loop.client import ArmClient, RuntimeGone, SocketChannel
-from control.loop.record import Recording
 from control.model.arm import Arm
 from control.model.description import save_arm
+from control.recording.record import Recording
 from control.safety.table import Mode
+from control.server.client import ArmClient, RuntimeGone, SocketChannel
 from hil_mocks.realtime import RealTimeRig
+from procedures.mock.arm import wired_to
 from tests.cell import RIGHT
 
 pytestmark = pytest.mark.realtime

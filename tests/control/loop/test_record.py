@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from control.loop.record import MAGIC, FileSink, Layout, PipeSink, Recorder, RecordError, Recording
+from control.recording.record import MAGIC, FileSink, Layout, PipeSink, Recorder, RecordError, Recording
 
 LAYOUT = Layout.of(2)
 
@@ -112,7 +112,7 @@ def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:
 
 
 def test_the_last_rows_are_kept_in_order(tmp_path: Path) -> None:
-    recorder = Recorder(LAYOUT, FileSink(tmp_path / "a.armlog", b""), kept_rows=5)
+    recorder = Recorder(LAYOUT, FileSink(tmp_path / "a.armlog", b""), saved_rows=5)
     assert recorder.last_rows() == ()
     for number in range(8):
         recorder.write(row(number))
@@ -149,6 +149,6 @@ def test_the_writer_has_all_that_was_sent_when_its_pipe_ends(tmp_path: Path) -> 
     path = tmp_path / "a.armlog"
     sent = LAYOUT.header({}) + b"".join(LAYOUT.packing.pack(*row(number)) for number in range(300))
     subprocess.run(
-        [sys.executable, "-m", "control.loop.writer", str(path)], input=sent, check=True, timeout=20
+        [sys.executable, "-m", "control.recording.writer", str(path)], input=sent, check=True, timeout=20
     )
     assert path.read_bytes() == sent

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from control.loop.requests import Requests
 from control.motion.plan import plan_path
 from control.safety.table import Mode
+from control.server.requests import Requests
 from tests.cell import RIGHT, STRETCHED, Cell, holding_cell, open_cell, scenario
 
 DOCUMENT = (Path(__file__).parents[3] / "docs" / "socket.md").read_text("utf-8")

@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from control.loop import stillness
-from control.loop.client import ArmFaulted, RequestRefused
+from control.loop import standstill as stillness
 from control.model.arm import Limits
 from control.safety.table import Mode
+from control.server.client import ArmFaulted, RequestRefused
 from firmware_iface.errors import LinkLost
 from tests.cell import FRICTION, RIGHT, STRETCHED, Cell, holding_cell, open_cell, scenario
 

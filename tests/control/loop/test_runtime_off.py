@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from control.loop import stillness
+from control.loop import standstill as stillness
 from control.model.arm import Arm
 from control.safety.table import Mode
 from tests.cell import FRICTION, RIGHT, STRETCHED, Cell, holding_cell, open_cell, scenario, with_drives

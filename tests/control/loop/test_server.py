@@ -15,9 +15,16 @@ from typing import Any
 
 import pytest
 
-from control.loop.client import RuntimeGone, SocketChannel
-from control.loop.server import QUEUE_LIMIT, CHUNK_bytes, LINE_LIMIT_bytes, Server, SocketTaken, default_path
 from control.safety.table import Mode
+from control.server.client import RuntimeGone, SocketChannel
+from control.server.server import (
+    QUEUE_LIMIT,
+    CHUNK_bytes,
+    LINE_LIMIT_bytes,
+    Server,
+    SocketTaken,
+    default_path,
+)
 from tests.cell import Cell
 
 

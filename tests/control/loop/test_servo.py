@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import pytest
 
-from control.loop.assemble import TorqueModel
-from control.loop.hardware import OutputMode
-from control.loop.pid import Pid
-from control.loop.servo import Motor, Servo
+from control.dynamics.dynamics import Dynamics
+from control.hardware.interface import OutputMode
 from control.model.description import load_arm
-from control.model.dynamics import Dynamics
 from control.motion.setpoint import SetPoint, at_rest
+from control.server.assemble import TorqueModel
+from control.servo.pid import Pid
+from control.servo.servo import Motor, Servo
 
 MOTOR = Motor(
     amperes_per_Nm=1 / 3.0, resistance_ohm=0.3, volts_per_rad_s=3.0, supply_V=24.0, current_limit_A=8.0

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from control.loop.hardware import Feedback
+from control.hardware.interface import Feedback
 from control.loop.watch import (
     DRIVE_FAULTS,
     OPERATION_ENABLED,

@@ -1,4 +1,4 @@
-"""A MuJoCo model of a DH arm, made for the tests alone: frames from 4x4 products, nothing of control.model.dynamics."""
+"""A MuJoCo model of a DH arm, made for the tests alone: frames from 4x4 products, nothing of control.dynamics.dynamics."""
 
 import math
 

@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from control.dynamics.dynamics import Dynamics
 from control.errors import ArmError, BadTarget, MissingModel
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Drive, Link
 from control.model.description import load_arm
-from control.model.dynamics import Dynamics
-from control.model.kinematics import Kinematics
 from tests.control.model.mujoco_arm import model_of
 
 RIGHT = load_arm("right")

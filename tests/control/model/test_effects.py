@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from control.model import effect_laws as laws
+from control.dynamics import effect_laws as laws
+from control.dynamics.dynamics import Dynamics
+from control.dynamics.feedforward import torque_model
 from control.model.arm import Effect
 from control.model.description import load_arm
-from control.model.dynamics import Dynamics
 from control.model.effects import EFFECTS, parameter_names
-from control.model.feedforward import torque_model
 
 RIGHT = load_arm("right")
 STILL, MOVING = (0.0, 0.0, 0.0), (0.5, -0.5, 0.5)

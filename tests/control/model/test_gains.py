@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from control.dynamics.dynamics import Dynamics
+from control.dynamics.gains import Gains, POLE_rad_s, gains_of, placed_gains
 from control.errors import MissingModel
 from control.model.arm import Arm, Drive, DrivePid
 from control.model.description import load_arm
-from control.model.dynamics import Dynamics
-from control.model.gains import Gains, POLE_rad_s, gains_of, placed_gains
 
 RIGHT = load_arm("right")
 PERIOD_S = 0.002

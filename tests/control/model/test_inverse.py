@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from control.errors import ArmError, BadTarget, JointLimitViolated, MissingModel, NearSingular, OutOfReach
+from control.kinematics.inverse import BRANCHES, Branch, InverseKinematics
+from control.kinematics.joint_range import JointRange, travel_rad, turned_toward
+from control.kinematics.numeric_inverse import descend
 from control.model.arm import Arm, Link
 from control.model.description import load_arm
-from control.model.inverse import BRANCHES, Branch, InverseKinematics
-from control.model.joint_range import JointRange, travel_rad, turned_toward
-from control.model.numeric_inverse import descend
 
 ARMS = Path(__file__).parent / "arms"
 BOUNDS = np.array([5e-3, np.radians(2.0), 5e-3, np.radians(2.0)])  # of a calibration, field notes

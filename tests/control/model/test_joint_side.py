@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.identify.joint_effects import known_corrections
-from calib.points import make_points
+from calib.arm_problem.joint_effects import known_corrections
+from calib.points.points import make_points
+from control.dynamics.feedforward import torque_model
+from control.dynamics.gear import Gear, GearLaw
+from control.dynamics.joint_side import JointSide, link_torque, usable_range_rad
 from control.errors import ArmError
+from control.kinematics.encoder_chain import EncoderChain
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
-from control.model.encoder_chain import EncoderChain
-from control.model.feedforward import torque_model
-from control.model.gear import Gear, GearLaw
-from control.model.joint_side import JointSide, link_torque, room_rad
 
 RIGHT = load_arm("right")
 STILL = (0.0, 0.0, 0.0)
@@ -208,10 +208,10 @@ def test_payload_and_link_inertia_are_carried() -> None:
 
 def test_the_range_of_joints_keeps_their_encoders_within_theirs() -> None:
     arm = knowing(*RIGID, *GEARS)
-    room = room_rad(arm)
+    room = usable_range_rad(arm)
     rng = np.random.default_rng(1)
     ends = np.array(room)
-    assert room_rad(RIGHT) == RIGHT.limits_rad
+    assert usable_range_rad(RIGHT) == RIGHT.limits_rad
     side = JointSide(arm)
     for _ in range(20):
         q = np.where(rng.random(3) < 0.5, ends[:, 0], ends[:, 1])
@@ -225,4 +225,4 @@ def test_the_range_of_joints_keeps_their_encoders_within_theirs() -> None:
 
 def test_effects_that_leave_no_range_are_refused() -> None:
     with pytest.raises(ArmError, match="leave joint 2 no range"):
-        room_rad(knowing(Effect("backlash", 2, {"width_rad": 3.0})))
+        usable_range_rad(knowing(Effect("backlash", 2, {"width_rad": 3.0})))

@@ -8,10 +8,10 @@ import pytest
 from numpy.typing import NDArray
 
 from control.errors import ArmError, BadTarget
-from control.model import chain
+from control.kinematics import chain
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Convention
 from control.model.description import load_arm
-from control.model.kinematics import Kinematics
 
 Array = NDArray[np.float64]
 ARMS = Path(__file__).parent / "arms"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from control.dynamics.static_pose import friction_Nm, gravity_Nm, resting, torque_per_A
 from control.model.description import load_arm
-from control.model.static_pose import friction_Nm, gravity_Nm, resting, torque_per_A
 
 RIGHT = load_arm("right")
 FRICTION = np.array([1.5, 1.8, 1.0])

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from control.model import tracing
-from control.model.straight_line import compile_function, derivative, function_source
-from control.model.tracing import Graph, Symbol, cos, sin
+from control.kinematics import tracing
+from control.kinematics.straight_line import compile_function, derivative, function_source
+from control.kinematics.tracing import Graph, Symbol, cos, sin
 
 
 def _traced(function: Callable[..., Any], names: str = "xyz") -> tuple[list[Symbol], Any]:

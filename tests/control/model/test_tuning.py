@@ -7,11 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from control.errors import ArmError
-from control.loop.measure import Measurement
-from control.loop.pid import Pid
-from control.model.gains import Gains
-from control.model.tuning import (
+from control.dynamics.gains import Gains
+from control.dynamics.tuning import (
     Margins,
     MarginsUnmet,
     MotorFit,
@@ -22,6 +19,9 @@ from control.model.tuning import (
     margins,
     pole_gains,
 )
+from control.errors import ArmError
+from control.hardware.measurement import Measurement
+from control.servo.pid import Pid
 
 OMEGA = 2.0 * np.pi * np.geomspace(2.0, 80.0, 24)
 MOTOR = MotorFit(40.0, 120.0, 0.003, 0.0)

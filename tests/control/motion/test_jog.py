@@ -8,9 +8,9 @@ from itertools import pairwise
 import pytest
 
 from control.errors import ArmError
+from control.kinematics.inverse import InverseKinematics
 from control.loop.jogging import Jogging, JointSpeeds, JointStep, TipStep, TipVelocity
 from control.model.description import load_arm
-from control.model.inverse import InverseKinematics
 from control.motion.jog_limits import JogLimits, UNHOMED_SPEED_rad_s, reaches_m
 from control.motion.setpoint import at_rest
 from control.safety.limits import SetPointLimits, limit_set_point

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import pytest
 
+from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
-from control.model.inverse import InverseKinematics
-from control.model.kinematics import Kinematics
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
 from control.motion.pace import Paced

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from control.errors import ArmError
+from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
-from control.model.inverse import InverseKinematics
-from control.model.kinematics import Kinematics
 from control.motion import checks
 from control.motion.errors import MotionError, PathError
 from control.motion.joint_limits import JointLimits

@@ -1,0 +1,156 @@
+"""From an arm and its points to a problem: which reference each pose has, and what is to be identified."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.frames import Frame, rotation_of
+from calib.arm_problem.joint_effects import corrections, known_corrections
+from calib.arm_problem.link_bending import known_bending_m
+from calib.arm_problem.observations import Correction, Observations
+from calib.arm_problem.parameters import Bounds
+from calib.arm_problem.problem import ArmProblem
+from calib.arm_problem.starts import started_tool, with_started_frames
+from calib.arrays import Array, frozen
+from calib.errors import CalibrationError, UnusablePointsError
+from calib.points.points import Points
+from control.model.arm import Arm
+from control.model.table import SETUPS, board_cavities, board_origin, board_rotation, table_of
+
+FREEABLE = ("base", "table", "tool")
+BASE_FRAME = (
+    "x_m",
+    "y_m",
+    "z_m",
+    "rx_rad",
+    "ry_rad",
+    "rz_rad",
+)  # the effect's parameters: move, rotation vector
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What is identified, beside the DH parameters: `freed` of base, table, tool; `fixed` single parameters by name.
+
+    `boards` says where a setup's board stands, as measured; they go before what the arm's [table] says. `effects`: static ones
+    behind the encoders that are identified too, as "backlash:2"; `corrections`: any others.
+    """
+
+    bounds: Bounds = field(default_factory=Bounds)
+    fixed: Collection[str] = ()
+    freed: Collection[str] = ()
+    boards: Mapping[str, Frame] = field(default_factory=dict)
+    effects: tuple[str, ...] = ()
+    corrections: tuple[Correction, ...] = ()
+
+    def __post_init__(self) -> None:
+        """CalibrationError for something that cannot be freed."""
+        wrong = sorted(set(self.freed) - set(FREEABLE))
+        if wrong:
+            raise CalibrationError(
+                f'free: expected some of {", ".join(FREEABLE)}, got "{wrong[0]}"; single DH parameters are free'
+                " unless they are fixed"
+            )
+
+
+def problem_of(arm: Arm, points: Points, choice: Choice | None = None) -> ArmProblem:
+    """The problem that the points pose. UnusablePointsError for a pose without a reference."""
+    wanted = choice or Choice()
+    model = ArmModel(arm)
+    observed = observations_of(arm, points, wanted)
+    is_tool_free = "tool" in wanted.freed or not arm.tool.known
+    tool_m = started_tool(model, observed) if is_tool_free else model.nominal_tool_m
+    return ArmProblem(
+        model,
+        with_started_frames(model, observed, tool_m),
+        bounds=wanted.bounds,
+        fixed=wanted.fixed,
+        is_tool_free=is_tool_free,
+        tool_m=tool_m,
+    )
+
+
+def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
+    """Each pose with its reference: the measured tip in the base frame, or the cavity in its board's frame.
+
+    Joint angles are the encoders' with the static effects that the arm has already.
+    """
+    frames = [base_frame_of(arm, "base" in choice.freed)]
+    position, which = np.array(points.tip_m), np.zeros(len(points), dtype=np.intp)
+    unmeasured = np.flatnonzero(np.isnan(points.tip_m).any(axis=1)).tolist()
+    for setup in dict.fromkeys(points.setup[k] for k in unmeasured):
+        rows = [k for k in unmeasured if points.setup[k] == setup]
+        frame = _board(arm, setup, choice)
+        which[rows] = 0 if frame is None else len(frames)
+        cavities = _cavities(arm, setup, [points.point[k] for k in rows], rows)
+        if frame is None:  # the board's place is known, and the base frame as a whole is identified
+            position[rows] = _known_frame(arm, setup, choice).to_base(cavities)
+        else:
+            position[rows] = cavities
+            frames.append(frame)
+    return Observations(
+        frozen(points.q_rad + known_corrections(arm, points, choice.effects)),
+        frozen(position),
+        which,
+        tuple(frames),
+        points.setup,
+        points.point,
+        (*corrections(arm, points, choice.effects), *choice.corrections),
+        known_bending_m(arm, points.q_rad, points.payload_kg),
+    )
+
+
+def base_frame_of(arm: Arm, is_free: bool = False) -> Frame:
+    """What the camera and the table call base, in the arm's base frame: the arm's `base_frame` effect, if it has one."""
+    for effect in arm.effects:
+        if effect.effect == "base_frame":
+            x, y, z, rx, ry, rz = (effect.parameters.get(name, 0.0) for name in BASE_FRAME)
+            return Frame("base", frozen(rotation_of(np.array([rx, ry, rz]))), frozen([x, y, z]), is_free)
+    return Frame.base(is_free)
+
+
+def _board(arm: Arm, setup: str, choice: Choice) -> Frame | None:
+    """The frame of a setup's board; None if it moves with the base frame."""
+    if setup not in choice.boards and not table_of(arm).known_pose:
+        return Frame.unplaced(f"board_{setup}")
+    if "table" not in choice.freed and ("base" in choice.freed or _has_base_frame(arm)):
+        return None
+    known = _known_frame(arm, setup, choice)
+    return Frame(known.name, known.rotation, known.origin_m, "table" in choice.freed)
+
+
+def _has_base_frame(arm: Arm) -> bool:
+    return any(effect.effect == "base_frame" for effect in arm.effects)
+
+
+def _known_frame(arm: Arm, setup: str, choice: Choice) -> Frame:
+    """Where the board of a setup stands, as measured or as the arm's file says."""
+    if setup in choice.boards:
+        return choice.boards[setup]
+    table = table_of(arm)
+    if setup not in SETUPS:
+        raise UnusablePointsError(
+            f'setup "{setup}": its poses have no measured tip, and where its board stands is known for'
+            f" {', '.join(SETUPS)} only; give x_m, y_m, z_m, markers of the board, or known_pose = false in [table]"
+        )
+    return Frame(f"table_{setup}", frozen(board_rotation(table, setup)), frozen(board_origin(table)))
+
+
+def _cavities(arm: Arm, setup: str, names: list[str], rows: list[int]) -> Array:
+    """Places of cavities in the board's frame, (m, 3)."""
+    known = board_cavities(table_of(arm))
+    for name, row in zip(names, rows, strict=True):
+        if name not in known:
+            raise UnusablePointsError(
+                f'point "{name}" of setup "{setup}" (pose {row + 1}) has no measured tip, and the table has no such'
+                f" cavity; it has {_some(list(known))}"
+            )
+    return np.array([known[name] for name in names])
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names) if len(names) <= 8 else f"{', '.join(names[:3])} ... {names[-1]}"

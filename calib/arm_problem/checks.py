@@ -1,0 +1,127 @@
+"""Points that no calibration can be made of are refused before a solver sees them; what is odd about others is said."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.arm_problem.misread import require_read_as_meant
+from calib.arm_problem.problem import ArmProblem
+from calib.arrays import Array
+from calib.errors import UnusablePointsError
+from calib.points.points import Points
+from control.model.arm import Arm
+
+POINTS_MINIMUM_COUNT = 4
+LINE_TOLERANCE = 5e-3  # spread across the best line, as a share of the spread along it: 1 mm for 0.2 m
+OTHER_POSTURE_rad = 0.05  # between postures in one cavity that tell more than one posture does
+SAME_PLACE_m = 1e-3
+TURNS_LIMIT_rad = 6 * math.pi  # no joint turns more than three times
+COPIES_SHARE = 0.5  # of points that are copies of others: not a session any more
+STILL_rad = 1e-4
+
+
+def require_usable(arm: Arm, points: Points, problem: ArmProblem) -> tuple[str, ...]:
+    """Warnings about points of which a calibration can be made; UnusablePointsError where none can.
+
+    Rows are named as poses, counted from 1, with the file's line in brackets (the header is line 1).
+    """
+    require_finite(problem.observed.q_rad, problem.observed.position_m)
+    _require_count(problem.observed.q_rad, problem.references_m)
+    warnings = _copies(points)
+    require_read_as_meant(arm, problem)
+    require_sound(problem)
+    return (*warnings, *_still_joints(points.q_rad))
+
+
+def require_sound(problem: ArmProblem) -> None:
+    """UnusablePointsError for what makes any solver fail: numbers that are none, too few points, a line, no radians."""
+    observed = problem.observed
+    require_finite(observed.q_rad, observed.position_m)
+    _require_count(observed.q_rad, problem.references_m)
+    _require_spread(observed.q_rad, problem.references_m)
+    _require_radians(observed.q_rad)
+
+
+def require_finite(q_rad: Array, position_m: Array) -> None:
+    """UnusablePointsError that names the first angle or coordinate that is not a finite number."""
+    for values, names in (
+        (q_rad, [f"q{j + 1}_rad" for j in range(q_rad.shape[1])]),
+        (position_m, ["x_m", "y_m", "z_m"]),
+    ):
+        bad = np.argwhere(~np.isfinite(values))
+        if len(bad):
+            row, column = bad[0]
+            what = "joint angle" if values is q_rad else "tip position"
+            rows = len(set(bad[:, 0].tolist()))
+            raise UnusablePointsError(
+                f"{what} of point {row + 1} (line {row + 2}, {names[column]}) is not a finite number ({rows} such"
+                f" point{'s' if rows > 1 else ''})"
+            )
+
+
+def _require_count(q_rad: Array, references_m: Array) -> None:
+    poses = len(np.unique(np.hstack((q_rad, references_m)), axis=0))
+    if poses < POINTS_MINIMUM_COUNT:
+        raise UnusablePointsError(
+            f"{poses} different points are too few: take {POINTS_MINIMUM_COUNT} or more, or the whole board"
+        )
+
+
+def _require_spread(q_rad: Array, references_m: Array) -> None:
+    """Points on one line tell little, unless the same place was taken in several postures."""
+    spread = np.linalg.svd(references_m - references_m.mean(axis=0), compute_uv=False)
+    if spread[1] <= LINE_TOLERANCE * spread[0] and not _has_several_postures(q_rad, references_m):
+        raise UnusablePointsError(
+            "all points lie on one straight line: take some that span an area, such as the circle"
+        )
+
+
+def _has_several_postures(q_rad: Array, references_m: Array) -> bool:
+    """Whether one place was taken in postures that differ."""
+    _, places = np.unique(np.round(references_m / SAME_PLACE_m), axis=0, return_inverse=True)
+    flat = np.asarray(places).ravel()
+    return any(np.ptp(q_rad[flat == place], axis=0).max() > OTHER_POSTURE_rad for place in set(flat.tolist()))
+
+
+def _require_radians(q_rad: Array) -> None:
+    """Beyond three turns, somebody wrote degrees or counts."""
+    largest = float(np.max(np.abs(q_rad)))
+    if largest > TURNS_LIMIT_rad:
+        joint = int(np.argmax(np.max(np.abs(q_rad), axis=0))) + 1
+        raise UnusablePointsError(
+            f"q{joint}_rad reaches {largest:.6g}, more than three turns: degrees or counts? Expected radians"
+        )
+
+
+def _copies(points: Points) -> tuple[str, ...]:
+    """A warning about rows that are copies; refused where most are: repeats differ by noise, copies do not."""
+    seen: dict[tuple[object, ...], int] = {}
+    copies: list[tuple[int, int]] = []
+    for row in range(len(points)):
+        key = (points.setup[row], points.point[row], points.q_rad[row].tobytes(), points.tip_m[row].tobytes())
+        if key in seen:
+            copies.append((seen[key], row))
+        else:
+            seen[key] = row
+    if not copies:
+        return ()
+    told = ", ".join(
+        f"{first + 1} and {row + 1} (lines {first + 2} and {row + 2})" for first, row in copies[:3]
+    )
+    more = f" and {len(copies) - 3} more" if len(copies) > 3 else ""
+    said = f"poses {told}{more} are the same to the last digit: copies, not repeats, and no evidence of their own"
+    if len(copies) >= COPIES_SHARE * len(points):
+        raise UnusablePointsError(f"{said}; leave the copies out")
+    return (said,)
+
+
+def _still_joints(q_rad: Array) -> tuple[str, ...]:
+    still = [f"q{j + 1}_rad" for j in np.flatnonzero(np.ptp(q_rad, axis=0) < STILL_rad)]
+    return (f"{_listed(still)} never changes: that joint is not tested by these points",) if still else ()
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

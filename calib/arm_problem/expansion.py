@@ -1,0 +1,94 @@
+"""Residuals around one x, to second order: the sums over poses that a Newton step needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arm_problem.curvature import chain_curvature, frame_curvature, joint_curvature
+from calib.arm_problem.slim_product import slim_product
+from calib.arrays import Array
+
+Places = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Expansion:
+    """Residuals (m, 3), and columns (K, 3, m): minus their derivatives by every parameter in its own unit.
+
+    Parameters are the `chain_count` of DH table and tool, six per free frame, the corrections; `places` (k,) are those
+    that are unknowns, `scale` (k,) their scales. The rest is what second derivatives are made of.
+    """
+
+    residuals: Array
+    columns: Array
+    places: Places
+    scale: Array
+    chain_count: int
+    is_modified: bool
+    frame_rows: tuple[Places, ...]
+    frame_turns_rad: Array
+    arms: Array
+    theta_places: tuple[int, ...]
+    corrections: tuple[Array, ...]
+
+    def gradient(self, pull: Array) -> Array:
+        """Sum of pull . d residual / dx, (k,), for pull (m, 3)."""
+        return self.sums(pull, np.zeros((3, len(pull))))[0]
+
+    def gram(self, bend: Array | None) -> Array:
+        """Sum of (d residual / dx)' bend (d residual / dx), (k, k); bend (3, m), (3, 3, m), or None for ones."""
+        return self.sums(np.zeros_like(self.residuals), bend)[1]
+
+    def sums(self, pull: Array, bend: Array | None) -> tuple[Array, Array]:
+        """Gradient and gram at once."""
+        k = len(self.columns)
+        right = np.empty((k + 1, *self.columns.shape[1:]))
+        right[k] = pull.T
+        _bend(bend, self.columns, right[:k])
+        whole = slim_product(self.columns.reshape(k, -1), right.reshape(k + 1, -1))
+        return -self.scale * whole[self.places, k], self._scaled(whole)
+
+    def curvature(self, pull: Array) -> Array:
+        """Sum of pull . d2 residual / dx2, (k, k), for pull (m, 3)."""
+        weight = np.ascontiguousarray(pull.T)
+        k, c = len(self.columns), self.chain_count
+        whole = np.zeros((k, k))
+        whole[:c, :c] = -chain_curvature(self.columns[:c], weight, self.is_modified)
+        for place, rows in enumerate(self.frame_rows):
+            turn = slice(c + 6 * place + 3, c + 6 * place + 6)
+            whole[turn, turn] = frame_curvature(self.arms[rows], weight[:, rows], self.frame_turns_rad[place])
+        if self.corrections:
+            self._bend_joints(whole, weight)
+        return self._scaled(whole)
+
+    def _bend_joints(self, whole: Array, weight: Array) -> None:
+        """Second derivatives by corrections: through the joints' angles, pose by pose."""
+        c, first = self.chain_count, len(self.columns) - len(self.corrections)
+        by_joint = [
+            joint_curvature(self.columns[:c], weight, self.is_modified, theta) for theta in self.theta_places
+        ]
+        for a, slope in enumerate(self.corrections, first):
+            mixed = sum((bend * slope[:, j] for j, bend in enumerate(by_joint)), np.zeros((c, len(slope))))
+            whole[a, :c] = whole[:c, a] = -mixed.sum(axis=1)
+            for b, other in enumerate(self.corrections, first):
+                whole[a, b] = -np.einsum("jm,mj->", mixed[list(self.theta_places)], other)
+
+    def _scaled(self, whole: Array) -> Array:
+        """The unknowns' part (k, k) of a matrix over all parameters, per scaled unknown."""
+        return np.asarray(whole[np.ix_(self.places, self.places)] * np.outer(self.scale, self.scale))
+
+
+def _bend(bend: Array | None, columns: Array, out: Array) -> None:
+    """Bend times each column, (K, 3, m), into `out`."""
+    if bend is None:
+        out[:] = columns
+    elif bend.ndim == 2:
+        np.multiply(bend, columns, out=out)
+    else:
+        for i in range(3):
+            np.multiply(bend[i, 0], columns[:, 0], out=out[:, i])
+            out[:, i] += bend[i, 1] * columns[:, 1]
+            out[:, i] += bend[i, 2] * columns[:, 2]

@@ -1,0 +1,178 @@
+"""Static effects between encoder and joint (formats.md), linear in their parameters: joint = encoder + sum of p * slope.
+
+| effect | what is identified | slope |
+| --- | --- | --- |
+| encoder_scale of joint j | encoder_scale<j> = scale | q_j |
+| encoder_eccentricity | eccentricity<j>_sin, _cos = amplitude cos(phase), sin(phase) | sin q_j, cos q_j |
+| backlash | backlash<j> = width | -flank / 2, where the flank is clear |
+| | backlash<j>_unclear1 .. 8, _led = mean of width times flank | -leaning / 2, where it is not: driven poses, led ones |
+| joint_compliance | compliance<j> = 1 / stiffness | -gravity torque |
+| | compliance<j>_held = link's share of friction / stiffness | -held friction |
+| belt_coupling | belt_coupling = ratio | q_2, of joint 3 |
+
+Signs as in control.dynamics.effect_laws; flank, gravity torque and held friction as in control.dynamics.static_pose, from currents
+and directions of the points. How friction is shared between motor and link is unknown, hence the side parameters, which are no
+part of the effect. An effect is asked for by name and joint: "backlash:2", "belt_coupling".
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from itertools import chain, repeat
+
+import numpy as np
+
+from calib.arm_problem.joint_laws import COUPLED, COUPLING, LAWS, RestingPoints
+from calib.arm_problem.observations import Correction
+from calib.arrays import Array, frozen
+from calib.errors import CalibrationError
+from calib.points.points import Points
+from control.model.arm import Arm, Effect
+
+Key = tuple[str, int | None]  # effect and joint
+
+
+def corrections(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[Correction, ...]:
+    """The linear parameters of the wanted effects, starting from those that the arm has already.
+
+    CalibrationError for an effect or a joint that there is not; MissingModel where a flank or torque is wanted and the
+    arm's file lacks masses or drives.
+    """
+    at = RestingPoints(arm, points)
+    has = {(effect.effect, effect.joint): effect for effect in arm.effects}
+    made = []
+    for key in dict.fromkeys(_key(text, arm.joint_count) for text in wanted):
+        law, before = LAWS[key[0]], has.get(key)
+        starts = law.linear(before.parameters) if before is not None else ()
+        for term, start in zip(law.terms, chain(starts, repeat(0.0)), strict=False):
+            slope = term.slope(at, key[1] or 0)
+            if not term.is_side or slope.any():
+                whole = _of_joint(slope, _acts_on(key), arm.joint_count)
+                made.append(Correction(term.name(key[1]), term.unit, whole, term.bound, start))
+    return tuple(made)
+
+
+def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> Array:
+    """What the arm's own static effects add to the encoder angles, (m, n) [rad]; but those that are `wanted` anew."""
+    left_out = {_key(text, arm.joint_count) for text in wanted}
+    known = [
+        f"{effect.effect}:{effect.joint}" if effect.joint is not None else effect.effect
+        for effect in arm.effects
+        if effect.effect in LAWS and (effect.effect, effect.joint) not in left_out
+    ]
+    shift = np.zeros(points.q_rad.shape)
+    for correction in corrections(arm, points, known):
+        shift += correction.nominal * correction.slope_rad
+    return frozen(shift)
+
+
+def effects_of(values: Mapping[str, float]) -> tuple[Effect, ...]:
+    """Effects as formats.md has them, of the corrections' values by name; what came out as none (`unphysical`) is left out."""
+    found = []
+    for (name, joint), linear in _gathered(values).items():
+        parameters = LAWS[name].parameters(linear)
+        if parameters is not None:
+            found.append(Effect(name, joint, parameters))
+    return tuple(found)
+
+
+def with_effects(arm: Arm, values: Mapping[str, float]) -> Arm:
+    """The arm with the effects of these corrections in place of its own of the same name and joint."""
+    replaced = set(_gathered(values))
+    kept = [effect for effect in arm.effects if (effect.effect, effect.joint) not in replaced]
+    return dataclasses.replace(arm, effects=(*kept, *effects_of(values)))
+
+
+def unphysical(values: Mapping[str, float]) -> tuple[str, ...]:
+    """A sentence for each effect that came out as none: a play or a compliance below 0."""
+    said = []
+    for (name, joint), linear in _gathered(values).items():
+        if LAWS[name].parameters(linear) is None:
+            said.append(
+                f"{name} of joint {joint} came out as {linear[0]:.2g}, which no gear has: it is left out. These points do not"
+                " show it, or what they show is something else."
+            )
+    return tuple(said)
+
+
+def unclear_flanks(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[str, ...]:
+    """A sentence for each wanted backlash whose flank cannot be told in some poses, or never changes."""
+    at = RestingPoints(arm, points)
+    said = []
+    for name, joint in (_key(text, arm.joint_count) for text in wanted):
+        if name == "backlash" and joint is not None:
+            said += _about_flanks(at.resting.flank[:, joint - 1], joint)
+    return tuple(said)
+
+
+def _about_flanks(flank: Array, joint: int) -> list[str]:
+    open_count, sides = int(np.sum(flank == 0.0)), set(flank[flank != 0.0].tolist())
+    said = []
+    if open_count:
+        said.append(
+            f"backlash of joint {joint}: currents, directions and gravity do not tell on which flank the gear lies in"
+            f" {open_count} of {len(flank)} poses; where in the play they lie on average is identified."
+        )
+    if len(sides) < 2:
+        said.append(
+            f"backlash of joint {joint}: the gear lies on one flank in every pose that tells, so that its play cannot be told"
+            " from the joint's zero; take poses from both sides, or where gravity turns round."
+        )
+    return said
+
+
+def _key(text: str, joint_count: int) -> Key:
+    """Effect and joint of "backlash:2"."""
+    name, colon, number = text.partition(":")
+    if name not in LAWS:
+        raise CalibrationError(f'effect: expected one of {_choices()}, got "{text}"')
+    if name == COUPLING:
+        if colon or joint_count < COUPLED:
+            raise CalibrationError(
+                f'effect: expected {COUPLING} without a joint, of an arm of three or more, got "{text}" for {joint_count}'
+            )
+        return name, None
+    if not number.isdecimal() or not 1 <= int(number) <= joint_count:
+        raise CalibrationError(
+            f'effect: expected a joint from 1 to {joint_count}, as in {name}:1, got "{text}"'
+        )
+    return name, int(number)
+
+
+def _choices() -> str:
+    return ", ".join(name if name == COUPLING else f"{name}:<joint>" for name in LAWS)
+
+
+def _acts_on(key: Key) -> int:
+    return COUPLED if key[1] is None else key[1]
+
+
+def _of_joint(slope: Array, joint: int, joint_count: int) -> Array:
+    """(m, n), zero but for the column of `joint`."""
+    columns = np.zeros((len(slope), joint_count))
+    columns[:, joint - 1] = slope
+    return frozen(columns)
+
+
+def _gathered(values: Mapping[str, float]) -> dict[Key, list[float]]:
+    """Values by effect and joint, in the order of the law's terms; CalibrationError for a name that is none of ours."""
+    found: dict[Key, dict[int, float]] = {}
+    for name, value in values.items():
+        effect, joint, place = _named(name)
+        found.setdefault((effect, joint), {})[place] = value
+    return {
+        key: [places.get(k, 0.0) for k in range(len(LAWS[key[0]].terms))] for key, places in found.items()
+    }
+
+
+def _named(name: str) -> tuple[str, int | None, int]:
+    """Effect, joint and place among its terms of a correction's name."""
+    for effect, law in LAWS.items():
+        for place, term in enumerate(law.terms):
+            middle = name.removeprefix(term.head).removesuffix(term.tail)
+            if effect == COUPLING and name == COUPLING:
+                return effect, None, place
+            if middle.isdecimal() and term.name(int(middle)) == name:
+                return effect, int(middle), place
+    raise CalibrationError(f'no correction is called "{name}"')

@@ -1,0 +1,111 @@
+"""Links that bend: how far the tip moves when a link is an elastic beam, clamped where its joint holds it.
+
+Euler-Bernoulli cantilever (Gere, Mechanics of Materials, deflections of cantilever beams): a force F at distance a from the
+clamp of a beam of length l deflects its end by F a^2 (3 l - a) / (6 EI) and turns it by F a^2 / (2 EI); a moment M there by
+M (a l - a^2 / 2) / EI and M a / EI. Loads are the weights of everything beyond the link and of the payload, at its end, and
+the link's own, at its centre of mass. Only bending counts, across the beam in both directions, not torsion.
+
+A link is what its joint turns: from that joint to the next, or to the tip, fixed links between included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.link_frames import LinkFrames, link_frames
+from calib.arrays import Array, frozen
+from control.errors import MissingModel
+from control.model.arm import Arm
+
+FLEXURE = "link_flexure"
+BEAM_LEAST_m = 0.05  # shorter links are blocks
+
+
+def beams(arm: Arm) -> tuple[int, ...]:
+    """Numbers (1-based) of the links that are long enough to bend."""
+    frames = link_frames(ArmModel(arm), arm.dh, np.zeros((1, arm.joint_count)))
+    turning = [k + 1 for k, link in enumerate(arm.links) if link.joint == "revolute"]
+    return tuple(k for k in turning if np.linalg.norm(np.subtract(*_ends_m(arm, frames, k))) >= BEAM_LEAST_m)
+
+
+def _next_turning(arm: Arm, link: int) -> int | None:
+    """The link (1-based) that the next joint turns; None beyond the last."""
+    later = (k + 1 for k, one in enumerate(arm.links) if k >= link and one.joint == "revolute")
+    return next(later, None)
+
+
+def _ends_m(arm: Arm, frames: LinkFrames, link: int) -> tuple[Array, Array]:
+    """Where the beam is clamped and where it ends, (m, 3) each: at its joint, and at the next or the tip."""
+    before = (
+        0 if arm.dh_convention == "modified" else 1
+    )  # a joint is at its own frame's origin, or at the one before
+    following = _next_turning(arm, link)
+    end = frames.tip_m if following is None else frames.origin_m[:, following - before]
+    return frames.origin_m[:, link - before], end
+
+
+def bending_m(
+    arm: Arm,
+    dh: Array,
+    q_rad: Array,
+    payload_kg: Array,
+    link: int,
+    accelerated: Callable[[Array], Array] | None = None,
+) -> Array:
+    """How the tip moves, (m, 3) per 1 / EI [1 / (N m^2)], when `link` (1-based) bends; base frame.
+
+    dh (links, 4), q_rad (m, n), payload_kg (m,). `accelerated`: of poses that follow each other in time, from the places (m, 3)
+    of a mass to its accelerations, whose forces bend too. MissingModel where the arm's file has no masses.
+    """
+    if not any(one.mass_kg for one in arm.links):
+        raise MissingModel(f"arm {arm.name}: a link's bending needs masses (mass_kg, com_m) of the links")
+    frames = link_frames(ArmModel(arm), dh, q_rad)
+    begin, end = _ends_m(arm, frames, link)
+    length = np.linalg.norm(end - begin, axis=1, keepdims=True)
+    along = (end - begin) / length
+    shift, turn = np.zeros_like(begin), np.zeros_like(begin)
+    for is_beyond, place_m, mass_kg in _masses(arm, frames, payload_kg, link):
+        pull = np.asarray(arm.gravity_m_s2) - (0.0 if accelerated is None else accelerated(place_m))
+        force_N = mass_kg[:, None] * pull
+        own = np.clip(np.sum((place_m - begin) * along, axis=1, keepdims=True), 0.0, length)
+        at = length if is_beyond else own  # what is beyond hangs on the beam's end, wherever it is
+        across = _across(force_N, along)
+        moment = _across(np.cross(place_m - begin - at * along, force_N), along)
+        shift += across * at**2 * (3.0 * length - at) / 6.0
+        shift += np.cross(moment, along) * (at * length - 0.5 * at**2)
+        turn += np.cross(along, across) * 0.5 * at**2 + moment * at
+    return np.asarray(shift + np.cross(turn, frames.tip_m - end))
+
+
+def _masses(
+    arm: Arm, frames: LinkFrames, payload_kg: Array, link: int
+) -> Iterator[tuple[bool, Array, Array]]:
+    """Whether each mass is beyond the link, where (m, 3) it is, and how much it is (m,)."""
+    following = _next_turning(arm, link)
+    for k, one in enumerate(arm.links[link - 1 :], start=link):
+        if one.mass_kg and one.com_m is not None:
+            place = frames.point_m(k, np.asarray(one.com_m))
+            is_beyond = following is not None and k >= following
+            yield is_beyond, place, np.full(len(place), one.mass_kg)
+    yield True, frames.tip_m, payload_kg
+
+
+def _across(vectors: Array, along: Array) -> Array:
+    """The part (m, 3) that is across the beam."""
+    return np.asarray(vectors - np.sum(vectors * along, axis=1, keepdims=True) * along)
+
+
+def known_bending_m(arm: Arm, q_rad: Array, payload_kg: Array) -> Array | None:
+    """How the tip moves, (m, 3), by the flexures that the arm has already; None if it has none."""
+    known = [one for one in arm.effects if one.effect == FLEXURE and one.joint is not None]
+    if not known:
+        return None
+    extra_kg = sum(one.parameters["mass_kg"] for one in arm.effects if one.effect == "payload")
+    loads = np.nan_to_num(payload_kg) + extra_kg
+    shift = np.zeros((len(q_rad), 3))
+    for one in known:
+        shift += bending_m(arm, arm.dh, q_rad, loads, one.joint or 1) / one.parameters["EI_Nm2"]
+    return frozen(shift)

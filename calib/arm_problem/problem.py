@@ -1,0 +1,290 @@
+"""Residuals of an arm and their analytic Jacobian in scaled unknowns.
+
+An unknown x is a deviation divided by its scale (its bound, where it has one), so that the box is -1 .. 1 for
+millimetres and radians alike: in SI units a solver stops far from the optimum, because a radian moves the tip half a
+metre and a metre moves it one.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.expansion import Expansion
+from calib.arm_problem.frames import AXIS_UNITS, Frame, cross_matrix, left_jacobian, rotation_of
+from calib.arm_problem.observations import Observations
+from calib.arm_problem.parameters import Bounds, Parameter, dh_parameters, require_known_names
+from calib.arrays import Array, frozen, norms
+from calib.errors import CalibrationError
+
+ALL = slice(None)
+TOOL_NAMES = ("tool_x", "tool_y", "tool_z")
+SEATING_STEPS = 3  # Newton's, from millimetres to nanometres
+SEATING_LIMIT_rad = 0.1  # of one such step
+REACHABLE = 1e-2  # share of the strongest direction of the tip that joints must have to move it
+
+
+class Problem(Protocol):
+    """What the solver needs to know: unknowns x (k,) within +-limits, and residuals reference minus modelled [m].
+
+    The Jacobian (m, 3, k) is a view of (k, 3, m) in one piece: jacobian.transpose(2, 1, 0) costs nothing.
+    """
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The k unknowns, in the order of x."""
+
+    def __len__(self) -> int:
+        """How many poses, m."""
+
+    def residuals(self, x: Array, rows: slice = ALL) -> Array:
+        """(m, 3) [m], of all poses or a slice of them."""
+
+    def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
+        """(m, 3) [m] and the derivative of the residuals (m, 3, k) [m per scaled unknown]."""
+
+    def expanded(self, x: Array, rows: slice = ALL) -> Expansion:
+        """The residuals, and sums of their derivatives for Newton's steps."""
+
+    def sensitivity(self, x: Array) -> Array:
+        """(m, 3, k): the Jacobian as if the residuals were nought, for what the points determine."""
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """What unknowns x stand for: DH table (links, 4), tool (3,), frames, values of the corrections."""
+
+    dh: Array
+    tool_m: Array
+    frames: tuple[Frame, ...]
+    corrections: dict[str, float]
+
+
+class ArmProblem:
+    """Reference points of the tip against DH deviations, tool, frames and joint corrections; SpringerPlus 5:1771,
+    eq. (4), and past it.
+    """
+
+    def __init__(
+        self,
+        model: ArmModel,
+        observed: Observations,
+        *,
+        bounds: Bounds | None = None,
+        fixed: Collection[str] = (),
+        is_tool_free: bool = False,
+        tool_m: Array | None = None,
+    ) -> None:
+        """`fixed` names parameters that keep their start value; `tool_m` (3,) is the tool's, nominal by default.
+
+        Frames that are free start where `observed` has them. CalibrationError for a name that is none, or if nothing is
+        left to identify.
+        """
+        self.model, self.observed = model, observed
+        self._tool_m = frozen(model.nominal_tool_m if tool_m is None else tool_m)
+        self._centres = _centres(observed)
+        self._free = [k for k, frame in enumerate(observed.frames) if frame.is_free]
+        self.references_m = _in_base(observed)
+        self._tool_at = model.nominal_dh.size  # where each part stands in the whole deviation vector
+        self._frames_at = self._tool_at + 3 * is_tool_free
+        self._corrections_at = self._frames_at + 6 * len(self._free)
+        everything = self._every_parameter(bounds or Bounds(), is_tool_free)
+        names = [parameter.name for parameter in everything]
+        require_known_names({*fixed, *(bounds or Bounds()).own}, names)
+        self._places = np.array([k for k, name in enumerate(names) if name not in fixed], dtype=np.intp)
+        if not len(self._places):
+            raise CalibrationError("every parameter is fixed: free at least one")
+        self.parameters = tuple(everything[k] for k in self._places)
+        self._scale = np.array([parameter.scale for parameter in self.parameters])
+        self._start = np.array([c.nominal for c in observed.corrections])
+        self._whole_size = len(everything)
+
+    def _every_parameter(self, bounds: Bounds, is_tool_free: bool) -> tuple[Parameter, ...]:
+        """DH, tool, free frames, corrections: the order of the whole deviation vector."""
+        found = list(dh_parameters(self.model.nominal_dh, bounds))
+        if is_tool_free:
+            found += [
+                Parameter(name, "m", float(value), bounds.of_free(name, "m"))
+                for name, value in zip(TOOL_NAMES, self._tool_m, strict=True)
+            ]
+        for frame in self.free_frames:
+            found += [
+                Parameter(name, unit, 0.0, bounds.of_free(name, unit))
+                for name, unit in zip(frame.parameter_names, AXIS_UNITS, strict=True)
+            ]
+        found += [
+            Parameter(c.name, c.unit, c.nominal, bounds.own.get(c.name, c.bound), c.typical)
+            for c in self.observed.corrections
+        ]
+        return tuple(found)
+
+    @property
+    def free_frames(self) -> tuple[Frame, ...]:
+        """Frames that are identified too."""
+        return tuple(frame for frame in self.observed.frames if frame.is_free)
+
+    @property
+    def scale(self) -> Array:
+        """Scales of the unknowns, (k,): a deviation is x times this."""
+        return self._scale
+
+    def __len__(self) -> int:
+        """How many poses."""
+        return len(self.observed)
+
+    def of_rows(self, rows: npt.ArrayLike) -> ArmProblem:
+        """The same unknowns with the same meaning, posed by some of the poses (indices or a mask) only."""
+        some = copy.copy(self)
+        keep = np.arange(len(self))[np.asarray(rows)]
+        some.observed, some.references_m = self.observed.chosen(keep), self.references_m[keep]
+        return some
+
+    def solution(self, x: Array) -> Solution:
+        """What the unknowns x (k,) stand for."""
+        dh, tool, moves, values = self._parts(x)
+        frames = list(self.observed.frames)
+        for index, move in zip(self._free, moves, strict=True):
+            frames[index] = frames[index].moved(self._centres[index], move)
+        names = [correction.name for correction in self.observed.corrections]
+        return Solution(
+            frozen(dh), frozen(tool), tuple(frames), dict(zip(names, values.tolist(), strict=True))
+        )
+
+    def _parts(self, x: Array) -> tuple[Array, Array, Array, Array]:
+        """DH table, tool, moves of the free frames (f, 6), values of the corrections, at unknowns x."""
+        whole = np.zeros(self._whole_size)
+        whole[self._places] = x * self._scale
+        dh, tool, moves, values = np.split(whole, [self._tool_at, self._frames_at, self._corrections_at])
+        tool = self._tool_m + tool if len(tool) else self._tool_m
+        return self.model.nominal_dh + dh.reshape(-1, 4), tool, moves.reshape(-1, 6), self._start + values
+
+    def _joint_rad(self, values: Array, rows: slice) -> Array:
+        """Joint angles (m, n): encoders and corrections."""
+        q = self.observed.q_rad[rows]
+        for value, correction in zip(values, self.observed.corrections, strict=True):
+            q = q + value * correction.slope_rad[rows]
+        return q
+
+    def _bent(self, tips: Array, values: Array, rows: slice) -> Array:
+        """Tips (m, 3) moved by what no joint's angle does: links that bend."""
+        if self.observed.known_shift_m is not None:
+            tips = tips + self.observed.known_shift_m[rows]
+        for value, correction in zip(values, self.observed.corrections, strict=True):
+            if correction.slope_m is not None:
+                tips = tips + value * correction.slope_m[rows]
+        return tips
+
+    def residuals(self, x: Array, rows: slice = ALL) -> Array:
+        """Reference minus modelled tip, (m, 3), base frame."""
+        dh, tool, moves, values = self._parts(x)
+        tips = self.model.tips(dh, self._joint_rad(values, rows), tool)
+        return np.asarray(self._references(moves, rows)[0] - self._bent(tips, values, rows))
+
+    def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
+        """Residuals (m, 3) and their derivative with respect to x, (m, 3, k)."""
+        found = self.expanded(x, rows)
+        chosen = found.columns[self._places]
+        chosen *= -self._scale[:, None, None]
+        return found.residuals, chosen.transpose(2, 1, 0)
+
+    def expanded(self, x: Array, rows: slice = ALL) -> Expansion:
+        """Residuals and what their first and second derivatives add up to."""
+        dh, tool, moves, values = self._parts(x)
+        slopes = self.model.slopes(dh, self._joint_rad(values, rows), tool)
+        references, arms = self._references(moves, rows)
+        if self._whole_size == self._tool_at:
+            columns = slopes.by_dh.transpose(2, 1, 0)
+        else:
+            columns = np.empty((self._whole_size, 3, len(references)))
+            columns[: self._tool_at] = slopes.by_dh.transpose(2, 1, 0)
+            if self._frames_at > self._tool_at:
+                columns[self._tool_at : self._frames_at] = slopes.by_tool.transpose(2, 1, 0)
+            self._frame_columns(columns[self._frames_at : self._corrections_at], moves, arms, rows)
+            self._correction_columns(columns[self._corrections_at :], slopes.by_dh, rows)
+        return Expansion(
+            residuals=references - self._bent(slopes.tips, values, rows),
+            columns=columns,
+            places=self._places,
+            scale=self._scale,
+            chain_count=self._frames_at,
+            is_modified=self.model.is_modified,
+            frame_rows=tuple(np.flatnonzero(self.observed.frame[rows] == index) for index in self._free),
+            frame_turns_rad=moves[:, 3:],
+            arms=arms,
+            theta_places=self.model.theta_places,
+            corrections=tuple(correction.slope_rad[rows] for correction in self.observed.corrections),
+        )
+
+    def sensitivity(self, x: Array) -> Array:
+        """The Jacobian (m, 3, k) at poses beside the measured ones, whose tips are where their references are.
+
+        For what the points determine: turning arm and board together turns a residual r too, so that the Jacobian holds
+        w x r of it as if that turn could be seen, though no distance changes. Without residuals there is no such thing.
+        Where no board is free, none can turn, and it is the Jacobian at the measured poses.
+        """
+        seated = copy.copy(self)
+        for _ in range(SEATING_STEPS if self._free else 0):
+            found = seated.expanded(x)
+            by_joint = found.columns[list(self.model.theta_places)].transpose(2, 1, 0)
+            move = np.einsum("mnk,mk->mn", np.linalg.pinv(by_joint, rcond=REACHABLE), found.residuals)
+            move *= np.minimum(1.0, SEATING_LIMIT_rad / np.maximum(norms(move), 1e-300))[:, None]
+            seated.observed = dataclasses.replace(seated.observed, q_rad=seated.observed.q_rad + move)
+        return seated.residuals_and_jacobian(x)[1]
+
+    def _references(self, moves: Array, rows: slice) -> tuple[Array, Array]:
+        """Reference points (m, 3) in the base frame, and their arms (m, 3) from the centre of their free frame."""
+        references = self.references_m[rows]
+        if not self._free:
+            return references, references
+        references, arms = references.copy(), np.zeros_like(references)
+        which = self.observed.frame[rows]
+        for index, move in zip(self._free, moves, strict=True):
+            here, frame = which == index, self.observed.frames[index]
+            anchor = frame.to_base(self._centres[index])
+            arms[here] = (references[here] - anchor) @ rotation_of(move[3:]).T
+            references[here] = anchor + move[:3] + arms[here]
+        return references, arms
+
+    def _frame_columns(self, columns: Array, moves: Array, arms: Array, rows: slice) -> None:
+        """Minus the derivative of the references by each free frame's move and turn, as the tip's are plus."""
+        which = self.observed.frame[rows]
+        for place, (index, move) in enumerate(zip(self._free, moves, strict=True)):
+            here = np.flatnonzero(which == index)
+            block = columns[6 * place : 6 * place + 6]
+            block[:] = 0.0
+            turns = left_jacobian(move[3:])
+            for axis in range(3):
+                block[axis, axis, here] = -1.0
+                block[3 + axis][:, here] = -(cross_matrix(turns[:, axis]) @ arms[here].T)
+
+    def _correction_columns(self, columns: Array, by_dh: Array, rows: slice) -> None:
+        """Derivatives by the corrections: through the joints' angles, and of the tip itself."""
+        theta = list(self.model.theta_places)
+        for column, correction in zip(columns, self.observed.corrections, strict=True):
+            column[:] = np.einsum("mij,mj->im", by_dh[:, :, theta], correction.slope_rad[rows])
+            if correction.slope_m is not None:
+                column += correction.slope_m[rows].T
+
+
+def _centres(observed: Observations) -> list[Array]:
+    """The middle of each frame's points, in the frame."""
+    return [
+        observed.position_m[observed.rows_of(k)].mean(axis=0) if (observed.frame == k).any() else np.zeros(3)
+        for k in range(len(observed.frames))
+    ]
+
+
+def _in_base(observed: Observations) -> Array:
+    """The reference points in the base frame, as the frames are known before, (m, 3)."""
+    references = np.array(observed.position_m)
+    for k, frame in enumerate(observed.frames):
+        here = observed.rows_of(k)
+        references[here] = frame.to_base(observed.position_m[here])
+    return frozen(references)

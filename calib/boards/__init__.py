@@ -1,0 +1,1 @@
+"""Where calibration boards stand: markers, registration, outliers."""

@@ -1,0 +1,122 @@
+"""A calibration from end to end: points in, a judged result out. Nothing here reads or writes a file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from calib.arm_problem.assembly import Choice, problem_of
+from calib.arm_problem.checks import require_usable
+from calib.arm_problem.joint_effects import unclear_flanks, unphysical
+from calib.arm_problem.problem import ArmProblem
+from calib.arrays import Array
+from calib.calibration.outcome import calibrated_arm
+from calib.errors import CalibrationError
+from calib.identify.identification import Identification, identify
+from calib.identify.objective import Objective, SumOfDistances
+from calib.identify.suspects import Suspects, find_suspects
+from calib.points.points import Points
+from calib.validation.holdout import HeldOut, held_out
+from calib.validation.verdict import NoiseFloor, Verdict, noise_floor, verdict
+from control.model.arm import Arm
+from control.model.table import board_cavities
+
+Advance = Callable[[str, float], None]
+"""Called with what is being done and how much of the whole is done, 0 to 1."""
+LeaveOut = Literal["setup"] | int | None
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationPlan:
+    """What to identify, by which objective, and how to judge it.
+
+    `accuracy_limit_m` is the a of E <= k a (SpringerPlus 5:1771, eq. 4), None without it. `leave_out` as `held_out` takes it.
+    """
+
+    choice: Choice = field(default_factory=Choice)
+    objective: Objective = field(default_factory=SumOfDistances)
+    accuracy_limit_m: float | None = None
+    leave_out: LeaveOut = None
+    starts_count: int = 4
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """The result: the calibrated arm, how it was found, and what it is worth.
+
+    `held` is None where nothing can be left out; `floor` where nothing tells the noise.
+    """
+
+    nominal: Arm
+    arm: Arm
+    points: Points
+    problem: ArmProblem
+    found: Identification
+    suspects: Suspects
+    held: HeldOut | None
+    floor: NoiseFloor | None
+    verdict: Verdict
+    warnings: tuple[str, ...] = ()
+
+
+def calibrate(
+    arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance = lambda *_: None
+) -> Calibrated:
+    """Identify, look for outliers, leave points out, judge. UnusablePointsError if no calibration can be made of them."""
+    advance("checking the points", 0.0)
+    problem = problem_of(arm, points, plan.choice)
+    warnings = [*require_usable(arm, points, problem), *unclear_flanks(arm, points, plan.choice.effects)]
+    advance("identifying", 0.1)
+    found = identify(
+        problem,
+        objective=plan.objective,
+        starts_count=plan.starts_count,
+        seed=plan.seed,
+        accuracy_limit_m=plan.accuracy_limit_m,
+    )
+    warnings += unphysical(found.solution.corrections)
+    advance("looking for outliers", 0.4)
+    suspects = find_suspects(problem, found.x, _cavities(arm))
+    held, said = _held_out(arm, points, plan, advance)
+    floor = noise_floor(arm, points, problem, found.x)
+    judged = verdict(found, held, floor, suspects, points.setup)
+    advance("done", 1.0)
+    return Calibrated(
+        arm,
+        calibrated_arm(arm, found),
+        points,
+        problem,
+        found,
+        suspects,
+        held,
+        floor,
+        judged,
+        (*warnings, *said),
+    )
+
+
+def _cavities(arm: Arm) -> Mapping[str, Array]:
+    """Every cavity in the board's frame, for a guess at which one a tip sat in."""
+    if arm.table is None:
+        return {}
+    return {name: np.array(place) for name, place in board_cavities(arm.table).items()}
+
+
+def _held_out(
+    arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance
+) -> tuple[HeldOut | None, list[str]]:
+    """The held-out error, or why there is none."""
+
+    def done(count: int, total: int) -> None:
+        advance("leaving points out", 0.5 + 0.5 * count / total)
+
+    try:
+        return held_out(
+            lambda some: problem_of(arm, some, plan.choice), points, plan.leave_out, plan.objective, done
+        ), []
+    except CalibrationError as error:
+        return None, [f"no held-out error: {error}"]

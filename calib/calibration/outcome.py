@@ -1,0 +1,154 @@
+"""What a calibration leaves behind besides the report: a calibrated arm.toml and calibration.json."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from calib.arm_problem.assembly import BASE_FRAME
+from calib.arm_problem.frames import Frame, rotation_vector
+from calib.arm_problem.joint_effects import with_effects
+from calib.identify.identification import Estimate, Identification
+from calib.validation.verify import Comparison, ErrorSummary
+from control.model.arm import Arm, Calibration, Effect
+from control.model.description import save_arm
+
+DECIMALS = 12  # of a metre or a radian, in calibration.json
+
+
+def write_calibrated_arm(
+    path: Path,
+    nominal: Arm,
+    found: Identification,
+    inputs: Mapping[str, str],
+    date: str,
+    program_version: str,
+) -> Arm:
+    """Save the arm with the identified parameters as a new file, and return it.
+
+    `inputs` maps files to their SHA-256. The file that the nominal arm came from stays as it is; an existing file at
+    `path` is refused (ArmFileError).
+    """
+    source = str(nominal.path.name) if nominal.path is not None else nominal.name
+    provenance = Calibration(source, dict(inputs), date, found.objective, program_version)
+    calibrated = dataclasses.replace(calibrated_arm(nominal, found), calibration=provenance)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_arm(calibrated, path)
+    return calibrated
+
+
+def calibrated_arm(nominal: Arm, found: Identification) -> Arm:
+    """The arm with what was identified: DH table, tool, base frame, effects."""
+    x, y, z = found.solution.tool_m.tolist()
+    tool = nominal.tool
+    if any(estimate.parameter.name.startswith("tool_") for estimate in found.estimates):
+        tool = dataclasses.replace(tool, position_m=(x, y, z), known=True)
+    framed = _with_base_frame(nominal.with_dh(found.dh), found)
+    return with_effects(dataclasses.replace(framed, tool=tool), found.solution.corrections)
+
+
+def _with_base_frame(arm: Arm, found: Identification) -> Arm:
+    """The arm with the base frame that was identified, if one was."""
+    base = found.solution.frames[0]
+    if not base.is_free:
+        return arm
+    vector = [*base.origin_m.tolist(), *rotation_vector(base.rotation).tolist()]
+    effect = Effect("base_frame", None, dict(zip(BASE_FRAME, vector, strict=True)))
+    kept = (e for e in arm.effects if e.effect != "base_frame")
+    return dataclasses.replace(arm, effects=(*kept, effect))
+
+
+def write_calibration_json(
+    path: Path,
+    arm: str,
+    found: Identification,
+    inputs: Mapping[str, str],
+    date: str,
+    program_version: str,
+    verification: Comparison | None = None,
+    more: Mapping[str, object] | None = None,
+) -> None:
+    """The result for other programs. SI units; a number that there is not is null.
+
+    `more` is added under its own keys: outliers, held-out errors, the verdict.
+    """
+    content = {
+        "format": "calibration/1",
+        "arm": arm,
+        "date": date,
+        "program_version": program_version,
+        "inputs": dict(inputs),
+        **_found(found),
+        "verification": None if verification is None else _verification(verification),
+        **(more or {}),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _found(found: Identification) -> dict[str, object]:
+    return {
+        "objective": {
+            "name": found.objective,
+            "before": found.objective_before,
+            "after": found.objective_after,
+        },
+        "points": len(found.error_after_m),
+        "mean_error_m": {"before": found.mean_before_m, "after": found.mean_after_m},
+        "noise_m": _number(found.noise_m),
+        "rank": found.rank,
+        "condition_number": _number(found.condition_number),
+        "parameters": {estimate.parameter.name: _parameter(estimate) for estimate in found.estimates},
+        "tool_m": _rounded(found.solution.tool_m.tolist()),
+        "frames": {frame.name: _frame(frame) for frame in found.solution.frames if frame.is_free},
+        "undetermined": [{"names": list(g.names), "freedoms": g.freedoms_count} for g in found.undetermined],
+        "at_bound": list(found.binding),
+        "in_words": list(found.in_words()),
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _rounded(values: list[float]) -> list[float]:
+    return [round(value, DECIMALS) for value in values]
+
+
+def _parameter(estimate: Estimate) -> dict[str, object]:
+    return {
+        "unit": estimate.parameter.unit,
+        "nominal": estimate.parameter.nominal,
+        "value": estimate.value,
+        "deviation": estimate.deviation,
+        "sd": _number(estimate.sd),
+        "bound": _number(estimate.parameter.bound),
+        "is_determined": estimate.is_determined,
+        "is_at_bound": estimate.is_at_bound,
+    }
+
+
+def _frame(frame: Frame) -> dict[str, object]:
+    """base_T_frame."""
+    return {
+        "origin_m": _rounded(frame.origin_m.tolist()),
+        "rotation": [_rounded(row) for row in frame.rotation.tolist()],
+    }
+
+
+def _verification(comparison: Comparison) -> dict[str, object]:
+    return {
+        entry.setup: {
+            "before": _summary(entry.before),
+            "after": _summary(entry.after),
+            "improvement_percent": entry.improvement_percent,
+        }
+        for entry in comparison.by_setup()
+    }
+
+
+def _summary(summary: ErrorSummary) -> dict[str, float | None]:
+    return {key: _number(value) for key, value in dataclasses.asdict(summary).items()}

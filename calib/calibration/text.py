@@ -1,0 +1,133 @@
+"""The result of a calibration in words and figures for a terminal, and as entries of calibration.json."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from calib.arm_problem.frames import Frame, rotation_vector
+from calib.calibration.calibrate import Calibrated
+from calib.identify.estimates import Estimate
+from calib.identify.outliers import Outlier
+from calib.report.report_sections import NO_EFFECT, of_the_arm
+from calib.validation.holdout import HeldOut
+
+UNIT = {"m": ("mm", 1e3, 3), "rad": ("deg", math.degrees(1.0), 4)}
+
+
+def summary_text(made: Calibrated) -> str:
+    """The answer first, then what it rests on."""
+    found = made.found
+    lines = [
+        *made.verdict.in_words(),
+        "",
+        f"{len(made.points)} points, {found.objective}: mean error {1e3 * found.mean_before_m:.3f} mm before,"
+        f" {1e3 * found.mean_after_m:.3f} mm after, at the points of the fit.",
+        *(made.held.in_words() if made.held is not None else ()),
+        *([found.accuracy.in_words()] if found.accuracy is not None else []),
+    ]
+    suspicious = made.suspects.in_words()
+    if suspicious:
+        lines += [
+            "",
+            "Suspicious, and used all the same (leave out with --without SETUP:POINT):",
+            *suspicious,
+        ]
+    lines += ["", *found.in_words(), "", parameter_text(made)]
+    return "\n".join(lines) + "\n"
+
+
+def parameter_text(made: Calibrated) -> str:
+    """One line a parameter; then where the boards stood that were looked for."""
+    rows = [f"{'parameter':<20}{'unit':<9}{'nominal':>12}{'identified':>12}{'deviation':>12}{'sd':>10}"]
+    rows += [_parameter_line(one) for one in of_the_arm(made.found)]
+    free = [frame for frame in made.found.solution.frames if frame.is_free]
+    if free:
+        rows += ["", f"{'frame':<20}{'x [mm]':>10}{'y [mm]':>10}{'z [mm]':>10}   turned about x, y, z [deg]"]
+        rows += [_frame_line(frame) for frame in free]
+    return "\n".join(rows)
+
+
+def _parameter_line(one: Estimate) -> str:
+    parameter = one.parameter
+    unit, factor, digits = UNIT.get(parameter.unit, (parameter.unit or "-", 1.0, 6))
+    is_open = one.undetermined_share > NO_EFFECT
+    sd = "" if math.isnan(one.sd) or is_open else f"{factor * one.sd:.{digits}f}"
+    remark = "at its bound" if one.is_at_bound else "" if one.is_determined else "not determined alone"
+    nominal = f"{factor * parameter.nominal:.{digits}f}" if parameter.has_bound else "unknown"
+    deviation = f"{factor * one.deviation + 0.0:+.{digits}f}" if parameter.has_bound else ""
+    return (
+        f"{parameter.name:<20}{unit:<9}{nominal:>12}{factor * one.value:>12.{digits}f}{deviation:>12}{sd:>10}"
+        f"  {'no effect here' if is_open else remark}"
+    ).rstrip()
+
+
+def _frame_line(frame: Frame) -> str:
+    x, y, z = (1e3 * frame.origin_m).tolist()
+    turns = ", ".join(f"{angle:.3f}" for angle in np.degrees(rotation_vector(frame.rotation)))
+    return f"{frame.name:<20}{x:>10.3f}{y:>10.3f}{z:>10.3f}   {turns}"
+
+
+def judgement_json(made: Calibrated) -> dict[str, object]:
+    """What calibration.json holds beside the identification."""
+    return {
+        "verdict": {
+            "grade": made.verdict.grade,
+            "sentences": list(made.verdict.sentences),
+            "next_steps": list(made.verdict.next_steps),
+        },
+        "noise_floor": None
+        if made.floor is None
+        else {"axis_m": made.floor.axis_m, "mean_m": made.floor.mean_m, "source": made.floor.source},
+        "held_out": None if made.held is None else _held(made.held),
+        "outliers": [_outlier(one) for one in made.suspects.outliers],
+        "shifted_setups": [one.setup for one in made.suspects.setups],
+        "suspicious": list(made.suspects.in_words()),
+        "accuracy": _accuracy(made),
+        "warnings": list(made.warnings),
+    }
+
+
+def _accuracy(made: Calibrated) -> dict[str, object] | None:
+    accuracy = made.found.accuracy
+    if accuracy is None:
+        return None
+    return {
+        "limit_m": accuracy.limit_m,
+        "mean_m": accuracy.mean_m,
+        "least_m": accuracy.least_m,
+        "is_met": accuracy.is_met,
+    }
+
+
+def _held(held: HeldOut) -> dict[str, object]:
+    return {
+        "by": held.by,
+        "mean_before_m": float(held.before_m.mean()),
+        "mean_after_m": float(held.after_m.mean()),
+        "improvement_percent": held.improvement_percent,
+        "folds": [
+            {
+                "left_out": fold.name,
+                "points": len(fold.rows),
+                "measure": fold.measure,
+                "mean_before_m": fold.mean_before_m,
+                "mean_after_m": fold.mean_after_m,
+                "rms_after_m": fold.rms_after_m,
+                "max_after_m": fold.max_after_m,
+            }
+            for fold in held.folds
+        ],
+    }
+
+
+def _outlier(one: Outlier) -> dict[str, object]:
+    return {
+        "pose": one.row + 1,
+        "setup": one.setup,
+        "point": one.point,
+        "distance_m": one.distance_m,
+        "score": one.score,
+        "words": one.words,
+    }

@@ -1,0 +1,1 @@
+"""Static poses as the gap workflow sees them: candidates, loads, shapes without a name, noise floor."""

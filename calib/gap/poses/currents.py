@@ -1,0 +1,99 @@
+"""The motors' holding currents as a second witness: what they hold beyond the model's gravity.
+
+Per joint: motor torque by the nominal constant minus gravity = a constant and a share of the load for each direction of the last
+motion (friction, asymmetric friction, load friction, the sensor's offset: never named here) + what a candidate adds + scatter.
+The scatter is that of friction, which holds a joint anywhere in its band; it is measured, not assumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array, Mask
+from calib.gap.poses.candidate import Candidate
+from calib.gap.poses.evidence import Evidence
+from calib.gap.poses.loads import stated_kg
+from calib.points.points import Points
+from control.dynamics.static_pose import gravity_Nm, torque_per_A
+from control.errors import MissingModel
+from control.model.arm import Arm
+
+SATURATED = 0.98  # of the drive's limit
+CAUTION = 1.5  # neighbouring poses share their friction: fewer independent values than poses
+POSES_LEAST = 24
+SWAY = 3.0  # of a joint's largest torque: the prior of the friction's part
+
+
+@dataclass(frozen=True, slots=True)
+class Currents:
+    """torque_Nm (m, n): motor torque minus gravity; `usable` (m, n); friction (n, m, b) and the scatter sd_Nm (n,); the model's
+    gravity_Nm (m, n).
+    """
+
+    torque_Nm: Array
+    usable: Mask
+    friction: Array
+    sd_Nm: Array
+    gravity_Nm: Array
+
+    def evidence(self, candidates: Sequence[Candidate], rows: Mask) -> Evidence:
+        """Of every candidate's columns in typical sizes, from the poses `rows` (m,)."""
+        columns = np.concatenate([_slopes(one, self.torque_Nm.shape) for one in candidates])
+        return self.evidence_of(columns, rows)
+
+    def evidence_of(self, columns_Nm: Array, rows: Mask) -> Evidence:
+        """Of columns (c, m, n)."""
+        total = Evidence.empty(len(columns_Nm))
+        for j, sd in enumerate(self.sd_Nm):
+            keep = rows & self.usable[:, j]
+            if keep.sum() >= POSES_LEAST and np.isfinite(sd):
+                base, own = self.friction[j][keep] / sd, columns_Nm[:, keep, j].T / sd
+                total = total.beside(Evidence.of(base, own, self.torque_Nm[keep, j] / sd))
+        return total
+
+
+def _slopes(one: Candidate, shape: tuple[int, ...]) -> Array:
+    if one.slope_Nm is None:
+        return np.zeros((len(one.size), *shape))
+    return one.slope_Nm * one.size[:, None, None]
+
+
+def holding_currents(arm: Arm, points: Points, tried: Sequence[Candidate]) -> Currents | None:
+    """None where the arm's file lacks masses or drives, or the data currents."""
+    try:
+        gravity, per_A = gravity_Nm(arm, points.q_rad, stated_kg(points)), torque_per_A(arm)
+    except MissingModel:
+        return None
+    limits = np.array([arm.drive(j + 1).current_limit_A for j in range(points.joint_count)])
+    usable = np.isfinite(points.current_A) & (np.abs(points.current_A) < SATURATED * limits)
+    torque = np.where(usable, points.current_A * per_A - gravity, 0.0)
+    if not (usable.sum(axis=0) >= POSES_LEAST).any():
+        return None
+    friction = np.stack([_friction(points, gravity, torque, j) for j in range(points.joint_count)])
+    explained = [one.slope_Nm for one in tried if one.slope_Nm is not None]
+    every = np.concatenate(explained) if explained else np.zeros((0, *torque.shape))
+    sd = np.array(
+        [_scatter(friction[j], every[:, :, j], torque[:, j], usable[:, j]) for j in range(len(friction))]
+    )
+    return Currents(torque, usable, friction, CAUTION * sd, gravity)
+
+
+def _friction(points: Points, gravity: Array, torque: Array, j: int) -> Array:
+    """A constant for each direction, and friction that grows with the load, odd in direction, (m, b)."""
+    last = points.direction[:, j]
+    size = SWAY * max(float(np.abs(torque[:, j]).max()), 1e-6)
+    sides = [size * (last == side) for side in (-1.0, 0.0, 1.0)]
+    return np.column_stack((*sides, last * np.abs(gravity[:, j])))
+
+
+def _scatter(friction: Array, columns: Array, torque: Array, usable: Mask) -> float:
+    """What all columns together leave of one joint's torque."""
+    whole = np.column_stack((friction, columns.T))[usable]
+    if len(whole) < POSES_LEAST:
+        return float("nan")
+    found, _, rank, _ = np.linalg.lstsq(whole, torque[usable], rcond=1e-9)
+    left = torque[usable] - whole @ found
+    return float(np.sqrt(left @ left / max(1, len(left) - int(rank)))) or float("nan")

@@ -1,0 +1,75 @@
+"""A model's terms, sorted by where they act."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from calib.gap.signals.angles import ANGLES
+from calib.gap.signals.body import Load
+from calib.gap.signals.terms import Term
+
+SHARED = ("coulomb_friction", "viscous_friction")  # part of it may act behind an elastic or loose gear
+
+
+@dataclass(slots=True)
+class Parts:
+    """Terms by where they act."""
+
+    load: Load = field(default_factory=Load)
+    scale: dict[int, float] = field(default_factory=dict)
+    delay_s: float = 0.0
+    sag: list[tuple[str, float]] = field(default_factory=list)
+    friction: list[Term] = field(default_factory=list)
+    elastic: list[Term] = field(default_factory=list)
+    angles: list[Term] = field(default_factory=list)
+    electrical: list[Term] = field(default_factory=list)
+    tip: list[Term] = field(default_factory=list)
+
+    def link_friction(self, j: int) -> tuple[float, float]:
+        """Coulomb and viscous friction of a joint (0-based) in all."""
+        sums = dict.fromkeys(SHARED, 0.0)
+        for term in self.friction:
+            if term.index == j and term.form in sums:
+                sums[term.form] += term.values[0]
+        return sums["coulomb_friction"], sums["viscous_friction"]
+
+    def behind(self, term: Term) -> float:
+        """The share of a friction that acts behind its elastic or loose gear."""
+        if term.form not in SHARED:
+            return 0.0
+        return sum(gear.values[-1] for gear in self.elastic if gear.index == term.index)
+
+
+def sorted_terms(model: Sequence[Term]) -> Parts:
+    """A model's terms by where they act."""
+    parts = Parts()
+    payload, masses, inertias = 0.0, [], []
+    for term in model:
+        match term.form:
+            case "payload":
+                payload += term.values[0]
+            case "mass_kg":
+                masses.append((term.index, term.values[0]))
+            case "inertia_kg_m2":
+                inertias.append((term.index, term.values[0]))
+            case "torque_constant":
+                parts.scale[term.index] = parts.scale.get(term.index, 0.0) + term.values[0]
+            case "command_delay":
+                parts.delay_s += max(term.values[0], 0.0)
+            case "sampling time":  # a voltage that took effect before the sample is one that comes early
+                parts.delay_s -= term.values[0]
+            case "supply_sag" | "supply_sag by sum":
+                parts.sag.append((term.form, term.values[0]))
+            case "joint_compliance" | "backlash":
+                parts.elastic.append(term)
+            case form if form in ANGLES:
+                parts.angles.append(term)
+            case "link_geometry" | "base_frame" | "camera time" | "link_flexure":
+                parts.tip.append(term)
+            case "resistance" | "current offset" | "inductance":
+                parts.electrical.append(term)
+            case _:
+                parts.friction.append(term)
+    parts.load = Load(payload, tuple(masses), tuple(inertias))
+    return parts

@@ -1,0 +1,196 @@
+"""One evaluation of the model on all runs: current from motion, voltage from current and motion, tip from angles.
+
+Electrical, with the command u held over a sample from its time on (delayed by tau), i sampled just before the next:
+    L di/dt + R i = u - K speed,   K = torque constant times gear ratio (times what torque_constant says).
+Mechanical, at the motor, in joint angles:
+    K i = J speed' + transmitted + friction(speed, transmitted) + cogging(q).
+Samples are corners of the staircase that the voltage makes: what lies between them is in `staircase`. Where no voltage is
+recorded, the mean of a current stands T/2 - L/R earlier than its sample, and the voltage's part of i is shifted by that much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.gap.signals.angles import BEHIND, STILL, MotorAhead, angle_error
+from calib.gap.signals.body import Body, Load
+from calib.gap.signals.following import Following
+from calib.gap.signals.laws import sampled_friction_Nm
+from calib.gap.signals.parts import Parts, sorted_terms
+from calib.gap.signals.recording import Motion, Recording
+from calib.gap.signals.staircase import Staircase, Winding, settled_shares
+from calib.gap.signals.terms import Term
+from calib.gap.signals.tips import Tips
+from control.model.arm import Arm
+
+MOST_OF_PERIOD = 0.999  # later than that, a sample is the next one
+INERTIA_EVERY = 25  # samples: how heavy a joint is, on the whole
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What the model expects of one run at every sample, minus what was measured: (m, n), (m, n), (frames, 3)."""
+
+    current_A: Array
+    voltage_as_A: Array
+    tip_m: Array
+
+
+class Physics:
+    """Evaluates models on one recording."""
+
+    def __init__(self, arm: Arm, recording: Recording) -> None:
+        self.arm, self.recording = arm, recording
+        self.body = Body(arm, recording)
+        self._K = np.array([d.torque_constant_Nm_A * d.gear_ratio for d in arm.drives])
+        self._R = np.array([d.resistance_ohm for d in arm.drives])
+        self._lag = np.array([d.inductance_H / d.resistance_ohm for d in arm.drives])
+        self._supply = np.array([d.supply_V for d in arm.drives])
+        self._gear = np.array([d.gear_ratio for d in arm.drives])
+        self._period = 1.0 / recording.filters.rate_Hz
+        self._voltage = [recording.filters.states(run.voltage_V) for run in recording.runs]
+        self._staircase = Staircase(
+            [
+                Winding(*map(float, one))
+                for one in zip(self._inertias(), self._K, self._R, self._lag, strict=True)
+            ],
+            self._period,
+            [value for value, _, _ in self._voltage],
+        )
+        self.following = Following(recording, self.body)
+        self.tips = Tips(arm, recording)
+
+    @property
+    def torque_per_A(self) -> Array:
+        """K, joint torque per ampere (n,)."""
+        return self._K
+
+    @property
+    def resistance_ohm(self) -> Array:
+        """R of the windings (n,)."""
+        return self._R
+
+    @property
+    def lag_s(self) -> Array:
+        """L/R of the windings (n,)."""
+        return self._lag
+
+    @property
+    def gear_ratios(self) -> tuple[float, ...]:
+        """Motor turns a joint turn."""
+        return tuple(float(ratio) for ratio in self._gear)
+
+    def _inertias(self) -> Array:
+        """What each motor turns while the others may give way, the middle of the recording (n,)."""
+        q = np.concatenate([run.q[::INERTIA_EVERY] for run in self.recording.runs])
+        inverses = np.linalg.inv(self.body.dynamics(Load()).mass_matrices(q))
+        return np.asarray(1.0 / np.median(np.diagonal(inverses, axis1=1, axis2=2), axis=0))
+
+    def current_roughness(self, k: int, joint: int) -> float:
+        """White noise of run k's current sensor [A]: the third difference takes off what is smooth.
+
+        What the commanded voltage drives through the winding is taken off first, as it is rough on purpose.
+        """
+        run = self.recording.runs[k]
+        current = run.current_raw_A[:, joint]
+        if self.recording.has_voltage:
+            current = current - self._held(run.voltage_V, 0.0)[:, joint] / self._R[joint]
+        return float(1.4826 * np.median(np.abs(np.diff(current, 3))) / np.sqrt(20.0))
+
+    def predict(self, model: Sequence[Term]) -> list[Prediction]:
+        """The model's residuals on every run."""
+        parts = sorted_terms(model)
+        parts.delay_s = max(parts.delay_s, -MOST_OF_PERIOD * self._period)
+        torques = self.body.link_torques(parts.load)
+        moved = self.following.all(parts) if parts.elastic else []
+        result = []
+        for k, run in enumerate(self.recording.runs):
+            link, offset = torques[k], np.zeros_like(run.q)
+            if moved:
+                link, offset = moved[k]
+            ahead = STILL
+            if parts.angles:
+                ahead, turns = angle_error(parts.angles, run)
+                link = link - torques[k] + self.body.moved(parts.load, run, *turns)
+                for term in parts.angles:
+                    if term.form == "belt_coupling" + BEHIND:  # motor 3 pulls at joint 2 through its belt
+                        link[:, 1] += term.values[0] * link[:, 2]
+            mechanical = self._current(parts, run, k, link, ahead)
+            electrical = self._electrical(parts, run, k, ahead)
+            result.append(Prediction(mechanical, electrical, self.tips.beside_camera(parts, run, k, offset)))
+        return result
+
+    def _current(self, parts: Parts, run: Motion, k: int, link: Array, ahead: MotorAhead) -> Array:
+        """Mean current expected from the motion, less the measured one."""
+        wanted = link + self.body.rotor_kg_m2 * (run.acceleration + ahead.acceleration_rad_s2)
+        for term in parts.friction:
+            j = term.index
+            own = sampled_friction_Nm(term, run, j, link[:, j], float(self._gear[j]))
+            wanted[:, j] += own * (1.0 - parts.behind(term))
+        scale = self.scales(parts)
+        measured = self._mean_current(parts, run, k, scale, ahead)
+        return np.asarray(wanted / (self._K * scale) - measured)
+
+    def _mean_current(self, parts: Parts, run: Motion, k: int, scale: Array, ahead_of: MotorAhead) -> Array:
+        K = self._K * scale
+        if not self.recording.has_current:
+            value, slope, _ = self._voltage[k]
+            held = value - (0.5 * self._period + parts.delay_s + self._lag) * slope
+            current = (held - K * (run.speed + ahead_of.speed_rad_s - self._lag * run.acceleration)) / self._R
+            current += self._staircase.of_driven_current(parts.delay_s)[k]
+            return np.where(run.is_off, 0.0, current)
+        if self.recording.has_voltage:
+            return np.asarray(run.current_A + self._staircase.of_mean_current(parts.delay_s)[k])
+        ahead = 0.5 * self._period - self._lag + min(parts.delay_s, 0.0)
+        return np.asarray(run.current_A + ahead * (run.current_slope + K * run.acceleration / self._R))
+
+    def _electrical(self, parts: Parts, run: Motion, k: int, ahead: MotorAhead) -> Array:
+        """Sampled current expected from voltage and speed, less the measured one."""
+        if not (self.recording.has_current and self.recording.has_voltage):
+            return np.zeros((len(run), 0))
+        scale = self.scales(parts)
+        held = self._held(self._voltage[k][0], parts.delay_s)
+        seen = self.sagged(parts, held, run.current_A)
+        speed = run.speed + ahead.speed_rad_s - self._lag * run.acceleration
+        expected = (seen - self._K * scale * speed) / self._R
+        expected += self._staircase.of_sampled_current(parts.delay_s)[k]
+        for term in parts.electrical:
+            j = term.index
+            if term.form == "resistance":
+                expected[:, j] -= term.values[0] * run.current_A[:, j]
+            elif term.form == "current offset":
+                expected[:, j] += term.values[0]
+            elif term.form == "inductance":
+                expected[:, j] -= term.values[0] * run.current_slope[:, j]
+        return np.asarray(expected - run.current_A)
+
+    def _held(self, voltage: Array, delay_s: float) -> Array:
+        """The voltage that a winding has settled to when its current is sampled, (m, n)."""
+        n = int(delay_s // self._period)
+        shares = np.array([settled_shares(float(lag), self._period, delay_s) for lag in self._lag])
+        return np.asarray(sum(shares[:, back] * _earlier(voltage, n + 1 + back) for back in range(3)))
+
+    def sagged(self, parts: Parts, voltage: Array, current: Array) -> Array:
+        """What of a commanded voltage (m, n) reaches the windings of motors that draw current (m, n)."""
+        for form, resistance in parts.sag:
+            if form == "supply_sag":  # a bridge draws duty times motor current
+                drawn = np.sum(voltage / self._supply * current, axis=1, keepdims=True)
+            else:
+                drawn = np.sum(np.abs(current), axis=1, keepdims=True)
+            voltage = voltage * (1.0 - resistance * drawn / self._supply)
+        return voltage
+
+    def scales(self, parts: Parts) -> Array:
+        """What the torque constants are of their nominal values (n,)."""
+        scale = np.ones(len(self._K))
+        for j, value in parts.scale.items():
+            scale[j] += value
+        return scale
+
+
+def _earlier(values: Array, samples: int) -> Array:
+    return np.vstack([np.repeat(values[:1], samples, axis=0), values[: len(values) - samples]])

@@ -1,0 +1,189 @@
+"""A link behind an elastic gear or in a gear with play, driven by the measured motion of its motor.
+
+The other joints follow their encoders, so each elastic joint is one equation for delta = joint minus motor angle:
+    M delta'' = -tau - g delta - (torque of spring, or of a flank) - (friction on the link's side of the gear)
+with tau the link torque that a rigid gear would transmit, M the inertia that the joint turns, g its gravity's slope.
+Of the joint's Coulomb and viscous friction a share acts on the link; the rest is the motor's.
+All runs and several sets of parameters at once: the loop over time costs the same for one as for thirty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.arrays import Array
+
+SUBSTEPS = 4  # of a sample: a flank is met within 0.5 ms at 500 samples a second
+SUBSTEP_s = 0.0006  # more of them where samples are further apart
+SMOOTH_rad_s = 0.003  # of the friction on a link through rest, as of that at the motor (`laws.REST_rad_s`)
+SPRING_SUBSTEPS = 2  # the trapezoidal rule is content with fewer
+
+
+@dataclass(frozen=True, slots=True)
+class Follower:
+    """What drives a link: torque_Nm, inertia_kg_m2, slope_Nm_rad (samples, runs), and the time between samples."""
+
+    torque_Nm: Array
+    inertia_kg_m2: Array
+    slope_Nm_rad: Array
+    period_s: float
+    speed_rad_s: Array | None = (
+        None  # of the motor; with the joint's friction, for the share of it behind the gear
+    )
+    coulomb_Nm: float = 0.0
+    viscous_Nm_s_rad: float = 0.0
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether there is any to be shared."""
+        return self.speed_rad_s is not None and (self.coulomb_Nm != 0.0 or self.viscous_Nm_s_rad != 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Followed:
+    """delta and its derivatives, and the torque that the gear transmitted, (samples, runs)."""
+
+    delta_rad: Array
+    speed_rad_s: Array
+    acceleration_rad_s2: Array
+    transmitted_Nm: Array
+
+
+def elastic(of: Follower, stiffness_Nm_rad: float, damping_Nm_s_rad: float, share: float = 0.0) -> Followed:
+    """Spring and damper; the trapezoidal rule, which adds no damping of its own. Starts at rest."""
+    return elastics(of, [(stiffness_Nm_rad, damping_Nm_s_rad, share)])[0]
+
+
+def elastics(of: Follower, springs: Sequence[tuple[float, float, float]]) -> list[Followed]:
+    """`elastic` for several sets of stiffness, damping and the friction's share on the link."""
+    k, d, share = (np.array(column)[:, None] for column in zip(*springs, strict=True))
+    steps = 1 if float(k.min()) > 4.0 * float(of.inertia_kg_m2.max()) / of.period_s**2 else SPRING_SUBSTEPS
+    h = of.period_s / steps
+    torque, inertia, slope = (
+        _fine(part, steps) for part in (of.torque_Nm, of.inertia_kg_m2, of.slope_Nm_rad)
+    )
+    link_friction = _LinkFriction(of, share, steps)
+    stiff = slope[:, None] + k
+    mass = inertia[:, None] + 0.5 * h * d + 0.25 * h * h * stiff
+    delta = -torque[0] / stiff[0]
+    speed, acceleration = np.zeros_like(delta), np.zeros_like(delta)
+    result = np.empty((3, *stiff.shape))
+    half, quarter = 0.5 * h, 0.25 * h * h
+    rows = zip(torque, stiff, mass, link_friction.speeds, *result, strict=True)
+    for pull, hard, heavy, motor, x, v, a in rows:
+        np.multiply(acceleration, half, out=v)
+        v += speed
+        np.multiply(acceleration, quarter, out=x)
+        x += delta
+        x += h * speed
+        np.multiply(hard, x, out=a)
+        a += d * v
+        a += pull
+        if link_friction.is_on:
+            friction, steep = link_friction.at(motor + v)
+            a += friction
+            heavy = heavy + half * steep
+        a /= heavy
+        np.negative(a, out=a)
+        v += half * a
+        x += quarter * a
+        delta, speed, acceleration = x, v, a
+    delta, speed, acceleration = result[:, ::steps]
+    found = []
+    for place, (stiffness, damping, _) in enumerate(springs):
+        own = [np.ascontiguousarray(part[:, place]) for part in (delta, speed, acceleration)]
+        found.append(Followed(own[0], own[1], own[2], -stiffness * own[0] - damping * own[1]))
+    return found
+
+
+class _LinkFriction:
+    """Friction on the links, by their speeds; smooth through zero, and its slope for the implicit step."""
+
+    def __init__(self, of: Follower, share: Array, steps: int) -> None:
+        self.is_on = of.has_friction and bool(np.any(share > 0.0))
+        self._coulomb, self._viscous = share * of.coulomb_Nm, share * of.viscous_Nm_s_rad
+        own = of.torque_Nm if of.speed_rad_s is None else of.speed_rad_s
+        self.speeds = _fine(own, steps)
+
+    def at(self, speed: Array) -> tuple[Array, Array]:
+        """Torque and its slope."""
+        way = np.tanh(speed / SMOOTH_rad_s)
+        dry = self._coulomb * way
+        return dry + self._viscous * speed, (self._coulomb - dry * way) / SMOOTH_rad_s + self._viscous
+
+
+def loose(of: Follower, width_rad: float, share: float = 0.0) -> Followed:
+    """Play between two hard flanks: the link lies on one, falls free to the other, and stays there.
+
+    What a link springs back by is in the motor's measured motion already, which every impact throws back.
+    """
+    return looses(of, [(width_rad, share)])[0]
+
+
+def looses(of: Follower, plays: Sequence[tuple[float, float]]) -> list[Followed]:
+    """`loose` for several pairs of width and the friction's share on the link."""
+    steps = max(SUBSTEPS, round(of.period_s / SUBSTEP_s))
+    h = of.period_s / steps
+    torque, inertia, slope = (
+        _fine(part, steps) for part in (of.torque_Nm, of.inertia_kg_m2, of.slope_Nm_rad)
+    )
+    width, share = (np.array(column)[:, None] for column in zip(*plays, strict=True))
+    half = 0.5 * width
+    falls, tilts = h * torque / inertia, h * slope / inertia
+    delta = -half * np.sign(torque[0])
+    speed = np.zeros_like(delta)
+    result = np.empty((3, len(torque), *delta.shape))
+    link_friction = _LinkFriction(of, share, steps)
+    low, fall, lightness = -half, np.empty_like(delta), h / inertia
+    rows = zip(falls, tilts, lightness, link_friction.speeds, result[0], result[1], strict=True)
+    for drop, tilt, light, motor, x, v in rows:
+        np.multiply(tilt, delta, out=fall)
+        fall += drop
+        if link_friction.is_on:
+            friction, steep = link_friction.at(motor + speed)
+            fall += light * friction
+            fall /= 1.0 + light * steep
+        np.subtract(speed, fall, out=v)
+        wanted = v * h
+        wanted += delta
+        np.maximum(wanted, low, out=x)
+        np.minimum(x, half, out=x)
+        v *= x == wanted
+        delta, speed = x, v
+    result[2, 0] = result[1, 0]
+    np.subtract(result[1, 1:], result[1, :-1], out=result[2, 1:])
+    result[2] /= h
+    found = []
+    for place in range(len(plays)):
+        one = _at_samples(of, result[:, :, place], steps)
+        rubbed = _LinkFriction(of, share[place], 1)
+        if rubbed.is_on:
+            one = replace(
+                one, transmitted_Nm=one.transmitted_Nm + rubbed.at(rubbed.speeds + one.speed_rad_s)[0]
+            )
+        found.append(one)
+    return found
+
+
+def _at_samples(of: Follower, result: Array, steps: int) -> Followed:
+    """Row n of `result` is the state after step n; the mean over the steps around a sample keeps impacts in time."""
+    count = result.shape[1]
+    early = np.pad(result[2], ((steps // 2, 0), (0, 0)), mode="edge")[:count]
+    early[: steps // 2] = 0.0
+    acceleration = early.reshape(-1, steps, early.shape[1]).mean(axis=1)
+    before_step = np.pad(result[:2], ((0, 0), (1, 0), (0, 0)), mode="edge")[:, :count]
+    delta, speed = before_step[0, ::steps], before_step[1, ::steps]
+    transmitted = of.torque_Nm + of.slope_Nm_rad * delta + of.inertia_kg_m2 * acceleration
+    return Followed(delta, speed, acceleration, transmitted)
+
+
+def _fine(values: Array, steps: int) -> Array:
+    """Linear between samples: (samples, runs) to (steps samples, runs)."""
+    if steps == 1:
+        return values
+    following = np.vstack([values[1:], values[-1:]])
+    parts = [values + (following - values) * (part / steps) for part in range(steps)]
+    return np.stack(parts, axis=1).reshape(-1, values.shape[1])

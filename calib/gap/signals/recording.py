@@ -1,0 +1,243 @@
+"""Runs made ready: a constant rate, filtered motion, what may be used of each sample, and what was recognised."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import Array
+from calib.errors import CalibrationError
+from calib.gap.log import Log, Run
+from calib.gap.signals.filters import Filters, filters_for
+from control.model.arm import Arm
+
+Flags = npt.NDArray[np.bool_]
+JITTER = 0.02  # of the period: less is the clock's printing
+GAP = 2.5  # periods between samples: more is a gap, and its neighbourhood is not used
+AT_LIMIT = 0.985  # of the current limit
+ANOTHER_UNIT = 1.5  # times a limit
+SHORTEST_s = 0.5
+SETTLING_s = 1.5  # how the arm came to rest before a run is not known: what it rings with has gone by then
+SETTLING_SHARE = 0.2  # of a run at most
+
+
+class UnusableLogError(CalibrationError):
+    """The log is well-formed, but nothing can be concluded from it; says why and what would help."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A run at a constant rate: (m, n) arrays; `usable` (m, n) says which samples count.
+
+    q, speed, acceleration and current are state-filtered; voltage_V is as commanded (0 where the driver is off),
+    `is_off` where it is. `frames` are the samples that the camera saw, tip_m (frames, 3); q_raw, current_raw_A (m, n).
+    """
+
+    name: str
+    t_s: Array
+    q_raw: Array
+    current_raw_A: Array
+    q: Array
+    speed: Array
+    acceleration: Array
+    current_A: Array
+    current_slope: Array
+    voltage_V: Array
+    is_off: Flags
+    payload_kg: Array
+    usable: Flags
+    frames: npt.NDArray[np.intp]
+    tip_m: Array
+
+    def __len__(self) -> int:
+        """How many samples."""
+        return len(self.t_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """All runs, which repeat each other, and sentences about what is wrong with them."""
+
+    runs: tuple[Motion, ...]
+    repeats: tuple[tuple[int, ...], ...]
+    filters: Filters
+    has_current: bool
+    has_voltage: bool
+    has_tip: bool
+    warnings: tuple[str, ...]
+
+
+def prepare(arm: Arm, log: Log) -> Recording:
+    """Return the recording of this arm; UnusableLogError if it cannot be one."""
+    _check(arm, log)
+    warnings: list[str] = []
+    long_enough = [k for k, run in enumerate(log.runs) if run.t_s[-1] - run.t_s[0] >= SHORTEST_s]
+    if not long_enough:
+        raise UnusableLogError(
+            f"log: every run is shorter than {SHORTEST_s} s: expected recordings of seconds"
+        )
+    warnings += [
+        f"run {run.name}: {run.t_s[-1] - run.t_s[0]:.2f} s is too short and not used"
+        for k, run in enumerate(log.runs)
+        if k not in long_enough
+    ]
+    period = float(np.median(np.concatenate([np.diff(log.runs[k].t_s) for k in long_enough])))
+    filters = filters_for(1.0 / period)
+    runs = tuple(_motion(arm, log.runs[k], filters, period, warnings) for k in long_enough)
+    warnings += _saturation(arm, [log.runs[k] for k in long_enough])
+    new_index = {k: place for place, k in enumerate(long_enough)}
+    repeats = tuple(
+        tuple(new_index[k] for k in group if k in new_index)
+        for group in log.repeats()
+        if any(k in new_index for k in group)
+    )
+    if len(runs) > 1 and all(len(group) == 1 for group in repeats):
+        warnings.append("no run repeats another: the noise floor comes from what the filters take off")
+    if len(runs) == 1:
+        warnings.append("one run only: nothing can be held out from it but its later parts")
+    has_current = all(np.isfinite(log.runs[k].current_A).all() for k in long_enough)
+    has_voltage = all(np.isfinite(log.runs[k].voltage_V).any() for k in long_enough)
+    return Recording(
+        runs,
+        repeats,
+        filters,
+        has_current,
+        has_voltage,
+        all(len(run.frames) > 20 for run in runs),
+        tuple(warnings),
+    )
+
+
+def _check(arm: Arm, log: Log) -> None:
+    if log.joint_count != arm.joint_count:
+        raise UnusableLogError(
+            f"log: {log.joint_count} joints, but arm {arm.name} has {arm.joint_count}: is it another arm's log?"
+        )
+    missing = [j for j in range(1, arm.joint_count + 1) if all(d.joint != j for d in arm.drives)]
+    if missing:
+        raise UnusableLogError(
+            f"arm {arm.name}: no [[drive]] of joint {missing[0]}: the time series need motor and gear"
+        )
+    for drive in arm.drives:
+        angles = np.concatenate([run.q_rad[:, drive.joint - 1] for run in log.runs])
+        _check_angles(drive.joint, angles, drive.joint_lower_rad, drive.joint_upper_rad)
+
+
+def _check_angles(joint: int, q: Array, lower: float, upper: float) -> None:
+    """Refuse degrees. Joints that turn on and on have no limits, and a servo may leave its limits a little."""
+    if not np.isfinite([lower, upper]).all():
+        return
+    margin = 0.5 + 0.1 * (upper - lower)
+    low, high = float(q.min()), float(q.max())
+    if low >= lower - margin and high <= upper + margin:
+        return
+    in_degrees = np.deg2rad(low) >= lower - margin and np.deg2rad(high) <= upper + margin
+    what = (
+        "these look like degrees" if in_degrees and max(abs(low), abs(high)) > 4.0 else "another arm's log?"
+    )
+    raise UnusableLogError(
+        f"log: q{joint}_rad goes from {low:.3g} to {high:.3g}, joint {joint} from {lower:.3g} to {upper:.3g} rad: {what}"
+    )
+
+
+def _motion(arm: Arm, run: Run, filters: Filters, period: float, warnings: list[str]) -> Motion:
+    times, sound = _grid(run, period, warnings)
+
+    def at(values: Array) -> Array:
+        """Linear between samples; the columns of a run without jitter or gap are left as they are."""
+        if len(times) == len(run.t_s) and np.allclose(times, run.t_s, atol=JITTER * period, rtol=0.0):
+            return np.array(values)
+        return np.stack([np.interp(times, run.t_s, column) for column in values.T], axis=1)
+
+    q_raw = at(run.q_rad)
+    q, speed, acceleration = filters.states(q_raw)
+    current_raw = at(np.nan_to_num(run.current_A))
+    current, slope, _ = filters.states(current_raw)
+    held = np.searchsorted(run.t_s, times + 0.5 * period * JITTER, side="right") - 1
+    voltage = run.voltage_V[np.clip(held, 0, len(run) - 1)]
+    is_limited = _limited(arm, run)[np.clip(held, 0, len(run) - 1)]
+    reach = (len(filters.state[0]) - 1) // 2
+    usable = sound[:, None] & ~_spread(is_limited, reach)
+    usable[: round(min(SETTLING_s, SETTLING_SHARE * (times[-1] - times[0])) / period)] = False
+    usable[-reach:] = False  # behind the end the motion goes on, and nobody knows how
+    seen = np.flatnonzero(np.isfinite(run.tip_m[:, 0]))
+    frames = np.clip(np.round((run.t_s[seen] - times[0]) / period).astype(np.intp), 0, len(times) - 1)
+    good = (np.abs(times[frames] - run.t_s[seen]) < 0.05 * period) & usable[frames].all(axis=1)
+    return Motion(
+        run.name,
+        times,
+        q_raw,
+        current_raw,
+        q,
+        speed,
+        acceleration,
+        current,
+        slope,
+        np.nan_to_num(voltage),
+        np.isnan(voltage),
+        run.payload_kg[np.clip(held, 0, len(run) - 1)],
+        usable,
+        frames[good],
+        np.array(run.tip_m[seen[good]]),
+    )
+
+
+def _grid(run: Run, period: float, warnings: list[str]) -> tuple[Array, Flags]:
+    """Equal steps over the run, and which of them are not in or beside a gap."""
+    steps = np.diff(run.t_s)
+    count = round(float(run.t_s[-1] - run.t_s[0]) / period) + 1
+    times = run.t_s[0] + period * np.arange(count)
+    sound = np.ones(count, dtype=bool)
+    holes = np.flatnonzero(steps > GAP * period)
+    for k in holes:
+        near = (times > run.t_s[k] - 0.04) & (times < run.t_s[k + 1] + 0.04)
+        sound &= ~near
+    if len(holes):
+        warnings.append(
+            f"run {run.name}: {len(holes)} gaps, the longest {steps.max():.3f} s at {run.t_s[int(steps.argmax())]:.3f} s: "
+            "the samples around them are not used"
+        )
+    uneven = np.abs(np.delete(steps, holes) - period) > JITTER * period
+    if np.mean(uneven) > 0.01:
+        warnings.append(
+            f"run {run.name}: {np.mean(uneven):.0%} of the samples are not {period:.4g} s apart: interpolated"
+        )
+    return times, sound
+
+
+def _limited(arm: Arm, run: Run) -> Flags:
+    """Where a drive's current or voltage is at its limit."""
+    flags = np.zeros(run.q_rad.shape, dtype=bool)
+    for drive in arm.drives:
+        j = drive.joint - 1
+        with np.errstate(invalid="ignore"):
+            # Far beyond its limit is no drive: that is another unit.
+            current = np.abs(run.current_A[:, j]) / drive.current_limit_A
+            voltage = np.abs(run.voltage_V[:, j]) / drive.supply_V
+            flags[:, j] |= (current >= AT_LIMIT) & (current < ANOTHER_UNIT)
+            flags[:, j] |= (voltage > 1.0001) & (voltage < ANOTHER_UNIT)
+    return flags
+
+
+def _saturation(arm: Arm, runs: Sequence[Run]) -> Iterator[str]:
+    """One sentence a drive that is at its limit somewhere."""
+    shares = [_limited(arm, run).mean(axis=0) for run in runs]
+    for drive in arm.drives:
+        own = {run.name: share[drive.joint - 1] for run, share in zip(runs, shares, strict=True)}
+        worst = max(own, key=lambda name: own[name])
+        if own[worst] > 0.0:
+            count = sum(share > 0.0 for share in own.values())
+            yield (
+                f"drive {drive.joint} is at its limit in {count} runs (run {worst}: {own[worst]:.2%} of the samples):"
+                " those samples are not used"
+            )
+
+
+def _spread(flags: Flags, reach: int) -> Flags:
+    """True within `reach` samples of a true one."""
+    ones = np.ones(2 * reach + 1)
+    columns = [np.convolve(column, ones, "same") > 0.5 for column in flags.T]
+    return np.stack(columns, axis=1)

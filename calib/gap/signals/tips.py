@@ -1,0 +1,85 @@
+"""What the camera sees: tips from angles, and what moves them without a joint."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.arm_problem.link_bending import bending_m
+from calib.arrays import Array
+from calib.gap.signals.angles import joint_ahead
+from calib.gap.signals.parts import Parts
+from calib.gap.signals.recording import Motion, Recording
+from calib.gap.signals.terms import Term
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm
+
+BENDS_KEPT = 16
+
+
+class Tips:
+    """The tips of one recording."""
+
+    def __init__(self, arm: Arm, recording: Recording) -> None:
+        self._arm, self._recording = arm, recording
+        self._kinematics = Kinematics(arm)
+        self._rigid = [
+            self._kinematics.tips(run.q_raw[run.frames]) if recording.has_tip else np.zeros((0, 3))
+            for run in recording.runs
+        ]
+        self.jacobians = [
+            self._kinematics.jacobians(run.q_raw[run.frames]) if recording.has_tip else np.zeros((0, 3, 0))
+            for run in recording.runs
+        ]
+        self._dh: list[Array] | None = None
+        self._bends: dict[tuple[int, float], list[Array]] = {}
+
+    def beside_camera(self, parts: Parts, run: Motion, k: int, offset: Array) -> Array:
+        """Expected less seen tips (frames, 3) of run k, whose links are `offset` (m, n) beyond their encoders."""
+        if not self._recording.has_tip:
+            return np.zeros((0, 3))
+        q = run.q_raw[run.frames]
+        expected = self._rigid[k]
+        if parts.elastic or parts.angles:
+            turned = q + offset[run.frames]
+            if parts.angles:
+                turned += joint_ahead(parts.angles, q, run.t_s[run.frames])
+            expected = self._kinematics.tips(turned)
+        for term in parts.tip:
+            expected = expected + self._shift(parts, term, k, run)
+        return np.asarray(expected - run.tip_m)
+
+    def _shift(self, parts: Parts, term: Term, k: int, run: Motion) -> Array:
+        if term.form == "camera time":
+            return np.asarray(
+                np.einsum("mij,mj->mi", self.jacobians[k], run.speed[run.frames]) * term.values[0]
+            )
+        if term.form == "link_flexure":
+            return self._bent(term.name.joint or 1, parts.load.payload_kg)[k] * term.values[0]
+        if term.form == "link_geometry":
+            if self._dh is None:
+                self._dh = [
+                    self._kinematics.identification_jacobian(r.q_raw[r.frames]) for r in self._recording.runs
+                ]
+            return np.asarray(self._dh[k] @ np.array(term.values))
+        shift, turn = np.array(term.values[:3]), np.array(term.values[3:])
+        return np.asarray(shift + np.cross(turn, self._rigid[k]))
+
+    def _bent(self, link: int, extra_kg: float) -> list[Array]:
+        """How the tip moves per 1 / EI of a link as its loads hang on it and are thrown about, (frames, 3) of each run.
+
+        The beam follows its loads at once: its resonance is far above what an arm is moved with.
+        """
+        key = (link, extra_kg)
+        if key not in self._bends:
+            if len(self._bends) > BENDS_KEPT:
+                self._bends.clear()
+            self._bends[key] = [self._bent_along(link, extra_kg, run) for run in self._recording.runs]
+        return self._bends[key]
+
+    def _bent_along(self, link: int, extra_kg: float, run: Motion) -> Array:
+        payload = np.maximum(run.payload_kg + extra_kg, 0.0)
+
+        def accelerated(place_m: Array) -> Array:
+            return self._recording.filters.states(place_m)[2]
+
+        return bending_m(self._arm, self._arm.dh, run.q_raw, payload, link, accelerated)[run.frames]

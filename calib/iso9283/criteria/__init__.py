@@ -1,0 +1,1 @@
+"""The criteria of ISO 9283 as formulas, one file each."""

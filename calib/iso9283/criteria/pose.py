@@ -1,0 +1,177 @@
+"""Pose characteristics, ISO 9283:1998 clause 7: what the arm attains when it is sent to the same pose again and again.
+
+Symbols: (x_c, y_c, z_c) the commanded position, (x_j, y_j, z_j) the j-th attained one of n, and
+x_bar = 1/n sum x_j the barycentre of the attained. All positions are (n, 3) in one frame, in m; angles in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import Array, frozen, norms
+from calib.iso9283.criteria.checks import Iso9283Error, position, positions
+
+SIGMAS = 3.0  # of the standard deviation, throughout the standard
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """A deviation of a mean: `total` [m] and its components along x, y, z (3,) [m]."""
+
+    total_m: float
+    axes_m: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Repeatability:
+    """`total_m` = mean_m + 3 sd_m of the distances from the barycentre."""
+
+    total_m: float
+    mean_m: float
+    sd_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Change of pose accuracy and repeatability over a time, and how far the barycentre went, in m.
+
+    `accuracy_m` is the standard's dAP, the change of a distance: a barycentre that moves around the commanded
+    pose at constant distance leaves it at zero. `barycentre_m` (no figure of the standard) shows that too.
+    `repeatability_m` is None where a set has fewer than two measurements.
+    """
+
+    accuracy_m: float
+    repeatability_m: float | None
+    barycentre_m: float
+
+
+def pose_accuracy(commanded_m: npt.ArrayLike, attained_m: npt.ArrayLike) -> Accuracy:
+    """AP (clause 7.2): from the commanded pose to the barycentre of the attained ones.
+
+    AP_p = sqrt((x_bar - x_c)^2 + (y_bar - y_c)^2 + (z_bar - z_c)^2), and AP_x = x_bar - x_c and so on.
+    commanded_m (3,), attained_m (n, 3), n >= 1 (the standard: 30).
+    """
+    wanted = position(commanded_m, "pose accuracy, commanded")
+    deviation = positions(attained_m, "pose accuracy").mean(axis=0) - wanted
+    return Accuracy(float(np.linalg.norm(deviation)), frozen(deviation))
+
+
+def pose_repeatability(attained_m: npt.ArrayLike) -> Repeatability:
+    """RP (clause 7.2): the radius about the barycentre within which the attained positions scatter.
+
+    RP_l = l_bar + 3 S_l with l_j = |p_j - p_bar|, l_bar = 1/n sum l_j,
+    S_l = sqrt(sum (l_j - l_bar)^2 / (n - 1)). attained_m (n, 3), n >= 2.
+    """
+    attained = positions(attained_m, "pose repeatability", least=2)
+    lengths = norms(attained - attained.mean(axis=0))
+    mean, sd = float(lengths.mean()), float(lengths.std(ddof=1))
+    return Repeatability(mean + SIGMAS * sd, mean, sd)
+
+
+def orientation_accuracy(commanded_rad: npt.ArrayLike, attained_rad: npt.ArrayLike) -> Array:
+    """AP_a, AP_b, AP_c (clause 7.2): mean attained minus commanded angle about each axis, (3,), within +-pi.
+
+    AP_a = a_bar - a_c. commanded_rad (3,), attained_rad (n, 3): any three angles, measured the same way.
+    """
+    return frozen(_turned(commanded_rad, attained_rad, "orientation accuracy", 1).mean(axis=0))
+
+
+def orientation_repeatability(attained_rad: npt.ArrayLike) -> Array:
+    """RP_a, RP_b, RP_c (clause 7.2): +-3 S_a, S_a = sqrt(sum (a_j - a_bar)^2 / (n - 1)); (3,), n >= 2."""
+    attained = positions(attained_rad, "orientation repeatability", least=2)
+    return frozen(SIGMAS * _turned(attained[0], attained, "orientation repeatability", 2).std(axis=0, ddof=1))
+
+
+def multidirectional_variation(attained_by_direction_m: Sequence[npt.ArrayLike]) -> float:
+    """VAP (clause 7.2): the largest distance between barycentres attained from different directions.
+
+    vAP_p = max over h, k of |p_bar_h - p_bar_k|, h, k = 1, 2, 3: three perpendicular approach directions, each
+    attained (n, 3).
+    """
+    return _widest(
+        attained_by_direction_m, "multi-directional pose accuracy variation", "approach directions"
+    )
+
+
+def exchangeability(attained_by_robot_m: Sequence[npt.ArrayLike]) -> float:
+    """E (clause 7.7): the largest distance between the barycentres of several robots sent to the same pose.
+
+    E = max over h, k of |p_bar_h - p_bar_k|; five robots of one type in the standard, mounted in the same place,
+    the same programme and frame, pose P1.
+    """
+    return _widest(attained_by_robot_m, "exchangeability", "robots")
+
+
+def distance_accuracy(
+    commanded_1_m: npt.ArrayLike,
+    commanded_2_m: npt.ArrayLike,
+    attained_1_m: npt.ArrayLike,
+    attained_2_m: npt.ArrayLike,
+) -> Accuracy:
+    """AD (clause 7.3): mean attained distance minus commanded distance between two poses.
+
+    AD = D_bar - D_c, D_c = |p_c1 - p_c2|, D_bar = 1/n sum |p_1j - p_2j|; total_m carries the sign. Along an axis
+    AD_x = D_bar_x - D_cx with D_xj = |x_1j - x_2j|, D_cx = |x_c1 - x_c2|. attained (n, 3) each, taken in pairs.
+    """
+    wanted = position(commanded_1_m, "distance accuracy, commanded 1") - position(
+        commanded_2_m, "distance accuracy, commanded 2"
+    )
+    difference = _differences(attained_1_m, attained_2_m, "distance accuracy", 1)
+    total = float(norms(difference).mean() - np.linalg.norm(wanted))
+    return Accuracy(total, frozen(np.abs(difference).mean(axis=0) - np.abs(wanted)))
+
+
+def distance_repeatability(attained_1_m: npt.ArrayLike, attained_2_m: npt.ArrayLike) -> Accuracy:
+    """RD (clause 7.3): +-3 standard deviations of the attained distance, and of its components.
+
+    RD = 3 sqrt(sum (D_j - D_bar)^2 / (n - 1)), D_j = |p_1j - p_2j|; n >= 2.
+    """
+    difference = _differences(attained_1_m, attained_2_m, "distance repeatability", 2)
+    axes = SIGMAS * np.abs(difference).std(axis=0, ddof=1)
+    return Accuracy(float(SIGMAS * norms(difference).std(ddof=1)), frozen(axes))
+
+
+def drift(commanded_m: npt.ArrayLike, first_m: npt.ArrayLike, last_m: npt.ArrayLike) -> Drift:
+    """DAP and dRP (clause 7.6): how pose accuracy and repeatability change over a time T.
+
+    dAP_p = |AP_p(t = 0) - AP_p(t = T)|, dRP_l = |RP_l(t = 0) - RP_l(t = T)|. first_m, last_m (n, 3): the set of
+    measurements (ten cycles in the standard) at the beginning and at the end.
+    """
+    first, last = positions(first_m, "drift, first set"), positions(last_m, "drift, last set")
+    before, after = pose_accuracy(commanded_m, first), pose_accuracy(commanded_m, last)
+    repeatability = None
+    if min(len(first), len(last)) >= 2:
+        repeatability = abs(pose_repeatability(first).total_m - pose_repeatability(last).total_m)
+    moved = float(np.linalg.norm(after.axes_m - before.axes_m))
+    return Drift(abs(after.total_m - before.total_m), repeatability, moved)
+
+
+def _turned(reference_rad: npt.ArrayLike, attained_rad: npt.ArrayLike, what: str, least: int) -> Array:
+    """Angles minus the reference, each turned into -pi .. pi."""
+    difference = positions(attained_rad, what, least) - position(reference_rad, f"{what}, commanded")
+    return np.asarray((difference + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def _differences(first_m: npt.ArrayLike, second_m: npt.ArrayLike, what: str, least: int) -> Array:
+    first, second = (
+        positions(first_m, f"{what}, pose 1", least),
+        positions(second_m, f"{what}, pose 2", least),
+    )
+    if len(first) != len(second):
+        raise Iso9283Error(f"{what}: expected pairs, got {len(first)} and {len(second)} measurements")
+    return np.asarray(first - second)
+
+
+def _widest(groups_m: Sequence[npt.ArrayLike], what: str, of: str) -> float:
+    """Largest distance between the barycentres of groups of positions."""
+    if len(groups_m) < 2:
+        raise Iso9283Error(f"{what}: needs the attained positions of at least two {of}, got {len(groups_m)}")
+    centres = [
+        positions(group, f"{what}, group {k}").mean(axis=0) for k, group in enumerate(groups_m, start=1)
+    ]
+    return max(float(np.linalg.norm(a - b)) for a, b in combinations(centres, 2))

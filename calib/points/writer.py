@@ -1,0 +1,233 @@
+"""Writing points.csv: a whole file at once, or record by record so that nothing acknowledged is ever lost."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from calib.errors import SessionError
+from calib.points.points import SCALARS, TIP, Points, read_points
+
+Key = tuple[str, str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One pose as a session takes it: names, joint angles with their scatter, and the tip if it is known.
+
+    temperature_C of the drives, empty where not measured; approach: from which side, from 1; take: 2 and more
+    where earlier records of this pose were withdrawn.
+    """
+
+    setup: str
+    point: str
+    repeat: int
+    q_rad: tuple[float, ...]
+    q_sd_rad: tuple[float, ...]
+    direction: tuple[int, ...]
+    current_A: tuple[float, ...]
+    t_s: float
+    payload_kg: float
+    tip_m: tuple[float, float, float] | None
+    temperature_C: tuple[float, ...] = ()
+    approach: int = 1
+    take: int = 1
+
+    @property
+    def key(self) -> Key:
+        """What tells records apart."""
+        return self.setup, self.point, self.repeat
+
+
+def write_points(path: Path, points: Points) -> None:
+    """All of it, replacing the file in one step; columns that hold nothing are left out."""
+    n, q = points.joint_count, range(points.joint_count)
+    columns: dict[str, Sequence[str]] = {
+        "setup": points.setup,
+        "point": points.point,
+        "repeat": [str(r) for r in points.repeat],
+    }
+    if np.isfinite(points.t_s).any():
+        columns["t_s"] = [_text(v, 3) for v in points.t_s]
+    if np.isfinite(points.payload_kg).any():
+        columns["payload_kg"] = [_text(v, 6) for v in points.payload_kg]
+    columns |= {f"q{j + 1}_rad": [_text(v, 12) for v in points.q_rad[:, j]] for j in q}
+    if points.direction.any():
+        columns |= {f"dir{j + 1}": [_text(v, 0) for v in points.direction[:, j]] for j in range(n)}
+    if np.isfinite(points.current_A).any():
+        columns |= {f"i{j + 1}_A": [_text(v, 6) for v in points.current_A[:, j]] for j in q}
+    if np.isfinite(points.tip_m).any():
+        columns |= {name: [_text(v, 9) for v in points.tip_m[:, k]] for k, name in enumerate(TIP)}
+    columns |= points.extra
+    lines = [_line(list(columns)), *(_line(row) for row in zip(*columns.values(), strict=True))]
+    replace_file(path, "".join(lines).encode())
+
+
+class PointsWriter:
+    """Appends records to a .csv; each is on the disk before `append` returns.
+
+    An existing file is continued. A last line without an end, which a killed process leaves, is dropped;
+    `warnings` says so. SessionError if the file is of another arm or was not written by a session.
+    """
+
+    def __init__(self, path: Path, joint_count: int) -> None:
+        """Open or create the file."""
+        if path.name.endswith(".gz"):
+            raise SessionError(f"{path}: a session appends to plain .csv, not to .gz")
+        self._path, self._joint_count = path, joint_count
+        self._header = _line(_header(joint_count))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self.warnings: tuple[str, ...] = self._mend()
+        self._lines: dict[Key, str] = self._read()
+        self._file = path.open("ab", buffering=0)
+
+    @property
+    def recorded(self) -> frozenset[Key]:
+        """What the file holds."""
+        return frozenset(self._lines)
+
+    def line(self, key: Key) -> str:
+        """A record as it stands in the file, without the end of the line."""
+        return self._lines[key]
+
+    def append(self, record: Record) -> None:
+        """Write one record and wait for the disk."""
+        if record.key in self._lines:
+            raise SessionError(f"{self._path}: {' '.join(map(str, record.key))} is recorded already")
+        line = _line(self._row(record))
+        self._file.write(line.encode())
+        os.fsync(self._file.fileno())
+        self._lines[record.key] = line.rstrip("\n")
+
+    def withdraw(self, key: Key) -> None:
+        """Take a record out; the file is replaced in one step. Whoever asks keeps the line elsewhere first."""
+        left = {other: line for other, line in self._lines.items() if other != key}
+        self._file.close()
+        replace_file(self._path, "".join([self._header, *(f"{line}\n" for line in left.values())]).encode())
+        self._file = self._path.open("ab", buffering=0)
+        self._lines = left
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __enter__(self) -> PointsWriter:
+        """Nothing to do: the file is open."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the file."""
+        self.close()
+
+    def _mend(self) -> tuple[str, ...]:
+        """Leave a file of whole lines with our header: drop a torn end, write the header if there is none."""
+        content = self._path.read_bytes() if self._path.exists() else b""
+        whole = content[: content.rfind(b"\n") + 1]
+        warnings: tuple[str, ...] = ()
+        if len(whole) < len(content):
+            torn = content[len(whole) :].decode(errors="replace")
+            warnings = (
+                f'{self._path}: the last line was not written to its end and is dropped: "{torn[:60]}"',
+            )
+        if not whole:
+            whole = self._header.encode()
+        first = whole.split(b"\n", 1)[0].decode(errors="replace").strip()
+        if first != self._header.strip():
+            raise SessionError(
+                f"{self._path}: not a session's header for {self._joint_count} joints; name another file"
+            )
+        if whole != content:
+            replace_file(self._path, whole)
+        return warnings
+
+    def _read(self) -> dict[Key, str]:
+        """The lines of the records that the file holds, by key. PointsFileError where one is no record."""
+        lines = self._path.read_text(encoding="utf-8").split("\n")[1:-1]
+        if not lines:
+            return {}
+        points, _ = read_points(self._path, self._joint_count)
+        keys = list(zip(points.setup, points.point, points.repeat, strict=True))
+        if len(keys) != len(lines) or len(set(keys)) < len(keys):
+            raise SessionError(
+                f"{self._path}: a point is there twice, or a line is empty: was it edited by hand?"
+            )
+        return dict(zip(keys, lines, strict=True))
+
+    def _row(self, record: Record) -> list[str]:
+        if not len(record.q_rad) == len(record.q_sd_rad) == self._joint_count:
+            raise SessionError(f"a record of {len(record.q_rad)} joints, expected {self._joint_count}")
+        if not all(math.isfinite(q) for q in record.q_rad):
+            raise SessionError(f"{' '.join(map(str, record.key))}: a joint angle is not a finite number")
+        return [
+            record.setup,
+            record.point,
+            str(record.repeat),
+            _text(record.t_s, 3),
+            _text(record.payload_kg, 6),
+            *(_text(q, 9) for q in record.q_rad),
+            *(str(d) for d in record.direction),
+            *(_text(i, 4) for i in record.current_A),
+            *(_text(x, 7) for x in record.tip_m or (math.nan,) * 3),
+            *(_text(sd, 9) for sd in record.q_sd_rad),
+            *(_text(t, 1) for t in record.temperature_C or (math.nan,) * self._joint_count),
+            str(record.approach),
+            str(record.take),
+        ]
+
+
+def _header(n: int) -> list[str]:
+    """Columns of a session's file."""
+    joints = range(1, n + 1)
+    return [
+        "setup",
+        "point",
+        "repeat",
+        *SCALARS,
+        *(f"q{j}_rad" for j in joints),
+        *(f"dir{j}" for j in joints),
+        *(f"i{j}_A" for j in joints),
+        *TIP,
+        *(f"q{j}_sd_rad" for j in joints),
+        *(f"temperature{j}_C" for j in joints),
+        "approach",
+        "take",
+    ]
+
+
+def _text(value: float, decimals: int) -> str:
+    """Fixed decimals, empty for NaN."""
+    return "" if math.isnan(value) else f"{value:.{decimals}f}"
+
+
+def _line(values: Sequence[str]) -> str:
+    """One line of comma-separated text, quoted where a name needs it."""
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(values)
+    return line.getvalue()
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Put a whole file in place, so that a reader sees the old one or the new one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.partial")
+    with beside.open("wb") as file:
+        file.write(gzip.compress(content, mtime=0) if path.name.endswith(".gz") else content)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

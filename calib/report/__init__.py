@@ -1,0 +1,1 @@
+"""Reports and pictures: one page of HTML without any outside resource."""

@@ -1,0 +1,168 @@
+"""The report's pictures of errors at points, before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calib.arrays import Array, norms
+from calib.report.drawing import AFTER, BEFORE, PLANNED, label_plane, svg
+from calib.validation.verify import Comparison, ErrorSummary
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MARKERS = "o^sDvP"
+ARROW_SHARE = 0.16  # of the points' extent, that a typical arrow is long
+ARROW_LIMIT = 3.0  # times a typical error that an arrow is drawn long
+
+
+def vector_picture(comparison: Comparison) -> str:
+    """Error vectors at the points, seen from above and from the side, before and after, each with a scale arrow."""
+    return svg((10.4, 7.4), lambda figure: _draw_vectors(figure, comparison))
+
+
+def histogram_picture(comparison: Comparison) -> str:
+    """How often which error occurs, before and after, on one logarithmic axis."""
+    return _small(lambda axes: _draw_histogram(axes, comparison))
+
+
+def setup_picture(comparison: Comparison) -> str:
+    """Mean error of each setup with its 95 % interval, every point beside it."""
+    return _small(lambda axes: _draw_setups(axes, comparison))
+
+
+def _small(draw: Callable[[Axes], None]) -> str:
+    def on(figure: Figure) -> None:
+        figure.subplots_adjust(left=0.12, right=0.98, top=0.9, bottom=0.15)
+        draw(figure.subplots())
+
+    return svg((5.1, 3.2), on)
+
+
+def _draw_vectors(figure: Figure, comparison: Comparison) -> None:
+    axes = figure.subplots(2, 2, squeeze=False, height_ratios=[1.25, 1])
+    figure.subplots_adjust(left=0.065, right=0.985, top=0.9, bottom=0.07, wspace=0.17, hspace=0.3)
+    for column, (errors, colour, when) in enumerate(
+        ((comparison.before_m, BEFORE, "before"), (comparison.after_m, AFTER, "after"))
+    ):
+        for row, (i, j, seen) in enumerate(((0, 1, "from above"), (0, 2, "from the side"))):
+            _draw_arrows(axes[row][column], comparison, errors, (i, j), colour)
+            label_plane(axes[row][column], i, j, f"{when}, {seen}")
+    _name_setups(figure, axes[0][0], comparison)
+
+
+def _draw_arrows(
+    axes: Axes, comparison: Comparison, errors: Array, plane: tuple[int, int], colour: str
+) -> None:
+    """Points, arrows, a scale, and limits that hold them."""
+    i, j = plane
+    tips, shown = 1e3 * comparison.tip_m, 1e3 * errors
+    typical, magnified = _magnification(tips, shown)
+    _mark_setups(axes, comparison, tips[:, i], tips[:, j])
+    reach = magnified * _cut(shown, ARROW_LIMIT * typical)
+    arrows = axes.quiver(
+        tips[:, i], tips[:, j], reach[:, i], reach[:, j],
+        angles="xy", scale_units="xy", scale=1.0, color=colour, width=0.0042, zorder=3,
+    )  # fmt: skip
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.update_datalim(np.vstack((tips, tips + reach))[:, plane])
+    axes.margins(0.06)
+    axes.autoscale_view()
+    length_mm = _round_length(typical)
+    is_cut = float(norms(shown).max()) > ARROW_LIMIT * typical
+    words = f"{length_mm:g} mm, drawn {magnified:.3g} times{', the longest cut' if is_cut else ''}"
+    place = {"labelpos": "E", "coordinates": "axes", "fontproperties": {"size": 8}}
+    axes.quiverkey(arrows, 0.58, 1.05, magnified * length_mm, words, **place)
+
+
+def _cut(errors: Array, limit: float) -> Array:
+    """Errors (m, 3) no longer than a limit: one tip in the wrong cavity must not shrink all others to dots."""
+    return np.asarray(errors * np.minimum(1.0, limit / np.maximum(norms(errors), 1e-12))[:, None])
+
+
+def _magnification(tips: Array, errors: Array) -> tuple[float, float]:
+    """A typical error, and how many times it is drawn."""
+    extent = float(max(np.ptp(tips[:, 0]), np.ptp(tips[:, 1]), 1.0))
+    typical = float(np.percentile(norms(errors), 95)) or 1e-9
+    return typical, ARROW_SHARE * extent / typical
+
+
+def _mark_setups(axes: Axes, comparison: Comparison, x: Array, y: Array) -> None:
+    """The points, each setup with a marker of its own."""
+    for k, setup in enumerate(comparison.setups):
+        rows = [n for n, name in enumerate(comparison.setup) if name == setup]
+        marker = MARKERS[k % len(MARKERS)]
+        axes.plot(x[rows], y[rows], marker, ms=3.2, mfc="white", mec=PLANNED, label=setup, zorder=2)
+
+
+def _round_length(length: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above length."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(max(k * power for k in (1.0, 2.0, 5.0) if k * power <= length * (1.0 + 1e-9)))
+
+
+def _name_setups(figure: Figure, axes: Axes, comparison: Comparison) -> None:
+    if len(comparison.setups) > 1:
+        handles, labels = axes.get_legend_handles_labels()
+        place = (0.99, 1.0)
+        figure.legend(handles, labels, loc="upper right", bbox_to_anchor=place, ncols=min(6, len(labels)))
+
+
+def _draw_histogram(axes: Axes, comparison: Comparison) -> None:
+    before, after = 1e3 * norms(comparison.before_m), 1e3 * norms(comparison.after_m)
+    both = np.concatenate((before, after))
+    low, high = max(float(both.min()), 1e-4), max(float(both.max()), 2e-4)
+    bins = np.geomspace(0.9 * low, 1.1 * high, 28)
+    for errors, colour, label, hatch in ((before, BEFORE, "before", "////"), (after, AFTER, "after", None)):
+        axes.hist(
+            np.maximum(errors, low),
+            bins=bins.tolist(),
+            color=colour,
+            alpha=0.75,
+            label=label,
+            hatch=hatch,
+            edgecolor="white",
+        )
+        axes.axvline(float(errors.mean()), color=colour, lw=1.5, ls="--" if label == "before" else "-")
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set(xlabel="distance between wanted and measured tip [mm]", ylabel="points")
+    axes.set_title("errors (lines: means)", loc="left")
+    axes.legend()
+
+
+def _draw_setups(axes: Axes, comparison: Comparison) -> None:
+    entries = [comparison.of(name) for name in comparison.setups]
+    own = np.array([comparison.setups.index(name) for name in comparison.setup], dtype=float)
+    _draw_summaries(axes, own - 0.17, comparison.before_m, [e.before for e in entries], BEFORE, "before")
+    _draw_summaries(axes, own + 0.17, comparison.after_m, [e.after for e in entries], AFTER, "after")
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.set_xticks(np.arange(len(entries), dtype=float), [e.setup for e in entries])
+    axes.set_xlim(-0.6, len(entries) - 0.4)
+    axes.set(xlabel="setup", ylabel="error [mm]")
+    axes.set_title("error by setup", loc="left")
+    axes.legend(fontsize=8)
+
+
+def _draw_summaries(
+    axes: Axes, places: Array, errors_m: Array, summaries: list[ErrorSummary], colour: str, when: str
+) -> None:
+    """Every point, and the means with their intervals over them."""
+    shift = -0.17 if when == "before" else 0.17
+    axes.plot(places, 1e3 * norms(errors_m), ".", color=colour, alpha=0.3, ms=4)
+    axes.errorbar(
+        np.arange(len(summaries)) + shift,
+        [1e3 * s.mean_m for s in summaries],
+        yerr=[np.nan_to_num(1e3 * s.mean_half_width_m) for s in summaries],
+        fmt="s" if when == "before" else "o",
+        color=colour,
+        mec="black",
+        mew=0.6,
+        capsize=5,
+        label=f"{when}, mean and 95 %",
+    )

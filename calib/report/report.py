@@ -1,0 +1,61 @@
+"""report.html: one file without any outside resource that says what was done and what came out of it.
+
+`report_html` puts the sections in their usual order; calib.report.comparison_sections and calib.report.report_sections have each by itself,
+and `calib.report.page.page` makes a page of any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from calib.report.comparison_sections import calibration_section, paths_section, verification_section
+from calib.report.page import Section, page, tiles, verdict
+from calib.report.report_data import ReportData
+from calib.report.report_sections import dh_section, done_section, inputs_section, parameters_section
+
+
+def write_report(path: Path, report: ReportData) -> None:
+    """Write report.html, making its folder if need be."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(report_html(report), encoding="utf-8")
+
+
+def report_html(report: ReportData) -> str:
+    """The whole page."""
+    about = f"{report.date} · {report.program_version}"
+    return page(report.title, report.arm, about, _parts(report))
+
+
+def _parts(report: ReportData) -> Iterator[Section | str]:
+    if report.verdict:
+        yield verdict(report.verdict)
+    yield tiles(_results(report))
+    yield done_section(report.steps, report.notes)
+    if report.verification is not None:
+        yield verification_section(report.verification, report.verified_at)
+    if report.paths:
+        yield paths_section(report.paths)
+    yield from report.sections
+    if report.arms is not None:
+        yield dh_section(*report.arms)
+    if report.identification is not None:
+        yield parameters_section(report.identification)
+    if report.calibration is not None:
+        yield calibration_section(report.calibration)
+    if report.inputs:
+        yield inputs_section(report.inputs)
+
+
+def _results(report: ReportData) -> Iterator[tuple[str, str, str]]:
+    """The result in a few figures."""
+    judged = report.verification or report.calibration
+    if judged is not None:
+        entry = judged.of("all")
+        where = report.verified_at if report.verification is not None else "at the calibration points"
+        yield "before", f"{1e3 * entry.before.mean_m:.2f} mm", f"mean error before, {where}"
+        yield "after", f"{1e3 * entry.after.mean_m:.2f} mm", f"mean error after, {where}"
+        yield "", f"{entry.improvement_percent:.1f} %", f"smaller mean error, {where}"
+    found = report.identification
+    if found is not None:
+        yield "", f"{found.rank} of {len(found.estimates)}", "parameters that the points determine"

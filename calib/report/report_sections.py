@@ -1,0 +1,137 @@
+"""Sections of a report about what was done, with what, and which parameters came out of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from calib.arm_problem.frames import rotation_vector
+from calib.identify.estimates import Estimate
+from calib.identify.identification import Identification
+from calib.report.page import Cell, Section, bullets, heading, paragraph, said, table
+from calib.report.report_data import InputFile
+from control.model.arm import Arm
+
+NO_EFFECT = 0.999  # share of a parameter that the data leave open, from which on it is said to have no effect
+# How a parameter of each unit is shown: unit, scale, format.
+UNITS = {"m": ("mm", 1e3, ".3f"), "rad": ("deg", math.degrees(1.0), ".4f"), "1": ("", 1.0, ".6f")}
+
+
+def done_section(steps: Iterable[str], notes: Sequence[str] = ()) -> Section:
+    """What was done, in order, and what to note."""
+    return Section(
+        "What was done",
+        bullets(steps, "ol") + (heading("To note") + bullets(notes) if notes else ""),
+    )
+
+
+def inputs_section(inputs: Sequence[InputFile]) -> Section:
+    """The files that the result depends on."""
+    rows: list[Sequence[Cell]] = [(file.name, ("text", file.what), ("text", file.sha256)) for file in inputs]
+    return Section("Inputs", f'<div class="inputs">{table(("file", "what it is", "SHA-256"), rows)}</div>')
+
+
+def parameters_section(found: Identification) -> Section:
+    """Every parameter with its standard deviation, and what the data do not determine."""
+    header = ("parameter", "unit", "nominal", "identified", "deviation", "sd", "bound", "")
+    before, after = found.objective_before, found.objective_after
+    return Section(
+        "Parameters",
+        f"<p>Objective {said(found.objective)}: {before:.6g} before, {after:.6g} after (SI units). Left at the points"
+        f": {1e3 * found.noise_m:.3f} mm per axis (standard deviation).</p>"
+        + heading("What the data determine, and what they do not")
+        + bullets(found.in_words())
+        + table(header, [_parameter_row(estimate) for estimate in of_the_arm(found)])
+        + paragraph(
+            "sd: standard deviation of what the data determine of this parameter. Where parameters move together, only"
+            " their combination has a meaning; the values given are those nearest to nominal.",
+            "soft small",
+        ),
+    )
+
+
+def of_the_arm(found: Identification) -> tuple[Estimate, ...]:
+    """The estimates without those of boards and base, of which only the frame as a whole has a meaning."""
+    free = [frame for frame in found.solution.frames if frame.is_free]
+    of_frames = {name for frame in free for name in frame.parameter_names}
+    return tuple(one for one in found.estimates if one.parameter.name not in of_frames)
+
+
+def frames_section(found: Identification) -> Section:
+    """Where boards and base stood that were identified too."""
+    rows = [
+        (
+            frame.name,
+            *(f"{1e3 * value:.3f}" for value in frame.origin_m.tolist()),
+            *(f"{math.degrees(value):.3f}" for value in rotation_vector(frame.rotation).tolist()),
+        )
+        for frame in found.solution.frames
+        if frame.is_free
+    ]
+    header = ("frame", "x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
+    return Section(
+        "Where boards and base stood",
+        paragraph("Identified with the rest; origin and rotation vector in the arm's base frame.")
+        + table(header, rows),
+    )
+
+
+def _parameter_row(estimate: Estimate) -> Sequence[Cell]:
+    parameter = estimate.parameter
+    unit, scale, form = UNITS.get(parameter.unit, (parameter.unit, 1.0, ".5g"))
+    is_open = estimate.undetermined_share > NO_EFFECT
+    sd = "" if math.isnan(estimate.sd) or is_open else f"{scale * estimate.sd:{form}}"
+    bound = f"± {scale * parameter.bound:.4g}" if math.isfinite(parameter.bound) else "none"
+    return (
+        parameter.name,
+        unit,
+        f"{scale * parameter.nominal:{form}}" if parameter.has_bound else "unknown",
+        ("after", f"{scale * estimate.value:{form}}"),
+        f"{scale * estimate.deviation + 0.0:+{form}}" if parameter.has_bound else "",
+        sd,
+        bound,
+        ("text", _remark(estimate)),
+    )
+
+
+def _remark(estimate: Estimate) -> str:
+    remarks = []
+    if estimate.undetermined_share > NO_EFFECT:
+        remarks.append("no effect, kept at nominal")
+    elif not estimate.is_determined:
+        remarks.append("moves together with others")
+    if estimate.is_at_bound:
+        remarks.append("at its bound")
+    return ", ".join(remarks)
+
+
+def dh_section(nominal: Arm, calibrated: Arm) -> Section:
+    """DH parameters and tool before and after: SpringerPlus 5:1771, Table 5."""
+    rows: list[Sequence[Cell]] = []
+    keys = (("d_m", "m"), ("theta_rad", "rad"), ("L_m", "m"), ("alpha_rad", "rad"))
+    links = zip(nominal.links, calibrated.links, strict=True)
+    for number, (before, after) in enumerate(links, start=1):
+        was, now = ([getattr(link, key) for key, _ in keys] for link in (before, after))
+        units = [unit for _, unit in keys]
+        rows.append((f"link {number}", ("before", "original"), *_spelled(was, units)))
+        rows.append(("", ("after", "calibrated"), *_spelled(now, units)))
+        moved = [b - a for a, b in zip(was, now, strict=True)]
+        rows.append(("", ("soft", "difference"), *_spelled(moved, units, "+")))
+    header = ("", "", "d [mm]", "theta [deg]", "L [mm]", "alpha [deg]")
+    tool = _tool(nominal, calibrated)
+    return Section("DH parameters before and after", table(header, rows) + (paragraph(tool) if tool else ""))
+
+
+def _spelled(values: Sequence[float], units: Sequence[str], sign: str = "") -> list[str]:
+    return [
+        f"{UNITS[unit][1] * value + 0.0:{sign}{UNITS[unit][2]}}"
+        for value, unit in zip(values, units, strict=True)
+    ]
+
+
+def _tool(nominal: Arm, calibrated: Arm) -> str:
+    before, after = nominal.tool.position_m, calibrated.tool.position_m
+    if before == after:
+        return ""
+    was, now = (", ".join(f"{1e3 * part:.3f}" for part in place) for place in (before, after))
+    return f"Tip in the last frame: {was} mm originally, {now} mm calibrated."

@@ -1,0 +1,184 @@
+"""A verification as a whole: comparison, trajectories, verdict; as verify.json and report.html (docs/verify.md)."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.arrays import Array, norms
+from calib.report.report import write_report
+from calib.report.report_data import UNUSED, InputFile, ReportData
+from calib.validation.statistics import Difference, ErrorSummary, Finding
+from calib.validation.tracks import TrackPair, compare_tracks
+from calib.validation.verify import ALL, Comparison, SetupComparison, findings
+from control.model.arm import Arm
+
+FORMAT = "verify/1"
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """What was compared, how, and by whom. `how` and `warnings` are sentences; `is_driven`: the arm was sent to the points.
+
+    `used_count`: poses that the calibration had seen before.
+    """
+
+    nominal: Arm
+    calibrated: Arm
+    comparison: Comparison
+    paths: tuple[TrackPair, ...]
+    inputs: tuple[InputFile, ...]
+    how: tuple[str, ...]
+    warnings: tuple[str, ...]
+    is_driven: bool
+    date: str
+    program_version: str
+    used_count: int = 0
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the calibrated arm is worse than the nominal one, over all points, by more than chance."""
+        return self.comparison.of(ALL).difference.finding is Finding.WORSE
+
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """What the points show, and the trajectories."""
+        entry = self.comparison.of(ALL)
+        before, after = (1e3 * summary.mean_m for summary in (entry.before, entry.after))
+        said = [
+            f"The calibrated arm is {_spelled(entry.difference)} over {entry.after.count} points:"
+            f" {before:.2f} mm before, {after:.2f} mm after ({entry.improvement_percent:+.1f} %)."
+        ]
+        said += [
+            f"Board {one.setup}: worse, though all points together are not." for one in self._worse_alone()
+        ]
+        along = compare_tracks(self.paths)
+        if along is not None:
+            said.append(f"Along trajectories: {along.of(ALL).difference.in_words()}.")
+        if self.used_count:
+            said.append(
+                f"The calibration had seen {self.used_count} of the poses: this flatters it, and is no verification."
+            )
+        return tuple(said)
+
+    def _worse_alone(self) -> list[SetupComparison]:
+        if self.is_worse:
+            return []
+        return [one for one in self.comparison.by_setup() if one.difference.finding is Finding.WORSE]
+
+
+def _spelled(difference: Difference) -> str:
+    if difference.finding is Finding.NOTHING:
+        return f"neither better nor worse ({difference.in_words()})"
+    return difference.in_words()
+
+
+def write_verification_report(path: Path, verification: Verification) -> None:
+    """report.html."""
+    of = verification.calibrated
+    write_report(
+        path,
+        ReportData(
+            title="Verification of a calibrated arm",
+            arm=of.name,
+            date=verification.date,
+            program_version=verification.program_version,
+            steps=verification.how,
+            inputs=verification.inputs,
+            paths=verification.paths,
+            verification=verification.comparison,
+            arms=(verification.nominal, of),
+            notes=verification.warnings,
+            verdict=verification.verdict,
+            verified_at=UNUSED if verification.used_count == 0 else "at the points given",
+        ),
+    )
+
+
+def write_verification_json(path: Path, verification: Verification) -> None:
+    """verify.json. SI units; a number that there is not is null."""
+    compared, along = verification.comparison, compare_tracks(verification.paths)
+    content = {
+        "format": FORMAT,
+        "arm": verification.calibrated.name,
+        "date": verification.date,
+        "program_version": verification.program_version,
+        "driven": verification.is_driven,
+        "inputs": {file.name: file.sha256 for file in verification.inputs},
+        "verdict": {
+            "finding": compared.of(ALL).difference.finding.name.lower(),
+            "is_worse": verification.is_worse,
+            "used_poses": verification.used_count,
+            "in_words": list(verification.verdict),
+            "by_setup": list(findings(compared)),
+        },
+        "warnings": list(verification.warnings),
+        "by_setup": comparison_figures(compared),
+        "points": _points(compared),
+        "trajectories": None
+        if along is None
+        else {"by_setup": comparison_figures(along), "parts": _points(along)},
+        "dh": {"before": verification.nominal.dh.tolist(), "after": verification.calibrated.dh.tolist()},
+        "tool_m": {
+            "before": list(verification.nominal.tool.position_m),
+            "after": list(verification.calibrated.tool.position_m),
+        },
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def comparison_figures(comparison: Comparison) -> dict[str, object]:
+    """Of each setup, and of all."""
+    return {
+        entry.setup: {
+            "before": _summary(entry.before),
+            "after": _summary(entry.after),
+            "improvement_percent": entry.improvement_percent,
+            "difference": _difference(entry.difference),
+        }
+        for entry in comparison.by_setup()
+    }
+
+
+def _summary(summary: ErrorSummary) -> dict[str, float | None]:
+    return {
+        key: value if key == "count" else _number(value) for key, value in dataclasses.asdict(summary).items()
+    }
+
+
+def _difference(difference: Difference) -> dict[str, object]:
+    return {
+        "mean_m": difference.mean_m,
+        "lower_m": _number(difference.lower_m),
+        "upper_m": _number(difference.upper_m),
+        "finding": difference.finding.name.lower(),
+    }
+
+
+def _points(comparison: Comparison) -> list[dict[str, object]]:
+    return [
+        {
+            "setup": comparison.setup[k],
+            "point": comparison.point[k],
+            "tip_m": comparison.tip_m[k].tolist(),
+            "before": _point(comparison.before_m[k], comparison.before_half_width_m[k]),
+            "after": _point(comparison.after_m[k], comparison.after_half_width_m[k]),
+        }
+        for k in range(len(comparison.point))
+    ]
+
+
+def _point(error_m: Array, half_width_m: float) -> dict[str, object]:
+    return {
+        "error_m": error_m.tolist(),
+        "distance_m": float(norms(error_m[None])[0]),
+        "half_width_m": _number(half_width_m),
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,82 @@
+"""What a session and its operator say to each other; the front end (a terminal, a script, a screen) turns it into text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from calib.points.writer import Record
+from calib.session.plan import Target
+from calib.session.residual_watch import Verdict
+
+
+class Question(Enum):
+    """What the session waits for. The answer GO says that it is so."""
+
+    BOARD = "the board stands as the setup says"
+    NEXT = "the arm may move: nobody touches it"
+    TAKE = "a hand has the tip, the drives may let go"
+    SEATED = "the tip sits in the cavity"
+    DONE = "the session may end"
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """The session waits for an answer: a Command."""
+
+    question: Question
+    target: Target | None
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A record is on the disk; what it says about itself."""
+
+    record: Record
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """Something that the operator should read; `is_warning` if something is not as it should be."""
+
+    text: str
+    is_warning: bool = False
+
+
+Saying = Ask | Recorded | Message
+
+
+class Do(Enum):
+    """What an operator can want."""
+
+    GO = "go"
+    REDO = "redo"
+    SKIP = "skip"
+    BAD = "bad"
+    NOTE = "note"
+    JOG = "jog"
+    QUIT = "quit"
+
+
+@dataclass(frozen=True, slots=True)
+class Jog:
+    """A small move: along x, y or z of the base frame [m], or of a joint j1, j2, ... [rad]."""
+
+    axis: str
+    step: float
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One wish. REDO, SKIP, BAD without a point mean the last record, or for SKIP the target that is asked about."""
+
+    do: Do
+    setup: str = ""
+    point: str = ""
+    repeat: int | None = None
+    text: str = ""
+    jog: Jog | None = None
+
+
+GO = Command(Do.GO)

@@ -1,0 +1,1 @@
+"""How a session moves the arm: its ports, clear paths, approaches, transfers."""

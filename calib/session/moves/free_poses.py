@@ -1,0 +1,120 @@
+"""Free poses to take with a camera: spread over the joints' ranges, well above the board, and so that the ways between them
+are, too.
+
+The choice is the same for the same arm and count.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.errors import SessionError
+from calib.points.points import opened_text
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm
+
+CANDIDATES = 4000
+MARGIN = 0.1  # of each joint's range, kept free at either end
+CLEARANCE_m = 0.12  # of tip and elbow above the floor and the board: an uncalibrated arm is some 3 cm off
+REACH = 0.95  # of the arm's longest reach among the candidates: a camera sees a stretched arm badly
+WAY_STEPS = 25
+UNLIMITED_rad = math.pi / 2  # range taken for a joint without limits
+
+
+def chosen_free_poses(arm: Arm, count: int) -> dict[str, tuple[float, ...]]:
+    """`count` poses by name f1, f2, ..., in an order with short ways; SessionError where the arm has no room."""
+    lower, upper = _ranges(arm)
+    unit = np.random.default_rng(count).uniform(0.0, 1.0, (CANDIDATES, arm.joint_count))
+    kinematics = Kinematics(arm)
+    q_rad = lower + unit * (upper - lower)
+    is_clear = _clearance_m(arm, kinematics, q_rad) > 0.0
+    reach_m = np.linalg.norm(kinematics.tips(q_rad), axis=1)
+    is_clear &= reach_m < REACH * reach_m.max()
+    if is_clear.sum() < count:
+        raise SessionError(
+            f"--free {count}: arm {arm.name} has {int(is_clear.sum())} of {CANDIDATES} poses {CLEARANCE_m:g} m above"
+            " the table: give them in a file"
+        )
+    rows = _spread(unit[is_clear], count)
+    ordered = _ordered(arm, kinematics, q_rad[is_clear][rows])
+    return {f"f{k + 1}": tuple(round(float(q), 4) for q in pose) for k, pose in enumerate(ordered)}
+
+
+def read_free_poses(path: Path, joint_count: int) -> dict[str, tuple[float, ...]]:
+    """Poses of a file with the columns q1_rad ... and, if wanted, point. SessionError names file and line."""
+    wanted = [f"q{j}_rad" for j in range(1, joint_count + 1)]
+    poses: dict[str, tuple[float, ...]] = {}
+    with opened_text(path) as file:
+        reader = csv.DictReader(file)
+        missing = [name for name in wanted if name not in (reader.fieldnames or ())]
+        if missing:
+            raise SessionError(f"{path}, line 1: required column {missing[0]} is missing")
+        for row in reader:
+            name = (row.get("point") or "").strip() or f"f{len(poses) + 1}"
+            if name in poses:
+                raise SessionError(f"{path}, line {reader.line_num}: pose {name} is there twice")
+            poses[name] = tuple(_angle(path, reader.line_num, key, row[key]) for key in wanted)
+    return poses
+
+
+def _angle(path: Path, line: int, key: str, text: str | None) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or abs(value) > 6.0 * math.pi:
+        raise SessionError(f"{path}, line {line}, column {key}: got {text!r}, expected an angle in radians")
+    return value
+
+
+def _ranges(arm: Arm) -> tuple[Array, Array]:
+    limits = np.array(arm.limits_rad)
+    limits = np.where(np.isfinite(limits), limits, np.array([-UNLIMITED_rad, UNLIMITED_rad]))
+    room = MARGIN * (limits[:, 1] - limits[:, 0])
+    return limits[:, 0] + room, limits[:, 1] - room
+
+
+def _clearance_m(arm: Arm, kinematics: Kinematics, q_rad: Array) -> Array:
+    """How far the lowest of tip and joints beyond the second frame is above floor and board, less what is wanted."""
+    floor_m = max(arm.limits.floor_z_m, _board_top_m(arm))
+    links = kinematics.link_transforms(q_rad)[:, 2:, 2, 3]
+    lowest = np.minimum(links.min(axis=1), kinematics.tips(q_rad)[:, 2])
+    return np.asarray(lowest - floor_m - CLEARANCE_m)
+
+
+def _board_top_m(arm: Arm) -> float:
+    table = arm.table
+    return table.origin_m[2] if table is not None and table.origin_m is not None else 0.0
+
+
+def _spread(unit: Array, count: int) -> list[int]:
+    """Rows far from each other: each next one is the farthest from those that are chosen."""
+    rows = [int(np.argmin(np.linalg.norm(unit - unit.mean(axis=0), axis=1)))]
+    distance = np.linalg.norm(unit - unit[rows[0]], axis=1)
+    while len(rows) < count:
+        rows.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(unit - unit[rows[-1]], axis=1))
+    return rows
+
+
+def _ordered(arm: Arm, kinematics: Kinematics, q_rad: Array) -> list[Array]:
+    """From each pose to the nearest one that a clear way leads to."""
+    left, ordered = list(q_rad), list[Array]()
+    here = left[0]
+    while left:
+        left.sort(key=lambda pose: float(np.linalg.norm(pose - here)))
+        clear = [k for k, pose in enumerate(left) if not ordered or _is_clear(arm, kinematics, here, pose)]
+        here = left.pop(clear[0] if clear else 0)
+        ordered.append(here)
+    return ordered
+
+
+def _is_clear(arm: Arm, kinematics: Kinematics, start: Array, end: Array) -> bool:
+    """Whether a joint move stays half the clearance above the table."""
+    shares = np.linspace(0.0, 1.0, WAY_STEPS)[:, None]
+    return bool((_clearance_m(arm, kinematics, start + shares * (end - start)) > -0.5 * CLEARANCE_m).all())

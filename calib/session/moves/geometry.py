@@ -1,0 +1,24 @@
+"""The nominal arm as a session needs it: where the tip is, and which joint angles take it somewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from calib.session.moves.ports import Vector
+from control.kinematics.inverse import InverseKinematics
+from control.model.arm import Arm
+
+
+class ArmGeometry:
+    """`calib.session.moves.ports.Geometry` of an arm."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._inverse = InverseKinematics(arm)
+
+    def tip(self, q_rad: Sequence[float]) -> Vector:
+        """Tip [m] in the base frame by the arm's own model."""
+        return self._inverse.kinematics.tip(*q_rad)
+
+    def nearest(self, point: Vector, q_near: Sequence[float]) -> Sequence[float]:
+        """Joint angles within the limits for a tip position; ArmError where there are none."""
+        return self._inverse.nearest(point, q_near)

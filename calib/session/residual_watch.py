@@ -1,0 +1,160 @@
+"""Does a new record fit those before it? A tip that sits beside its cavity shows at once.
+
+An arm that is not calibrated is centimetres off, but not anyhow: its DH parameters are off by some millimetres and degrees.
+From the records before, the most likely DH deviations are estimated (Gauss-Newton, a normal prior of half the usual bounds),
+and with them where the new record should be and how surely. The surprise is the distance from there in standard deviations
+(the normalised innovation of a Kalman filter).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arm_problem.assembly import base_frame_of
+from calib.arm_problem.frames import rotation_of
+from calib.arrays import Array, norms
+from calib.boards.boards import BoardPose
+from calib.boards.rigid import best_motion, pose_jacobian
+from control.kinematics.chain_jacobian import tips_and_dh_jacobian
+from control.model.arm import Arm
+
+SUSPECT = 6.0  # standard deviations; for three normal errors beyond it is one record in ten million
+FEWEST_BEFORE = 2  # records that a verdict takes, on a board whose place is known
+FEWEST_ON_UNKNOWN = 4  # its place takes three
+PRIOR_LENGTH_m, PRIOR_ANGLE_rad = 0.0025, 0.0175  # half of SpringerPlus 5:1771, eq. (4)
+PRIOR_POSE_m, PRIOR_POSE_rad = 1.0, 1.0  # an unknown board is anywhere
+NOISE_m, NOISE_WEIGHT = 7e-4, 6.0  # of a record before there are any; counts as this many degrees of freedom
+FLOOR_m = 5e-5  # no tip sits better
+STEPS = 3
+CLIP = 3.0  # robust: a residual beyond this many times the noise counts no more than one at it
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a record says. error_m: tip minus model, (3,) at nominal; NaN where the board's place is unknown.
+
+    surprise: distance from what the records before say, in standard deviations; off_m: the same in m. Both NaN
+    where there are too few before.
+    """
+
+    error_m: Array
+    off_m: float = float("nan")
+    surprise: float = float("nan")
+
+    @property
+    def is_suspect(self) -> bool:
+        """Whether it looks as if the tip sat beside its cavity."""
+        return self.surprise > SUSPECT
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """One record as the watch sees it: the tip as table or camera says, or where the board is unknown in its frame."""
+
+    setup: str
+    q_rad: tuple[float, ...]
+    place_m: tuple[float, float, float]
+    is_on_unknown_board: bool = False
+
+
+class ResidualWatch:
+    """Keeps sightings and judges new ones."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._dh, self._base = np.array(arm.dh), base_frame_of(arm)
+        self._model = (arm.joints, arm.dh_convention, arm.tool.position_m)
+        prior = [PRIOR_LENGTH_m, PRIOR_ANGLE_rad, PRIOR_LENGTH_m, PRIOR_ANGLE_rad]
+        self._prior = np.array(prior * len(self._dh))
+        self._seen: dict[object, Sighting] = {}
+
+    def add(self, key: object, sighting: Sighting) -> None:
+        """Believe it from now on."""
+        self._seen[key] = sighting
+
+    def forget(self, key: object) -> None:
+        """Believe it no longer."""
+        self._seen.pop(key, None)
+
+    def judge(self, new: Sighting) -> Verdict:
+        """Compare a record with those before it."""
+        before = [one for one in self._seen.values() if not one.is_on_unknown_board or one.setup == new.setup]
+        error_m = self._error_m(new)
+        on_its_board = sum(one.setup == new.setup for one in before)
+        if len(before) < FEWEST_BEFORE or (new.is_on_unknown_board and on_its_board < FEWEST_ON_UNKNOWN):
+            return Verdict(error_m)
+        innovation_m, spread_m2 = self._predicted(before, new)
+        surprise = float(np.sqrt(innovation_m @ np.linalg.solve(spread_m2, innovation_m)))
+        return Verdict(error_m, float(np.linalg.norm(innovation_m)), surprise)
+
+    def _error_m(self, new: Sighting) -> Array:
+        if new.is_on_unknown_board:
+            return np.full(3, np.nan)
+        tip_m = self._base.to_base(np.array([new.place_m]))[0]
+        return np.asarray(tip_m - self._tips(self._dh, [new])[0][0])
+
+    def _predicted(self, before: list[Sighting], new: Sighting) -> tuple[Array, Array]:
+        """The new record's innovation (3,) [m] and its covariance (3, 3) [m2]."""
+        pose = _fitted_pose(new.setup, before, self._tips(self._dh, before)[0])
+        scales = np.concatenate((self._prior, np.repeat([PRIOR_POSE_m, PRIOR_POSE_rad], 3)))
+        x, noise_m = np.zeros(len(scales)), NOISE_m
+        for _ in range(STEPS):
+            residual, slopes = self._linearised(before, pose, scales, x)
+            weights = _weights(residual, noise_m) / noise_m**2
+            information = np.einsum("m,mik,mil->kl", weights, slopes, slopes) + np.eye(len(x))
+            aim = residual + slopes @ x
+            x = np.linalg.solve(information, np.einsum("m,mik,mi->k", weights, slopes, aim))
+            pose, x = _moved(pose, scales, x)
+            left, _ = self._linearised(before, pose, scales, x)
+            noise_m = _noise_m(left, len(x) - float(np.trace(np.linalg.inv(information))))
+        innovation, slopes = self._linearised([new], pose, scales, x)
+        covariance = slopes[0] @ np.linalg.solve(information, slopes[0].T)
+        return innovation[0], covariance + noise_m**2 * np.eye(3)
+
+    def _linearised(
+        self, sightings: list[Sighting], pose: BoardPose, scales: Array, x: Array
+    ) -> tuple[Array, Array]:
+        """Residuals (m, 3), tip minus model, and by how much each unknown lowers them, (m, 3, unknowns)."""
+        dh = self._dh + (x * scales)[: self._dh.size].reshape(self._dh.shape)
+        tips, by_dh = self._tips(dh, sightings)
+        places = np.array([one.place_m for one in sightings])
+        is_unknown = np.array([one.is_on_unknown_board for one in sightings])
+        tip_m = np.where(is_unknown[:, None], pose.to_base(places), self._base.to_base(places))
+        by_pose = -pose_jacobian(places @ pose.rotation.T) * is_unknown[:, None, None]
+        return tip_m - tips, np.concatenate((by_dh, by_pose), axis=2) * scales
+
+    def _tips(self, dh: Array, sightings: list[Sighting]) -> tuple[Array, Array]:
+        return tips_and_dh_jacobian(dh, np.array([one.q_rad for one in sightings]), *self._model)
+
+
+def _fitted_pose(setup: str, sightings: list[Sighting], tips_m: Array) -> BoardPose:
+    """Where the unknown board of a setup stands by the tips; anywhere if it is not unknown."""
+    rows = [k for k, one in enumerate(sightings) if one.is_on_unknown_board and one.setup == setup]
+    if not rows:
+        return BoardPose(np.eye(3), np.zeros(3))
+    motion = best_motion(np.array([sightings[k].place_m for k in rows]), tips_m[rows])
+    return BoardPose(motion.rotation, motion.shift_m)
+
+
+def _moved(pose: BoardPose, scales: Array, x: Array) -> tuple[BoardPose, Array]:
+    """The pose with its part of x applied, and x without it: turns stay small."""
+    shift, turn = x[-6:-3] * scales[-6:-3], x[-3:] * scales[-3:]
+    kept = np.array(x)
+    kept[-6:] = 0.0
+    return BoardPose(np.asarray(rotation_of(turn) @ pose.rotation), pose.origin_m + shift), kept
+
+
+def _weights(residual_m: Array, noise_m: float) -> Array:
+    """Huber's: 1, and less for residuals beyond some times the noise."""
+    return np.minimum(1.0, CLIP * noise_m / np.maximum(norms(residual_m), FLOOR_m))
+
+
+def _noise_m(residual_m: Array, used: float) -> float:
+    """Standard deviation per axis, robust, with what is known before there are records. `used`: freedoms fitted."""
+    freedom = max(0.0, residual_m.size - used)
+    median_m = float(np.median(norms(residual_m))) / 1.538  # of the norm of three standard normals
+    found_m2 = median_m**2 * residual_m.size / max(1.0, freedom)
+    return max(
+        FLOOR_m, float(np.sqrt((NOISE_WEIGHT * NOISE_m**2 + freedom * found_m2) / (NOISE_WEIGHT + freedom)))
+    )

@@ -1,0 +1,240 @@
+"""Held-out error: what an identification is worth on points that it has not seen.
+
+Every setup in turn, or every k-th point, is left out, the rest identified, and what was left out predicted. A board of
+unknown place that is left out as a whole has no reference: then the scatter of the predicted tips of each cavity about
+their mean is taken, as all of them were seated in the same place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arm_problem.problem import ArmProblem, Solution
+from calib.arrays import Array, frozen, norms
+from calib.errors import CalibrationError
+from calib.identify.identification import fit
+from calib.identify.objective import Objective
+from calib.points.points import Points
+
+FOLDS_COUNT = 5
+GROUPS_PER_FOLD = 3
+FREE = "free"  # the setup of poses away from the board
+FREE_PARTS = 4
+Builder = Callable[[Points], ArmProblem]
+Measure = Literal["error", "scatter"]
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """What was left out once: `rows` of the points, distances [m] of each before (nominal) and after calibration.
+
+    `measure`: "error" against the reference, or "scatter" about the mean of the cavity's predicted tips.
+    """
+
+    name: str
+    rows: tuple[int, ...]
+    measure: Measure
+    before_m: Array
+    after_m: Array
+
+    @property
+    def mean_before_m(self) -> float:
+        """Mean distance with nominal parameters."""
+        return float(np.mean(self.before_m))
+
+    @property
+    def mean_after_m(self) -> float:
+        """Mean distance with parameters from the other points."""
+        return float(np.mean(self.after_m))
+
+    @property
+    def rms_after_m(self) -> float:
+        """Root mean square of the same."""
+        return float(np.sqrt(np.mean(self.after_m**2)))
+
+    @property
+    def max_after_m(self) -> float:
+        """The largest of the same."""
+        return float(np.max(self.after_m))
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """All folds; `by` says how they were made: "setup", or every which point."""
+
+    by: str
+    folds: tuple[Fold, ...]
+
+    @property
+    def before_m(self) -> Array:
+        """Distances with nominal parameters of everything that was left out once."""
+        return np.concatenate([fold.before_m for fold in self.folds])
+
+    @property
+    def after_m(self) -> Array:
+        """Distances with parameters from the other points."""
+        return np.concatenate([fold.after_m for fold in self.folds])
+
+    @property
+    def improvement_percent(self) -> float:
+        """100 (before - after) / before of the means; negative if worse."""
+        before = float(np.mean(self.before_m))
+        return 100.0 * (1.0 - float(np.mean(self.after_m)) / before) if before > 0.0 else 0.0
+
+    def without(self, rows: Collection[int]) -> HeldOut | None:
+        """The same folds, judged at other points than these; None if nothing is left."""
+        folds = []
+        for fold in self.folds:
+            kept = [k for k, row in enumerate(fold.rows) if row not in rows]
+            if kept:
+                names = tuple(fold.rows[k] for k in kept)
+                folds.append(
+                    replace(fold, rows=names, before_m=fold.before_m[kept], after_m=fold.after_m[kept])
+                )
+        return HeldOut(self.by, tuple(folds)) if folds else None
+
+    @property
+    def is_scatter(self) -> bool:
+        """Whether there was nothing to measure but agreement."""
+        return all(fold.measure == "scatter" for fold in self.folds)
+
+    def in_words(self) -> tuple[str, ...]:
+        """One sentence per fold."""
+        what = "scatter" if self.is_scatter else "error"
+        return tuple(
+            f"Left out {fold.name} ({len(fold.rows)} points): {what} mean {1e3 * fold.mean_before_m:.3f} mm before,"
+            f" {1e3 * fold.mean_after_m:.3f} mm after (rms {1e3 * fold.rms_after_m:.3f}, largest"
+            f" {1e3 * fold.max_after_m:.3f})."
+            for fold in self.folds
+        )
+
+
+def held_out(
+    builder: Builder,
+    points: Points,
+    by: Literal["setup"] | int | None = None,
+    objective: Objective | None = None,
+    report: Callable[[int, int], None] | None = None,
+) -> HeldOut:
+    """Leave out each setup (`by` "setup"; free poses in parts) or every k-th point (`by` k).
+
+    By default setups if there are several, else every fifth point.
+
+    `builder` makes the problem of some of the points; `report` hears how many folds are done, of how many.
+    CalibrationError if nothing can be left out.
+    """
+    chosen = by if by is not None else ("setup" if len(set(points.setup)) > 1 else FOLDS_COUNT)
+    parts = _setups(points) if chosen == "setup" else _every(points, chosen)
+    folds: list[Fold] = []
+    for name, rows in parts:
+        folds += _fold(builder, points, name, rows, objective)
+        if report is not None:
+            report(len(folds), len(parts))
+    if not folds:
+        raise CalibrationError("held-out error: nothing that was left out can be predicted from the rest")
+    return HeldOut("setup" if chosen == "setup" else f"every {chosen}th point", tuple(folds))
+
+
+def _setups(points: Points) -> list[tuple[str, list[int]]]:
+    names = list(dict.fromkeys(points.setup))
+    if len(names) < 2:
+        raise CalibrationError(
+            f'held-out error: there is one setup ("{names[0]}"), and leaving it out leaves nothing; leave out'
+            f" every {FOLDS_COUNT}th point"
+        )
+    parts = []
+    for name in names:
+        rows = [k for k, setup in enumerate(points.setup) if setup == name]
+        parts += _free_parts(points, rows) if name == FREE else [(f'setup "{name}"', rows)]
+    return parts
+
+
+def _free_parts(points: Points, rows: list[int]) -> list[tuple[str, list[int]]]:
+    """Free poses share no board that could be misplaced, and no board tells about where they are: part after part of them."""
+    points_names = list(dict.fromkeys(points.point[k] for k in rows))
+    if len(points_names) < GROUPS_PER_FOLD * FREE_PARTS:
+        return [(f'setup "{FREE}"', rows)]
+    place = {name: i % FREE_PARTS for i, name in enumerate(points_names)}
+    return [
+        (f'part {j + 1} of {FREE_PARTS} of setup "{FREE}"', [k for k in rows if place[points.point[k]] == j])
+        for j in range(FREE_PARTS)
+    ]
+
+
+def _every(points: Points, k: int) -> list[tuple[str, list[int]]]:
+    """Interleaved; repeats of a point stay together where there are points enough."""
+    if not 2 <= k <= len(points):
+        raise CalibrationError(
+            f"held-out error: expected every k-th point to be left out with k from 2 to {len(points)}, got {k}"
+        )
+    keys: list[object] = list(zip(points.setup, points.point, strict=True))
+    if len(set(keys)) < GROUPS_PER_FOLD * k:
+        keys = list(range(len(points)))
+    place = {key: i % k for i, key in enumerate(dict.fromkeys(keys))}
+    return [
+        (f"part {j + 1} of {k}", [row for row, key in enumerate(keys) if place[key] == j]) for j in range(k)
+    ]
+
+
+def _fold(
+    builder: Builder, points: Points, name: str, rows: Sequence[int], objective: Objective | None
+) -> list[Fold]:
+    """One part left out; nothing where it holds no reference and no two tips of one cavity."""
+    rest = sorted(set(range(len(points))) - set(rows))
+    trained, seen = builder(points.chosen(rest)), builder(points.chosen(list(rows)))
+    best, _ = fit(trained, objective, starts_count=1)
+    before, after = trained.solution(np.zeros(len(best.x))), trained.solution(best.x)
+    known = {frame.name for frame in after.frames}
+    is_referred = np.array([_is_known(seen, k, known) for k in range(len(seen))])
+    groups = _cavity_groups(seen, ~is_referred)
+    used = np.flatnonzero(is_referred | (groups >= 0))
+    if not len(used):
+        return []
+    distances = [_distances(seen, solution, is_referred, groups)[used] for solution in (before, after)]
+    measure: Measure = "error" if is_referred.any() else "scatter"
+    return [
+        Fold(name, tuple(rows[int(k)] for k in used), measure, frozen(distances[0]), frozen(distances[1]))
+    ]
+
+
+def _is_known(seen: ArmProblem, row: int, known: set[str]) -> bool:
+    """Whether the place of a row's frame is known without the row."""
+    frame = seen.observed.frames[seen.observed.frame[row]]
+    return frame.name in known or not frame.is_free
+
+
+def _cavity_groups(seen: ArmProblem, wanted: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
+    """A number for each cavity of each frame that two or more rows were seated in, -1 for other rows."""
+    keys = [
+        (int(frame), tuple(position))
+        for frame, position in zip(seen.observed.frame, seen.observed.position_m.tolist(), strict=True)
+    ]
+    numbers = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    several = {key for key in numbers if keys.count(key) > 1}
+    return np.array([numbers[key] if key in several and wanted[row] else -1 for row, key in enumerate(keys)])
+
+
+def _distances(
+    seen: ArmProblem, solution: Solution, is_referred: npt.NDArray[np.bool_], groups: npt.NDArray[np.intp]
+) -> Array:
+    """Distance of each row's tip from its reference, or from the mean of its cavity's tips, (m,)."""
+    observed = seen.observed
+    q = np.array(observed.q_rad)
+    for correction in observed.corrections:
+        q = q + solution.corrections[correction.name] * correction.slope_rad
+    tips = seen.model.tips(solution.dh, q, solution.tool_m)
+    wanted = np.array(tips)
+    frames = {frame.name: frame for frame in solution.frames}
+    for k, frame in enumerate(observed.frames):
+        rows = observed.rows_of(k)
+        rows = rows[is_referred[rows]]
+        wanted[rows] = frames.get(frame.name, frame).to_base(observed.position_m[rows])
+    for group in set(groups[groups >= 0].tolist()):
+        rows = np.flatnonzero(groups == group)
+        wanted[rows] = tips[rows].mean(axis=0)
+    return norms(wanted - tips)

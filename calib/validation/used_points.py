@@ -1,0 +1,88 @@
+"""Were these points used by the calibration that they are to judge? By the file's hash, and pose by pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.errors import CalibrationError
+from calib.points.points import read_points
+from calib.report.report_data import input_file
+from control.model.arm import Arm
+
+SAME_POSE_rad = 0.002  # every joint as near as this: about a millimetre at the tip, no new place
+
+
+@dataclass(frozen=True, slots=True)
+class Used:
+    """How many of the poses the calibration had seen, as far as is known, and what to say about it."""
+
+    count: int
+    warnings: tuple[str, ...]
+
+
+def already_used(calibrated: Arm, q_rad: Array, sha256: str = "") -> Used:
+    """Whether poses (m, n) were used; with the hash of the file that they come from, if they do.
+
+    The files that the calibration names are looked for beside the calibrated arm; what is not there cannot be compared.
+    """
+    made = calibrated.calibration
+    if made is None:
+        return Used(
+            0,
+            (
+                f"arm {calibrated.name} does not say what it was calibrated with: whether these points were used for it"
+                " is not known",
+            ),
+        )
+    name = next((name for name, digest in made.inputs.items() if sha256 and digest == sha256), None)
+    if name is not None:
+        return Used(
+            len(q_rad),
+            (
+                f"these points are {name}, from which the arm was calibrated: they flatter it, and verify nothing",
+            ),
+        )
+    said, missing, total = [], [], 0
+    for name, digest in made.inputs.items():
+        used = _poses_of(calibrated, name, digest)
+        if used is None:
+            missing.append(name)
+        elif count := _same_count(q_rad, used):
+            total = max(total, count)
+            said.append(
+                f"{count} of {len(q_rad)} poses are within {SAME_POSE_rad:g} rad of a pose of {name}, from which the arm was"
+                " calibrated"
+            )
+    if missing:
+        said.append(
+            f"not beside the calibrated arm, or changed since: {', '.join(missing)}; whether its poses were used again is not"
+            " known"
+        )
+    return Used(total, tuple(said))
+
+
+def _poses_of(calibrated: Arm, name: str, digest: str) -> Array | None:
+    """Joint angles of an input of the calibration; None where the file is not to be had."""
+    path = (calibrated.path.parent if calibrated.path is not None else Path()) / Path(name).name
+    if not path.is_file() or input_file(path, "").sha256 != digest:
+        return None
+    try:
+        return read_points(path, calibrated.joint_count)[0].q_rad
+    except CalibrationError:
+        return np.zeros(
+            (0, calibrated.joint_count)
+        )  # the right file, and no poses in it: a board's registration, say
+
+
+def _same_count(q_rad: Array, used_rad: Array) -> int:
+    """How many of q_rad (m, n) are near one of used_rad (k, n)."""
+    if not len(used_rad):
+        return 0
+    from scipy.spatial import cKDTree
+
+    distance, _ = cKDTree(used_rad).query(q_rad, p=np.inf)
+    return int(np.sum(np.asarray(distance) <= SAME_POSE_rad))

@@ -1,0 +1,278 @@
+"""Is my result good? A plain answer from points that the calibration has not seen, and what to do next.
+
+The grades are tried in this order, and the first that fits is given:
+
+| grade | when |
+| --- | --- |
+| too few points | fewer than FREEDOM_MINIMUM residual coordinates beyond the parameters, or nothing could be left out |
+| worse | points left out are no nearer than with nominal parameters |
+| over-fitted | points left out are OVER_FITTED times farther off than points of the fit (beyond what noise alone makes) |
+| not at the floor | points left out are farther off than GOOD times the noise: something is missing in the model |
+| good | within GOOD times the noise; where the noise is not known, the points of the fit stand for it |
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib.arm_problem.problem import ArmProblem
+from calib.arrays import Array
+from calib.identify.identification import Identification
+from calib.identify.suspects import Suspects
+from calib.points.points import Points
+from calib.validation.holdout import HeldOut
+from control.model.arm import Arm
+
+Grade = Literal["good", "not at the floor", "over-fitted", "worse", "too few points"]
+
+FREEDOM_MINIMUM = (
+    20  # the noise is then known to 1 / sqrt(2 * 20) = 16 %; below, no ratio to it means anything
+)
+WORSE_PERCENT = 0.0  # improvement on points left out
+OVER_FITTED = (
+    2.0  # left out over fitted, root mean squares, beyond sqrt((1 + p/3m) / (1 - p/3m)) that noise makes
+)
+GOOD = 1.5  # left out over noise: the error that is left is then about the size of the noise itself (sqrt(1.5^2 - 1) = 1.1)
+CONDITION_LIMIT = 100.0  # above, the weakest combination of parameters is 100 times worse known than the best
+PAPER_PERCENT = {"normal": 38.8, "roll": 28.9, "pitch": 17.3}  # SpringerPlus 5:1771, Table 4
+MEAN_OF_NORM = math.sqrt(
+    8.0 / math.pi
+)  # mean length of a normal vector of three coordinates, standard deviation 1
+SAME_POSTURE_rad = 0.02  # repeats in one posture show noise; in several, errors of the model too
+REPEATS_FREEDOM = 9  # coordinates beyond the means, for a noise from repeats
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The answer: `sentences` say why, `next_steps` what to do; each can be read alone."""
+
+    grade: Grade
+    sentences: tuple[str, ...]
+    next_steps: tuple[str, ...]
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the calibrated arm can be used."""
+        return self.grade == "good"
+
+    def in_words(self) -> tuple[str, ...]:
+        """Everything, the answer first."""
+        return (*self.sentences, *self.next_steps)
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFloor:
+    """Standard deviation of one axis of a tip position that no calibration can undercut, and where it is from."""
+
+    axis_m: float
+    source: str
+
+    @property
+    def mean_m(self) -> float:
+        """Mean distance that such noise makes."""
+        return MEAN_OF_NORM * self.axis_m
+
+
+def noise_floor(arm: Arm, points: Points, problem: ArmProblem, x: Array) -> NoiseFloor | None:
+    """The camera's noise where it measured the tips, or the scatter of repeats; the smaller if both are known.
+
+    Repeats are poses in one cavity and posture with the same payload, reached from the same side: what still differs
+    between them is noise, and any effect that comes and goes makes it larger, never smaller.
+    """
+    found = [_from_repeats(points, problem.residuals(x)), _from_camera(arm, points)]
+    known = [floor for floor in found if floor is not None]
+    return min(known, key=lambda floor: floor.axis_m) if known else None
+
+
+def _from_repeats(points: Points, errors: Array) -> NoiseFloor | None:
+    squares, freedom = 0.0, 0
+    for rows in _repeats(points):
+        squares += float(np.sum((errors[rows] - errors[rows].mean(axis=0)) ** 2))
+        freedom += 3 * (len(rows) - 1)
+    if freedom < REPEATS_FREEDOM or squares <= 0.0:
+        return None
+    return NoiseFloor(math.sqrt(squares / freedom), f"the scatter of repeats ({freedom} degrees of freedom)")
+
+
+def _from_camera(arm: Arm, points: Points) -> NoiseFloor | None:
+    is_measured = bool(np.isfinite(points.tip_m).all(axis=1).mean() > 0.5)
+    if not is_measured or arm.camera is None or arm.camera.position_noise_m <= 0.0:
+        return None
+    return NoiseFloor(arm.camera.position_noise_m, "the camera's noise in the arm's file")
+
+
+def _repeats(points: Points) -> list[list[int]]:
+    """Rows that repeat each other, two or more."""
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for row in range(len(points)):
+        side, load = tuple(points.direction[row].tolist()), str(points.payload_kg[row])
+        groups.setdefault((points.setup[row], points.point[row], side, load), []).append(row)
+    spread = {key: float(np.ptp(points.q_rad[rows], axis=0).max()) for key, rows in groups.items()}
+    return [rows for key, rows in groups.items() if len(rows) > 1 and spread[key] < SAME_POSTURE_rad]
+
+
+def verdict(
+    found: Identification,
+    held: HeldOut | None,
+    floor: NoiseFloor | None,
+    suspects: Suspects | None = None,
+    setups: Sequence[str] = (),
+) -> Verdict:
+    """What a calibration is worth; `setups` names that of each point, for the advice."""
+    slips = _slips(suspects)
+    held = held.without(slips) if held is not None else None
+    grade = _grade(found, held, floor, slips)
+    said = [_answer(grade)]
+    if held is not None:
+        said += _on_held_out(held, floor, len(slips))
+    if grade == "over-fitted" and held is not None:
+        said.append(
+            f"The points of the fit are {1e3 * found.mean_after_m:.3f} mm off in the mean, those left out"
+            f" {1e3 * float(np.mean(held.after_m)):.3f} mm: parameters follow the noise, or the points left out are of a"
+            " sort that the others do not tell about."
+        )
+    if len(set(setups)) == 1 and grade in ("good", "not at the floor"):
+        said.append(f'That holds around the setup "{setups[0]}" alone: nothing elsewhere was tested.')
+    steps = (*_about_suspects(suspects), *_next(grade, found, floor, sorted(set(setups))))
+    return Verdict(grade, tuple(said), steps)
+
+
+def _slips(suspects: Suspects | None) -> frozenset[int]:
+    """Rows of single points that are told to be wrong: they say nothing about the arm."""
+    if suspects is None or suspects.is_systematic:
+        return frozenset()
+    return frozenset(one.row for one in suspects.outliers)
+
+
+def _grade(
+    found: Identification, held: HeldOut | None, floor: NoiseFloor | None, slips: Collection[int] = ()
+) -> Grade:
+    if 3 * len(found.error_after_m) - found.rank < FREEDOM_MINIMUM or held is None:
+        return "too few points"
+    if held.improvement_percent <= WORSE_PERCENT:
+        return "worse"
+    if _over_fit(found, held, slips) > OVER_FITTED:
+        return "over-fitted"
+    return "good" if _over_floor(found, held, floor) <= GOOD else "not at the floor"
+
+
+def _over_fit(found: Identification, held: HeldOut, slips: Collection[int] = ()) -> float:
+    """How many times farther off points left out are than noise alone would have them, given the fit."""
+    share = found.rank / (3.0 * len(found.error_after_m))
+    fitted = np.delete(found.error_after_m, sorted(slips), axis=0)
+    rms_m = float(np.sqrt(np.mean(np.sum(fitted**2, axis=1))))
+    expected = rms_m * math.sqrt((1.0 + share) / max(1.0 - share, 0.05))
+    return float(np.sqrt(np.mean(held.after_m**2))) / max(expected, 1e-12)
+
+
+def _over_floor(found: Identification, held: HeldOut, floor: NoiseFloor | None) -> float:
+    """Mean error left out over that of noise; without a floor, over the noise that the fit itself shows."""
+    mean = floor.mean_m if floor is not None else MEAN_OF_NORM * found.noise_m
+    return float(np.mean(held.after_m)) / max(mean, 1e-12)
+
+
+def _answer(grade: Grade) -> str:
+    return {
+        "good": "The result is good: what is left on points not used is about the noise.",
+        "not at the floor": "The result is better than nominal, but something other than this geometry is at work.",
+        "over-fitted": "The result is over-fitted: it predicts points that it has not seen much worse than those it has.",
+        "worse": "The result is worse than nominal on points not used: keep the nominal arm.",
+        "too few points": "There are too few points to tell whether the result is good.",
+    }[grade]
+
+
+def _on_held_out(held: HeldOut, floor: NoiseFloor | None, slips_count: int = 0) -> list[str]:
+    """Improvement on points not used, against the floor, against the paper."""
+    before, after = 1e3 * float(np.mean(held.before_m)), 1e3 * float(np.mean(held.after_m))
+    what = "scatter of each cavity's predicted tips" if held.is_scatter else "error"
+    change = "better" if held.improvement_percent >= 0.0 else "worse"
+    how = "setup by setup" if held.by == "setup" else held.by
+    but = f", but for the {slips_count} that the others contradict" if slips_count else ""
+    said = [
+        f"On points not used (left out {how}{but}), the mean {what} went from {before:.3f} to {after:.3f} mm:"
+        f" {abs(held.improvement_percent):.1f} % {change}."
+    ]
+    if floor is not None:
+        said.append(
+            f"The noise alone makes {1e3 * floor.mean_m:.3f} mm (from {floor.source}): the error is"
+            f" {after / (1e3 * floor.mean_m):.2f} times that."
+        )
+    else:
+        said.append(
+            "How large the noise is is not known (no repeats in one posture, no camera's noise): what the points of the fit"
+            " are off stands for it."
+        )
+    return [*said, _against_paper(held)]
+
+
+def _against_paper(held: HeldOut) -> str:
+    """Improvement beside SpringerPlus 5:1771, Table 4, setup by setup where the names are the same."""
+    own = {
+        name: 100.0 * (1.0 - fold.mean_after_m / max(fold.mean_before_m, 1e-12))
+        for fold in held.folds
+        for name in PAPER_PERCENT
+        if fold.name == f'setup "{name}"'
+    }
+    if own:
+        pairs = ", ".join(f"{name} {own[name]:.1f} % (paper {PAPER_PERCENT[name]} %)" for name in own)
+        return f"Improvement beside SpringerPlus 5:1771: {pairs}."
+    published = ", ".join(f"{percent} % ({name})" for name, percent in PAPER_PERCENT.items())
+    return f"SpringerPlus 5:1771 reports improvements of {published}; here {held.improvement_percent:.1f} %."
+
+
+def _about_suspects(suspects: Suspects | None) -> list[str]:
+    if suspects is None or not (suspects.setups or suspects.outliers):
+        return []
+    count = len(suspects.outliers)
+    if suspects.is_systematic:
+        return [
+            f"{count} points contradict the others, too many for slips of the hand: they have something in common (a payload,"
+            " a side of approach, a time). Run armwright gap."
+        ]
+    if suspects.slip is not None:
+        return [f"{suspects.slip.words}, then calibrate again."]
+    whole = [f'setup "{one.setup}"' for one in suspects.setups]
+    single = [f"{count} point{'s' if count > 1 else ''}"] if count else []
+    return [
+        f"Look at {' and '.join([*whole, *single])} that the others contradict: measure again or leave out, then calibrate"
+        " again."
+    ]
+
+
+def _next(grade: Grade, found: Identification, floor: NoiseFloor | None, setups: list[str]) -> list[str]:
+    """What would help, most first."""
+    said = []
+    if grade == "too few points":
+        said.append(
+            "Take more points: all cavities of the board, in three tilts; armwright plan-poses says which."
+        )
+    if grade == "not at the floor":
+        said.append(
+            "Run armwright gap: it looks for backlash, compliance and what else the residuals show. Poses approached from"
+            " both sides tell backlash."
+        )
+    if grade in ("over-fitted", "worse"):
+        said.append(
+            "Take free poses away from the board, or more tilts, so that the points cover what the arm is used for; or fix"
+            " parameters that the points hardly determine."
+        )
+    if not math.isfinite(found.condition_number) or found.condition_number > CONDITION_LIMIT:
+        tilts = "more tilts of the board and " if len(setups) == 1 else ""
+        said.append(
+            f"The points hold some parameters {found.condition_number:.0f} times worse than others: {tilts}a dozen poses"
+            " away from the board would hold them better (armwright plan-poses)."
+        )
+    binding = [e.parameter.name for e in found.estimates if e.is_at_bound and e.is_determined]
+    if binding:
+        said.append(
+            f"{', '.join(binding)} rest{'s' if len(binding) == 1 else ''} on the bound: measure there, or give a wider bound"
+            " if the part can be that far off."
+        )
+    if floor is None and grade in ("good", "not at the floor"):
+        said.append("Take three points two or three times each: then the noise is known.")
+    return said

@@ -1,0 +1,87 @@
+"""Two models of an arm on recorded poses: what each predicts from the encoders, against where the tip was.
+
+Where it was says the camera, or the table if its pose is known. A board that stood nobody knows where, a tip seated in its
+cavities again and again, still tells models apart: each model gets the board where its own predictions fit best, and what is
+left is how badly they agree among themselves. Static effects that a model has (backlash, scale, ...) are part of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.arm_problem.assembly import base_frame_of
+from calib.arm_problem.joint_effects import known_corrections
+from calib.arrays import Array
+from calib.boards.rigid import best_motion
+from calib.errors import CalibrationError
+from calib.points.points import Points
+from calib.validation.verify import Comparison, compare_repeated
+from control.kinematics.kinematics import Kinematics
+from control.model import table as tables
+from control.model.arm import Arm
+
+SAME_POSE_rad = 0.02  # rows of one name further apart are other poses, not repeats
+LEAST_POSES = 5  # of a setup whose board is placed by the model: with fewer any board fits
+
+
+def compare_arms(nominal: Arm, calibrated: Arm, points: Points) -> Comparison:
+    """Errors by two models; rows of the same name and pose are repeats, other poses of the same name points of their own.
+
+    Rows are left out whose tip is neither measured nor in a cavity of a board that enough poses place; CalibrationError
+    if none is left.
+    """
+    errors = [errors_of(arm, points) for arm in (nominal, calibrated)]
+    rows = np.flatnonzero(np.isfinite(errors[0]).all(axis=1) & np.isfinite(errors[1]).all(axis=1))
+    if not len(rows):
+        raise CalibrationError(
+            "no pose has a tip to compare with: x_m, y_m, z_m are empty, and no setup has"
+            f" {LEAST_POSES} poses in named cavities of the arm's [table]"
+        )
+    used = points.chosen(rows)
+    tips = np.where(np.isfinite(used.tip_m), used.tip_m, predicted_tips(calibrated, used))
+    return compare_repeated(used.setup, _names(used), tips, errors[0][rows], errors[1][rows])
+
+
+def predicted_tips(arm: Arm, points: Points) -> Array:
+    """Tips (m, 3) in the base frame from the encoders, with the static effects that the arm's model has."""
+    return Kinematics(arm).tips(points.q_rad + known_corrections(arm, points))
+
+
+def errors_of(arm: Arm, points: Points) -> Array:
+    """Where the tip was minus where the model has it, (m, 3) in the model's base frame; NaN where nothing says where."""
+    tips = predicted_tips(arm, points)
+    was = base_frame_of(arm).to_base(points.tip_m)
+    for setup in dict.fromkeys(points.setup):
+        rows = [k for k, name in enumerate(points.setup) if name == setup and np.isnan(was[k]).any()]
+        if rows:
+            was[rows] = _on_fitted_board(arm, [points.point[k] for k in rows], tips[rows])
+    return np.asarray(was - tips)
+
+
+def _on_fitted_board(arm: Arm, names: list[str], tips: Array) -> Array:
+    """Cavities (m, 3) of a board that stands where these tips want it; NaN where there are too few, or no such cavity."""
+    cavities = tables.board_cavities(arm.table) if arm.table is not None else {}
+    known = [k for k, name in enumerate(names) if name in cavities]
+    was = np.full(tips.shape, np.nan)
+    if len(known) >= LEAST_POSES:
+        on_board = np.array([cavities[names[k]] for k in known])
+        was[known] = best_motion(on_board, tips[known]).of(on_board)
+    return was
+
+
+def _names(points: Points) -> list[str]:
+    """The points' names, with a number where poses of one name are not the same."""
+    poses: dict[tuple[str, str], list[Array]] = {}
+    numbers = []
+    for k, name in enumerate(zip(points.setup, points.point, strict=True)):
+        known = poses.setdefault(name, [])
+        near = (n for n, pose in enumerate(known) if np.abs(pose - points.q_rad[k]).max() <= SAME_POSE_rad)
+        number = next(near, len(known))
+        if number == len(known):
+            known.append(points.q_rad[k])
+        numbers.append(number)
+    several = {name for name, known in poses.items() if len(known) > 1}
+    return [
+        f"{point}, pose {number + 1}" if (setup, point) in several else point
+        for setup, point, number in zip(points.setup, points.point, numbers, strict=True)
+    ]

@@ -1,0 +1,97 @@
+"""The arm at one moment after the other: of a recording, or live over the runtime's socket."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from console.visualisation.series import Array, Series
+from control.server.client import Message
+from firmware_iface.clock import Clock
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Where the arm is and where it was told to be; angles in rad, the camera's tip in m or None.
+
+    Of the encoders, and of the joints, which are drawn.
+
+    `status` has currents and faults where the moment is live.
+    """
+
+    t_s: float
+    q_rad: tuple[float, ...]
+    q_set_rad: tuple[float, ...]
+    joint_rad: tuple[float, ...]
+    joint_set_rad: tuple[float, ...]
+    mode: str = ""
+    camera_m: Point | None = None
+    current_A: tuple[float, ...] = ()
+
+
+class StatusSource(Protocol):
+    """Whatever answers `status`."""
+
+    def status(self) -> Message: ...
+
+
+def recorded(series: Series, period_s: float) -> tuple[NDArray[np.int64], Array]:
+    """Rows of the series that are `period_s` apart, and their times [s]; rows without all angles are passed over."""
+    whole = np.isfinite(series.q_rad).all(axis=1)
+    rows = np.flatnonzero(whole)
+    if not len(rows):
+        return rows, np.empty(0)
+    wanted = np.arange(series.t_s[rows[0]], series.t_s[rows[-1]] + 1e-9, period_s)
+    picked = rows[np.unique(np.searchsorted(series.t_s[rows], wanted).clip(max=len(rows) - 1))]
+    return picked, series.t_s[picked]
+
+
+def moment_at(series: Series, row: int) -> Moment:
+    """One row of a series; without set-points they are where the arm is."""
+    mode = series.mode[row]
+    seen = tuple(series.tip_m[row].tolist())
+    current_A = tuple(series.current_A[row].tolist())
+    return Moment(
+        float(series.t_s[row]),
+        *_angles(series.q_rad[row], series.q_set_rad[row]),
+        *_angles(series.joint_rad[row], series.joint_set_rad[row]),
+        series.modes[mode] if 0 <= mode < len(series.modes) else "",
+        (seen[0], seen[1], seen[2]) if all(map(math.isfinite, seen)) else None,
+        current_A if all(map(math.isfinite, current_A)) else (),
+    )
+
+
+def _angles(measured: Array, wanted: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    known = wanted if np.isfinite(wanted).all() else measured
+    return tuple(measured.tolist()), tuple(known.tolist())
+
+
+def live(source: StatusSource, clock: Clock, period_s: float) -> Iterator[Moment]:
+    """A moment each `period_s`, until whoever looks has enough. RuntimeGone when the runtime ends."""
+    next_s = clock.now_s()
+    while True:
+        yield moment_of(source.status())
+        next_s = max(next_s + period_s, clock.now_s())
+        clock.wait_until_s(next_s)
+
+
+def moment_of(status: Message) -> Moment:
+    """What a status says of where the arm is."""
+    camera = status.get("camera_m")
+    return Moment(
+        float(status["t_s"]),
+        tuple(status["q_rad"]),
+        tuple(status["q_set_rad"]),
+        tuple(status.get("joint_rad") or status["q_rad"]),
+        tuple(status.get("joint_set_rad") or status["q_set_rad"]),
+        str(status["mode"]),
+        (camera[0], camera[1], camera[2]) if camera else None,
+        tuple(0.0 if value is None else float(value) for value in status["current_A"]),
+    )

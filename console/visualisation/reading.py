@@ -1,0 +1,158 @@
+"""Recordings from any file that armwright writes: .armlog, log.csv(.gz), MCAP. Told apart by what they begin with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from console.visualisation.series import Array, Series, joined_runs
+from control.errors import ArmError
+from control.model.arm import Arm
+from control.recording.record import MAGIC, Recording
+from control.recording.recorded_arm import recorded_arm
+from control.safety.table import Mode
+
+MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
+NUMPY_OF_CODE: Final = {"d": "<f8", "f": "<f4", "I": "<u4", "i": "<i4", "H": "<u2", "h": "<i2", "B": "u1", "b": "i1"}  # fmt: skip
+JOINT_FORMS: Final = {
+    "q_rad": "q{}_rad", "q_set_rad": "q{}_set_rad", "current_A": "i{}_A", "voltage_V": "u{}_V",
+    "supply_V": "supply{}_V", "temperature_C": "temperature{}_C",
+}  # fmt: skip
+JOINT_SIDE_FORMS: Final = (
+    ("joint_rad", "joint{}_rad", "q_rad"), ("joint_set_rad", "joint{}_set_rad", "q_set_rad"),
+)  # fmt: skip
+Report = Callable[[float], None]
+
+
+def read_series(path: Path, arm: Arm | None = None, report: Report = lambda done: None) -> Series:
+    """The whole file. `arm`: the arm that it is of, where the file does not say.
+
+    ArmError (RecordError, LogFileError) when it is none of these files, is damaged, or is of another number of joints.
+    """
+    if not path.is_file():
+        what = "it is a folder; give the recording in it" if path.is_dir() else "there is no such file"
+        raise ArmError(f"{path}: {what}; `armwright serve` records to its --log folder")
+    with path.open("rb") as file:
+        start = file.read(8)
+    if start == MAGIC:
+        series = _of_recording(Recording.open(path), arm)
+    elif start == MCAP_MAGIC:
+        from console.visualisation.reading_mcap import of_mcap
+
+        series = of_mcap(path, arm, report)
+    elif start.startswith(b"\x1f\x8b") or _is_text(start):
+        series = _of_log(path, arm)
+    else:
+        raise ArmError(
+            f"{path}: expected a recording (.armlog), a log.csv or log.csv.gz, or an MCAP of `armwright export`;"
+            f" it {f'begins with {start!r}' if start else 'is empty'}"
+        )
+    if arm is not None and arm.joint_count != series.joint_count:
+        raise ArmError(f"{path}: {series.joint_count} joints, but arm {arm.name} has {arm.joint_count}")
+    return series
+
+
+def _is_text(start: bytes) -> bool:
+    return bool(start) and all(byte in b"\t\r\n" or byte >= 32 for byte in start)
+
+
+def _of_recording(recording: Recording, arm: Arm | None) -> Series:
+    path, layout = recording.path, recording.layout
+    codes = layout.packing.format.lstrip("<")
+    if len(codes) != len(layout.names) or any(code not in NUMPY_OF_CODE for code in codes):
+        raise ArmError(f"{path}: rows packed as {layout.packing.format!r}, which this version cannot read")
+    dtype = np.dtype([(n, NUMPY_OF_CODE[c]) for n, c in zip(layout.names, codes, strict=True)])
+    size = path.stat().st_size - recording.offset
+    if size < 0:
+        raise ArmError(f"{path}: cut off within its header: {-size} bytes are missing; nothing was recorded")
+    rows = np.fromfile(path, dtype=dtype, count=recording.row_count, offset=recording.offset)
+    notes = []
+    if torn := size % layout.packing.size:
+        notes.append(f"{path}: the last row is torn ({torn} of {layout.packing.size} bytes) and was left out")
+    return of_columns(
+        path.name,
+        {name: rows[name] for name in layout.names},
+        layout.joint_count,
+        recording.modes,
+        arm or recorded_arm(recording),
+        tuple(notes),
+    )
+
+
+def _of_log(path: Path, arm: Arm | None) -> Series:
+    from calib.gap.log import read_log
+
+    log, _ = read_log(path, arm.joint_count if arm else None)
+    columns: dict[str, Any] = {
+        "t_s": np.concatenate([run.t_s for run in log.runs]),
+        "run": np.repeat(np.arange(len(log.runs)), [len(run) for run in log.runs]),
+    }
+    for k, axis in enumerate(("x_m", "y_m", "z_m")):
+        columns[axis] = np.concatenate([run.tip_m[:, k] for run in log.runs])
+    for group in ("q_rad", "q_set_rad", "current_A", "voltage_V"):
+        values = np.concatenate([getattr(run, group) for run in log.runs])
+        for joint in range(log.joint_count):
+            columns[JOINT_FORMS[group].format(joint + 1)] = values[:, joint]
+    for name in log.runs[0].extra:
+        columns[name] = _numbers([text for run in log.runs for text in run.extra.get(name, ())])
+    names = tuple(run.name for run in log.runs)
+    modes = tuple(mode.name for mode in Mode) if "mode" in columns else ()
+    return of_columns(path.name, columns, log.joint_count, modes, arm, (), names)
+
+
+def _numbers(texts: list[str]) -> Array:
+    """A column that the format does not know, as numbers; NaN where a cell is none."""
+    try:
+        return np.array([text or "nan" for text in texts], dtype=np.float64)
+    except ValueError:
+        return np.full(len(texts), np.nan)
+
+
+def of_columns(
+    name: str,
+    columns: Mapping[str, NDArray[Any]],
+    joint_count: int,
+    modes: tuple[str, ...],
+    arm: Arm | None,
+    notes: tuple[str, ...] = (),
+    run_names: tuple[str, ...] | None = None,
+) -> Series:
+    """Columns by the names of log.csv as a series; columns that are absent are NaN."""
+    count = len(columns["t_s"])
+
+    def column(key: str) -> Array:
+        found = columns.get(key)
+        return np.full(count, np.nan) if found is None else np.asarray(found, dtype=np.float64)
+
+    def group(form: str) -> Array:
+        return np.stack([column(form.format(joint)) for joint in range(1, joint_count + 1)], axis=1)
+
+    numbers = np.nan_to_num(column("run")).astype(np.int64)
+    if run_names is None:
+        found, numbers = np.unique(numbers, return_inverse=True)
+        run_names = tuple(str(number) for number in found)
+    joints = {key: group(form) for key, form in JOINT_FORMS.items()}
+    mode = np.nan_to_num(column("mode"), nan=-1.0).astype(np.int64) if modes else np.full(count, -1)
+    return Series(
+        name=name,
+        t_s=joined_runs(column("t_s"), numbers),
+        run=numbers,
+        runs=run_names,
+        mode=mode,
+        modes=modes,
+        tip_m=np.stack([column(axis) for axis in ("x_m", "y_m", "z_m")], axis=1),
+        late_s=column("late_s"),
+        busy_s=column("busy_s"),
+        missed=column("missed"),
+        arm=arm,
+        notes=notes,
+        **joints,
+        **{
+            key: group(form) if form.format(1) in columns else joints[same]
+            for key, form, same in JOINT_SIDE_FORMS
+        },
+    )

@@ -1,0 +1,108 @@
+"""An MCAP file of `armwright export`, whole or cut off, as a series."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import msgspec
+import numpy as np
+
+from console.visualisation.reading import Report, of_columns
+from console.visualisation.series import Array, Series
+from control.errors import ArmError
+from control.model.arm import Arm
+from control.recording.mcap_file import attached_arm
+from control.recording.mcap_schemas import TOPICS
+from control.recording.record import MODES_BEFORE_THEY_WERE_RECORDED
+
+NOT_A_NUMBER = float("nan")
+REPORT_EVERY = 20_000  # messages
+
+
+def of_mcap(path: Path, arm: Arm | None, report: Report) -> Series:
+    """The rows that `to_mcap` wrote. ArmError when the file holds none of our topics."""
+    table, notes = _Table(), []
+    total_bytes = max(1, path.stat().st_size)
+    with path.open("rb") as file:
+        try:
+            _read(file, table, lambda: report(file.tell() / total_bytes))
+        except _damage_errors() as error:
+            notes.append(
+                f"{path}: damaged or cut off ({type(error).__name__}): shown as far as it can be read"
+            )
+    if not table.times_ns:
+        raise ArmError(
+            f"{path}: none of the topics {', '.join(TOPICS)} is in it: expected an MCAP of `armwright export`"
+        )
+    columns = table.columns()
+    joints = sum(name.startswith("q") and name.endswith("_rad") and name[1:-4].isdigit() for name in columns)
+    if not joints:
+        raise ArmError(f"{path}: no joint angles are in it")
+    modes = tuple(table.modes.get(k, f"mode {k}") for k in range(max(table.modes, default=-1) + 1))
+    return of_columns(
+        path.name,
+        columns,
+        joints,
+        modes or MODES_BEFORE_THEY_WERE_RECORDED,
+        arm or attached_arm(path),
+        tuple(notes),
+    )
+
+
+def _damage_errors() -> tuple[type[Exception], ...]:
+    """What mcap's reader raises where a file is cut off or has wrong bytes."""
+    import struct
+
+    from mcap.exceptions import McapError
+    from zstandard import ZstdError
+
+    return (McapError, ZstdError, struct.error, ValueError, EOFError)
+
+
+class _Table:
+    """Columns that grow by rows; messages of one time are one row."""
+
+    def __init__(self) -> None:
+        self.times_ns: list[int] = []
+        self.modes: dict[int, str] = {}
+        self._columns: dict[str, array[float]] = {}
+
+    def add(self, time_ns: int, message: dict[str, Any]) -> None:
+        if not self.times_ns or time_ns != self.times_ns[-1]:
+            self.times_ns.append(time_ns)
+        row = len(self.times_ns) - 1
+        name = message.pop("mode_name", None)
+        if name is not None and "mode" in message:
+            self.modes[int(message["mode"])] = str(name)
+        for key, value in message.items():
+            column = self._columns.setdefault(key, array("d"))
+            while len(column) < row:
+                column.append(NOT_A_NUMBER)
+            if len(column) == row:
+                column.append(value)
+
+    def columns(self) -> dict[str, Array]:
+        """By name, NaN where a message had no such field; `t_s` from the messages' times."""
+        count = len(self.times_ns)
+        found = {
+            key: np.concatenate([np.array(column), np.full(count - len(column), np.nan)])
+            for key, column in self._columns.items()
+        }
+        times_ns = np.array(self.times_ns, dtype=np.int64)
+        return {**found, "t_s": (times_ns - times_ns[0]) / 1e9}
+
+
+def _read(file: BinaryIO, table: _Table, report: Callable[[], None]) -> None:
+    """Message after message in the file's order, which a cut-off file still has."""
+    from mcap.reader import NonSeekingReader
+
+    decode = msgspec.json.Decoder(dict[str, Any]).decode
+    for number, (_, _channel, message) in enumerate(
+        NonSeekingReader(file).iter_messages(topics=list(TOPICS), log_time_order=False)
+    ):
+        table.add(message.log_time, decode(message.data))
+        if number % REPORT_EVERY == 0:
+            report()

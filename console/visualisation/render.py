@@ -1,0 +1,149 @@
+"""The arm as pictures, without a window: by MuJoCo where there is OpenGL, else by matplotlib in lines."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from console.visualisation.moments import Moment, moment_at
+from console.visualisation.series import Array, Series
+from console.visualisation.traces import Traces
+from control.errors import ArmError
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm
+
+Image = NDArray[np.uint8]
+Painter = Callable[[Moment, Traces], Image]
+SIZE_pixels: Final = (960, 720)
+FRAMES_MOST: Final = 3000
+
+
+def prefer_headless_gl() -> None:
+    """Without a display MuJoCo is to draw by EGL; it decides when it is imported."""
+    has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform == "linux" and not has_display:
+        os.environ.setdefault("MUJOCO_GL", "egl")
+
+
+def painter_of(arm: Arm, warn: Callable[[str], None]) -> Painter:
+    """Whatever can draw here: MuJoCo's renderer, else lines by matplotlib, and then `warn` is told why."""
+    prefer_headless_gl()
+    try:
+        return _MujocoPainter(arm)
+    except Exception as error:  # every OpenGL platform has errors of its own, down to missing libraries
+        reason = str(error).strip().splitlines()
+        warn(
+            f"MuJoCo finds no OpenGL here ({reason[0] if reason else type(error).__name__}): drawn as lines by matplotlib;"
+            " MUJOCO_GL=egl or MUJOCO_GL=osmesa chooses another way"
+        )
+        return _LinePainter(arm)
+
+
+class _MujocoPainter:
+    """Draws by MuJoCo into memory."""
+
+    def __init__(self, arm: Arm) -> None:
+        import mujoco
+
+        from console.visualisation.scene import ArmScene
+
+        self._scene = ArmScene(arm)
+        width, height = SIZE_pixels
+        self._renderer = mujoco.Renderer(self._scene.model, height, width)
+        self._camera = self._scene.camera()
+
+    def __call__(self, moment: Moment, traces: Traces) -> Image:
+        self._scene.pose(moment.joint_rad, moment.joint_set_rad)
+        self._renderer.update_scene(self._scene.data, self._camera)
+        self._scene.add_traces(self._renderer.scene, traces)
+        image: Image = self._renderer.render().copy()
+        return image
+
+
+class _LinePainter:
+    """Draws links as lines by matplotlib."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._kinematics = Kinematics(arm)
+
+    def __call__(self, moment: Moment, traces: Traces) -> Image:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        width, height = SIZE_pixels
+        figure = Figure(figsize=(width / 100, height / 100), dpi=100)
+        canvas = FigureCanvasAgg(figure)
+        axes: Any = figure.add_subplot(projection="3d")
+        arms = [self.joints_m(moment.joint_set_rad), self.joints_m(moment.joint_rad)]
+        for joints, colour, line, label in (
+            (arms[0], "#D55E00", "-", "commanded"),
+            (arms[1], "#0072B2", "--", "measured"),
+        ):
+            axes.plot(*joints.T, color=colour, linestyle=line, linewidth=4, marker="o", label=label)
+        for points, colour in ((traces.commanded_m, "#D55E00"), (traces.measured_m, "#0072B2")):
+            axes.plot(*points.T, color=colour, linewidth=0.8)
+        axes.plot(*traces.camera_m.T, color="#009E73", marker=".", markersize=2, linestyle="none")
+        _equal_axes(axes, np.concatenate([*arms, traces.commanded_m, traces.measured_m]))
+        axes.set(
+            xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title=f"t = {moment.t_s:.2f} s {moment.mode}"
+        )
+        axes.legend(loc="upper right", frameon=False)
+        canvas.draw()  # type: ignore[no-untyped-call]
+        return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+
+    def joints_m(self, q_rad: Sequence[float]) -> Array:
+        """Origins of the link frames and the tip (links + 2, 3) [m]."""
+        origins = self._kinematics.link_transforms([q_rad])[0][:, :3, 3]
+        return np.concatenate([origins, self._kinematics.tips([q_rad])])
+
+
+def _equal_axes(axes: Any, points: Array) -> None:
+    points = points[np.isfinite(points).all(axis=1)]
+    middle, half = 0.5 * (points.min(axis=0) + points.max(axis=0)), 0.55 * np.ptp(points, axis=0).max() + 1e-3
+    axes.set(
+        xlim=(middle[0] - half, middle[0] + half),
+        ylim=(middle[1] - half, middle[1] + half),
+        zlim=(middle[2] - half, middle[2] + half),
+    )
+    axes.set_box_aspect((1, 1, 1))
+
+
+def frames(
+    series: Series, rows: Sequence[int], traces: Traces, paint: Painter
+) -> Iterator[tuple[float, Image]]:
+    """Time [s] and image of each row."""
+    for row in rows:
+        moment = moment_at(series, int(row))
+        yield moment.t_s, paint(moment, traces)
+
+
+def write_images(out: Path, images: Iterator[tuple[float, Image]], period_s: float) -> list[Path]:
+    """A .png of the last image, a .gif of all, or a folder with a PNG each; nothing is overwritten."""
+    from PIL import Image as Pillow
+
+    if out.exists() and (out.is_file() or any(out.iterdir())):
+        raise ArmError(f"{out} exists already and is never overwritten: choose another --render")
+    if out.suffix == ".png":
+        out.parent.mkdir(parents=True, exist_ok=True)
+        for _, image in images:
+            Pillow.fromarray(image).save(out)
+        return [out]
+    if out.suffix == ".gif":
+        out.parent.mkdir(parents=True, exist_ok=True)
+        pictures = [Pillow.fromarray(image).quantize(256) for _, image in images]
+        pictures[0].save(
+            out, save_all=True, append_images=pictures[1:], duration=max(20, round(1e3 * period_s)), loop=0
+        )
+        return [out]
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    for number, (_, image) in enumerate(images, start=1):
+        written.append(out / f"frame-{number:05d}.png")
+        Pillow.fromarray(image).save(written[-1])
+    return written

@@ -1,0 +1,187 @@
+"""The arm as a MuJoCo scene: where it was told to be as a solid arm, where it is as a ghost, paths as lines. No physics runs.
+
+The arms are those of `calib.export` (MJCF), so that what is seen is what other programs get.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from calib.export import export_text
+from console.visualisation.series import Array
+from console.visualisation.traces import Traces
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm
+from control.model.table import cavities
+
+Colour = tuple[float, float, float, float]
+COMMANDED: Final[Colour] = (0.835, 0.369, 0.0, 1.0)  # Okabe and Ito
+GHOST: Final[Colour] = (0.337, 0.706, 0.914, 0.2)
+MEASURED: Final[Colour] = (0.0, 0.447, 0.698, 0.45)
+CAMERA: Final[Colour] = (0.0, 0.62, 0.451, 1.0)
+BOARD: Final[Colour] = (0.78, 0.76, 0.72, 1.0)
+CAVITY: Final[Colour] = (0.25, 0.25, 0.28, 1.0)
+GHOST_THICKER: Final = 1.25
+PREFIX: Final = "measured/"
+LINE_m, MARK_m = 0.0016, 0.003  # radii of lines and marks
+LINE_PIECES, MARKS_MOST = 250, 150
+SIZE_pixels: Final = (960, 720)
+
+
+class ArmScene:
+    """A MuJoCo model of the arm twice, and its state."""
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+        self.kinematics = Kinematics(arm)
+        self.model = _spec(arm).compile()
+        self.data = mujoco.MjData(self.model)
+        joints = range(1, arm.joint_count + 1)
+        self._commanded = [self._address(f"joint{joint}") for joint in joints]
+        self._measured = [self._address(f"{PREFIX}joint{joint}") for joint in joints]
+        self.pose([0.0] * arm.joint_count, [0.0] * arm.joint_count)
+
+    def _address(self, joint: str) -> int:
+        return int(self.model.joint(joint).qposadr[0])
+
+    def pose(self, q_rad: Sequence[float], q_set_rad: Sequence[float]) -> None:
+        """Put the ghost where the arm is and the solid one where it was told to be."""
+        for address, angle in zip(self._measured, q_rad, strict=True):
+            self.data.qpos[address] = angle
+        for address, angle in zip(self._commanded, q_set_rad, strict=True):
+            self.data.qpos[address] = angle
+        mujoco.mj_forward(self.model, self.data)
+
+    def tip_m(self, which: str = "") -> Array:
+        """Where a tip is in the scene: "" of the commanded arm, "measured/" of the ghost."""
+        return np.array(self.data.site(f"{which}tip").xpos)
+
+    def trace(self, scene: Any, traces: Traces) -> None:
+        """Draw lines and marks into a MjvScene, as far as it has room."""
+        scene.ngeom = 0
+        self.add_traces(scene, traces)
+
+    def add_traces(self, scene: Any, traces: Traces) -> None:
+        """The same behind what the scene holds already."""
+        for points, colour, radius in (
+            (traces.commanded_m, COMMANDED, LINE_m),
+            (traces.measured_m, MEASURED, 1.7 * LINE_m),
+        ):
+            for a, b in _pieces(points):
+                _connect(scene, a, b, radius, colour)
+        marks = traces.camera_m[np.isfinite(traces.camera_m).all(axis=1)]
+        for point in marks[:: 1 + len(marks) // MARKS_MOST]:
+            _mark(scene, point)
+
+    def camera(self) -> Any:
+        """A view of the whole arm from the side of its work, a little from above."""
+        camera = mujoco.MjvCamera()
+        mujoco.mjv_defaultFreeCamera(self.model, camera)
+        reach = _reach_m(self.arm)
+        camera.lookat[:] = (0.38 * reach, 0.0, 0.25 * reach)
+        camera.distance, camera.azimuth, camera.elevation = 1.75 * reach, 125.0, -16.0
+        return camera
+
+
+def _reach_m(arm: Arm) -> float:
+    """How far the tip can be from the base at most, about."""
+    links = sum(math.hypot(link.d_m, link.L_m) for link in arm.links)
+    return max(0.1, links + math.hypot(*arm.tool.position_m))
+
+
+def _spec(arm: Arm) -> Any:
+    """The commanded arm, the ghost, the floor, the board, light."""
+    spec = mujoco.MjSpec.from_string(export_text(arm, "mjcf"))
+    _paint(spec, COMMANDED)
+    ghost = mujoco.MjSpec.from_string(export_text(arm, "mjcf"))
+    _paint(ghost, GHOST)
+    for geom in ghost.geoms:  # around the solid one, or both would flicker in one place
+        geom.size[0] *= GHOST_THICKER
+    spec.attach(ghost, prefix=PREFIX, frame=spec.worldbody.add_frame())
+    world, reach = spec.worldbody, _reach_m(arm)
+    sun = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    world.add_light(pos=[0.5 * reach, -reach, 3.0 * reach], dir=[0.0, 0.3, -1.0], type=sun)
+    floor_m = min(0.0, arm.limits.floor_z_m if math.isfinite(arm.limits.floor_z_m) else 0.0)
+    world.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1.6 * reach, 1.6 * reach, 0.1], pos=[0.0, 0.0, floor_m - 0.011],
+        material=_tiles(spec, reach), contype=0, conaffinity=0,
+    )  # fmt: skip
+    _add_board(world, arm)
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = SIZE_pixels
+    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
+    spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]
+    return spec
+
+
+def _tiles(spec: Any, reach_m: float) -> str:
+    """A floor in tiles of a tenth of a metre, and a sky that is not black."""
+    kinds, patterns = mujoco.mjtTexture, mujoco.mjtBuiltin
+    spec.add_texture(
+        name="sky", type=kinds.mjTEXTURE_SKYBOX, builtin=patterns.mjBUILTIN_GRADIENT,
+        rgb1=[0.97, 0.98, 0.99], rgb2=[0.80, 0.84, 0.88], width=256, height=1536,
+    )  # fmt: skip
+    spec.add_texture(
+        name="tiles", type=kinds.mjTEXTURE_2D, builtin=patterns.mjBUILTIN_CHECKER,
+        rgb1=[0.55, 0.58, 0.61], rgb2=[0.49, 0.52, 0.55], width=256, height=256,
+    )  # fmt: skip
+    floor = spec.add_material(name="floor", texrepeat=[16.0 * reach_m, 16.0 * reach_m])
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    return "floor"
+
+
+def _paint(spec: Any, colour: Colour) -> None:
+    for geom in spec.geoms:
+        geom.rgba = list(colour)
+    for site in spec.sites:
+        site.rgba = list(colour)
+
+
+def _add_board(world: Any, arm: Arm) -> None:
+    """The calibration board's cavities on a plate, where the file knows where it stands level."""
+    if arm.table is None or not arm.table.known_pose or arm.table.origin_m is None:
+        return
+    points = np.array(list(cavities(arm.table).values()))
+    if not len(points):
+        return
+    low, high = points.min(axis=0) - 0.02, points.max(axis=0) + 0.02
+    half, (x, y, _) = 0.5 * (high - low), (0.5 * (low + high)).tolist()
+    world.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX, size=[half[0], half[1], 0.005], pos=[x, y, points[:, 2].min() - 0.006],
+        rgba=list(BOARD), contype=0, conaffinity=0,
+    )  # fmt: skip
+    for point in points:
+        world.add_site(pos=point.tolist(), size=[0.003, 0.003, 0.003], rgba=list(CAVITY))
+
+
+def _pieces(points: Array) -> list[tuple[Array, Array]]:
+    """Neighbours of a line that is thinned to what a scene takes; gaps where a point is not finite."""
+    points = points[:: 1 + len(points) // LINE_PIECES]
+    pairs = itertools.pairwise(points)
+    return [(a, b) for a, b in pairs if np.isfinite(a).all() and np.isfinite(b).all()]
+
+
+def _connect(scene: Any, a: Array, b: Array, radius_m: float, colour: Colour) -> None:
+    if scene.ngeom >= scene.maxgeom or np.array_equal(a, b):
+        return
+    geom = _new(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, colour)
+    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, radius_m, a, b)
+
+
+def _mark(scene: Any, at_m: Array) -> None:
+    if scene.ngeom < scene.maxgeom:
+        geom = _new(scene, mujoco.mjtGeom.mjGEOM_SPHERE, CAMERA)
+        geom.pos = at_m
+
+
+def _new(scene: Any, kind: Any, colour: Colour) -> Any:
+    geom = scene.geoms[scene.ngeom]
+    size, rotation = np.full(3, MARK_m), np.eye(3).ravel()
+    mujoco.mjv_initGeom(geom, kind, size, np.zeros(3), rotation, np.array(colour, dtype=np.float32))
+    scene.ngeom += 1
+    return geom

@@ -1,0 +1,96 @@
+"""Pictures on sheets: a file each, all on one, or in a window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from calib.report.drawing import STYLE
+from console.visualisation.pictures import Picture
+from console.visualisation.series import Series
+from control.errors import ArmError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure, FigureBase
+
+Report = Callable[[str, float], None]
+WIDTH_in: Final = 10.4
+DOTS_PER_in: Final = 110
+WITHOUT_WINDOWS: Final = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")
+FORMS: Final = (".png", ".svg", ".pdf")
+
+
+def _tell_nobody(what: str, done: float) -> None:
+    """Where nobody watches."""
+
+
+def write_each(
+    folder: Path,
+    pictures: Sequence[Picture],
+    series: Series,
+    joints: Sequence[int],
+    report: Report = _tell_nobody,
+) -> list[Path]:
+    """One PNG a picture into `folder`; returns the files. `report` is told each title and the share done."""
+    files = [folder / f"{picture.name}.png" for picture in pictures]
+    _require_free(files)
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, (file, picture) in enumerate(zip(files, pictures, strict=True)):
+        report(picture.title, k / len(pictures))
+        _save(file, [picture], series, joints)
+    return files
+
+
+def write_sheet(file: Path, pictures: Sequence[Picture], series: Series, joints: Sequence[int]) -> list[Path]:
+    """All pictures below each other in one file."""
+    _require_free([file])
+    file.parent.mkdir(parents=True, exist_ok=True)
+    _save(file, pictures, series, joints)
+    return [file]
+
+
+def show(pictures: Sequence[Picture], series: Series, joints: Sequence[int]) -> None:
+    """A window a picture; returns when all are closed. ArmError where no window can be opened."""
+    import matplotlib
+    import matplotlib.pyplot as plt
+
+    backend = plt.get_backend()
+    if backend.lower() in WITHOUT_WINDOWS:
+        raise ArmError(
+            f"no window can be opened here (matplotlib found no display or no toolkit, its backend is {backend}):"
+            " write files with --out DIR, FILE.png or FILE.svg"
+        )
+    with matplotlib.rc_context(STYLE):
+        for picture in pictures:
+            figure = plt.figure(picture.title, figsize=(WIDTH_in, picture.height_in(joints)))
+            _draw(figure, picture, series, joints)
+        plt.show()
+
+
+def _save(file: Path, pictures: Sequence[Picture], series: Series, joints: Sequence[int]) -> None:
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    heights = [picture.height_in(joints) for picture in pictures]
+    with rc_context(STYLE):
+        figure: Figure = Figure(figsize=(WIDTH_in, sum(heights)))
+        parts: list[FigureBase] = [figure]
+        if len(pictures) > 1:
+            stacked = figure.subfigures(len(pictures), 1, squeeze=False, height_ratios=heights)
+            parts = [row[0] for row in stacked]
+        for part, picture in zip(parts, pictures, strict=True):
+            _draw(part, picture, series, joints)
+        about = {"Date": None} if file.suffix == ".svg" else None
+        figure.savefig(file, dpi=DOTS_PER_in, metadata=about)
+
+
+def _draw(on: FigureBase, picture: Picture, series: Series, joints: Sequence[int]) -> None:
+    on.suptitle(f"{picture.title}: {series.name}", x=0.01, y=0.995, ha="left", va="top", fontsize=10)
+    picture.draw(on, series, joints)
+
+
+def _require_free(files: Sequence[Path]) -> None:
+    for file in files:
+        if file.exists():
+            raise ArmError(f"{file} exists already and is never overwritten: choose another --out")

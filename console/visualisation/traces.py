@@ -1,0 +1,63 @@
+"""Lines of the tip: the path that it was told to take, the one it took, what the camera saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from console.visualisation.moments import Moment
+from console.visualisation.series import Array, Series
+from control.kinematics.kinematics import Kinematics
+
+POINTS_MOST: Final = 4000
+TRAIL_MOST: Final = 400
+
+
+@dataclass(slots=True)
+class Traces:
+    """Points (k, 3) in the base frame [m], in the order of time; NaN is a gap."""
+
+    commanded_m: Array = field(default_factory=lambda: np.empty((0, 3)))
+    measured_m: Array = field(default_factory=lambda: np.empty((0, 3)))
+    camera_m: Array = field(default_factory=lambda: np.empty((0, 3)))
+
+
+def traces_of(series: Series, kinematics: Kinematics) -> Traces:
+    """Of a whole recording, thinned; gaps where an angle is not known or means nothing."""
+    step = 1 + len(series) // POINTS_MOST
+    placed = np.where(series.is_placed[:, None], 1.0, np.nan)
+    camera = series.tip_m[np.isfinite(series.tip_m).all(axis=1) & series.is_placed]
+    return Traces(
+        commanded_m=tips_of(kinematics, (placed * series.joint_set_rad)[::step]),
+        measured_m=tips_of(kinematics, (placed * series.joint_rad)[::step]),
+        camera_m=camera[:: 1 + len(camera) // POINTS_MOST],
+    )
+
+
+def tips_of(kinematics: Kinematics, angles_rad: Array) -> Array:
+    """Tips (m, 3) of angles (m, n); NaN where an angle is."""
+    found = np.full((len(angles_rad), 3), np.nan)
+    rows = np.isfinite(angles_rad).all(axis=1)
+    if rows.any():
+        found[rows] = kinematics.tips(angles_rad[rows])
+    return found
+
+
+class Trail:
+    """The last tips of a live arm."""
+
+    def __init__(self, kinematics: Kinematics, most: int = TRAIL_MOST) -> None:
+        self._kinematics, self._most = kinematics, most
+        self._traces = Traces()
+
+    def add(self, moment: Moment) -> Traces:
+        """One moment more; returns the trail."""
+        measured, commanded = self._kinematics.tips([moment.joint_rad, moment.joint_set_rad])
+        kept = self._traces
+        kept.measured_m = np.vstack([kept.measured_m, measured])[-self._most :]
+        kept.commanded_m = np.vstack([kept.commanded_m, commanded])[-self._most :]
+        if moment.camera_m is not None:
+            kept.camera_m = np.vstack([kept.camera_m, moment.camera_m])[-self._most :]
+        return kept

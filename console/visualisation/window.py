@@ -1,0 +1,174 @@
+"""The arm in MuJoCo's own viewer: a recording played back, or the arm as it moves now.
+
+The viewer draws in a thread of its own, in this process, which is neither the loop nor its writer.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from console.visualisation.moments import Moment, moment_at
+from console.visualisation.scene import ArmScene
+from console.visualisation.series import Series
+from console.visualisation.traces import Traces, Trail
+from control.errors import ArmError
+from firmware_iface.clock import Clock
+
+SPACE, RIGHT, LEFT, UP, DOWN, HOME = 32, 262, 263, 265, 264, 268  # GLFW's key codes
+CLOSING_LIMIT_s: Final = 3.0
+STEP_s: Final = 1.0
+FASTEST, SLOWEST = 64.0, 1.0 / 64.0
+REMEDY: Final = (
+    "draw pictures instead with --render FILE.png, FILE.gif or a folder, or look from a machine with a screen"
+)
+
+
+class Handle(Protocol):
+    """What is used of MuJoCo's viewer."""
+
+    user_scn: Any
+    cam: Any
+
+    def is_running(self) -> bool: ...
+
+    def lock(self) -> AbstractContextManager[Any]: ...
+
+    def sync(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+Open = Callable[[ArmScene, Callable[[int], None]], Handle]
+
+
+def open_window(scene: ArmScene, on_key: Callable[[int], None]) -> Handle:
+    """MuJoCo's viewer; ArmError where no window can be opened: it would wait for ever."""
+    _require_display()
+    import mujoco.viewer
+
+    before = set(threading.enumerate())
+    try:
+        handle: Handle = mujoco.viewer.launch_passive(
+            scene.model, scene.data, key_callback=on_key, show_left_ui=False, show_right_ui=False
+        )
+    except RuntimeError as error:  # on macOS
+        raise ArmError(
+            f"MuJoCo's viewer does not start ({error}): run it as `mjpython -m console.main view ...`"
+        ) from error
+    aim(handle.cam, scene)
+    return _Window(handle, [thread for thread in threading.enumerate() if thread not in before])
+
+
+class _Window:
+    """MuJoCo's handle, whose own threads have ended when it is closed: a process that ends before them may crash."""
+
+    def __init__(self, handle: Handle, drawing: Sequence[threading.Thread]) -> None:
+        self._handle, self._drawing = handle, drawing
+        self.user_scn, self.cam = handle.user_scn, handle.cam
+
+    def is_running(self) -> bool:
+        return self._handle.is_running()
+
+    def lock(self) -> AbstractContextManager[Any]:
+        return self._handle.lock()
+
+    def sync(self) -> None:
+        self._handle.sync()
+
+    def close(self) -> None:
+        self._handle.close()
+        for thread in self._drawing:
+            thread.join(CLOSING_LIMIT_s)
+
+
+def aim(at: Any, scene: ArmScene) -> None:
+    """The viewer's camera on the whole arm."""
+    camera = scene.camera()
+    at.lookat[:] = camera.lookat
+    at.distance, at.azimuth, at.elevation = camera.distance, camera.azimuth, camera.elevation
+
+
+def _require_display() -> None:
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ArmError(f"no display here (neither DISPLAY nor WAYLAND_DISPLAY is set): {REMEDY}")
+    import glfw
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        is_ready = glfw.init()
+        glfw.terminate()  # the viewer's own thread is to be the one that has it
+    if not is_ready:
+        why = "; ".join(str(one.message) for one in said) or "GLFW does not say why"
+        raise ArmError(f"no window can be opened on this display ({why}): {REMEDY}")
+
+
+class Player:
+    """Which moment of a recording is shown now; keys: space, arrows, home."""
+
+    def __init__(self, times_s: Sequence[float], speed: float) -> None:
+        self._times_s = np.asarray(times_s)
+        self.at_s, self.speed, self.is_paused = float(self._times_s[0]), speed, False
+
+    def key(self, code: int) -> None:
+        """Pause, a second on or back, faster or slower, from the beginning."""
+        if code == SPACE:
+            self.is_paused = not self.is_paused
+        elif code in (LEFT, RIGHT):
+            self.at_s += STEP_s if code == RIGHT else -STEP_s
+        elif code in (UP, DOWN):
+            self.speed = min(FASTEST, max(SLOWEST, self.speed * (2.0 if code == UP else 0.5)))
+        elif code == HOME:
+            self.at_s = float(self._times_s[0])
+
+    def on(self, passed_s: float) -> int:
+        """Let time pass; returns the index of the moment that is shown. It stays at the end."""
+        if not self.is_paused:
+            self.at_s += passed_s * self.speed
+        self.at_s = min(max(self.at_s, float(self._times_s[0])), float(self._times_s[-1]))
+        return int(np.searchsorted(self._times_s, self.at_s, side="right") - 1)
+
+
+def play(
+    scene: ArmScene, series: Series, rows: Sequence[int], traces: Traces, speed: float, clock: Clock, open_: Open,
+    period_s: float = 1.0 / 60.0,
+) -> None:  # fmt: skip
+    """Show a recording until the window is closed."""
+    player = Player([float(series.t_s[row]) for row in rows], speed)
+    handle = open_(scene, player.key)
+    before_s = clock.now_s()
+    try:
+        while handle.is_running():
+            now_s = clock.now_s()
+            moment = moment_at(series, int(rows[player.on(now_s - before_s)]))
+            before_s = now_s
+            with handle.lock():
+                scene.pose(moment.joint_rad, moment.joint_set_rad)
+                scene.trace(handle.user_scn, traces)
+            handle.sync()
+            clock.wait_until_s(now_s + period_s)
+    finally:
+        handle.close()
+
+
+def follow(scene: ArmScene, moments: Iterator[Moment], open_: Open) -> None:
+    """Show what comes until the window is closed, with a trail of where the tip was and was told to be."""
+    handle = open_(scene, lambda code: None)
+    trail = Trail(scene.kinematics)
+    try:
+        for moment in moments:
+            if not handle.is_running():
+                break
+            with handle.lock():
+                scene.pose(moment.joint_rad, moment.joint_set_rad)
+                scene.trace(handle.user_scn, trail.add(moment))
+            handle.sync()
+    finally:
+        handle.close()

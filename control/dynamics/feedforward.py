@@ -1,0 +1,141 @@
+"""The torque that the model expects for a motion: rigid body, rotors, and what the arm's effects add to it.
+
+Masses by `payload` and `link_inertia`, frictions by the sign of the set-point's speed, cogging by the motor's angle.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import exp, sin, tanh
+from typing import Final, Protocol
+
+from control.dynamics.dynamics import Dynamics
+from control.dynamics.effect_laws import SMOOTH_rad_s
+from control.model.arm import Arm, Effect
+
+FED_FORWARD: Final = frozenset(
+    {
+        "payload", "link_inertia", "torque_constant", "coulomb_friction", "viscous_friction", "stribeck_friction",
+        "load_friction", "asymmetric_friction", "cogging",
+    }
+)  # fmt: skip
+Torques = tuple[float, ...]
+FrictionTerm = Callable[
+    [float, float, float], float
+]  # motor's angle, joint's speed, rigid-body torque -> torque
+
+
+class MotionTorques(Protocol):
+    """Joint torques [N m] for angles, speeds and accelerations of the joints; `motor_rad` where the motors are not at those."""
+
+    def __call__(
+        self,
+        q: Sequence[float],
+        speed: Sequence[float],
+        acceleration: Sequence[float],
+        motor_rad: Sequence[float] | None = None,
+        /,
+    ) -> Torques: ...
+
+
+def torque_model(arm: Arm, payload_kg: float = 0.0) -> MotionTorques:
+    """Return the torques of the arm with all that it knows of itself.
+
+    Raises MissingModel where the arm's file lacks masses.
+    """
+    rigid = Dynamics(with_link_inertia(arm), payload_kg + own_payload_kg(arm)).inverse
+    terms = [(e.joint - 1, _term(arm, e)) for e in arm.effects if e.joint is not None and e.effect in _LAWS]
+
+    def torques(
+        q: Sequence[float],
+        speed: Sequence[float],
+        acceleration: Sequence[float],
+        motor_rad: Sequence[float] | None = None,
+        /,
+    ) -> Torques:
+        transmitted = rigid(q, speed, acceleration)
+        if not terms:
+            return transmitted
+        total, at = list(transmitted), q if motor_rad is None else motor_rad
+        for joint, term in terms:
+            total[joint] += term(at[joint], speed[joint], transmitted[joint])
+        return tuple(total)
+
+    return torques
+
+
+def own_payload_kg(arm: Arm) -> float:
+    """What the arm's file says that the tip carries."""
+    return sum(e.parameters["mass_kg"] for e in arm.effects if e.effect == "payload")
+
+
+def with_link_inertia(arm: Arm) -> Arm:
+    """The arm with the mass and inertia that `link_inertia` adds put into its links; the same arm where there is none."""
+    more = [
+        (e.joint - 1, e.parameters) for e in arm.effects if e.effect == "link_inertia" and e.joint is not None
+    ]
+    if not more:
+        return arm
+    links = list(arm.links)
+    for at, parameters in more:
+        link = links[at]
+        inertia = link.inertia_kg_m2 or (0.0, 0.0, 0.0)
+        extra = parameters.get("inertia_kg_m2", 0.0)
+        links[at] = replace(
+            link,
+            mass_kg=(link.mass_kg or 0.0) + parameters.get("mass_kg", 0.0),
+            com_m=link.com_m or (0.0, 0.0, 0.0),
+            inertia_kg_m2=(inertia[0] + extra, inertia[1] + extra, inertia[2] + extra),
+        )
+    return replace(arm, links=tuple(links))
+
+
+def torque_constants_Nm_A(arm: Arm) -> Torques:
+    """Joint torque per ampere, and volts per rad/s, of each motor; MissingModel where a joint has no [[drive]]."""
+    scale = {e.joint: e.parameters["scale"] for e in arm.effects if e.effect == "torque_constant"}
+    drives = [arm.drive(joint) for joint in range(1, arm.joint_count + 1)]
+    return tuple(d.gear_ratio * d.torque_constant_Nm_A * scale.get(d.joint, 1.0) for d in drives)
+
+
+def _term(arm: Arm, effect: Effect) -> FrictionTerm:
+    return _LAWS[effect.effect](arm, effect)
+
+
+def _coulomb(arm: Arm, effect: Effect) -> FrictionTerm:
+    torque = effect.parameters["torque_Nm"]
+    return lambda q, speed, load: torque * tanh(speed / SMOOTH_rad_s)
+
+
+def _viscous(arm: Arm, effect: Effect) -> FrictionTerm:
+    coefficient = effect.parameters["coefficient_Nm_s_rad"]
+    return lambda q, speed, load: coefficient * speed
+
+
+def _stribeck(arm: Arm, effect: Effect) -> FrictionTerm:
+    torque, scale = effect.parameters["torque_Nm"], effect.parameters["speed_rad_s"]
+    return lambda q, speed, load: torque * exp(-((speed / scale) ** 2)) * tanh(speed / SMOOTH_rad_s)
+
+
+def _load(arm: Arm, effect: Effect) -> FrictionTerm:
+    fraction = effect.parameters["fraction"]
+    return lambda q, speed, load: fraction * abs(load) * tanh(speed / SMOOTH_rad_s)
+
+
+def _asymmetric(arm: Arm, effect: Effect) -> FrictionTerm:
+    torque = effect.parameters["torque_Nm"]
+    return lambda q, speed, load: torque * abs(tanh(speed / SMOOTH_rad_s))
+
+
+def _cogging(arm: Arm, effect: Effect) -> FrictionTerm:
+    amplitude, phase = effect.parameters["amplitude_Nm"], effect.parameters["phase_rad"]
+    per_rad = effect.parameters["order"] * arm.drive(effect.joint or 0).gear_ratio
+    return lambda q, speed, load: amplitude * sin(per_rad * q + phase)
+
+
+_LAWS: dict[str, Callable[[Arm, Effect], FrictionTerm]] = {
+    "coulomb_friction": _coulomb,
+    "viscous_friction": _viscous,
+    "stribeck_friction": _stribeck,
+    "load_friction": _load,
+    "asymmetric_friction": _asymmetric,
+    "cogging": _cogging,
+}

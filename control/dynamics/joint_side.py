@@ -1,0 +1,168 @@
+"""The joint side of an arm that knows its play, springs, belt or encoder errors: where encoders must be for joints to be right.
+
+    joint = rigid(encoder) - offset,    offset = flank width / 2 + transmitted torque / stiffness
+
+`rigid` is control.kinematics.encoder_chain. Encoders are on the motors, so an offset is by how much a motor is ahead of its joint; it
+comes from the set-point and the model, never from what is measured (control.dynamics.gear). The transmitted torque is that of the
+links without the rotors, with the dry friction on the link's side of the gear, of which nobody knows the share.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from math import inf, isfinite
+from typing import Final, Self
+
+from control.dynamics.dynamics import Dynamics
+from control.dynamics.feedforward import own_payload_kg, torque_constants_Nm_A, with_link_inertia
+from control.dynamics.gear import Gear, GearLaw
+from control.errors import ArmError
+from control.kinematics.encoder_chain import RIGID_EFFECTS, EncoderChain, Floats
+from control.model.arm import Arm
+
+GEAR_EFFECTS: Final = frozenset({"backlash", "joint_compliance"})
+SIDE_EFFECTS: Final = RIGID_EFFECTS | GEAR_EFFECTS
+LINK_SHARE: Final = 0.5  # of a joint's dry friction on the link's side: the middle of what it may be
+UNKNOWN_FRICTION: Final = (
+    0.01  # on the link's side, of the torque at the current limit, where the arm's file says none
+)
+SHARE_OF_SPEED, SHARE_OF_ACCELERATION = 0.25, 0.5  # of a joint's limits, for what comes on top of its motion
+
+State = tuple[Floats, Floats, Floats]  # angles, speeds, accelerations
+LinkTorque = Callable[[Sequence[float], Sequence[float], Sequence[float], float], Sequence[float]]
+
+
+class JointSide:
+    """Between joints and encoders of one arm. Keeps the gears' state, so `aim` is called once a cycle, in order of time."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._rigid = EncoderChain(arm)
+        self._offset = [0.0] * arm.joint_count
+        laws = gear_laws(arm)
+        self._gears = tuple((joint - 1, Gear(law)) for joint, law in laws.items())
+        self._torque = link_torque(arm) if laws else None
+        self._still = (0.0,) * arm.joint_count
+
+    @classmethod
+    def of(cls, arm: Arm) -> Self | None:
+        """The joint side of an arm whose file has such effects, else None. MissingModel where gears lack masses or drives."""
+        return cls(arm) if has_joint_side(arm) else None
+
+    @property
+    def flanks(self) -> Mapping[int, int]:
+        """By joint (1-based) with play or a spring: the sign of the torque that its gear transmits, 0 while unknown."""
+        return {joint + 1: gear.flank for joint, gear in self._gears}
+
+    def stand(self, encoder_rad: Sequence[float], payload_kg: float = 0.0) -> Floats:
+        """Joint angles of an arm that stands where its encoders say; `aim` goes on from there without a step."""
+        joints = self.joint_rad(encoder_rad)
+        if self._torque is None:
+            return joints
+        for _ in range(2):  # gravity at the joints' angles, which it moves by a thousandth of itself
+            torques = self._torque(joints, self._still, self._still, payload_kg)
+            for joint, gear in self._gears:
+                gear.rest(torques[joint])
+                self._offset[joint] = gear.offset_rad
+            joints = self.joint_rad(encoder_rad)
+        return joints
+
+    def aim(self, wanted: State, elapsed_s: float, payload_kg: float = 0.0) -> State:
+        """Where the encoders have to be and how to go for joints that are `wanted` so, `elapsed_s` after the last call."""
+        q, speed, acceleration = wanted
+        if self._torque is not None:
+            torques = self._torque(q, speed, acceleration, payload_kg)
+            for joint, gear in self._gears:
+                gear.follow(torques[joint], speed[joint], acceleration[joint], elapsed_s)
+                self._offset[joint] = gear.offset_rad
+        return self._rigid.encoders(*self._motors(q, speed, acceleration))
+
+    def joint_rad(self, encoder_rad: Sequence[float]) -> Floats:
+        """Joint angles at encoder angles, with the gears as they are now."""
+        return self._rigid.joints(encoder_rad, self._offset)
+
+    def _motors(self, q: Floats, speed: Floats, acceleration: Floats) -> tuple[list[float], ...]:
+        """The joints' motion less the belt's part, plus what the motors are ahead."""
+        parts = [self._rigid.unbelted(values) for values in (q, speed, acceleration)]
+        for joint, gear in self._gears:
+            parts[0][joint] += gear.offset_rad
+            parts[1][joint] += gear.speed_rad_s
+            parts[2][joint] += gear.acceleration_rad_s2
+        return tuple(parts)
+
+
+def has_joint_side(arm: Arm) -> bool:
+    """Whether something is known of this arm that its encoders do not see."""
+    return any(effect.effect in SIDE_EFFECTS for effect in arm.effects)
+
+
+def link_torque(arm: Arm) -> LinkTorque:
+    """`torque(q, speed, acceleration, payload_kg)` [N m] of the links alone: what gears transmit, but for friction."""
+    rotorless = replace(
+        with_link_inertia(arm), drives=tuple(replace(drive, rotor_inertia_kg_m2=0.0) for drive in arm.drives)
+    )
+    own_kg = own_payload_kg(arm)
+    known, laden = Dynamics(rotorless, own_kg).inverse, Dynamics(rotorless, own_kg + 1.0).inverse
+
+    def torque(
+        q: Sequence[float], speed: Sequence[float], acceleration: Sequence[float], payload_kg: float
+    ) -> Sequence[float]:
+        empty = known(q, speed, acceleration)
+        if payload_kg == 0.0:
+            return empty
+        with_one = laden(q, speed, acceleration)
+        return [e + payload_kg * (w - e) for e, w in zip(empty, with_one, strict=True)]
+
+    return torque
+
+
+def gear_laws(arm: Arm) -> dict[int, GearLaw]:
+    """The gears with play or a spring, by joint (1-based)."""
+    found = {}
+    for joint in sorted({e.joint for e in arm.effects if e.effect in GEAR_EFFECTS and e.joint is not None}):
+        drive = arm.drive(joint)
+        stiffness = _sum(arm, joint, "joint_compliance", "stiffness_Nm_rad")
+        dry_Nm = _sum(arm, joint, "coulomb_friction", "torque_Nm")
+        unknown_Nm = UNKNOWN_FRICTION * torque_limit_Nm(arm, joint)
+        found[joint] = GearLaw(
+            width_rad=_sum(arm, joint, "backlash", "width_rad"),
+            compliance_rad_Nm=1.0 / stiffness if stiffness else 0.0,
+            friction_Nm=LINK_SHARE * dry_Nm if dry_Nm else unknown_Nm,
+            load_fraction=LINK_SHARE * _sum(arm, joint, "load_friction", "fraction"),
+            speed_rad_s=SHARE_OF_SPEED * drive.joint_speed_limit_rad_s,
+            acceleration_rad_s2=SHARE_OF_ACCELERATION * drive.joint_acceleration_limit_rad_s2,
+        )
+    return found
+
+
+def torque_limit_Nm(arm: Arm, joint: int) -> float:
+    """A joint's torque at its current limit; 0 where it has none."""
+    limit_A = arm.drive(joint).current_limit_A
+    return torque_constants_Nm_A(arm)[joint - 1] * limit_A if isfinite(limit_A) else 0.0
+
+
+def _sum(arm: Arm, joint: int, effect: str, parameter: str) -> float:
+    return sum(e.parameters[parameter] for e in arm.effects if e.effect == effect and e.joint == joint)
+
+
+def usable_range_rad(arm: Arm) -> tuple[tuple[float, float], ...]:
+    """Of each joint the range in which joint and encoder are both within its limits, whatever its gear does.
+
+    ArmError where nothing is left.
+    """
+    rigid, laws = EncoderChain(arm), gear_laws(arm)
+    second = arm.limits_rad[1] if arm.joint_count > 1 else (0.0, 0.0)
+    belt = [rigid.belt(q) if isfinite(q) else inf for q in second]
+    found = []
+    for j, (lower, upper) in enumerate(arm.limits_rad):
+        law = laws.get(j + 1)
+        off = (
+            0.0 if law is None else 0.5 * law.width_rad + law.compliance_rad_Nm * torque_limit_Nm(arm, j + 1)
+        )
+        low, high = (min(belt), max(belt)) if j == 2 else (0.0, 0.0)
+        room = (
+            max(lower, rigid.joint_of(j, lower) + off + high),
+            min(upper, rigid.joint_of(j, upper) - off + low),
+        )
+        if not room[0] < room[1]:
+            raise ArmError(f"arm {arm.name}: its effects leave joint {j + 1} no range within its limits")
+        found.append(room)
+    return tuple(found)

@@ -1,0 +1,146 @@
+"""An arm at rest, behind its encoders: the torque that each gear transmits, and the flank that it lies on.
+
+A joint at rest was driven or led there. A driven one stands where its motor took it: dry friction keeps some of the torque
+of its last motion, part of it on the link's side, so with gravity torque g, motor torque t and share s of the friction
+on the link's side the gear transmits g + s (t - g). A led joint was taken there by a hand, and its motor shows no friction:
+where the motor's torque overcomes the friction of its own side, it pushes the gear to its flank; elsewhere the gear lies near the
+one by which the link pushed it, but not quite, because the rotor ran on when the hand stopped.
+
+Angles are joint angles, torques joint torques, arrays (m poses, n joints). The law wants poses that were reached gently: an arm
+that brakes harder than its links' friction does throws its gears onto the other flank.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from control.dynamics.dynamics import Dynamics
+from control.dynamics.feedforward import own_payload_kg, torque_constants_Nm_A, with_link_inertia
+from control.model.arm import Arm
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+LINK_SHARE_LEAST: Final = (
+    0.02  # of a joint's dry friction: nobody knows it, so a flank counts if it is the same from here to 1
+)
+LED: Final = 0.3  # of a joint's friction: a motor that shows less than this did not take the joint there
+FRICTION_QUANTILE: Final = 0.95  # of what motors hold beyond gravity: most poses of a table may be led
+CURRENT_NOISE_A: Final = 0.02  # friction that shows less than three of these is none
+GRAVITY_ERROR: Final = 0.03  # of the model's gravity torque
+FRICTION_ERROR: Final = 0.005  # of a measured friction
+ROUNDING_Nm: Final = 1e-6
+# Of the torque at the current limit, where neither currents nor effects say more:
+ASSUMED_FRICTION: Final = 0.1
+ASSUMED_LEAST: Final = 1e-3  # of that: every gear has some
+_FRICTIONS: Final = ("coulomb_friction", "stribeck_friction")
+
+
+@dataclass(frozen=True, slots=True)
+class RestingPose:
+    """m poses at rest of an arm with n joints, all (m, n).
+
+    gravity_Nm: what holds the links; held_Nm: what the motor holds beyond that, friction on either side of the gear;
+    flank: sign of the torque from motor to joint, 0 where poses, currents and directions do not tell it; leaning: the flank
+    that it lies on or near if friction alone decides, 0 where not even that is known; is_led: by a hand, not by the motor.
+    """
+
+    gravity_Nm: Array
+    held_Nm: Array
+    flank: Array
+    leaning: Array
+    is_led: Flags
+
+
+def resting(
+    arm: Arm,
+    q_rad: ArrayLike,
+    direction: ArrayLike,
+    current_A: ArrayLike | None = None,
+    payload_kg: ArrayLike = 0.0,
+) -> RestingPose:
+    """What the gears transmit at joint angles q_rad (m, n).
+
+    direction (m, n): sign of each joint's last motion, 0 unknown; current_A (m, n) of the motors while they hold, NaN
+    unknown; payload_kg (m,), or one for all. MissingModel where the arm's file lacks masses or drives.
+    """
+    q, last = np.asarray(q_rad, dtype=np.float64), np.asarray(direction, dtype=np.float64)
+    gravity = gravity_Nm(arm, q, payload_kg)
+    current = np.full(q.shape, np.nan) if current_A is None else np.asarray(current_A, dtype=np.float64)
+    held = current * torque_per_A(arm) - gravity
+    level, is_known = friction_Nm(arm, held, gravity)
+    held = np.where(is_known & (level == 0.0), 0.0, held)  # noise is no friction
+    is_seen = np.isfinite(held)
+    is_led = is_seen & is_known & (np.abs(held) < LED * level)
+    believed = np.where(is_seen, held, last * level)
+    low, high, margin = _driven_range(gravity, held, last, level, is_known)
+    is_clear = (low * high > 0.0) & (np.minimum(np.abs(low), np.abs(high)) > margin)
+    driven = np.where(is_clear, np.sign(high), 0.0)
+    push = gravity + believed
+    led = np.where(np.abs(push) > level, np.sign(push), 0.0)
+    leaning = np.where(is_led, -last, np.where(believed * last < 0.0, 0.0, np.sign(believed)))
+    return RestingPose(gravity, believed, np.where(is_led, led, driven), leaning, is_led)
+
+
+def gravity_Nm(arm: Arm, q_rad: ArrayLike, payload_kg: ArrayLike = 0.0) -> Array:
+    """Torques (m, n) that hold the links of poses (m, n) still; effects of the arm that weigh something are counted in."""
+    q = np.asarray(q_rad, dtype=np.float64)
+    still = np.zeros(q.shape)
+    load_kg = np.asarray(payload_kg, dtype=np.float64) + own_payload_kg(arm)
+    return Dynamics(with_link_inertia(arm)).torques(q, still, still, load_kg)
+
+
+def torque_per_A(arm: Arm) -> Array:
+    """Joint torque per ampere of each motor, (n,); MissingModel where a joint has no [[drive]]."""
+    return np.array(torque_constants_Nm_A(arm))
+
+
+def friction_Nm(arm: Arm, held_Nm: Array, gravity_Nm: Array | None = None) -> tuple[Array, Flags]:
+    """Dry friction of each joint (n,), and whether it is known rather than assumed.
+
+    It shows in held_Nm (m, n), what the motors hold beyond gravity_Nm (NaN unknown); else the arm's effects say it. A motor that
+    holds nothing of gravity, or pushes with it, may do so by friction; where a hand holds the link, the motor may stand inside
+    its play and feel nothing. Such poses tell nothing of friction and do not count while there are others.
+    """
+    per_A = torque_per_A(arm)
+    modelled = np.zeros(arm.joint_count)
+    for effect in arm.effects:
+        if effect.effect in _FRICTIONS and effect.joint is not None:
+            modelled[effect.joint - 1] += effect.parameters["torque_Nm"]
+    seen = np.isfinite(held_Nm).any(axis=0)
+    shown = np.zeros(arm.joint_count)
+    if seen.any():
+        counted = held_Nm if gravity_Nm is None else _without_unloaded(held_Nm, gravity_Nm, per_A)
+        shown[seen] = np.nanquantile(np.abs(counted[:, seen]), FRICTION_QUANTILE, axis=0)
+    shown[shown < 3.0 * CURRENT_NOISE_A * per_A] = 0.0
+    limits_A = np.array([arm.drive(joint).current_limit_A for joint in range(1, arm.joint_count + 1)])
+    assumed = ASSUMED_FRICTION * per_A * np.where(np.isfinite(limits_A), limits_A, 0.0)
+    known = np.where(shown > 0.0, shown, modelled)
+    is_known = seen | (known > 0.0)
+    return np.where(is_known, known, assumed), is_known
+
+
+def _without_unloaded(held: Array, gravity: Array, per_A: Array) -> Array:
+    """`held` (m, n), NaN where the motor does not hold the gravity that there is; all of a joint's where that is everywhere."""
+    is_unloaded = (held * gravity < 0.0) & (np.abs(held) > np.abs(gravity))
+    is_unloaded &= np.abs(gravity) > 3.0 * CURRENT_NOISE_A * per_A
+    left = np.where(is_unloaded, np.nan, held)
+    return np.where(np.isfinite(left).any(axis=0), left, held)
+
+
+def _driven_range(
+    gravity: Array, held: Array, last: Array, level: Array, is_known: Flags
+) -> tuple[Array, Array, Array]:
+    """Both ends of what a driven joint's gear may transmit, and how far from 0 it must be, all (m, n).
+
+    A motor that seems to hold friction against the joint's last motion has turned back since, or the arm braked hard: there
+    friction may be on either side.
+    """
+    is_seen = np.isfinite(held)
+    friction = np.where(is_seen, held, last * level)
+    least = np.where(is_known, LINK_SHARE_LEAST, ASSUMED_LEAST) * friction
+    turned_back = is_seen & (held * last < 0.0) & (np.abs(held) > LED * level)
+    least = np.where(turned_back, -friction, least)
+    margin = GRAVITY_ERROR * np.abs(gravity) + np.where(is_known, FRICTION_ERROR * level, 0.0) + ROUNDING_Nm
+    return gravity + least, gravity + friction, margin

@@ -1,0 +1,59 @@
+"""An average at rest: what a calibration point is made of.
+
+Started by a request, fed by every cycle, read when its time is over. Camera frames that arrive meanwhile are averaged too.
+"""
+
+from collections.abc import Sequence
+
+from control.hardware.measurement import Measurement, RunningMean
+from control.server.client import Average
+
+
+class Averaging:
+    """Averages angles, currents and camera frames from `start_s` for `duration_s`."""
+
+    def __init__(self, start_s: float, duration_s: float) -> None:
+        self.result: Average | None = None
+        self._start_s = start_s
+        self._duration_s = duration_s
+        self._q_rad = RunningMean()
+        self._current_A = RunningMean()
+        self._tip_m = RunningMean()
+
+    def add(
+        self,
+        now_s: float,
+        measured: Measurement,
+        current_A: Sequence[float],
+        tip_m: tuple[float, float, float] | None,
+    ) -> None:
+        """Take one cycle; sets `result` when the time is over."""
+        if self.result is not None:
+            return
+        self._q_rad.add(measured.q_rad)
+        self._current_A.add(current_A)
+        if tip_m is not None:
+            self._tip_m.add(tip_m)
+        if now_s - self._start_s >= self._duration_s:
+            self.result = self._finish(measured.direction)
+
+    def _finish(self, direction: Sequence[int]) -> Average:
+        frames = self._tip_m.count
+        return Average(
+            duration_s=self._duration_s,
+            samples=self._q_rad.count,
+            q_rad=self._q_rad.mean(),
+            q_std_rad=self._q_rad.std(),
+            current_A=self._current_A.mean(),
+            direction=tuple(direction),
+            camera_frames=frames,
+            tip_m=_vector(self._tip_m.mean()) if frames else None,
+            tip_std_m=_vector(self._tip_m.std()) if frames else None,
+            moved_rad=self._q_rad.spread(),
+            t_s=self._start_s,
+        )
+
+
+def _vector(values: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return x, y, z

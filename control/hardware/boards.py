@@ -1,0 +1,230 @@
+"""The arm's hardware on real wires: encoder boards on serial lines, motor boards on one CAN bus.
+
+Undoes the wiring's signs, sends one COMMAND to each motor board a cycle and keeps what comes back in one `Feedback`.
+Mock boards stand behind the links, below this file; nothing here can tell.
+"""
+
+import contextlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from control.dynamics.gains import Gains
+from control.hardware.interface import Feedback, OutputMode
+from control.model.arm import Arm, Drive
+from control.model.joint_map import JointMap
+from firmware_iface.clock import Clock
+from firmware_iface.encoder.board import EncoderBoard
+from firmware_iface.errors import BoardFaulted, BoardSilent, LinkError, MisuseError
+from firmware_iface.motor.board import MotorBoard, MotorBus
+from firmware_iface.motor.cia402 import State
+from firmware_iface.motor.wire import Mode, Output, Parameter
+
+REPORT_WAIT_S = 0.05  # a stream runs at 500 Hz or more; a host may pause longer, a line does not
+FULL_INTEGRAL = 0.5  # of the supply: what the board's integral may ask for in position mode
+
+
+@dataclass(frozen=True, slots=True)
+class JointWiring:
+    """Where a joint is plugged in, and with which signs."""
+
+    encoder: EncoderBoard
+    channel: int
+    motor: MotorBoard
+    drive: Drive
+    gains: Gains
+
+
+def start_stream(encoder: EncoderBoard, period_s: float) -> None:
+    """Two reports a cycle where the line can take them, so that the newest is never older than half a cycle."""
+    try:
+        encoder.stream(0.5 * period_s)
+    except MisuseError:
+        encoder.stream(period_s)
+
+
+class BoardHardware:
+    """`control.hardware.interface.Hardware` on boards; made and checked by control.hardware.connect."""
+
+    def __init__(
+        self, arm: Arm, clock: Clock, bus: MotorBus, wiring: Sequence[JointWiring], period_s: float
+    ) -> None:
+        self.feedback = Feedback(len(wiring))
+        self._clock = clock
+        self._period_s = period_s
+        self._bus = bus
+        self._wiring = tuple(wiring)
+        self._encoders = tuple(dict.fromkeys(joint.encoder for joint in wiring))
+        self._motor_signs = tuple(joint.drive.motor_direction for joint in wiring)
+        self._maps = tuple(JointMap(joint.drive) for joint in wiring)
+        self._watchdog_ms = round(arm.limits.watchdog_s * 1e3)
+        self._is_wanted_enabled = False
+        self._configured_resets = [-1] * len(wiring)
+        self._position_offset_count = [0] * len(wiring)
+
+    # ---- every cycle
+
+    def read(self) -> Feedback:
+        """Drain the links into `feedback`. Raises LinkLost, BoardReset, ProtocolViolation."""
+        feedback = self.feedback
+        try:
+            self._update()
+        finally:
+            oldest_s = math.inf
+            for joint, wired in enumerate(self._wiring):
+                report = wired.encoder.latest
+                if report is not None:
+                    feedback.count[joint] = report.counts[wired.channel]
+                    feedback.counted_at_s[joint] = wired.encoder.board_time_s
+                    feedback.channel_flags[joint] = report.flags[wired.channel]
+                oldest_s = min(oldest_s, wired.encoder.latest_at_s)
+                self._take_reply(joint, wired.motor)
+            feedback.encoder_at_s = oldest_s
+        return feedback
+
+    def _update(self) -> None:
+        """Hear all boards, also when one of them has to complain."""
+        try:
+            for encoder in self._encoders:
+                encoder.update()
+        finally:
+            self._bus.update()
+
+    def _take_reply(self, joint: int, motor: MotorBoard) -> None:
+        feedback, reply = self.feedback, motor.reply
+        feedback.reply_at_s[joint] = motor.reply_at_s
+        if reply is None:
+            feedback.statusword[joint] = 0
+            return
+        feedback.current_A[joint] = reply.current_A * self._motor_signs[joint]
+        feedback.supply_V[joint] = reply.supply_V
+        feedback.temperature_C[joint] = reply.temperature_degC
+        feedback.statusword[joint] = reply.statusword
+        feedback.drive_faults[joint] = reply.faults
+
+    def write(self, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float]) -> None:
+        """One COMMAND to each board; a board that is not where it is wanted gets its next step there instead."""
+        wanted = State.OPERATION_ENABLED if self._is_wanted_enabled else State.SWITCH_ON_DISABLED
+        for joint, wired in enumerate(self._wiring):
+            if wired.motor.state is wanted or wired.motor.state is State.FAULT:
+                self._command(joint, wired.motor, mode, output[joint], feedforward_V[joint])
+            else:
+                with contextlib.suppress(BoardFaulted):  # seen in the feedback, by whoever watches
+                    wired.motor.step_towards(wanted)
+
+    def _command(
+        self, joint: int, motor: MotorBoard, mode: OutputMode, output: float, forward_V: float
+    ) -> None:
+        sign = self._motor_signs[joint]
+        if mode is OutputMode.VOLTAGE:
+            motor.command_voltage(sign * output)
+        elif mode is OutputMode.CURRENT:
+            motor.command_current(sign * output)
+        elif mode is OutputMode.POSITION:
+            motor.command_position(self._board_count(joint, output), sign * forward_V)
+        else:
+            motor.command_off()
+
+    def _board_count(self, joint: int, q_rad: float) -> int:
+        """Set-point in counts of the motor board's own encoder, which counts up with positive voltage."""
+        drive = self._wiring[joint].drive
+        sign = drive.motor_direction * drive.encoder_direction
+        return sign * self._maps[joint].count(q_rad) + self._position_offset_count[joint]
+
+    def is_any_enabled(self) -> bool:
+        """Whether a drive was in OPERATION ENABLED when last heard."""
+        return any(wired.motor.state is State.OPERATION_ENABLED for wired in self._wiring)
+
+    # ---- now and then: these wait for answers
+
+    def enable(self) -> None:
+        """Upload what the boards must know and let `write` walk them to OPERATION ENABLED."""
+        self._configure()
+        self._is_wanted_enabled = True
+
+    def disable(self) -> None:
+        """Let `write` walk the drives to SWITCH ON DISABLED, where the boards short the windings."""
+        self._is_wanted_enabled = False
+
+    def reset_drive_faults(self) -> None:
+        """Acknowledge the drives' faults and start boards that were reset as they were. Raises BoardFaulted."""
+        for wired in self._wiring:
+            if wired.encoder.latest is None:
+                start_stream(wired.encoder, self._period_s)
+                self._fresh_count(wired)
+        for wired in self._wiring:
+            wired.motor.acknowledge_fault()
+        self._configure()
+
+    def emergency_stop(self) -> None:
+        """Broadcast the emergency stop. Never raises: the boards' watchdogs do the same a little later."""
+        with contextlib.suppress(LinkError):
+            self._bus.emergency_stop(1)
+
+    def arm_index(self, joint: int) -> None:
+        """Let the next index pulse of the joint latch its count."""
+        wired = self._wiring[joint]
+        wired.encoder.arm_index(wired.channel)
+
+    def index_count(self, joint: int) -> int | None:
+        """The count latched since `arm_index`, or None."""
+        wired = self._wiring[joint]
+        return wired.encoder.index_latch(wired.channel)
+
+    def shift_count(self, joint: int, counts: int) -> None:
+        """Shift the counter of a joint that stands still; the motor may move by a count meanwhile, no more."""
+        wired = self._wiring[joint]
+        wired.encoder.set_zero(wired.channel, self._fresh_count(wired) + counts)
+        self._fresh_count(wired)
+        self.feedback.shift_count[joint] += counts
+        self._follow_position_count(joint)
+
+    def _fresh_count(self, wired: JointWiring) -> int:
+        """The count of a report that arrives from now on. BoardSilent when none does."""
+        asked_s = self._clock.now_s()
+        while (now_s := self._clock.now_s()) - asked_s < REPORT_WAIT_S:
+            self._clock.wait_until_s(now_s + 0.0005)
+            wired.encoder.update()
+            if wired.encoder.latest is not None and wired.encoder.latest_at_s > asked_s:
+                return wired.encoder.latest.counts[wired.channel]
+        raise BoardSilent(f"{wired.encoder.where}: no report for {REPORT_WAIT_S} s while a zero was set")
+
+    def _configure(self) -> None:
+        for joint, wired in enumerate(self._wiring):
+            if self._configured_resets[joint] != wired.motor.resets:
+                wired.motor.go_to(State.SWITCH_ON_DISABLED)
+                for index, value in self._parameters(joint):
+                    wired.motor.write(index, value)
+                self._configured_resets[joint] = wired.motor.resets
+            self._follow_position_count(joint)
+
+    def _parameters(self, joint: int) -> list[tuple[Parameter, int]]:
+        """What a board is told: limits, watchdog, and the gains of its PID per count of its own encoder."""
+        drive, gains = self._wiring[joint].drive, self._wiring[joint].gains
+        per_count = abs(self._maps[joint].radians_per_count)
+        parameters = [
+            (Parameter.WATCHDOG_ms, self._watchdog_ms),
+            (Parameter.WATCHDOG_ACTION, Output.BRAKE),
+            (Parameter.DISABLED_OUTPUT, Output.BRAKE),
+            (Parameter.VOLTAGE_LIMIT_mV, round(drive.supply_V * 1e3)),
+        ]
+        if math.isfinite(drive.current_limit_A):
+            parameters.append((Parameter.CURRENT_LIMIT_mA, round(drive.current_limit_A * 1e3)))
+        if drive.pid.mode == "position":
+            parameters += [
+                (Parameter.KP_uV_count, round(gains.kp * per_count * 1e6)),
+                (Parameter.KI_uV_count_s, round(gains.ki * per_count * 1e6)),
+                (Parameter.KD_nV_s_count, round(gains.kd * per_count * 1e9)),
+                (Parameter.DERIVATIVE_FILTER_us, round(gains.derivative_filter_s * 1e6)),
+                (Parameter.INTEGRAL_LIMIT_mV, round(FULL_INTEGRAL * drive.supply_V * 1e3)),
+            ]
+        return parameters
+
+    def _follow_position_count(self, joint: int) -> None:
+        """How the motor board's count lies to the encoder board's, both read at rest."""
+        wired = self._wiring[joint]
+        if wired.drive.pid.mode != Mode.POSITION.name.lower():
+            return
+        sign = wired.drive.motor_direction * wired.drive.encoder_direction
+        count = self._fresh_count(wired)
+        self._position_offset_count[joint] = wired.motor.read(Parameter.POSITION_COUNT) - sign * count

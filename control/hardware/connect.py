@@ -1,0 +1,208 @@
+"""Opens the links that arm.toml names, and makes sure that the right boards are behind them; nothing moves.
+
+All devices are tried, and one error names every one that failed.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from control.dynamics.gains import gains_of
+from control.errors import MissingModel
+from control.hardware.boards import BoardHardware, JointWiring, start_stream
+from control.model.arm import Arm, CanBus, EncoderBoardPort
+from firmware_iface.camera import CameraReceiver
+from firmware_iface.clock import Clock
+from firmware_iface.encoder.board import EncoderBoard
+from firmware_iface.errors import ConnectionFailed, LinkError, WrongIdentity
+from firmware_iface.link import open_can, open_serial
+from firmware_iface.motor.board import MotorBoard, MotorBus
+
+
+@dataclass(frozen=True, slots=True)
+class LinkOptions:
+    """Links given on the command line, in place of those of arm.toml."""
+
+    encoder_urls: tuple[str, ...] = ()
+    can_interface: str | None = None
+    can_channel: str | None = None
+    can_options: Mapping[str, str | int] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Connection:
+    """Open links and identified boards. Close it when the drives are off."""
+
+    hardware: BoardHardware
+    camera: "TipCamera | None"
+    encoders: tuple[EncoderBoard, ...]
+    motors: tuple[MotorBoard, ...]
+    _closers: list[Callable[[], None]] = field(default_factory=list)
+
+    def close(self) -> None:
+        """Stop the streams and close all links."""
+        for encoder in self.encoders:
+            with contextlib.suppress(LinkError):
+                encoder.stream(0.0)
+        for close in self._closers:
+            close()
+
+
+class TipCamera:
+    """The camera as the loop wants it: the newest frame of the tip."""
+
+    def __init__(self, receiver: CameraReceiver) -> None:
+        self._receiver = receiver
+
+    def newest_tip_m(self) -> tuple[float, float, float] | None:
+        """Tip in the base frame from the newest frame since the last call in which it was visible, or None."""
+        tip = None
+        for frame in self._receiver.receive():
+            if frame.is_visible and frame.source == 0:
+                tip = frame.position_m
+        return tip
+
+
+def with_links(arm: Arm, options: LinkOptions) -> Arm:
+    """The arm with the links of the command line in place of its own."""
+    boards = arm.encoder_boards
+    if options.encoder_urls:
+        boards = tuple(
+            replace(boards[i], port=url) if i < len(boards) else EncoderBoardPort(f"enc{i}", url)
+            for i, url in enumerate(options.encoder_urls)
+        )
+    can = arm.can
+    if options.can_interface or options.can_channel:
+        can = CanBus(
+            options.can_interface or (can.interface if can else "socketcan"),
+            options.can_channel or (can.channel if can else "can0"),
+            options=dict(options.can_options),
+        )
+    return replace(arm, encoder_boards=boards, can=can)
+
+
+def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = None) -> Connection:
+    """Open, identify, compare, and start the encoder streams with a report each `period_s`.
+
+    Raises:
+        ConnectionFailed: naming every port that is not there and every board that is silent or the wrong one.
+        MissingModel: arm.toml does not say how the arm is wired.
+    """
+    _require_wiring(arm)
+    closers: list[Callable[[], None]] = []
+    failures: list[LinkError] = []
+    encoders = [
+        board
+        for port in arm.encoder_boards
+        if (board := _encoder(port, arm, clock, closers, failures)) is not None
+    ]
+    motors = _motors(arm, clock, closers, failures)
+    attempted = len(arm.encoder_boards) + max(len(motors), 1)
+    camera = None
+    if not failures and camera_port is not None:
+        with _collect(failures):
+            receiver = CameraReceiver(camera_port)
+            closers.append(receiver.close)
+            camera = TipCamera(receiver)
+    for encoder in encoders if not failures else ():
+        with _collect(failures):
+            start_stream(encoder, period_s)
+    if failures:
+        for close in closers:
+            close()
+        raise ConnectionFailed(failures, attempted)
+    wiring = _wiring(arm, encoders, [board for _, board in motors])
+    hardware = BoardHardware(arm, clock, motors[0][0], wiring, period_s)
+    return Connection(hardware, camera, tuple(encoders), tuple(board for _, board in motors), closers)
+
+
+@contextlib.contextmanager
+def _collect(failures: list[LinkError]) -> Iterator[None]:
+    try:
+        yield
+    except LinkError as error:
+        failures.append(error)
+
+
+def _require_wiring(arm: Arm) -> None:
+    if len(arm.drives) != arm.joint_count:
+        raise MissingModel(
+            f"arm {arm.name}: {arm.joint_count} joints but {len(arm.drives)} [[drive]]: add the missing ones"
+        )
+    if arm.can is None:
+        raise MissingModel(
+            f"arm {arm.name}: no [can] bus for its motor boards: add it, or give --can-interface and --can-channel"
+        )
+    for drive in arm.drives:
+        if drive.encoder_board >= len(arm.encoder_boards):
+            raise MissingModel(
+                f"arm {arm.name}: joint {drive.joint} is on encoder board {drive.encoder_board}, but there are"
+                f" {len(arm.encoder_boards)}: add an [[encoder_board]], or give --encoder"
+            )
+
+
+def _encoder(
+    port: EncoderBoardPort,
+    arm: Arm,
+    clock: Clock,
+    closers: list[Callable[[], None]],
+    failures: list[LinkError],
+) -> EncoderBoard | None:
+    try:
+        link = open_serial(port.port, port.baud)
+        closers.append(link.close)
+        board = EncoderBoard(link, clock, port.name)
+        identity = board.identify(serial_number=port.serial_number)
+        index = arm.encoder_boards.index(port)
+        for drive in (d for d in arm.drives if d.encoder_board == index):
+            if drive.encoder_channel >= identity.channels:
+                raise WrongIdentity(
+                    f"{board.where}: has {identity.channels} channels, but joint {drive.joint} is on channel"
+                    f" {drive.encoder_channel}"
+                )
+            counts = identity.counts_per_turn[drive.encoder_channel]
+            _compare(board.where, "counts a motor turn", drive.joint, drive.encoder_counts_per_rev, counts)
+            _compare(board.where, "counter bits", drive.joint, drive.encoder_bits, identity.encoder_bits)
+    except LinkError as error:
+        failures.append(error)
+        return None
+    return board
+
+
+def _motors(
+    arm: Arm, clock: Clock, closers: list[Callable[[], None]], failures: list[LinkError]
+) -> list[tuple[MotorBus, MotorBoard]]:
+    if arm.can is None:
+        return []
+    motors: list[tuple[MotorBus, MotorBoard]] = []
+    with _collect(failures):
+        link = open_can(arm.can.interface, arm.can.channel, arm.can.bitrate, **arm.can.options)
+        closers.append(link.close)
+        bus = MotorBus(link, clock)
+        for drive in arm.drives:
+            with _collect(failures):
+                board = MotorBoard(bus, drive.motor_node, f"joint {drive.joint}")
+                identity = board.identify(drive.motor_serial_number)
+                counts = identity.encoder_counts_per_turn
+                _compare(
+                    board.where, "counts a motor turn", drive.joint, drive.encoder_counts_per_rev, counts
+                )
+                motors.append((bus, board))
+    return motors
+
+
+def _compare(where: str, what: str, joint: int, expected: int, got: int) -> None:
+    if expected != got:
+        raise WrongIdentity(
+            f"{where}: says {got} {what}, but arm.toml says {expected} for joint {joint}; another board, or set up for"
+            " another encoder: correct the one that is wrong"
+        )
+
+
+def _wiring(arm: Arm, encoders: Sequence[EncoderBoard], motors: Sequence[MotorBoard]) -> list[JointWiring]:
+    return [
+        JointWiring(
+            encoders[drive.encoder_board], drive.encoder_channel, motor, drive, gains_of(arm, drive.joint)
+        )
+        for drive, motor in zip(arm.drives, motors, strict=True)
+    ]

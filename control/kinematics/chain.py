@@ -1,0 +1,143 @@
+"""The DH chain: the one textbook function from joint angles to the tip, and its batch form with derivatives.
+
+A link frame follows Tz(d) Rz(theta) Tx(L) Rx(alpha) ("standard"; SpringerPlus 5:1771, appendix) or
+Rx(alpha) Tx(L) Rz(theta) Tz(d) ("modified", Craig). Either is a sequence of moves along and turns about the x
+and z of the moving frame, and that sequence is all that the functions here look at.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from control.errors import BadTarget
+from control.kinematics.tracing import Scalar, Symbol, cos, sin
+from control.model.arm import Convention
+
+Array = NDArray[np.float64]
+Row = Sequence[Scalar]  # d, theta, L, alpha of one link
+
+
+class Step(NamedTuple):
+    """One step of the chain: a move along and a turn about the x or the z of the moving frame.
+
+    `turn` is the constant part of the angle, `joint` (0-based) the joint that adds to it, `link` its row.
+    """
+
+    axis: Literal["x", "z"]
+    move: Scalar
+    turn: Scalar
+    joint: int | None
+    link: int
+
+
+def steps(dh: Sequence[Row], joints: Sequence[bool], convention: Convention) -> list[Step]:
+    """Return the chain as steps from the base to the last frame."""
+    result = []
+    joint = 0
+    for link, ((d, theta, length, alpha), turns) in enumerate(zip(dh, joints, strict=True)):
+        along_z = Step("z", d, theta, joint if turns else None, link)
+        along_x = Step("x", length, alpha, None, link)
+        result += [along_z, along_x] if convention == "standard" else [along_x, along_z]
+        joint += turns
+    return result
+
+
+def tip(chain: Sequence[Step], q: Sequence[Scalar], tool_m: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    """Return the tip in the base frame, from the last frame inwards.
+
+    Turns about parallel axes (every step between them an x-step without a turn) are summed before any sine is
+    taken: R(a) (L + R(b) v) = R(a) L + R(a + b) v costs one rotation less for each of them.
+    """
+    x, y, z = tool_m
+    for group in reversed(list(_parallel_groups(chain))):
+        x, y, z = _through_group(group, q, (x, y, z))
+    return x, y, z
+
+
+def _parallel_groups(chain: Sequence[Step]) -> Iterator[list[Step]]:
+    """Split the chain before each x-step that turns the axis."""
+    group: list[Step] = []
+    for step in chain:
+        if step.axis == "x" and not _is_nothing(step.turn):
+            yield group
+            yield [step]
+            group = []
+        else:
+            group.append(step)
+    yield group
+
+
+def _through_group(group: Sequence[Step], q: Sequence[Scalar], v: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+    x, y, z = v
+    if len(group) == 1 and group[0].axis == "x":
+        c, s = cos(group[0].turn), sin(group[0].turn)
+        return x + group[0].move, c * y - s * z, s * y + c * z
+    constant: Scalar = 0.0
+    moving: Scalar = 0.0
+    arms: list[tuple[Scalar, Scalar, Scalar]] = []  # length and its direction's angle, moving and constant
+    for step in group:
+        if step.axis == "x":
+            arms.append((step.move, moving, constant))
+        else:
+            z = z + step.move
+            constant = constant + step.turn
+            moving = moving if step.joint is None else moving + q[step.joint]
+    c, s = cos(moving + constant), sin(moving + constant)
+    x, y = c * x - s * y, s * x + c * y
+    for length, angle, offset in reversed(arms):
+        if not _is_nothing(length):
+            x, y = x + length * cos(angle + offset), y + length * sin(angle + offset)
+    return x, y, z
+
+
+def _is_nothing(value: Any) -> bool:
+    return not isinstance(value, Symbol | np.ndarray) and value == 0.0
+
+
+def checked_poses(q: ArrayLike, joint_count: int) -> Array:
+    """Return poses as (m, n); BadTarget if they are not that or not finite."""
+    poses = np.asarray(q, dtype=np.float64)
+    if poses.ndim != 2 or poses.shape[1] != joint_count:
+        raise BadTarget(f"joint angles: expected an array (m, {joint_count}), got {poses.shape}")
+    if not np.isfinite(poses).all():
+        row = int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
+        raise BadTarget(f"joint angles: expected finite numbers, got {poses[row]} in row {row + 1}")
+    return poses
+
+
+def tips(
+    dh: Array, q: Array, joints: Sequence[bool], convention: Convention, tool_m: Sequence[float]
+) -> Array:
+    """Return the tips (m, 3) in the base frame of poses (m, n), for any DH table (links, 4)."""
+    chain = steps(dh.tolist(), joints, convention)
+    x, y, z = tip(chain, list(q.T), [float(a) for a in tool_m])
+    result = np.empty((len(q), 3))
+    result[:, 0], result[:, 1], result[:, 2] = x, y, z
+    return result
+
+
+def link_transforms(dh: Array, q: Array, joints: Sequence[bool], convention: Convention) -> Array:
+    """Return base_T_link (m, links + 1, 4, 4) of poses (m, n); index 0 is the base itself."""
+    frames = np.zeros((len(q), len(dh) + 1, 4, 4))
+    frames[:, 0] = np.eye(4)
+    for step in steps(dh.tolist(), joints, convention):
+        turn = np.full(len(q), step.turn) if step.joint is None else q[:, step.joint] + step.turn
+        is_second = bool(len(q)) and frames[0, step.link + 1, 3, 3] == 1.0
+        before = frames[:, step.link + is_second]
+        frames[:, step.link + 1] = before @ _step_matrices(step, turn)
+    return frames
+
+
+def _step_matrices(step: Step, turn: Array) -> Array:
+    matrices = np.zeros((len(turn), 4, 4))
+    matrices[:, 3, 3] = 1.0
+    k = 0 if step.axis == "x" else 2
+    i, j = (k + 1) % 3, (k + 2) % 3
+    c, s = np.cos(turn), np.sin(turn)
+    matrices[:, k, k] = 1.0
+    matrices[:, i, i] = matrices[:, j, j] = c
+    matrices[:, i, j], matrices[:, j, i] = -s, s
+    matrices[:, k, 3] = step.move
+    return matrices

@@ -1,0 +1,82 @@
+"""Inverse kinematics of the position for any arm: damped least squares from several starting poses.
+
+Levenberg-Marquardt on the tip's position error, with the joint limits as bounds (Siciliano et al., Robotics, 3.5;
+Nocedal and Wright, Numerical Optimization, 10.3).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from control.kinematics.kinematics import Kinematics
+from control.kinematics.newton import ACCURACY_M
+
+Array = NDArray[np.float64]
+_STEPS = 100
+_SEEDS = 12
+_STALLED = 1e-12  # a step that gains less than this share of the error has arrived
+
+
+@dataclass(frozen=True, slots=True)
+class Descent:
+    """Where a descent ended: joint angles, and how far the tip is from the target."""
+
+    q: tuple[float, ...]
+    distance_m: float
+
+
+def descend(kinematics: Kinematics, point: Sequence[float], start: Sequence[float], limits: Array) -> Descent:
+    """Return the end of one descent from `start` within limits (n, 2)."""
+    lower, upper = limits[:, 0], limits[:, 1]
+    target = np.asarray(point, dtype=np.float64)
+    q = np.clip(np.asarray(start, dtype=np.float64), lower, upper)
+    tip, rows = kinematics.tip_jacobian(*q.tolist())
+    error = target - tip
+    damping = 1e-6
+    for _ in range(_STEPS):
+        if error @ error < (0.1 * ACCURACY_M) ** 2:
+            break
+        jacobian = np.asarray(rows)
+        hessian = jacobian.T @ jacobian
+        hessian[np.diag_indices_from(hessian)] += damping
+        step = _inside(
+            np.linalg.solve(hessian, jacobian.T @ error), q, hessian, jacobian.T @ error, lower, upper
+        )
+        tried = np.clip(q + step, lower, upper)
+        tip, rows_tried = kinematics.tip_jacobian(*tried.tolist())
+        gain = error @ error - (target - tip) @ (target - tip)
+        if gain > 0.0:
+            is_stalled = gain < _STALLED * (error @ error)
+            q, rows, error, damping = tried, rows_tried, target - tip, max(damping * 0.2, 1e-12)
+            if is_stalled:
+                break
+        else:
+            damping *= 8.0
+            if damping > 1e6:
+                break
+    return Descent(tuple(q.tolist()), float(np.sqrt(error @ error)))
+
+
+def _inside(step: Array, q: Array, hessian: Array, gradient: Array, lower: Array, upper: Array) -> Array:
+    """Solve again without the joints that stand at a limit and would be pushed beyond it."""
+    blocked = ((q <= lower) & (step < 0.0)) | ((q >= upper) & (step > 0.0))
+    if not blocked.any() or blocked.all():
+        return step
+    free = np.flatnonzero(~blocked)
+    result = np.zeros_like(step)
+    result[free] = np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])
+    return result
+
+
+def seeds(limits: Array, first: Sequence[Sequence[float]]) -> Iterator[tuple[float, ...]]:
+    """Yield starting poses: those given, the middle of the ranges, then a fixed scatter over the ranges."""
+    for q in first:
+        yield tuple(q)
+    lower = np.where(np.isfinite(limits[:, 0]), limits[:, 0], -np.pi)
+    upper = np.where(np.isfinite(limits[:, 1]), limits[:, 1], np.pi)
+    yield tuple((0.5 * (lower + upper)).tolist())
+    scatter = np.random.default_rng(0).uniform(lower, upper, (_SEEDS, len(limits)))
+    for q in scatter.tolist():
+        yield tuple(q)

@@ -1,0 +1,240 @@
+"""Textbook functions made fast: run once on symbols, they become straight-line Python, no dead arithmetic.
+
+A generic function uses `+ - * /` and the `sin`, `cos` of this module; it runs on floats, on numpy arrays, and
+on symbols. On symbols, what is constant is computed now (0, 1, -1 and multiples of pi/2 leave no operation
+behind), equal sub-expressions become one (hash-consing); `control.kinematics.straight_line` writes out the rest. Constants
+are never rounded: only a multiple of pi/2 to the last bit of a double counts as one, so calibrated values stay
+as they are.
+"""
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+Scalar = Any  # float, numpy array or Symbol: what a generic function computes with
+FUNCTIONS: Final = frozenset({"sin", "cos", "sqrt", "acos", "atan2"})
+_EXACT_ANGLE: Final = 1e-15  # rad; the double nearest to pi/2 is 6e-17 off, the one nearest to 2 pi 2.5e-16
+
+
+def sin(x: Scalar) -> Scalar:
+    """Sine of a float, an array or a symbol."""
+    if isinstance(x, Symbol):
+        return x.graph.trigonometric("sin", x)
+    if isinstance(x, float | int):
+        return _exact_sin(x)
+    return np.sin(x)
+
+
+def cos(x: Scalar) -> Scalar:
+    """Cosine of a float, an array or a symbol."""
+    if isinstance(x, Symbol):
+        return x.graph.trigonometric("cos", x)
+    if isinstance(x, float | int):
+        return _exact_sin(x, 1)
+    return np.cos(x)
+
+
+def sqrt(x: Scalar) -> Scalar:
+    """Square root of a float, an array or a symbol."""
+    return _called("sqrt", x)
+
+
+def acos(x: Scalar) -> Scalar:
+    """Arc cosine of a float, an array or a symbol."""
+    return _called("acos", x)
+
+
+def atan2(y: Scalar, x: Scalar) -> Scalar:
+    """Angle of (x, y), of floats, arrays or symbols."""
+    return _called("atan2", y, x)
+
+
+def _called(function: str, *arguments: Scalar) -> Scalar:
+    for argument in arguments:
+        if isinstance(argument, Symbol):
+            return argument.graph.call(function, arguments)
+    is_batch = any(isinstance(argument, np.ndarray) for argument in arguments)
+    return getattr(np if is_batch else math, function)(*arguments)
+
+
+def quarter_turns(angle_rad: float) -> int | None:
+    """Return k where an angle is k pi/2 to the last bit, else None."""
+    k = round(angle_rad / (math.pi / 2))
+    return k if abs(angle_rad - k * (math.pi / 2)) <= _EXACT_ANGLE else None
+
+
+def _exact_sin(x: float, quarters: int = 0) -> float:
+    k = quarter_turns(x)
+    if k is not None:
+        return (0.0, 1.0, 0.0, -1.0)[(k + quarters) % 4]
+    return math.cos(x) if quarters else math.sin(x)
+
+
+class Symbol:
+    """A node of the expression graph; equal expressions of one graph are the same object."""
+
+    __slots__ = ("arguments", "graph", "name", "number", "operation")
+
+    def __init__(
+        self, graph: "Graph", number: int, operation: str, arguments: tuple[Any, ...], name: str = ""
+    ) -> None:
+        self.graph = graph
+        self.number = number
+        self.operation = operation
+        self.arguments = arguments
+        self.name = name
+
+    def __add__(self, other: Scalar) -> Scalar:
+        return self.graph.add(self, other)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Scalar) -> Scalar:
+        return self.graph.subtract(self, other)
+
+    def __rsub__(self, other: Scalar) -> Scalar:
+        return self.graph.subtract(other, self)
+
+    def __mul__(self, other: Scalar) -> Scalar:
+        return self.graph.multiply(self, other)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Scalar) -> Scalar:
+        return self.graph.divide(self, other)
+
+    def __rtruediv__(self, other: Scalar) -> Scalar:
+        return self.graph.divide(other, self)
+
+    def __neg__(self) -> Scalar:
+        return self.graph.negate(self)
+
+
+class Graph:
+    """Makes symbols and simplifies while it does."""
+
+    def __init__(self) -> None:
+        self._nodes: dict[tuple[Any, ...], Symbol] = {}
+
+    def variable(self, name: str) -> Symbol:
+        """Return an input of the function."""
+        return self._node("variable", (), name)
+
+    def add(self, a: Scalar, b: Scalar) -> Scalar:
+        """A + b; a difference where one of them is negated."""
+        if _is_zero(a):
+            return b
+        if _is_zero(b):
+            return a
+        if _is_negated(b):
+            return self.subtract(a, b.arguments[0])
+        if _is_negated(a):
+            return self.subtract(b, a.arguments[0])
+        return self._node("+", _ordered(a, b))
+
+    def subtract(self, a: Scalar, b: Scalar) -> Scalar:
+        """A - b; b - a is its negative, so the two share one node."""
+        if _is_zero(b):
+            return a
+        if _is_zero(a):
+            return self.negate(b)
+        if a is b:
+            return 0.0
+        if _is_negated(b):
+            return self.add(a, b.arguments[0])
+        if _is_negated(a):
+            return self.negate(self.add(a.arguments[0], b))
+        if ("-", _key(b), _key(a), "") in self._nodes:
+            return self.negate(self._node("-", (b, a)))
+        return self._node("-", (a, b))
+
+    def negate(self, a: Scalar) -> Scalar:
+        """-a."""
+        if not isinstance(a, Symbol):
+            return -a
+        if _is_negated(a):
+            return a.arguments[0]
+        return self._node("negate", (a,))
+
+    def multiply(self, a: Scalar, b: Scalar) -> Scalar:
+        """A product: signs are pulled out, constants are multiplied together."""
+        a, b = _ordered(a, b)  # a constant comes first
+        if _is_negated(b):
+            return self.negate(self.multiply(a, b.arguments[0]))
+        if _is_negated(a):
+            return self.negate(self.multiply(a.arguments[0], b))
+        if not isinstance(a, Symbol):
+            return self._scaled(float(a), b)
+        return self._node("*", (a, b))
+
+    def _scaled(self, factor: float, b: Symbol) -> Scalar:
+        if factor == 0.0:
+            return 0.0
+        if factor < 0.0:
+            return self.negate(self._scaled(-factor, b))
+        if factor == 1.0:
+            return b
+        if b.operation == "*" and not isinstance(b.arguments[0], Symbol):
+            return self._scaled(factor * b.arguments[0], b.arguments[1])
+        return self._node("*", (factor, b))
+
+    def divide(self, a: Scalar, b: Scalar) -> Scalar:
+        """A / b."""
+        if _is_zero(a):
+            return 0.0
+        if not isinstance(b, Symbol):
+            return self.multiply(a, 1.0 / b)
+        return self._node("/", (a, b))
+
+    def trigonometric(self, function: str, x: Symbol) -> Scalar:
+        """Sine or cosine; a constant part that is a multiple of pi/2 is taken out of the angle."""
+        if _is_negated(x):
+            inner = self.trigonometric(function, x.arguments[0])
+            return -inner if function == "sin" else inner
+        rest, constant = _without_constant(x)
+        quarters = quarter_turns(constant)
+        if quarters is None or constant == 0.0 or not isinstance(rest, Symbol):
+            return self._node(function, (x,))
+        turned = quarters % 4
+        if turned % 2:
+            function, turned = ("cos", turned - 1) if function == "sin" else ("sin", turned + 1)
+        value = self.trigonometric(function, rest)
+        return -value if turned % 4 == 2 else value
+
+    def call(self, function: str, arguments: tuple[Scalar, ...]) -> Symbol:
+        """Return the value of a function of the library; it has no derivative here."""
+        return self._node(function, arguments)
+
+    def _node(self, operation: str, arguments: tuple[Any, ...], name: str = "") -> Symbol:
+        key = (operation, *map(_key, arguments), name)
+        node = self._nodes.get(key)
+        if node is None:
+            node = self._nodes[key] = Symbol(self, len(self._nodes), operation, arguments, name)
+        return node
+
+
+def _key(a: Scalar) -> Any:
+    return a.number if isinstance(a, Symbol) else ("constant", float(a))
+
+
+def _is_zero(a: Scalar) -> bool:
+    return not isinstance(a, Symbol) and a == 0.0
+
+
+def _is_negated(a: Scalar) -> bool:
+    return isinstance(a, Symbol) and a.operation == "negate"
+
+
+def _ordered(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar]:
+    """Return the two in the order that every commutative node keeps: constants first, then as made."""
+    rank_a, rank_b = (x.number if isinstance(x, Symbol) else -1 for x in (a, b))
+    return (a, b) if rank_a <= rank_b else (b, a)
+
+
+def _without_constant(x: Symbol) -> tuple[Scalar, float]:
+    if x.operation == "+" and not isinstance(x.arguments[0], Symbol):
+        return x.arguments[1], x.arguments[0]
+    if x.operation == "-" and not isinstance(x.arguments[1], Symbol):
+        return x.arguments[0], -x.arguments[1]
+    return x, 0.0

@@ -1,0 +1,83 @@
+"""What a fault does to the arm: the controlled stop or the brake that it asks for, and the cycles before it kept.
+
+Writes `fault_rows`, and ends what runs: `paced`, `jogging`, `homing`, `was_stopped`, `wants_hold`.
+"""
+
+from dataclasses import replace
+
+from control.errors import ArmError
+from control.loop import set_points
+from control.loop.active_motion import stop_from
+from control.loop.arm_state import ArmState
+from control.safety.fault import Fault, Reaction
+from control.safety.limits import Clip
+from control.safety.table import TRAVELLING_MODES, Mode
+from firmware_iface.errors import LinkError
+
+
+def fail(state: ArmState, fault: Fault) -> None:
+    """A fault: to FAULT with the reaction that it asks for, the cycles before it kept."""
+    monitor = state.monitor
+    was_braking = monitor.reaction is Reaction.BRAKE
+    is_first = monitor.mode is not Mode.FAULT
+    monitor.fault(_sharpened(state, fault))
+    if fault.code == "zero_lost":
+        monitor.forget_home()
+    if is_first:
+        state.stillness.enter_mode(state.now_s)
+        state.fault_rows = state.parts.recorder.last_rows()
+        state.homing = state.jogging = None
+        state.wants_hold = False
+    state.was_stopped = True
+    if monitor.is_held_fault and is_first:
+        stop_from(state, state.set_point if fault.code != "following_error" else set_points.measured(state))
+    elif not was_braking and monitor.reaction is Reaction.BRAKE:
+        state.paced = None
+
+
+def _sharpened(state: ArmState, fault: Fault) -> Fault:
+    """Where not even the stop is followed, control is not to be trusted: brake."""
+    is_stop_lost = (
+        fault.code == "following_error"
+        and state.monitor.is_held_fault
+        and state.now_s > state.stillness.mode_from_s
+    )
+    return replace(fault, reaction=Reaction.BRAKE) if is_stop_lost else fault
+
+
+def lose_motion(state: ArmState, error: Exception) -> None:
+    """The motion gave no set-point: a controlled stop; brake if it was the stop itself."""
+    is_stop = state.monitor.mode not in TRAVELLING_MODES
+    state.paced = state.jogging = None
+    fault = Fault(
+        "motion",
+        "motion",
+        f"it could not go on: {_said(error)}",
+        "plan it again; report it with the recording of this run if it was planned for this arm",
+        Reaction.BRAKE if is_stop else Reaction.CONTROLLED,
+    )
+    fail(state, fault)
+
+
+def refuse(state: ArmState, clip: Clip) -> None:
+    """A motion asked for more than its limits, which held it back: a controlled stop."""
+    fault = Fault(
+        "set_point_limit",
+        state.parts.joint_names[clip.joint - 1],
+        f"the motion asks for more than its limits: {clip}",
+        "plan the motion again with this arm.toml",
+        Reaction.CONTROLLED,
+    )
+    fail(state, fault)
+
+
+def fault_of(error: Exception) -> Fault:
+    """The fault that something means which was raised within a cycle."""
+    if isinstance(error, LinkError):
+        return Fault("link", "links", str(error), "check cables and supply", Reaction.BRAKE)
+    remedy = "report it with the recording of this run"
+    return Fault("internal", "control loop", _said(error), remedy, Reaction.BRAKE)
+
+
+def _said(error: Exception) -> str:
+    return str(error) if isinstance(error, ArmError) else f"{type(error).__name__}: {error}"

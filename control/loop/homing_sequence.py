@@ -1,0 +1,221 @@
+"""Homing: each joint toward its home switch, on to the next index pulse, stop, shift the counter.
+
+An incremental encoder knows nothing at power-up, so the switch (a cam that is active on one side of an angle) says which way
+to go and which motor turn it is, and the index pulse in that turn says where exactly: the counter is shifted by what the
+latched count is off, once the joint stands still. The joints home one after the other while the others hold; the first that
+fails stops them all.
+
+    RELEASE  the switch is active: move back until it is not, and a little further
+    SEEK     move forth until the switch becomes active; forth is from `switch_rad` to `index_rad`
+    INDEX    go on slower until the index latches
+    SETTLE   slow down; at rest, shift the counter
+    SHIFTED  the next cycle reads counts from the new zero
+    DONE
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from control.hardware.interface import Feedback
+from control.motion.setpoint import SetPoint
+
+HOME_SWITCH = 1 << 2  # bit of the channel flags, docs/encoder_board.md
+DITHER_counts = 2  # a held joint without friction hunts by a count; that is rest, whatever a count is in rad
+SETTLE_S = 0.1
+INDEX_SPEED_FRACTION = 0.3  # of the seeking speed: the joint must stop soon after the latch
+TURN_TOLERANCE = (
+    0.35  # of a motor turn, between where the index is and where arm.toml says; half a turn is ambiguous
+)
+
+
+class Phase(Enum):
+    """Where the homing of a joint is."""
+
+    RELEASE = "release"
+    SEEK = "seek"
+    INDEX = "index"
+    SETTLE = "settle"
+    SHIFTED = "shifted"
+    DONE = "done"
+
+
+@dataclass(frozen=True, slots=True)
+class JointHome:
+    """How a joint homes, in rad at the joint: its switch becomes active at `switch_rad`, the next index comes at `index_rad`."""
+
+    name: str
+    speed_rad_s: float
+    acceleration_rad_s2: float
+    backoff_rad: float
+    travel_rad: float
+    switch_rad: float
+    index_rad: float
+    turn_rad: float
+    index_count: int
+
+
+class Counter(Protocol):
+    """What homing needs of the hardware."""
+
+    def arm_index(self, joint: int) -> None: ...
+
+    def index_count(self, joint: int) -> int | None: ...
+
+    def shift_count(self, joint: int, counts: int) -> None: ...
+
+
+class HomingFailed(Exception):
+    """A joint did not find its zero."""
+
+    def __init__(self, where: str, message: str, remedy: str) -> None:
+        super().__init__(f"{where}: {message}; {remedy}")
+        self.where = where
+        self.message = message
+        self.remedy = remedy
+
+
+class JointHoming:
+    """Homes one joint by moving its set-point; call `step` every cycle until `phase` is DONE."""
+
+    def __init__(self, home: JointHome, joint: int, counter: Counter) -> None:
+        self.phase = Phase.RELEASE
+        self.speed_set_rad_s = 0.0
+        self.acceleration_set_rad_s2 = 0.0
+        self._home = home
+        self._joint = joint
+        self._counter = counter
+        self._travelled_rad = 0.0
+        self._since_active_rad = home.backoff_rad
+        self._forth = 1.0 if home.index_rad >= home.switch_rad else -1.0
+        self._quiet_s = 0.0
+        self._rest_count = 0
+
+    def step(self, feedback: Feedback, elapsed_s: float) -> float:
+        """Advance by one cycle and return the step of the set-point in rad. HomingFailed when something is not found."""
+        is_active = bool(feedback.channel_flags[self._joint] & HOME_SWITCH)
+        if self.phase is Phase.RELEASE:
+            return self._release(is_active, elapsed_s)
+        if self.phase is Phase.SEEK:
+            return self._seek(is_active, elapsed_s)
+        if self.phase is Phase.INDEX:
+            return self._find_index(elapsed_s)
+        if self.phase is Phase.SETTLE:
+            return self._settle(feedback.count[self._joint], elapsed_s)
+        self.phase = Phase.DONE  # this cycle has read counts from the new zero
+        return 0.0
+
+    def _release(self, is_active: bool, elapsed_s: float) -> float:
+        step = self._go(-self._forth * self._home.speed_rad_s, elapsed_s)
+        self._since_active_rad = 0.0 if is_active else self._since_active_rad + abs(step)
+        if not is_active and self._since_active_rad >= self._home.backoff_rad:
+            self._enter(Phase.SEEK)
+        self._check(
+            self._home.travel_rad, "its home switch stays active", "look for a stuck or inverted switch"
+        )
+        return step
+
+    def _seek(self, is_active: bool, elapsed_s: float) -> float:
+        step = self._go(self._forth * self._home.speed_rad_s, elapsed_s)
+        if is_active:
+            self._counter.arm_index(self._joint)
+            self._enter(Phase.INDEX)
+        self._check(
+            self._home.travel_rad,
+            "its home switch never became active",
+            "check the switch, its cam and its wire",
+        )
+        return step
+
+    def _find_index(self, elapsed_s: float) -> float:
+        step = self._go(self._forth * self._home.speed_rad_s * INDEX_SPEED_FRACTION, elapsed_s)
+        if self._counter.index_count(self._joint) is not None:
+            self._check_turn()
+            self._enter(Phase.SETTLE)
+        self._check(
+            2.0 * self._home.turn_rad, "no index pulse within two motor turns", "check the encoder's Z wire"
+        )
+        return step
+
+    def _settle(self, count: int, elapsed_s: float) -> float:
+        step = self._go(0.0, elapsed_s)
+        latched = self._counter.index_count(self._joint)
+        is_quiet = self.speed_set_rad_s == 0.0 and abs(count - self._rest_count) <= DITHER_counts
+        self._quiet_s = self._quiet_s + elapsed_s if is_quiet else 0.0
+        if not is_quiet:
+            self._rest_count = count
+        if self._quiet_s >= SETTLE_S and latched is not None:
+            self._counter.shift_count(self._joint, self._home.index_count - latched)
+            self._enter(Phase.SHIFTED)
+        return step
+
+    def _check_turn(self) -> None:
+        """The latch must be in the motor turn that arm.toml says, clear of the two turns beside it."""
+        expected_rad = self._home.index_rad - self._home.switch_rad
+        off = abs(self._travelled_rad - expected_rad) / self._home.turn_rad
+        if off > TURN_TOLERANCE:
+            raise HomingFailed(
+                self._home.name,
+                f"its index came {self._travelled_rad:.4f} rad after its home switch, expected {expected_rad:.4f} rad"
+                f" (tolerance {TURN_TOLERANCE * self._home.turn_rad:.4f} rad): the motor turn is not certain",
+                "the switch has moved: set it again, or correct [drive.home] in arm.toml",
+            )
+
+    def _enter(self, phase: Phase) -> None:
+        self.phase = phase
+        self._travelled_rad = 0.0
+
+    def _check(self, travel_rad: float, message: str, remedy: str) -> None:
+        if abs(self._travelled_rad) > travel_rad:
+            raise HomingFailed(
+                self._home.name,
+                f"{message} (moved {self._travelled_rad:.3f} rad, limit {travel_rad:.3f} rad)",
+                remedy,
+            )
+
+    def _go(self, speed_rad_s: float, elapsed_s: float) -> float:
+        change = self._home.acceleration_rad_s2 * elapsed_s
+        speed = min(max(speed_rad_s, self.speed_set_rad_s - change), self.speed_set_rad_s + change)
+        step = 0.5 * (self.speed_set_rad_s + speed) * elapsed_s
+        self.acceleration_set_rad_s2 = (speed - self.speed_set_rad_s) / elapsed_s
+        self.speed_set_rad_s = speed
+        self._travelled_rad += step
+        return step
+
+
+class HomingSequence:
+    """Homes joints one after the other: `step` returns the next set-point of all of them."""
+
+    def __init__(self, homes: Sequence[tuple[int, JointHome]], counter: Counter) -> None:
+        self._waiting = list(homes)
+        self._counter = counter
+        self._present: tuple[int, JointHoming] | None = None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether every joint knows its zero."""
+        return not self._waiting and self._present is None
+
+    def step(self, set_point: SetPoint, feedback: Feedback, elapsed_s: float) -> SetPoint:
+        """The set-point of this cycle from that of the last. HomingFailed names the joint that did not find its zero."""
+        if self._present is None:
+            if not self._waiting:
+                return set_point
+            joint, home = self._waiting.pop(0)
+            self._present = (joint, JointHoming(home, joint, self._counter))
+        joint, homing = self._present
+        step_rad = homing.step(feedback, elapsed_s)
+        if homing.phase is Phase.DONE:
+            self._present = None
+        return _with_joint(set_point, joint, step_rad, homing.speed_set_rad_s, homing.acceleration_set_rad_s2)
+
+
+def _with_joint(
+    set_point: SetPoint, joint: int, step_rad: float, speed_rad_s: float, acceleration_rad_s2: float
+) -> SetPoint:
+    q, speed, acceleration = (list(values) for values in set_point)
+    q[joint] += step_rad
+    speed[joint] = speed_rad_s
+    acceleration[joint] = acceleration_rad_s2
+    return SetPoint(tuple(q), tuple(speed), tuple(acceleration))

@@ -1,0 +1,110 @@
+"""Motions, pauses, jogs and stops: what begins them, and what they do to the set-point cycle by cycle.
+
+Writes `paced`, `jogging`, `run_number` and `was_stopped`; the set-point by way of control.loop.set_points.
+"""
+
+from control.errors import ArmError
+from control.loop import set_points
+from control.loop.active_motion import begin, stop_from
+from control.loop.arm_state import ArmState
+from control.loop.fault_reactions import fail, lose_motion, refuse
+from control.loop.jogging import Wish
+from control.motion.setpoint import Motion, SetPoint
+from control.safety.fault import Fault, Reaction
+from control.safety.table import TRAVELLING_MODES, Event, Mode
+
+
+def follow_motion(state: ArmState) -> None:
+    """One cycle further along the motion that runs, if one does."""
+    if state.paced is None:
+        return
+    try:
+        wanted = state.paced.advance(state.elapsed_s, _wanted_pace(state))
+    except Exception as error:  # the feedback is good all the same, so the arm can stop under control
+        lose_motion(state, error)
+        return
+    _take(state, wanted)
+    if state.paced is not None and state.paced.is_over:
+        _come_to_rest(state, Event.ARRIVED if state.monitor.mode in set_points.ON_PATH else Event.STOPPED)
+
+
+def _wanted_pace(state: ArmState) -> float:
+    if state.monitor.mode is Mode.PAUSED:
+        return 0.0
+    return state.override if state.monitor.mode is Mode.MOVING else 1.0
+
+
+def follow_jog(state: ArmState) -> None:
+    """One cycle further as somebody keeps asking."""
+    if state.jogging is None:
+        return
+    try:
+        wanted = state.jogging.advance(state.now_s, state.elapsed_s, state.set_point)
+    except Exception as error:
+        lose_motion(state, error)
+        return
+    _take(state, wanted)
+    if state.jogging is not None and state.jogging.is_over:
+        _come_to_rest(state, Event.ARRIVED)
+
+
+def _take(state: ArmState, wanted: SetPoint) -> None:
+    if (clip := set_points.take(state, wanted)) is not None:
+        refuse(state, clip)
+
+
+def _come_to_rest(state: ArmState, event: Event) -> None:
+    state.paced = state.jogging = None
+    set_points.rest(state)
+    state.on(event)
+
+
+def start(state: ArmState, motion: Motion, as_encoders: bool) -> None:
+    """Start a motion that was checked and that begins where the arm is `seen`, at rest."""
+    state.on(Event.MOVE)
+    state.set_point, state.is_of_encoders = set_points.seen(state, as_encoders), as_encoders
+    state.run_number += 1
+    state.was_stopped = False
+    begin(state, motion, state.override)
+
+
+def jog(state: ArmState, wish: Wish) -> None:
+    """Move as somebody keeps asking; ArmError says why not, and nothing has changed then."""
+    if state.jogging is not None and state.monitor.mode is Mode.JOGGING:
+        state.jogging.ask(state.now_s, wish, state.set_point)
+        return
+    state.monitor.require(Event.JOG)
+    jogging = state.parts.jogging(state.monitor.is_homed)
+    jogging.ask(state.now_s, wish, state.set_point)
+    state.on(Event.JOG)
+    state.run_number += 1
+    state.was_stopped = False
+    state.jogging = jogging
+
+
+def renew_jog(state: ArmState) -> None:
+    """Whoever jogs still wants it; ArmError where nothing is jogged."""
+    if state.jogging is None or state.monitor.mode is not Mode.JOGGING:
+        raise ArmError(f"the arm is {state.monitor.mode.name}: there is no jog to go on with")
+    state.jogging.renew(state.now_s)
+
+
+def stop(state: ArmState) -> None:
+    """Controlled stop; legal in every mode."""
+    before = state.monitor.mode
+    state.on(Event.STOP)
+    state.wants_hold = False
+    if state.monitor.mode is Mode.STOPPING and before is not Mode.STOPPING:
+        state.was_stopped = True
+        state.homing = state.jogging = None
+        stop_from(state, state.set_point)
+
+
+def brake(state: ArmState) -> None:
+    """Windings shorted now: under control first to a stop where something moves would be `stop`."""
+    if state.monitor.mode in TRAVELLING_MODES or state.monitor.mode is Mode.STOPPING:
+        remedy = "acknowledge when it is safe"
+        fail(state, Fault("brake", "operator", "braked while moving", remedy, Reaction.BRAKE))
+    else:
+        state.on(Event.BRAKE)
+    state.wants_hold = False

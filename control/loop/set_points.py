@@ -1,0 +1,114 @@
+"""Where the arm is to be: the set-point of its joints, and the aim, where its encoders must be for that.
+
+Writes `set_point`, `aim` and `is_of_encoders`. The two are one on an arm whose encoders say where its joints are; else
+`control.dynamics.joint_side` stands between them, once the arm is homed.
+"""
+
+from collections.abc import Sequence
+
+from control.loop.arm_state import ArmState
+from control.motion.setpoint import SetPoint, at_rest
+from control.safety.limits import Clip, limit_set_point
+from control.safety.table import Mode
+
+Angles = tuple[float, ...]
+ON_PATH = (Mode.MOVING, Mode.PAUSED)
+
+
+def joints_standing(state: ArmState, encoder_rad: Sequence[float]) -> Angles:
+    """Joint angles of an arm that stands where its encoders say; before homing nobody knows better than they."""
+    side = state.parts.joint_side
+    if side is None or not state.monitor.is_homed:
+        return tuple(encoder_rad)
+    return side.stand(encoder_rad, state.payload_kg())
+
+
+def measured(state: ArmState) -> SetPoint:
+    """The arm as it moves now, as a set-point."""
+    found = state.parts.measurement
+    return SetPoint(joints_standing(state, found.q_rad), tuple(found.speed_rad_s), state.no_motion)
+
+
+def stay(state: ArmState) -> None:
+    """Nothing is controlled: the set-point goes with the arm."""
+    state.set_point, state.is_of_encoders = (
+        at_rest(joints_standing(state, state.parts.measurement.q_rad)),
+        False,
+    )
+
+
+def rest(state: ArmState) -> None:
+    """A motion is over: the set-point stays where it is, of the joints again."""
+    at_rad = state.set_point.q_rad
+    state.set_point = at_rest(joints_standing(state, at_rad) if state.is_of_encoders else at_rad)
+    state.is_of_encoders = False
+
+
+def take(state: ArmState, wanted: SetPoint) -> Clip | None:
+    """Follow a motion through the last guard: its plan was checked, so a clip means that something is wrong.
+
+    A stop is not held back: it may brake harder than a motion, where a joint's range asks for it. Nor is a jog of joints
+    whose angles mean nothing yet: its speed and acceleration are its own.
+    """
+    mode = state.monitor.mode
+    if not (mode in ON_PATH or (mode is Mode.JOGGING and state.monitor.is_homed)):
+        state.set_point = wanted
+        return None
+    last = state.set_point
+    allowed = limit_set_point(
+        wanted.q_rad, last.q_rad, last.speed_rad_s, state.parts.set_point_limits, state.elapsed_s
+    )
+    if not allowed.reasons:
+        state.set_point = wanted
+        return None
+    state.set_point = SetPoint(allowed.q_rad, allowed.speed_rad_s, state.no_motion)
+    return allowed.reasons[0]
+
+
+def aim(state: ArmState) -> Clip | None:
+    """Where the encoders are to be for the joints' set-point, inside their own limits; the clip where they held it back."""
+    side = state.parts.joint_side
+    if side is None or not state.monitor.is_homed:
+        state.aim = state.set_point
+        return None
+    wanted = SetPoint(*side.aim(state.set_point, state.elapsed_s, state.payload_kg()))
+    if state.is_of_encoders:
+        state.aim = state.set_point
+        return None
+    if state.monitor.mode not in (*ON_PATH, Mode.JOGGING):
+        state.aim = wanted
+        return None
+    last = state.aim
+    allowed = limit_set_point(
+        wanted.q_rad, last.q_rad, last.speed_rad_s, state.parts.aim_limits, state.elapsed_s
+    )
+    if not allowed.reasons:
+        state.aim = wanted
+        return None
+    state.aim = SetPoint(allowed.q_rad, allowed.speed_rad_s, state.no_motion)
+    return allowed.reasons[0]
+
+
+def joint_rad(state: ArmState) -> tuple[Sequence[float], Angles]:
+    """Angles that the joints have and are to have, as far as the model knows what is between them and their encoders."""
+    side, encoder_rad = state.parts.joint_side, state.parts.measurement.q_rad
+    if side is None or not state.monitor.is_homed:
+        return encoder_rad, state.set_point.q_rad
+    return side.joint_rad(encoder_rad), seen(state, as_encoders=False).q_rad
+
+
+def seen(state: ArmState, as_encoders: bool) -> SetPoint:
+    """Where the arm is to stand now, as joint angles or as encoder angles."""
+    side = state.parts.joint_side
+    if side is None or not state.monitor.is_homed or as_encoders == state.is_of_encoders:
+        return state.set_point
+    return at_rest(state.aim.q_rad if as_encoders else side.joint_rad(state.aim.q_rad))
+
+
+def follow_shift(state: ArmState) -> None:
+    """A counter was shifted under a joint that is held: its set-point is shifted with it, so nothing moves."""
+    shifts = state.parts.measurement.shifted_rad
+    state.set_point, state.aim = (
+        point._replace(q_rad=tuple(q + shift for q, shift in zip(point.q_rad, shifts, strict=True)))
+        for point in (state.set_point, state.aim)
+    )

@@ -1,0 +1,67 @@
+"""The way from any mode to OFF, stop, hold, brake, off, a step whenever the arm is still; and from OFF back to holding.
+
+Writes `is_going_off`, `is_quitting` and `wants_hold`.
+"""
+
+from control.loop.arm_state import ArmState
+from control.loop.homing import take_known_zeros
+from control.loop.motion_modes import stop
+from control.loop.readiness import ENABLE_LIMIT_S, is_any_enabled
+from control.safety.table import Event, Mode
+
+
+def begin(state: ArmState, quits: bool) -> None:
+    """Stop, hold, brake, off: begun here, carried on by the cycle."""
+    state.is_going_off = True
+    state.wants_hold = False
+    state.is_quitting = state.is_quitting or quits
+
+
+def follow(state: ArmState) -> None:
+    """The next step on the way off, when the arm is ready for it."""
+    if not state.is_going_off or (event := state.monitor.next_towards_off(state.is_still())) is None:
+        return
+    if event is Event.STOP:
+        stop(state)
+        return
+    state.on(event)
+    if state.monitor.mode is Mode.OFF:
+        state.is_going_off = False
+        state.drives.forget()
+        state.parts.hardware.disable()
+
+
+def has_left(state: ArmState) -> bool:
+    """Whether the arm is off and its drives have said so, or have had time enough to."""
+    if state.monitor.mode is not Mode.OFF:
+        return False
+    has_waited_long = state.now_s - state.stillness.mode_from_s > ENABLE_LIMIT_S
+    return has_waited_long or not is_any_enabled(state.parts.hardware.feedback)
+
+
+def want_hold(state: ArmState) -> None:
+    """Get to HOLDING from OFF, BRAKED or GUIDING, through all that lies between."""
+    if state.monitor.mode is Mode.OFF:
+        state.monitor.require_no_faults("ENABLE")
+        state.has_waited = True
+        state.parts.hardware.enable()
+        state.drives.expect(state.now_s)
+    elif state.monitor.mode is Mode.GUIDING:
+        state.on(Event.BRAKE)
+    elif state.monitor.mode is not Mode.BRAKED:
+        state.monitor.on(Event.ENABLE)  # says why not
+    state.is_going_off = False
+    state.wants_hold = True
+
+
+def follow_hold(state: ArmState) -> None:
+    """The next step towards HOLDING, when it is wanted and the drives are ready."""
+    if not (state.wants_hold and state.drives.is_ready):
+        return
+    if state.monitor.mode is Mode.OFF:
+        state.on(Event.CONNECT)
+        take_known_zeros(state)
+    elif state.monitor.mode is Mode.BRAKED:
+        state.wants_hold = False
+        state.parts.servo.reset()
+        state.on(Event.ENABLE)

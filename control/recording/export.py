@@ -1,0 +1,142 @@
+"""Turns a recording into what other programs read: log.csv.gz (docs/seeing.md) and MCAP (control.recording.mcap_file).
+
+Runs after the fact, in the command's own process. The recording itself is never changed.
+"""
+
+import csv
+import gzip
+import io
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TextIO
+
+from control.model.arm import Arm
+from control.recording.mcap_file import to_mcap
+from control.recording.record import JOINT_SIDE_FIELDS, Layout, RecordError, Recording
+from control.recording.recorded_arm import recorded_arm
+
+__all__ = ["export", "to_csv", "to_mcap"]
+
+Row = dict[str, float]
+CSV_SCALARS = ("run", "t_s", "payload_kg", "x_m", "y_m", "z_m")
+CSV_JOINT = (
+    "q{}_rad",
+    "q{}_set_rad",
+    "speed{}_rad_s",
+    "speed{}_set_rad_s",
+    "i{}_A",
+    "u{}_V",
+    "temperature{}_C",
+)
+CSV_REST = ("cycle", "mode", "late_s", "busy_s", "missed")
+
+
+def to_csv(
+    recording: Recording, path: Path, every: int = 1, report: Callable[[int], None] = lambda row: None
+) -> int:
+    """Write `path` (.csv or .csv.gz) with every k-th row of each run; returns the number of rows.
+
+    Only runs are written, `t_s` from the start of each: what happened before the first motion is in the MCAP file. Cells are
+    empty where nothing was measured. `report` is told each thousandth row.
+    """
+    names = _csv_columns(recording.layout)
+    with _open_text(path) as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(names)
+        written = 0
+        for row in _run_rows(recording, every, report):
+            writer.writerow([_cell(row[name]) for name in names])
+            written += 1
+    return written
+
+
+def _run_rows(recording: Recording, every: int, report: Callable[[int], None]) -> Iterator[Row]:
+    """Every k-th row of each run, `t_s` counted from the run's first."""
+    run, number, start_s = 0.0, 0, 0.0
+    for count, row in enumerate(_rows(recording)):
+        if count % 1000 == 0:
+            report(count)
+        if row["run"] != run:
+            run, number, start_s = row["run"], 0, row["t_s"]
+        if run >= 1 and number % every == 0:
+            yield {**row, "t_s": row["t_s"] - start_s}
+        number += 1
+
+
+def _csv_columns(layout: Layout) -> list[str]:
+    joints = range(1, layout.joint_count + 1)
+    sides = [form.format(j) for form, _ in JOINT_SIDE_FIELDS for j in joints]
+    return [
+        *CSV_SCALARS[:2],
+        *(n.format(j) for n in CSV_JOINT for j in joints),
+        *CSV_SCALARS[2:],
+        *CSV_REST,
+        *(name for name in sides if name in layout.names),
+    ]
+
+
+def _open_text(path: Path) -> TextIO:
+    if path.suffix == ".gz":
+        # mtime 0: the same recording gives the same bytes
+        return io.TextIOWrapper(gzip.GzipFile(path, "wb", mtime=0), encoding="utf-8", newline="")
+    return path.open("w", encoding="utf-8", newline="")
+
+
+def _cell(value: float) -> str:
+    if isinstance(value, int):
+        return str(value)
+    return "" if math.isnan(value) else f"{value:.9g}"
+
+
+def _rows(recording: Recording) -> Iterator[Row]:
+    names = recording.layout.names
+    for row in recording.rows():
+        yield dict(zip(names, row, strict=True))
+
+
+def export(
+    path: Path,
+    out: Path,
+    every: int = 1,
+    arm: Arm | None = None,
+    report: Callable[[float], None] = lambda done: None,
+) -> dict[str, int]:
+    """Write log.csv.gz and log.mcap of a recording into the folder `out`; returns file name -> rows. Refuses to overwrite.
+
+    `arm` is drawn in Foxglove's 3-D panel: by default the one of the recording's header. `report` is told the share done.
+    """
+    if every < 1:
+        raise RecordError(f"expected to keep every 1st, 2nd, ... cycle; got every {every}")
+    recording = Recording.open(path)
+    drawn = arm or recorded_arm(recording)
+    if arm is not None and arm.joint_count != recording.layout.joint_count:
+        raise RecordError(
+            f"{path}: recorded of {recording.layout.joint_count} joints, but arm {arm.name} has {arm.joint_count}"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    for name in ("log.csv.gz", "log.mcap"):
+        if (out / name).exists():
+            raise RecordError(f"{out / name} is there already: choose another folder or remove it first")
+    rows = max(1, recording.row_count)
+    return {
+        "log.csv.gz": _whole(
+            out / "log.csv.gz",
+            lambda file: to_csv(recording, file, every, lambda row: report(0.3 * row / rows)),
+        ),
+        "log.mcap": _whole(
+            out / "log.mcap",
+            lambda file: to_mcap(recording, file, every, drawn, lambda row: report(0.3 + 0.7 * row / rows)),
+        ),
+    }
+
+
+def _whole(path: Path, write: Callable[[Path], int]) -> int:
+    """`path` as `write` makes it, or not at all: an export that was interrupted leaves nothing that looks complete."""
+    beside = path.with_name(f".partial-{path.name}")
+    try:
+        written = write(beside)
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+    return written

@@ -1,0 +1,269 @@
+"""A recording as an MCAP file that Foxglove opens: plots with units, the arm in the 3-D panel, what happened as a log.
+
+Times are those of the day: the recording's start plus what the loop's clock has run since its first row. Topics and schemas are
+those of control.recording.mcap_schemas; the arm.toml is attached, metadata say what the file was made from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from array import array
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from control.errors import ArmError
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm
+from control.model.description import parse_arm
+from control.recording import mcap_scene as scene
+from control.recording.mcap_events import Events, mode_name
+from control.recording.mcap_schemas import CAMERA, ERROR, FOXGLOVE, LOOP, TOPICS, columns_of, own_schemas
+from control.recording.record import Recording
+
+Row = tuple[float, ...]
+Point = tuple[float, float, float]
+SCENE_PERIOD_s: Final = 0.02  # as often as a screen shows it
+PATH_POINTS_MOST: Final = 4000  # of one run, so that a long one stays a line that can be drawn
+WELL_KNOWN: Final = {
+    "/tf": "foxglove.FrameTransforms",
+    "/scene": "foxglove.SceneUpdate",
+    "/tip/measured": "foxglove.PoseInFrame",
+    "/tip/set_point": "foxglove.PoseInFrame",
+    "/tip/camera": "foxglove.PoseInFrame",
+    "/joint_states": "foxglove.JointStates",
+    "/log": "foxglove.Log",
+}
+
+
+def to_mcap(
+    recording: Recording,
+    path: Path,
+    every: int = 1,
+    arm: Arm | None = None,
+    report: Callable[[int], None] = lambda row: None,
+) -> int:
+    """Write every k-th cycle; returns how many. Without an `arm` there is no 3-D. `report` is told each thousandth row."""
+    from mcap.writer import Writer
+
+    with path.open("wb") as file:
+        writer: Any = Writer(file, enable_data_crcs=True)
+        writer.start(profile="", library=f"armwright {version('armwright')}")
+        export = _Export(recording, writer, arm)
+        written = 0
+        for number, row in enumerate(recording.rows()):
+            if number % every == 0:
+                export.add(row)
+                written += 1
+            if number % 1000 == 0:
+                report(number)
+        export.finish(written, every)
+    return written
+
+
+@dataclass(slots=True)
+class _Columns:
+    """Where the columns of one recording stand in its rows; joint groups as tuples."""
+
+    place: dict[str, int]
+    joint_count: int
+    own: dict[str, tuple[tuple[str, int], ...]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.own = {
+            topic: tuple((n, self.place[n]) for n in columns_of(topic, self.joint_count) if n in self.place)
+            for topic in TOPICS
+        }
+
+    def joints(self, form: str, encoders: str) -> tuple[int, ...]:
+        """The joints' angles; their encoders' where those are the same and not recorded beside them."""
+        return self.group(form if form.format(1) in self.place else encoders)
+
+    def group(self, form: str) -> tuple[int, ...]:
+        return tuple(self.place[form.format(joint)] for joint in range(1, self.joint_count + 1))
+
+
+class _Export:
+    """Writes row after row into an MCAP file that is open."""
+
+    def __init__(self, recording: Recording, writer: Any, arm: Arm | None) -> None:
+        self._recording, self._writer, self._arm = recording, writer, arm
+        layout = recording.layout
+        self._columns = _Columns({n: k for k, n in enumerate(layout.names)}, layout.joint_count)
+        self._q, self._q_set = self._columns.group("q{}_rad"), self._columns.group("q{}_set_rad")
+        self._joint = self._columns.joints("joint{}_rad", "q{}_rad")
+        self._joint_set = self._columns.joints("joint{}_set_rad", "q{}_set_rad")
+        self._speed = self._columns.group("speed{}_rad_s")
+        self._faults = self._columns.group("drive_faults{}")
+        self._start_ns = int(float(recording.header.get("started_unix_s", 0.0)) * scene.NS_PER_S)
+        self._first_s = math.nan
+        self._next_scene_s = -math.inf
+        self._events = Events(recording.modes)
+        self._channels = self._registered(layout.joint_count)
+        self._kinematics = Kinematics(arm) if arm else None
+        self._paths = _commanded_paths(recording, self._columns, self._kinematics) if self._kinematics else {}
+
+    def _registered(self, joint_count: int) -> dict[str, int]:
+        own = own_schemas(joint_count)
+        known = {topic: FOXGLOVE[title] for topic, title in WELL_KNOWN.items()}
+        ids = {
+            schema["title"]: self._writer.register_schema(
+                schema["title"], "jsonschema", json.dumps(schema).encode()
+            )
+            for schema in (*own.values(), *known.values())
+        }
+        return {
+            topic: int(self._writer.register_channel(topic, "json", ids[schema["title"]]))
+            for topic, schema in {**own, **known}.items()
+        }
+
+    def add(self, row: Row) -> None:
+        """One cycle."""
+        at = self._columns.place
+        t_s = row[at["t_s"]]
+        if math.isnan(self._first_s):
+            self._first_s = t_s
+            if self._arm is not None:
+                self._write("/scene", scene.shapes(self._arm, self._start_ns), self._start_ns)
+        time_ns = self._start_ns + round((t_s - self._first_s) * scene.NS_PER_S)
+        self._own(row, time_ns)
+        self._happened(row, time_ns)
+        if t_s >= self._next_scene_s:
+            self._next_scene_s = t_s + SCENE_PERIOD_s - 1e-6
+            self._scene(row, time_ns)
+
+    def _write(self, topic: str, message: dict[str, Any], time_ns: int) -> None:
+        self._writer.add_message(
+            self._channels[topic],
+            log_time=time_ns,
+            publish_time=time_ns,
+            data=msgspec.json.encode(message),
+        )
+
+    def _own(self, row: Row, time_ns: int) -> None:
+        """The recording's columns; JSON has no NaN, so what was not measured is left out."""
+        for topic, columns in self._columns.own.items():
+            message: dict[str, Any] = {name: row[k] for name, k in columns if math.isfinite(row[k])}
+            if topic == LOOP:
+                message["mode_name"] = mode_name(self._recording.modes, row[self._columns.place["mode"]])
+            if message:
+                self._write(topic, message, time_ns)
+        error = {
+            f"following_error{joint}_rad": row[wanted] - row[measured]
+            for joint, (wanted, measured) in enumerate(zip(self._q_set, self._q, strict=True), start=1)
+            if math.isfinite(row[wanted] - row[measured])
+        }
+        if error:
+            self._write(ERROR, error, time_ns)
+        tip = tuple(row[k] for _, k in self._columns.own[CAMERA])
+        if len(tip) == 3 and all(map(math.isfinite, tip)):
+            self._write("/tip/camera", scene.pose_in_base((tip[0], tip[1], tip[2]), time_ns), time_ns)
+
+    def _happened(self, row: Row, time_ns: int) -> None:
+        """What happened in words, and the path that a run was told to take."""
+        at = self._columns.place
+        run = int(row[at["run"]])
+        faults = tuple(row[k] for k in self._faults)
+        for level, text in self._events.look(
+            row[at["t_s"]], int(row[at["mode"]]), run, int(row[at["missed"]]), faults
+        ):
+            entry = {"timestamp": scene.stamp(time_ns), "level": level, "message": text}
+            self._write("/log", {**entry, "name": "armwright", "file": "", "line": 0}, time_ns)
+        if points := self._paths.pop(run, None):
+            self._write("/scene", scene.path(points, time_ns), time_ns)
+
+    def _scene(self, row: Row, time_ns: int) -> None:
+        """Frames, tips and joint states, as often as a screen shows them."""
+        joint_rad, wanted_rad = [row[k] for k in self._joint], [row[k] for k in self._joint_set]
+        states = scene.joint_states(joint_rad, [row[k] for k in self._speed], time_ns)
+        self._write("/joint_states", states, time_ns)
+        if self._arm is None or self._kinematics is None:
+            return
+        frames = []
+        for which, angles, topic in (
+            (scene.MEASURED, joint_rad, "/tip/measured"),
+            (scene.SET_POINT, wanted_rad, "/tip/set_point"),
+        ):
+            if all(map(math.isfinite, angles)):
+                frames += scene.transforms(self._arm, which, angles, time_ns)
+                self._write(topic, scene.pose_in_base(self._kinematics.tip(*angles), time_ns), time_ns)
+        if frames:
+            self._write("/tf", {"transforms": frames}, time_ns)
+
+    def finish(self, written: int, every: int) -> None:
+        """Attach the arm, say where the file comes from, close."""
+        recording = self._recording
+        if self._arm is not None and (text := _arm_text(recording, self._arm)):
+            self._writer.add_attachment(
+                create_time=self._start_ns,
+                log_time=self._start_ns,
+                name="arm.toml",
+                media_type="application/toml",
+                data=text.encode(),
+            )
+        about = {
+            "arm": recording.header.get("arm", ""), "recording": recording.path.name,
+            "recording_sha256": _sha256(recording.path), "started_unix_s": recording.header.get("started_unix_s", ""),
+            "period_s": recording.header.get("period_s", ""), "joint_count": recording.layout.joint_count,
+            "cycles": written, "every": every, "program": f"armwright {version('armwright')}",
+            "recorded_by": recording.header.get("program", ""),
+        }  # fmt: skip
+        self._writer.add_metadata("armwright", {key: str(value) for key, value in about.items()})
+        self._writer.finish()
+
+
+def _commanded_paths(
+    recording: Recording, columns: _Columns, kinematics: Kinematics
+) -> dict[int, Sequence[Point]]:
+    """Commanded tip path of every run [m], thinned to what a line needs."""
+    at, group = columns.place, columns.joints("joint{}_set_rad", "q{}_set_rad")
+    sets: dict[int, array[float]] = {}
+    motion_modes = {number for number, name in enumerate(recording.modes) if name in ("MOVING", "JOGGING")}
+    last_s = -math.inf
+    for row in recording.rows():
+        if row[at["mode"]] in motion_modes and row[at["t_s"]] - last_s >= SCENE_PERIOD_s - 1e-6:
+            last_s = row[at["t_s"]]
+            angles = [row[k] for k in group]
+            if all(map(math.isfinite, angles)):
+                sets.setdefault(int(row[at["run"]]), array("d")).extend(angles)
+    return {run: _tips(kinematics, angles) for run, angles in sets.items()}
+
+
+def _tips(kinematics: Kinematics, angles: array[float]) -> Sequence[Point]:
+    n = kinematics.joint_count
+    poses = [angles[k : k + n].tolist() for k in range(0, len(angles), n)]
+    step = -(-len(poses) // PATH_POINTS_MOST)
+    return [(x, y, z) for x, y, z in kinematics.tips(poses[::step]).tolist()]
+
+
+def _arm_text(recording: Recording, arm: Arm) -> str:
+    """The arm.toml as it was recorded, else as its file is now."""
+    if isinstance(text := recording.header.get("arm_toml"), str):
+        return text
+    return arm.path.read_text(encoding="utf-8") if arm.path is not None and arm.path.is_file() else ""
+
+
+def attached_arm(path: Path) -> Arm | None:
+    """The arm.toml that is attached to an MCAP file; None where there is none that can be read."""
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    try:
+        with path.open("rb") as file:
+            for found in make_reader(file).iter_attachments():
+                if found.name == "arm.toml":
+                    return parse_arm(found.data.decode(), path)
+    except (McapError, ArmError, ValueError, OSError):
+        return None
+    return None
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

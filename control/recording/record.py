@@ -1,0 +1,212 @@
+r"""Every cycle on record: fixed-size binary rows behind a JSON header, safe against a killed process.
+
+File: `ARMLOG1\n`, u32 header length, JSON header (fields, joint count, arm, start time), then one packed row a cycle;
+little endian.
+Rows are only ever appended, so a killed writer can tear nothing but the last row, and the reader drops that one.
+In real time the rows go through a pipe to a writer process of their own (`control.recording.writer`): the loop never waits for a
+disk, and when the loop dies the writer still drains what was sent. Stepped, the same rows go straight to the file.
+"""
+
+import json
+import os
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Protocol
+
+from control.errors import ArmError
+from control.safety.table import Mode
+
+MAGIC = b"ARMLOG1\n"
+MODES_BEFORE_THEY_WERE_RECORDED = (
+    "OFF", "BRAKED", "HOLDING", "MOVING", "HOMING", "GUIDING", "STOPPING", "FAULT",
+)  # fmt: skip
+SCALAR_FIELDS = (
+    ("t_s", "d"), ("cycle", "I"), ("run", "I"), ("mode", "B"), ("missed", "I"), ("late_s", "f"), ("busy_s", "f"),
+    ("payload_kg", "f"), ("x_m", "d"), ("y_m", "d"), ("z_m", "d"),
+)  # fmt: skip
+JOINT_FIELDS = (
+    ("q{}_rad", "d"), ("q{}_set_rad", "d"), ("speed{}_rad_s", "f"), ("speed{}_set_rad_s", "f"), ("count{}", "i"),
+    ("u{}_V", "f"), ("i{}_A", "f"), ("supply{}_V", "f"), ("temperature{}_C", "f"),
+    ("statusword{}", "B"), ("drive_faults{}", "B"), ("flags{}", "B"), ("counted{}_s", "d"),
+)  # fmt: skip
+
+JOINT_SIDE_FIELDS = (
+    ("joint{}_rad", "d"),
+    ("joint{}_set_rad", "d"),
+)  # where they are not the encoders' angles
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Names and packing of one row for an arm of `joint_count` joints."""
+
+    joint_count: int
+    names: tuple[str, ...]
+    packing: struct.Struct
+
+    @classmethod
+    def of(cls, joint_count: int, has_joint_side: bool = False) -> "Layout":
+        """The layout that this version writes; joints' angles beside their encoders' for an arm that tells them apart."""
+        fields, of_joint = (
+            list(SCALAR_FIELDS),
+            (*JOINT_FIELDS, *(JOINT_SIDE_FIELDS if has_joint_side else ())),
+        )
+        for joint in range(1, joint_count + 1):
+            fields += [(name.format(joint), code) for name, code in of_joint]
+        return cls(
+            joint_count, tuple(n for n, _ in fields), struct.Struct("<" + "".join(c for _, c in fields))
+        )
+
+    def header(self, about: dict[str, Any]) -> bytes:
+        """What stands before the rows."""
+        text = json.dumps(
+            {
+                "names": self.names,
+                "packing": self.packing.format,
+                "joint_count": self.joint_count,
+                "modes": [mode.name for mode in Mode],
+                **about,
+            }
+        ).encode()
+        return MAGIC + struct.pack("<I", len(text)) + text
+
+
+class RowSink(Protocol):
+    """Where packed rows go. `write` must not wait; it returns False when the row could not be taken."""
+
+    def write(self, row: bytes) -> bool: ...
+
+    def close(self) -> None: ...
+
+
+class FileSink:
+    """Rows straight into a file, through the C library's buffer: for the stepped clock, where nobody waits."""
+
+    def __init__(self, path: Path, header: bytes) -> None:
+        self._file: BinaryIO = path.open("xb")
+        self._file.write(header)
+
+    def write(self, row: bytes) -> bool:
+        """Append the row."""
+        self._file.write(row)
+        return True
+
+    def close(self) -> None:
+        """Flush and close."""
+        self._file.close()
+
+
+class PipeSink:
+    """Rows into the non-blocking end of a pipe; a full or broken pipe loses the row and says so, the loop goes on."""
+
+    def __init__(self, fd: int, header: bytes) -> None:
+        os.write(fd, header)
+        os.set_blocking(fd, False)
+        self._fd = fd
+
+    def write(self, row: bytes) -> bool:
+        """Append the row; rows are shorter than PIPE_BUF, so the kernel takes a row whole or not at all."""
+        try:
+            os.write(self._fd, row)
+        except (BlockingIOError, BrokenPipeError):
+            return False
+        return True
+
+    def close(self) -> None:
+        """Close the pipe: the writer drains it and ends."""
+        os.close(self._fd)
+
+
+class NoSink:
+    """Keeps nothing on disk."""
+
+    def write(self, row: bytes) -> bool:
+        """Take the row and forget it."""
+        return True
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+class Recorder:
+    """Packs rows, keeps the last ones for fault reports, and counts the rows that a sink could not take."""
+
+    def __init__(self, layout: Layout, sink: RowSink, saved_rows: int = 250) -> None:
+        self.layout = layout
+        self.lost_rows = 0
+        self._sink = sink
+        self._kept: list[bytes] = [b""] * saved_rows
+        self._next = 0
+        self._pack = layout.packing.pack
+
+    def write(self, values: Sequence[float]) -> None:
+        """Record one cycle; `values` in the order of `layout.names`."""
+        row = self._pack(*values)
+        self._kept[self._next] = row
+        self._next = (self._next + 1) % len(self._kept)
+        if not self._sink.write(row):
+            self.lost_rows += 1
+
+    def last_rows(self) -> tuple[bytes, ...]:
+        """The kept rows, oldest first."""
+        return tuple(row for row in self._kept[self._next :] + self._kept[: self._next] if row)
+
+    def close(self) -> None:
+        """Close the sink."""
+        self._sink.close()
+
+
+class RecordError(ArmError):
+    """A recording that cannot be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A recording on disk: its header and where its rows begin."""
+
+    path: Path
+    header: dict[str, Any]
+    layout: Layout
+    offset: int
+
+    @classmethod
+    def open(cls, path: Path) -> "Recording":
+        """Read the header. RecordError when the file is no recording."""
+        with path.open("rb") as file:
+            start = file.read(len(MAGIC) + 4)
+            if len(start) < len(MAGIC) + 4 or not start.startswith(MAGIC):
+                raise RecordError(
+                    f"{path}: not an armwright recording: expected it to start with {MAGIC!r}, got {start[:8]!r}"
+                )
+            (length,) = struct.unpack("<I", start[len(MAGIC) :])
+            text = file.read(length)
+        try:
+            header = json.loads(text)
+            packing = struct.Struct(header["packing"])
+            layout = Layout(header["joint_count"], tuple(header["names"]), packing)
+            packing.pack(*(0 for _ in layout.names))  # as many values as names
+            if not layout.names:
+                raise ValueError("it names no columns")
+        except (ValueError, KeyError, TypeError, struct.error) as error:
+            raise RecordError(f"{path}: the header of this recording is damaged ({error})") from error
+        return cls(path, header, layout, len(MAGIC) + 4 + length)
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Names of the modes by their recorded numbers, of the version that recorded."""
+        return tuple(self.header.get("modes") or MODES_BEFORE_THEY_WERE_RECORDED)
+
+    @property
+    def row_count(self) -> int:
+        """How many whole rows the file holds."""
+        return max(0, self.path.stat().st_size - self.offset) // self.layout.packing.size
+
+    def rows(self) -> Iterator[tuple[float, ...]]:
+        """Rows as tuples in the order of `layout.names`; a torn last row is dropped."""
+        size = self.layout.packing.size
+        with self.path.open("rb") as file:
+            file.seek(self.offset)
+            while len(chunk := file.read(size * 4096)) >= size:
+                yield from self.layout.packing.iter_unpack(chunk[: len(chunk) // size * size])

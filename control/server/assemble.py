@@ -1,0 +1,230 @@
+"""Puts a runtime together from an arm, its hardware and a recorder. The only place that knows all of the loop's parts."""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+from control.dynamics.dynamics import Dynamics
+from control.dynamics.feedforward import torque_constants_Nm_A, torque_model
+from control.dynamics.gains import InertiaScale, gains_of
+from control.dynamics.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, JointSide, has_joint_side
+from control.errors import MissingModel
+from control.hardware.interface import Hardware, OutputMode
+from control.hardware.measurement import Measurement
+from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import Kinematics
+from control.loop.homing_sequence import HomingSequence, JointHome
+from control.loop.jogging import Jogging
+from control.loop.parts import Camera, Parts
+from control.loop.runtime import Runtime
+from control.loop.watch import JointLimits as MeasuredLimits
+from control.loop.watch import Watch, WatchLimits
+from control.model.arm import Arm, Drive
+from control.model.joint_map import JointMap
+from control.motion.jog_limits import JogLimits
+from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import Stop
+from control.motion.setpoint import SetPoint
+from control.recording.record import Layout, NoSink, Recorder, RowSink
+from control.safety.limits import SetPointLimits
+from control.server.requests import Requests
+from control.servo.gravity_compensation import GravityCompensation
+from control.servo.pid import Pid
+from control.servo.servo import Motor, Servo
+
+PAUSE_LIMIT = 0.9  # of the boards' watchdog: a host that pauses longer in one go is not fit to control an arm
+OVERSPEED = 1.5  # of the speed limit: more than any controlled motion overshoots
+RANGE_MARGIN_rad = 0.05
+SET_POINT_MARGIN = 1.05  # of speed and acceleration: a plan is checked at samples, the guard at every cycle
+SLOPE_MOST = 1.1  # of an encoder's speed over its joint's: no scale, disc or belt is that far off
+HOMING_TRAVEL = 1.1  # of the joint's range
+HOMING_ACCELERATION = 0.2  # of the joint's limit
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Assembly:
+    """A runtime and who serves its requests."""
+
+    runtime: Runtime
+    requests: Requests
+
+
+def assemble(
+    arm: Arm,
+    hardware: Hardware,
+    period_s: float,
+    camera: Camera | None = None,
+    sink: RowSink | None = None,
+    stopwatch_s: Callable[[], float] = time.perf_counter,
+    about: Mapping[str, object] | None = None,
+) -> Assembly:
+    """A runtime that is ready for its first cycle. MissingModel when arm.toml lacks what control needs."""
+    limits = JointLimits.of(arm)
+    jog_limits = JogLimits.of(arm)
+    kinematics, inverse = Kinematics(arm), InverseKinematics(arm)
+    names = tuple(f"joint {drive.joint}" for drive in arm.drives)
+    servo = _servo(arm, period_s)
+    parts = Parts(
+        hardware=hardware,
+        recorder=Recorder(Layout.of(arm.joint_count, has_joint_side(arm)), sink or NoSink()),
+        measurement=Measurement(
+            [JointMap(drive) for drive in arm.drives], [d.encoder_bits for d in arm.drives]
+        ),
+        servo=servo,
+        watch=Watch(_watch_limits(arm, period_s), names),
+        set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
+        homing=lambda: HomingSequence(_homes(arm), hardware),
+        gravity_compensation=GravityCompensation(_motors(arm), servo.torque_model, names),
+        jogging=lambda is_homed: Jogging(jog_limits, inverse, is_homed),
+        stop_from=lambda state: Stop(state, limits),
+        inverse=inverse,
+        camera=camera,
+        joint_names=names,
+        do_counters_span=all(_does_counter_span(drive) for drive in arm.drives),
+        period_s=period_s,
+        stopwatch_s=stopwatch_s,
+        aim_limits=tuple(_aim_limits(drive) for drive in arm.drives),
+        joint_side=JointSide.of(arm),
+    )
+    runtime = Runtime(parts)
+    return Assembly(runtime, Requests(runtime, limits, kinematics, {"arm": arm.name, **(about or {})}))
+
+
+def _does_counter_span(drive: Drive) -> bool:
+    """Whether every angle of the joint's range has a count of its own."""
+    mapped, half = JointMap(drive), 1 << (drive.encoder_bits - 1)
+    ends = (drive.joint_lower_rad, drive.joint_upper_rad)
+    return all(abs(mapped.count(end)) < half for end in ends if math.isfinite(end))
+
+
+def _servo(arm: Arm, period_s: float) -> Servo:
+    modes = {drive.pid.mode for drive in arm.drives}
+    if len(modes) != 1:
+        raise MissingModel(
+            f"arm {arm.name}: all drives must have the same [drive.pid] mode, got {', '.join(sorted(modes))}"
+        )
+    mode = OutputMode[modes.pop().upper()]
+    pids = []
+    for drive in arm.drives:
+        gains = gains_of(arm, drive.joint)
+        limit = drive.current_limit_A if mode is OutputMode.CURRENT else drive.supply_V
+        pids.append(Pid(gains.kp, gains.ki, gains.kd, gains.derivative_filter_s, limit, period_s))
+    shares = InertiaScale(arm) if mode is OutputMode.CURRENT else None
+    return Servo(mode, _motors(arm), pids, TorqueModel(arm), period_s, shares)
+
+
+def _motors(arm: Arm) -> list[Motor]:
+    constants = torque_constants_Nm_A(arm)
+    return [_motor(drive, constant) for drive, constant in zip(arm.drives, constants, strict=True)]
+
+
+def _motor(drive: Drive, joint_constant: float) -> Motor:
+    return Motor(
+        1.0 / joint_constant, drive.resistance_ohm, joint_constant, drive.supply_V, drive.current_limit_A
+    )
+
+
+class TorqueModel:
+    """Joint torques that the model expects for a motion; the payload at the tip may change while it runs.
+
+    Torques are linear in the payload's mass, so one kilogram more than nothing, scaled, is any payload.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self.payload_kg = 0.0
+        self._known = torque_model(arm)
+        self._empty = Dynamics(arm).inverse
+        self._laden = Dynamics(arm, 1.0).inverse
+        self._rotor_kg_m2 = tuple(d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives)
+
+    def __call__(
+        self,
+        q_rad: Sequence[float],
+        speed_rad_s: Sequence[float],
+        acceleration_rad_s2: Sequence[float],
+        motors: SetPoint | None = None,
+        /,
+    ) -> Sequence[float]:
+        """Torques in N m: rigid body, rotors, payload, and the effects that the arm's file names.
+
+        Where `motors` are to go elsewhere than the joints, their rotors alone follow that, and their magnets are met there.
+        """
+        known: Sequence[float] = self._known(
+            q_rad, speed_rad_s, acceleration_rad_s2, None if motors is None else motors.q_rad
+        )
+        if motors is not None:
+            parts = zip(
+                known, self._rotor_kg_m2, motors.acceleration_rad_s2, acceleration_rad_s2, strict=True
+            )
+            known = [torque + inertia * (motor - joint) for torque, inertia, motor, joint in parts]
+        if self.payload_kg == 0.0:
+            return known
+        laden = self._laden(q_rad, speed_rad_s, acceleration_rad_s2)
+        empty = self._empty(q_rad, speed_rad_s, acceleration_rad_s2)
+        return [k + self.payload_kg * (w - e) for k, w, e in zip(known, laden, empty, strict=True)]
+
+
+def _watch_limits(arm: Arm, period_s: float) -> WatchLimits:
+    joints = tuple(
+        MeasuredLimits(
+            lower_rad=drive.joint_lower_rad,
+            upper_rad=drive.joint_upper_rad,
+            range_margin_rad=RANGE_MARGIN_rad,
+            speed_rad_s=OVERSPEED * drive.joint_speed_limit_rad_s,
+            following_error_rad=arm.limits.following_error_rad,
+            following_error_per_speed_s=arm.limits.following_error_per_speed_s,
+        )
+        for drive in arm.drives
+    )
+    missed_in_row = int(PAUSE_LIMIT * arm.limits.watchdog_s / period_s)
+    return WatchLimits(joints, arm.limits.stale_s, arm.limits.watchdog_s, missed_in_row)
+
+
+def _set_point_limits(drive: Drive) -> SetPointLimits:
+    return SetPointLimits(
+        drive.joint_lower_rad,
+        drive.joint_upper_rad,
+        SET_POINT_MARGIN * drive.joint_speed_limit_rad_s,
+        SET_POINT_MARGIN * drive.joint_acceleration_limit_rad_s2,
+    )
+
+
+def _aim_limits(drive: Drive) -> SetPointLimits:
+    """Of the encoder's set-point, where it is not the joint's: its share of what scale and belt add, and the gear's own."""
+    most = SET_POINT_MARGIN * SLOPE_MOST
+    return SetPointLimits(
+        drive.joint_lower_rad,
+        drive.joint_upper_rad,
+        (most + SHARE_OF_SPEED) * drive.joint_speed_limit_rad_s,
+        (most + SHARE_OF_ACCELERATION) * drive.joint_acceleration_limit_rad_s2,
+    )
+
+
+def _homes(arm: Arm) -> list[tuple[int, JointHome]]:
+    """How the joints home, in the order of the drives. MissingModel names a drive without [drive.home]."""
+    homes = []
+    for joint, drive in enumerate(arm.drives):
+        if drive.home is None:
+            raise MissingModel(
+                f"arm {arm.name}: joint {drive.joint} cannot be homed: add [drive.home] with switch_rad and index_rad"
+                " to its drive, or set its zero on the encoder board"
+            )
+        range_rad = drive.joint_upper_rad - drive.joint_lower_rad
+        homes.append(
+            (
+                joint,
+                JointHome(
+                    name=f"joint {drive.joint}",
+                    speed_rad_s=drive.home.speed_rad_s,
+                    acceleration_rad_s2=HOMING_ACCELERATION * drive.joint_acceleration_limit_rad_s2,
+                    backoff_rad=drive.home.backoff_rad,
+                    travel_rad=HOMING_TRAVEL * range_rad,
+                    switch_rad=drive.home.switch_rad,
+                    index_rad=drive.home.index_rad,
+                    turn_rad=2.0 * 3.141592653589793 / drive.gear_ratio,
+                    index_count=JointMap(drive).count(drive.home.index_rad),
+                ),
+            )
+        )
+    return homes

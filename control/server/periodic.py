@@ -1,0 +1,36 @@
+"""The beat: calls a cycle at absolute deadlines and counts the ones that were missed.
+
+A deadline is the last one plus the period, never "now plus the period", so lateness does not accumulate; after a pause the
+missed deadlines are skipped, not caught up in a burst, because a burst of old set-points is worse than a gap.
+"""
+
+from firmware_iface.clock import Clock
+
+
+class PeriodicTimer:
+    """Deadlines every `period_s` on a clock.
+
+    `wait` sets `skipped` (deadlines that passed unserved just now), `missed_in_row` and `missed` (all of them).
+    """
+
+    def __init__(self, clock: Clock, period_s: float) -> None:
+        self.period_s = period_s
+        self.skipped = 0
+        self.missed = 0
+        self.missed_in_row = 0
+        self._clock = clock
+        self._deadline_s = clock.now_s() + period_s
+
+    def wait(self) -> float:
+        """Wait for the next deadline; returns the lateness at the start of the cycle in s."""
+        self._clock.wait_until_s(self._deadline_s)
+        late_s = self._clock.now_s() - self._deadline_s
+        self.skipped = int(late_s / self.period_s)
+        self.missed += self.skipped
+        self.missed_in_row = self.missed_in_row + self.skipped if self.skipped else 0
+        self._deadline_s += (self.skipped + 1) * self.period_s
+        return late_s
+
+    def restart(self) -> None:
+        """Begin anew a period from now: somebody waited outside of a cycle, and that is no lateness."""
+        self._deadline_s = self._clock.now_s() + self.period_s

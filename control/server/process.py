@@ -1,0 +1,132 @@
+"""The loop in a process of its own, in real time: what `armwright serve` runs.
+
+SIGINT and SIGTERM ask for the way off: controlled stop, hold, windings shorted until the arm is at rest, drives off. A second
+signal during that changes nothing; the emergency stop is a switch, not a signal.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from control.dynamics.joint_side import has_joint_side
+from control.hardware.connect import Connection, connect
+from control.model.arm import Arm
+from control.model.description import arm_text
+from control.recording.record import Layout, PipeSink
+from control.server.assemble import Assembly, assemble
+from control.server.periodic import PeriodicTimer
+from control.server.scheduling import request_punctuality
+from control.server.server import Server, require_free
+from firmware_iface.clock import Clock, MonotonicClock
+
+PIPE_bytes = 1 << 20  # some seconds of rows: how long a disk may stall
+
+
+@dataclass(frozen=True, slots=True)
+class ServeOptions:
+    """How the runtime is served."""
+
+    socket_path: Path
+    log_folder: Path
+    period_s: float
+    camera_port: int | None
+
+
+def serve(arm: Arm, options: ServeOptions, announce: Callable[[str], None]) -> None:
+    """Connect, then run the loop until it is told to end. Raises what connecting raises; nothing has moved then."""
+    require_free(options.socket_path)  # before its boards hear anything from a second host
+    clock = MonotonicClock()
+    connection = connect(arm, clock, options.period_s, options.camera_port)
+    recording, writer, sink = _start_writer(arm, options)
+    remedy = request_punctuality()
+    about = {"recording": str(recording), "rights": remedy or "granted"}
+    try:
+        assembly = assemble(arm, connection.hardware, options.period_s, connection.camera, sink, about=about)
+        server = Server(options.socket_path, assembly.requests.handle, assembly.requests.on_gone)
+        announce(f"serving arm {arm.name!r} at {options.socket_path}, recording to {recording}")
+        if remedy:
+            announce(remedy)
+        try:
+            run(assembly, server, clock, options.period_s)
+        finally:
+            server.close()
+    finally:
+        _leave_safely(connection)
+        sink.close()
+        writer.wait()
+
+
+def run(assembly: Assembly, server: Server, clock: Clock, period_s: float) -> None:
+    """Cycle after cycle, requests in between, until the runtime ends."""
+    runtime = assembly.runtime
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: runtime.go_off(quits=True))
+    beat = PeriodicTimer(clock, period_s)
+    is_running = True
+    failure: Exception | None = None
+    while is_running:
+        late_s = beat.wait()
+        is_running = runtime.cycle(clock.now_s(), late_s, beat.skipped, beat.missed_in_row)
+        try:
+            server.poll()
+        except Exception as error:  # the arm is brought to rest first, then it is said what broke
+            failure = failure or error
+            runtime.go_off(quits=True)
+        if runtime.has_waited:
+            runtime.has_waited = False
+            beat.restart()
+    if failure is not None:
+        raise failure
+
+
+def _leave_safely(connection: Connection) -> None:
+    """Whatever ended the loop: if drives are still on, brake; their watchdogs would do it a little later."""
+    if connection.hardware.is_any_enabled():
+        connection.hardware.emergency_stop()
+    connection.close()
+
+
+def _start_writer(arm: Arm, options: ServeOptions) -> tuple[Path, "subprocess.Popen[bytes]", PipeSink]:
+    options.log_folder.mkdir(parents=True, exist_ok=True)
+    started_s = time.time()
+    name = time.strftime("%Y%m%d-%H%M%S", time.localtime(started_s))
+    path = _free(options.log_folder, f"{arm.name}-{name}")
+    read_fd, write_fd = os.pipe()
+    _enlarge(write_fd)
+    writer = subprocess.Popen(
+        [sys.executable, "-m", "control.recording.writer", str(path)], stdin=read_fd, start_new_session=True
+    )
+    os.close(read_fd)
+    header = Layout.of(arm.joint_count, has_joint_side(arm)).header(
+        {
+            "arm": arm.name,
+            "arm_file": str(arm.path),
+            "arm_toml": arm_text(arm),
+            "program": f"armwright {version('armwright')}",
+            "started_unix_s": started_s,
+            "period_s": options.period_s,
+        }
+    )
+    return path, writer, PipeSink(write_fd, header)
+
+
+def _free(folder: Path, stem: str) -> Path:
+    path, number = folder / f"{stem}.armlog", 1
+    while path.exists():
+        number += 1
+        path = folder / f"{stem}-{number}.armlog"
+    return path
+
+
+def _enlarge(fd: int) -> None:
+    import contextlib
+    import fcntl
+
+    with contextlib.suppress(OSError, AttributeError):
+        fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, PIPE_bytes)

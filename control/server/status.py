@@ -1,0 +1,101 @@
+"""The runtime's state as a JSON object: what `status` answers (docs/socket.md)."""
+
+from typing import Any
+
+from control.kinematics.kinematics import Kinematics
+from control.loop.runtime import Runtime
+from control.safety.table import CONTROLLED_MODES, Mode
+from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD
+
+CAMERA_FRESH_S = 0.5
+NEAR = 0.9  # of a limit: worth a warning
+
+
+def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
+    """Everything that an operator or a program wants to know of the arm now."""
+    parts, monitor = runtime.parts, runtime.monitor
+    feedback, measured, aim = parts.hardware.feedback, parts.measurement, runtime.aim
+    q_rad = measured.q_rad
+    joint_rad, joint_set_rad = runtime.joint_rad()
+    sees_tip = runtime.now_s - runtime.camera_at_s < CAMERA_FRESH_S
+    return {
+        "mode": monitor.mode.name,
+        "run": runtime.run_number,
+        "is_homed": monitor.is_homed,
+        "t_s": runtime.now_s,
+        "cycle": runtime.cycles,
+        "q_rad": q_rad,
+        "q_set_rad": aim.q_rad,
+        "joint_rad": joint_rad,
+        "joint_set_rad": joint_set_rad,
+        "speed_rad_s": measured.speed_rad_s,
+        "following_error_rad": [s - m for s, m in zip(aim.q_rad, q_rad, strict=True)],
+        "direction": measured.direction,
+        "count": feedback.count,
+        "current_A": feedback.current_A,
+        "supply_V": feedback.supply_V,
+        "temperature_C": feedback.temperature_C,
+        "output": parts.servo.output,
+        "output_mode": parts.servo.mode.name,
+        "drive_state": [_state_name(word) for word in feedback.statusword],
+        "tip_m": kinematics.tip(*joint_rad) if monitor.is_homed else None,
+        "tip_set_m": kinematics.tip(*joint_set_rad) if monitor.is_homed else None,
+        "camera_m": runtime.camera_m if sees_tip else None,
+        "progress": runtime.progress(),
+        "pace": runtime.pace(),
+        "was_stopped": runtime.was_stopped,
+        "is_weightless": runtime.is_weightless and monitor.mode is Mode.GUIDING,
+        "override": runtime.override,
+        "faults": [
+            {"code": f.code, "where": f.where, "message": f.message, "remedy": f.remedy}
+            for f in monitor.faults
+        ],
+        "warnings": _warnings(runtime),
+        "period_s": parts.period_s,
+        "missed_cycles": runtime.punctuality.missed,
+        "late_p99_s": runtime.punctuality.late_s(0.99),
+        "busy_p50_s": runtime.punctuality.busy_s(0.5),
+        "lost_rows": parts.recorder.lost_rows,
+    }
+
+
+def _state_name(statusword: int) -> str:
+    state = STATE_OF_STATUSWORD[statusword]
+    return state.value if state else f"no state (0x{statusword:02x})"
+
+
+def _warnings(runtime: Runtime) -> list[str]:
+    parts = runtime.parts
+    warnings = []
+    for name, bits in zip(parts.joint_names, parts.hardware.feedback.drive_faults, strict=True):
+        if bits and not runtime.monitor.faults:
+            warnings.append(
+                f"the drive of {name} is in FAULT (bits 0x{bits:02x}): `armwright acknowledge` when it is safe"
+            )
+    if parts.recorder.lost_rows:
+        warnings.append(
+            f"{parts.recorder.lost_rows} cycles were not recorded: the disk or the writer does not keep up"
+        )
+    if runtime.jogging is not None and runtime.jogging.limited:
+        warnings.append(runtime.jogging.limited)
+    if runtime.monitor.mode in CONTROLLED_MODES - {Mode.HOMING} and not runtime.monitor.is_homed:
+        warnings.append("not homed: joint angles mean nothing yet (`armwright home`)")
+    if runtime.monitor.is_homed:
+        warnings += _near_range(runtime)
+    return warnings
+
+
+def _near_range(runtime: Runtime) -> list[str]:
+    warnings = []
+    for name, limit, q in zip(
+        runtime.parts.joint_names,
+        runtime.parts.set_point_limits,
+        runtime.parts.measurement.q_rad,
+        strict=True,
+    ):
+        room = min(q - limit.lower_rad, limit.upper_rad - q)
+        if room < 0.0:
+            warnings.append(f"{name} is {-room:.3f} rad beyond the end of its range: jog or move it back")
+        elif room < (1.0 - NEAR) * 0.5 * (limit.upper_rad - limit.lower_rad):
+            warnings.append(f"{name} is {room:.3f} rad from the end of its range")
+    return warnings

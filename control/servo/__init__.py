@@ -1,0 +1,1 @@
+"""Controllers of a joint: PID, feed-forward to volts, gravity compensation."""

@@ -1,0 +1,49 @@
+"""Hand-guiding an arm whose drives carry its own weight: gravity's torque as current, some damping, nothing else.
+
+No position is controlled, so the arm stays where the hand leaves it only as well as the masses are known; friction helps. What
+is wrong with the masses or the payload shows as drift, which the damping keeps slow and the speed limit ends.
+"""
+
+from collections.abc import Sequence
+
+from control.safety.fault import Fault, Reaction
+from control.servo.servo import Motor, TorqueModel
+
+CURRENT_FRACTION = 0.5  # of the limit: the weight takes a quarter of it on the reference arm
+DAMPING_Nm_s_rad = 4.0  # a hand at 0.5 m from the axis feels 4 N at 0.5 rad/s
+FASTEST_rad_s = 1.0  # of a joint that a hand guides; faster, something pushes
+
+
+class GravityCompensation:
+    """Currents of all joints while a hand guides the arm."""
+
+    def __init__(
+        self, motors: Sequence[Motor], torque_model: TorqueModel, joint_names: Sequence[str]
+    ) -> None:
+        self._motors = motors
+        self._torque_model = torque_model
+        self._names = joint_names
+        self._rest = tuple(0.0 for _ in motors)
+        self.amperes = [0.0] * len(motors)
+
+    def update(self, q_rad: Sequence[float], speed_rad_s: Sequence[float]) -> list[float]:
+        """Amperes for joint angles and measured speeds, within half of the limits."""
+        torque_Nm = self._torque_model(q_rad, self._rest, self._rest)
+        for joint, motor in enumerate(self._motors):
+            wanted_Nm = torque_Nm[joint] - DAMPING_Nm_s_rad * speed_rad_s[joint]
+            most_A = CURRENT_FRACTION * motor.current_limit_A
+            self.amperes[joint] = min(max(wanted_Nm * motor.amperes_per_Nm, -most_A), most_A)
+        return self.amperes
+
+    def too_fast(self, speed_rad_s: Sequence[float]) -> Fault | None:
+        """The joint that moves faster than a hand should guide it."""
+        for name, speed in zip(self._names, speed_rad_s, strict=True):
+            if not abs(speed) <= FASTEST_rad_s:
+                return Fault(
+                    "guided_too_fast",
+                    name,
+                    f"it moves at {speed:.2f} rad/s while it is guided by hand (limit {FASTEST_rad_s:.2f} rad/s)",
+                    "guide it slower; if nobody did, look at masses and payload, or guide with the drives off",
+                    Reaction.BRAKE,
+                )
+        return None

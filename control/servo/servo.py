@@ -1,0 +1,173 @@
+"""From set-point to output: feed-forward of what the model knows, PID for what it does not.
+
+Voltage of a brushed DC motor: u = R i + k_t N dq/dt (inductance is five times faster than a cycle), with i = tau / (N k_t) for
+the torque tau that the model asks for. The PID acts on the joint's error and adds volts; in CURRENT mode it adds amperes
+and the board supplies the back-EMF; in POSITION mode the board runs the PID on counts and takes the volts as feed-forward.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from control.hardware.interface import OutputMode
+from control.motion.setpoint import SetPoint
+from control.safety.limits import voltage_range
+
+FADE_S = 2.0  # slow beside the boards' integrals: the arm moves by a tenth of a milliradian meanwhile
+
+
+class JointPid(Protocol):
+    """The controller of one joint (control.servo.pid)."""
+
+    def update(
+        self,
+        error: float,
+        error_rate: float | None,
+        feedforward: float,
+        lower: float | None,
+        upper: float | None,
+    ) -> float: ...
+
+    def reset(self) -> None: ...
+
+
+class TorqueModel(Protocol):
+    """Joint torques in N m that the model expects for angles, speeds and accelerations, with a payload at the tip.
+
+    `motors`: the set-point of the encoders, where that is not the joints'.
+    """
+
+    payload_kg: float
+
+    def __call__(
+        self,
+        q_rad: Sequence[float],
+        speed_rad_s: Sequence[float],
+        acceleration_rad_s2: Sequence[float],
+        motors: SetPoint | None = None,
+        /,
+    ) -> Sequence[float]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Motor:
+    """One joint's motor, seen from the joint: volts and amperes per N m and rad/s."""
+
+    amperes_per_Nm: float
+    resistance_ohm: float
+    volts_per_rad_s: float
+    supply_V: float
+    current_limit_A: float
+
+
+class GainShares(Protocol):
+    """What share of its gains each joint takes in a pose; `unknown` where the pose is not known."""
+
+    @property
+    def unknown(self) -> Sequence[float]: ...
+
+    def __call__(self, q_rad: Sequence[float]) -> Sequence[float]: ...
+
+
+class Servo:
+    """The controllers of all joints.
+
+    After an update, one entry a joint: `output` in the mode's unit, `feedforward_V` for POSITION mode, `volts` commanded or
+    implied.
+    """
+
+    def __init__(
+        self,
+        mode: OutputMode,
+        motors: Sequence[Motor],
+        pids: Sequence[JointPid],
+        torque_model: TorqueModel,
+        period_s: float,
+        gain_shares: GainShares | None = None,
+    ) -> None:
+        """`gain_shares`: of the PID's gains in CURRENT mode, by pose; all of them where there is none."""
+        self.mode = mode
+        self._gain_shares = gain_shares
+        self.output = [0.0] * len(motors)
+        self.feedforward_V = [0.0] * len(motors)
+        self.volts = [0.0] * len(motors)
+        self._motors = motors
+        self._pids = pids
+        self.torque_model = torque_model
+        self._share = 1.0  # of the model's torque that is fed forward
+        self._fade_step = period_s / FADE_S
+        self._no_torque = tuple(0.0 for _ in motors)
+        self._all = tuple(1.0 for _ in motors)
+
+    def reset(self) -> None:
+        """Forget integrals and filters: the next update starts without a bump from the feed-forward alone."""
+        self._share = 1.0
+        for pid in self._pids:
+            pid.reset()
+
+    def learn_pose(self) -> None:
+        """The pose has become known: the feed-forward takes over the weight that the integrals have carried so far.
+
+        Integrals of this loop are forgotten at once; those on the boards cannot be, so there the feed-forward fades in.
+        """
+        if self.mode is OutputMode.POSITION:
+            self._share = 0.0
+        else:
+            self.reset()
+
+    def silence(self) -> None:
+        """Zero all outputs, for modes that control nothing."""
+        for joint in range(len(self.output)):
+            self.output[joint] = self.feedforward_V[joint] = self.volts[joint] = 0.0
+
+    def update(
+        self,
+        set_point: SetPoint,
+        q_rad: Sequence[float],
+        speed_rad_s: Sequence[float],
+        knows_pose: bool,
+        current_fraction: float = 1.0,
+        joints: SetPoint | None = None,
+    ) -> None:
+        """One cycle. Without a known pose (before homing) gravity is left to the integral.
+
+        `current_fraction` scales the current limit, so that homing runs with little force. `set_point` is the encoders'; `joints`
+        is that of the joints where the model knows that the two are not the same.
+        """
+        if not knows_pose:
+            torque_Nm: Sequence[float] = self._no_torque
+        elif joints is None:
+            torque_Nm = self.torque_model(*set_point)
+        else:
+            torque_Nm = self.torque_model(*joints, set_point)
+        if self._share < 1.0:
+            self._share = min(1.0, self._share + self._fade_step)
+            torque_Nm = [self._share * torque for torque in torque_Nm]
+        shares = self._shares(q_rad, knows_pose)
+        for joint, motor in enumerate(self._motors):
+            amperes = torque_Nm[joint] * motor.amperes_per_Nm
+            volts = amperes * motor.resistance_ohm + motor.volts_per_rad_s * set_point.speed_rad_s[joint]
+            if self.mode is OutputMode.POSITION:
+                self.output[joint] = set_point.q_rad[joint]
+                self.feedforward_V[joint] = self.volts[joint] = min(
+                    max(volts, -motor.supply_V), motor.supply_V
+                )
+                continue
+            error = shares[joint] * (set_point.q_rad[joint] - q_rad[joint])
+            error_rate = shares[joint] * (set_point.speed_rad_s[joint] - speed_rad_s[joint])
+            limit_A = motor.current_limit_A * current_fraction
+            back_emf_V = motor.volts_per_rad_s * speed_rad_s[joint]
+            if self.mode is OutputMode.CURRENT:
+                amperes = self._pids[joint].update(error, error_rate, amperes, -limit_A, limit_A)
+                self.output[joint] = amperes
+                self.volts[joint] = amperes * motor.resistance_ohm + back_emf_V
+                continue
+            lower, upper = voltage_range(motor.supply_V, limit_A, motor.resistance_ohm, back_emf_V)
+            self.output[joint] = self.volts[joint] = self._pids[joint].update(
+                error, error_rate, volts, lower, upper
+            )
+
+    def _shares(self, q_rad: Sequence[float], knows_pose: bool) -> Sequence[float]:
+        if self._gain_shares is None:
+            return self._all
+        return self._gain_shares(q_rad) if knows_pose else self._gain_shares.unknown

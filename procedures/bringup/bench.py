@@ -1,0 +1,310 @@
+"""The boards of an arm that is not known yet: one motor is driven at a time, all encoders are heard, every cycle is watched.
+
+The limits of current and voltage are written into the motor board before it is enabled, so they hold whatever this program
+does; a watchdog in the board brakes when this program stops talking. All other motors stay off, with shorted windings.
+"""
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+from control.errors import ArmError
+from control.hardware.boards import start_stream
+from control.model.arm import Arm
+from control.model.joint_map import Unwrapper
+from firmware_iface.clock import Clock
+from firmware_iface.encoder.board import EncoderBoard
+from firmware_iface.errors import LinkError, MisuseError, connect_all
+from firmware_iface.link import open_can, open_serial
+from firmware_iface.motor.board import MotorBoard, MotorBus
+from firmware_iface.motor.cia402 import State
+from firmware_iface.motor.wire import Output, Parameter
+from procedures.bringup.operator import Operator, Stopped
+
+PERIOD_S = 0.004
+CURRENT_MARGIN = (
+    1.3  # of the limit that the board keeps itself; what is above it means that the board does not
+)
+CURRENT_MARGIN_A = 0.2  # noise of its measurement
+SETTLING_CYCLES = 3  # until speeds are those of now
+SPEED_FILTER_S = 0.004
+JUMP_SHARE = (
+    0.6  # of the allowed speed: a joint that is slower than this in one cycle is not too fast in the next
+)
+Channel = tuple[int, int]
+"""Encoder board and channel on it, both from 0."""
+
+
+class Surprise(ArmError):
+    """Something happened that a good arm does not do: the drive was switched off at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveLimits:
+    """What a motor may get, and how far its encoder may run before it is switched off."""
+
+    current_A: float
+    voltage_V: float
+    speed_count_s: float = math.inf
+    travel_count: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One cycle: all channels, and the motor that is driven (board's sign)."""
+
+    t_s: float
+    counts: dict[Channel, int]
+    flags: dict[Channel, int]
+    speed_count_s: dict[Channel, float]
+    volts: float
+    current_A: float
+    is_limited: bool
+    """The board cut the voltage back to one of its limits."""
+
+
+class Bench:
+    """Open boards. `driving` enables one motor; within it, `cycle` sends a voltage and waits for what comes back."""
+
+    def __init__(self, arm: Arm, clock: Clock, operator: Operator) -> None:
+        self.clock = clock
+        self.operator = operator
+        self.latest: Sample | None = None
+        self.before: Sample | None = None
+        self._arm = arm
+        self._closers: list[Callable[[], None]] = []
+        try:
+            self.encoders, self.motors, self._bus = self._opened(arm)
+        except BaseException:
+            self.close()
+            raise
+        self._driven: MotorBoard | None = None
+        self._limits = DriveLimits(0.0, 0.0)
+        self._origin: dict[Channel, int] = {}
+        self._unwrappers: dict[Channel, Unwrapper] = {}
+        self._speeds: dict[Channel, float] = {}
+        self._last_t_s: dict[int, float] = {}
+        self._deadline_s = clock.now_s()
+
+    def _opened(self, arm: Arm) -> tuple[tuple[EncoderBoard, ...], dict[int, MotorBoard], MotorBus]:
+        can = arm.can
+        if can is None or not arm.encoder_boards:
+            raise ArmError(
+                f"arm {arm.name}: name its ports first: [[encoder_board]] and [can], or give --encoder and --can-..."
+            )
+        link = open_can(can.interface, can.channel, can.bitrate, **can.options)
+        self._closers.append(link.close)
+        bus = MotorBus(link, self.clock)
+        nodes = sorted({drive.motor_node for drive in arm.drives})
+        motors = {node: MotorBoard(bus, node) for node in nodes}
+        steps: list[Callable[[], object]] = [motor.identify for motor in motors.values()]
+        encoders: list[EncoderBoard] = []
+        for port in arm.encoder_boards:
+            serial = open_serial(port.port, port.baud)
+            self._closers.append(serial.close)
+            encoders.append(EncoderBoard(serial, self.clock, port.name))
+            steps.append(encoders[-1].identify)
+        connect_all(steps)
+        for encoder in encoders:
+            start_stream(encoder, PERIOD_S)
+        return tuple(encoders), motors, bus
+
+    def channels(self) -> list[Channel]:
+        """All channels that there are."""
+        return [
+            (board, channel)
+            for board, encoder in enumerate(self.encoders)
+            for channel in range(encoder.identity.channels if encoder.identity else 0)
+        ]
+
+    @contextlib.contextmanager
+    def driving(self, node: int, limits: DriveLimits) -> Iterator[None]:
+        """Enable one motor board at 0 V under these limits; whatever happens inside, it is braked and off afterwards."""
+        motor = self.motors[node]
+        self._set_up(motor, limits)
+        try:
+            motor.go_to(State.OPERATION_ENABLED)
+            self._driven, self._limits, self._origin = motor, limits, {}
+            self._deadline_s = self.clock.now_s()
+            for _ in range(SETTLING_CYCLES):
+                self.cycle(0.0)
+            self._origin = dict(self._newest().counts)
+            yield
+        finally:
+            self._driven = None
+            self._switch_off(motor)
+
+    def _set_up(self, motor: MotorBoard, limits: DriveLimits) -> None:
+        motor.acknowledge_fault()  # the operator has just allowed the motion
+        motor.go_to(State.SWITCH_ON_DISABLED)
+        for index, value in (
+            (Parameter.WATCHDOG_ms, round(self._arm.limits.watchdog_s * 1e3)),
+            (Parameter.WATCHDOG_ACTION, Output.BRAKE),
+            (Parameter.DISABLED_OUTPUT, Output.BRAKE),
+            (Parameter.VOLTAGE_LIMIT_mV, round(limits.voltage_V * 1e3)),
+            (Parameter.CURRENT_LIMIT_mA, max(1, round(limits.current_A * 1e3))),
+        ):
+            motor.write(index, value)
+
+    def _switch_off(self, motor: MotorBoard) -> None:
+        """0 V at once, then off; where the bus does not carry even that, everything is stopped."""
+        try:
+            motor.command_voltage(0.0)
+            with contextlib.suppress(LinkError):
+                self._bus.update()
+            if motor.state is not State.FAULT:
+                motor.go_to(State.SWITCH_ON_DISABLED)
+        except LinkError:
+            with contextlib.suppress(LinkError):
+                self._bus.emergency_stop(1)
+            raise
+
+    def cycle(self, volts: float) -> Sample:
+        """Send a voltage (board's sign), wait for the next cycle, hear everybody. Surprise or Stopped end the drive."""
+        motor, limits = self._driven, self._limits
+        if motor is None:
+            raise MisuseError("bring-up: a voltage was asked for while no motor is driven")
+        volts = min(max(volts, -limits.voltage_V), limits.voltage_V)
+        motor.command_voltage(volts)
+        self._deadline_s = max(self._deadline_s + PERIOD_S, self.clock.now_s())
+        self.clock.wait_until_s(self._deadline_s)
+        for encoder in self.encoders:
+            encoder.update()
+        self._bus.update()
+        sample = self._sampled(motor, volts)
+        self._watch(motor, sample)
+        if self.operator.wants_stop():
+            raise Stopped("stopped by the operator")
+        return sample
+
+    def observe(self, duration_s: float) -> Sample:
+        """Hear everybody for a while with all drives off."""
+        end_s = self.clock.now_s() + duration_s
+        while self.clock.now_s() < end_s:
+            self.clock.wait_until_s(self.clock.now_s() + PERIOD_S)
+            for encoder in self.encoders:
+                encoder.update()
+            self._bus.update()
+            if all(encoder.latest for encoder in self.encoders):
+                self._sampled(None, 0.0)
+        return self._newest()
+
+    def _newest(self) -> Sample:
+        if self.latest is None:
+            raise Surprise("encoder boards: no report came; run `armwright doctor`")
+        return self.latest
+
+    def _sampled(self, motor: MotorBoard | None, volts: float) -> Sample:
+        counts: dict[Channel, int] = {}
+        flags: dict[Channel, int] = {}
+        for board, encoder in enumerate(self.encoders):
+            report = encoder.latest
+            if report is None or encoder.identity is None:
+                raise Surprise(f"{encoder.where}: no report came; run `armwright doctor`")
+            span_s = encoder.board_time_s - self._last_t_s.get(board, -math.inf)
+            for channel in range(encoder.identity.channels):
+                at = (board, channel)
+                if at not in self._unwrappers:
+                    self._unwrappers[at] = Unwrapper(encoder.identity.encoder_bits, report.counts[channel])
+                before = self._unwrappers[at].unwrapped_count
+                counts[at] = self._unwrappers[at].update(report.counts[channel])
+                flags[at] = report.flags[channel]
+                self._follow_speed(at, counts[at] - before, span_s)
+            self._last_t_s[board] = encoder.board_time_s
+        current_A = motor.reply.current_A if motor is not None and motor.reply is not None else 0.0
+        is_limited = motor is not None and motor.reply is not None and motor.reply.is_limited
+        time_s = self.encoders[0].board_time_s
+        self.before = self.latest
+        self.latest = Sample(time_s, counts, flags, dict(self._speeds), volts, current_A, is_limited)
+        return self.latest
+
+    def _follow_speed(self, at: Channel, step: int, span_s: float) -> None:
+        if span_s == 0.0:
+            return
+        speed = self._speeds.get(at, 0.0)
+        wanted = step / span_s if math.isfinite(span_s) else 0.0
+        self._speeds[at] = (
+            speed + span_s / (span_s + SPEED_FILTER_S) * (wanted - speed) if span_s < 1.0 else wanted
+        )
+
+    def _watch(self, motor: MotorBoard, sample: Sample) -> None:
+        now_s, limits = self.clock.now_s(), self._limits
+        stale_s = self._arm.limits.stale_s
+        for encoder in self.encoders:
+            encoder.require_fresh(now_s, stale_s)
+        motor.require_fresh(now_s, stale_s)
+        if motor.state is not State.OPERATION_ENABLED or motor.reply is None:
+            raise Surprise(
+                f"{motor.where}: left OPERATION ENABLED by itself ({_fault_names(motor)}); run `armwright doctor`"
+            )
+        if abs(sample.current_A) > CURRENT_MARGIN * limits.current_A + CURRENT_MARGIN_A:
+            raise Surprise(
+                f"{motor.where}: {sample.current_A:+.2f} A flow, its limit is {limits.current_A:.2f} A: the board does not keep"
+                " its current limit; do not use it"
+            )
+        for at, origin in self._origin.items():
+            speed, travel = abs(sample.speed_count_s[at]), abs(sample.counts[at] - origin)
+            if speed > limits.speed_count_s:
+                raise Surprise(self._too_fast(at, sample, limits))
+            if travel > limits.travel_count:
+                raise Surprise(
+                    f"encoder channel {at[1]} of board {at[0]} ran on: {travel} counts, allowed are {limits.travel_count:.0f}:"
+                    " it was switched off; was the way free, and is another joint supported?"
+                )
+
+    def _too_fast(self, at: Channel, sample: Sample, limits: DriveLimits) -> str:
+        """A motor gathers speed; a count that jumps from one cycle to the next is not its doing."""
+        before = self.before
+        channel = f"encoder channel {at[1]} of board {at[0]}"
+        if before is not None and abs(before.speed_count_s[at]) < JUMP_SHARE * limits.speed_count_s:
+            return (
+                f"LOOSE ENCODER: {channel} jumped by {sample.counts[at] - before.counts[at]:+d} counts within"
+                f" {1e3 * PERIOD_S:.0f} ms, which no motor does: tighten the encoder on its shaft, then look at its cable"
+            )
+        return (
+            f"{channel} RAN AWAY at {abs(sample.speed_count_s[at]):.0f} counts/s, allowed are {limits.speed_count_s:.0f}: it was"
+            " switched off; another gear or encoder than the draft says, or a load that pulls it?"
+        )
+
+    def index_latch(self, at: Channel) -> int | None:
+        """The unwrapped count that the index latched since `arm_index`, or None."""
+        latch = self.encoders[at[0]].index_latch(at[1])
+        if latch is None:
+            return None
+        present = self._unwrappers[at].unwrapped_count
+        identity = self.encoders[at[0]].identity
+        half = 1 << (identity.encoder_bits - 1 if identity else 31)
+        return present + ((latch - present + half & 2 * half - 1) - half)
+
+    def arm_index(self, at: Channel) -> None:
+        """Let the next index pulse latch."""
+        self.encoders[at[0]].arm_index(at[1])
+        self._deadline_s = self.clock.now_s()
+
+    def motor_count(self, node: int) -> int:
+        """The motor board's own count of its encoder; counts up with positive voltage where both are wired right."""
+        return self.motors[node].read(Parameter.POSITION_COUNT)
+
+    def close(self) -> None:
+        """Stop the streams and close all links."""
+        for encoder in getattr(self, "encoders", ()):
+            with contextlib.suppress(LinkError):
+                encoder.stream(0.0)
+        for close in self._closers:
+            close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _fault_names(motor: MotorBoard) -> str:
+    flags = motor.reply.fault_flags if motor.reply else ()
+    return ", ".join(str(flag.name).lower().replace("_", " ") for flag in flags) or "no fault bit"

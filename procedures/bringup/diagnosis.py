@@ -1,0 +1,252 @@
+"""What the measurements at a joint mean: which keys of arm.toml they change, what is worth a word, what is broken.
+
+Two scales are kept apart. The index comes once a motor turn, so the spacing of index pulses is the encoder's counts a turn,
+exactly. The operator's readings against counts give counts a joint turn, so the gear ratio. The back-EMF gives the motor
+constant from the motor's own speed, which the gear has no part in.
+"""
+
+import math
+from dataclasses import replace
+from statistics import fmean, median
+
+from control.loop.watch import QUADRATURE_ERROR, SIGNAL_LOST
+from control.model.arm import Drive
+from procedures.bringup.findings import Diagnosis
+from procedures.bringup.measuring import ODD_RATIO, Measured
+from procedures.bringup.placing import place_home, place_limits
+from procedures.bringup.wiring import JointWiring
+
+READING_SD_RAD = 0.004  # of a protractor, eye included
+SCALE_TOLERANCE = 0.015  # of the gear ratio; a wrong gear is off by more
+EXACT = 0.004  # to which the end stops tell a gear ratio
+SPACING_SPREAD_counts = 4
+TOUCH_SPREAD_RAD = 0.0025  # of an end stop that is touched again and again
+SAME_WAY_SPREAD_RAD = 0.003  # of the home switch, passed in the same direction
+EDGE_SPREAD_RAD = 0.015  # of the home switch both ways: play, hysteresis of a switch, half a cycle of motion
+MISREAD_RAD = 0.025  # of a reading, off the line through the others
+FEWEST_READINGS = 3  # of which one that is misread lies off the line of the others
+CONSTANT_TOLERANCE = 0.2
+RESISTANCE_TOLERANCE = 0.6  # leads, brushes and heat add to what a data sheet says
+LEAST_CURRENT_A = 0.1  # that says something of a resistance
+
+
+def diagnose(draft: Drive, wiring: JointWiring, found: Measured, said_counts: int) -> Diagnosis:
+    """Everything that can be said about a joint; `said_counts`: what its boards say that its encoder has."""
+    drive = rewired(draft, wiring)
+    result = Diagnosis(drive)
+    is_slipping = _slip(result, found)
+    _counts(result, found, said_counts)
+    offset_rad, slope = _line(result, found, is_slipping)
+    if not is_slipping:
+        _gear(result, slope, draft, len(found.readings))
+    scale = (
+        draft.encoder_counts_per_rev
+        * draft.gear_ratio
+        / (result.drive.encoder_counts_per_rev * result.drive.gear_ratio)
+    )
+    _motor(result, found, draft)
+    _friction(result, found, draft, scale)
+    if not result.problems:
+        offset_rad = place_home(result, found, offset_rad, scale)
+        place_limits(result, found, offset_rad, scale)
+    return result
+
+
+def rewired(draft: Drive, wiring: JointWiring) -> Drive:
+    """The draft's drive, plugged in as it really is."""
+    return replace(
+        draft,
+        motor_node=wiring.node,
+        motor_direction=wiring.motor_direction,
+        encoder_board=wiring.channel[0],
+        encoder_channel=wiring.channel[1],
+        encoder_direction=wiring.encoder_direction,
+    )
+
+
+def _slip(result: Diagnosis, found: Measured) -> bool:
+    """A position that does not come back when the joint does."""
+    name = f"joint {result.drive.joint}"
+    evidence = []
+    for stops, side in zip(found.stops_rad, ("lower", "upper"), strict=True):
+        if len(stops) > 1 and max(stops) - min(stops) > TOUCH_SPREAD_RAD:
+            spread = max(stops) - min(stops)
+            evidence.append(
+                f"the {side} end stop, touched {len(stops)} times, was {1e3 * spread:.1f} mrad apart by the counts"
+            )
+    ways = [[edge for edge, direction, _ in found.edges if direction == way] for way in (1, -1)]
+    for edges, limit_rad in (
+        (ways[0], SAME_WAY_SPREAD_RAD),
+        (ways[1], SAME_WAY_SPREAD_RAD),
+        (ways[0] + ways[1], EDGE_SPREAD_RAD),
+    ):
+        if len(edges) > 1 and max(edges) - min(edges) > limit_rad:
+            evidence.append(
+                f"the home switch changed at places {1e3 * (max(edges) - min(edges)):.1f} mrad apart"
+            )
+            break
+    if found.flags & SIGNAL_LOST:
+        result.problems.append(
+            f"{name}: LOST ENCODER SIGNAL while it moved: check cable and plug where it bends"
+        )
+    if not evidence:
+        if found.flags & QUADRATURE_ERROR:
+            result.notes.append(
+                f"{name}: its encoder made an illegal transition: check shield and supply of its cable"
+            )
+        return False
+    if found.flags & QUADRATURE_ERROR:
+        cause = "COUNTS ARE LOST: the encoder makes illegal transitions: check shield, supply and length of its cable"
+    else:
+        cause = (
+            "LOOSE ENCODER: no transition was illegal, so something slips: tighten the encoder on its shaft, then belt, pinion"
+            " and the end stop itself"
+        )
+    result.problems.append(f"{name}: {cause} ({'; '.join(evidence)})")
+    return True
+
+
+def _counts(result: Diagnosis, found: Measured, said_counts: int) -> None:
+    """Counts a motor turn, from index to index."""
+    drive, name = result.drive, f"joint {result.drive.joint}"
+    spacings = found.spacings_count
+    if not spacings:
+        said = f"{name}: NO INDEX PULSE was seen within {2.6:g} motor turns: check the encoder's Z wire"
+        if drive.home is not None:
+            result.problems.append(f"{said}; homing needs it")
+        else:
+            result.notes.append(f"{said}; without it, counts a turn are the draft's")
+        return
+    middle = round(median(spacings))
+    result.figures["index_spacing_counts"] = middle
+    if max(spacings) - min(spacings) > SPACING_SPREAD_counts:
+        result.problems.append(
+            f"{name}: COUNTS ARE LOST between index pulses ({min(spacings)} to {max(spacings)}): check shield, supply and"
+            " length of the encoder's cable"
+        )
+    elif abs(middle - drive.encoder_counts_per_rev) > SPACING_SPREAD_counts:
+        result.changes.append(
+            f"{name}: WRONG COUNTS: {middle} counts from index to index, the draft says {drive.encoder_counts_per_rev}:"
+            f" encoder_counts_per_rev = {middle}"
+        )
+        result.drive = replace(drive, encoder_counts_per_rev=middle)
+    if abs(middle - said_counts) > SPACING_SPREAD_counts:
+        result.notes.append(
+            f"{name}: its boards say {said_counts} counts a motor turn, the encoder has {middle}: set the boards up for it, or"
+            " they will be refused by the new arm.toml"
+        )
+
+
+def _line(result: Diagnosis, found: Measured, is_slipping: bool) -> tuple[float, float]:
+    """Reading = offset + slope * nominal angle, by least squares; NaN where there are no two places."""
+    points = found.readings
+    name = f"joint {result.drive.joint}"
+    if len(points) < 2:
+        result.notes.append(
+            f"{name}: no angle was read: gear ratio, zero and limits are the draft's, unchecked"
+        )
+        return math.nan, math.nan
+    x0, q0 = fmean(x for x, _ in points), fmean(q for _, q in points)
+    sxx = math.fsum((x - x0) ** 2 for x, _ in points)
+    if sxx < 0.01:
+        result.problems.append(f"{name}: it hardly moved between two readings: free it, and run it again")
+        return math.nan, math.nan
+    slope = math.fsum((x - x0) * (q - q0) for x, q in points) / sxx
+    offset = q0 - slope * x0
+    worst = max(abs(q - offset - slope * x) for x, q in points)
+    result.figures |= {"scale": slope, "scale_sd": READING_SD_RAD / math.sqrt(sxx)}
+    if slope < 0.0:
+        result.problems.append(
+            f"{name}: its angle was read to fall while it turned in what was said to be its positive direction: one of the two"
+            " answers was wrong; run it again"
+        )
+    elif worst > MISREAD_RAD and not is_slipping:
+        result.problems.append(
+            f"{name}: readings and counts are up to {math.degrees(worst):.1f} deg off a straight line: an angle was misread, or"
+            " the encoder slips (LOOSE ENCODER); run it again"
+        )
+    return offset, slope
+
+
+def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
+    """Motor turns a joint turn. Another ratio than the draft's is believed only where a misread angle would have shown."""
+    if not slope > 0.0:
+        return
+    drive = result.drive
+    ratio = draft.gear_ratio * draft.encoder_counts_per_rev / (slope * drive.encoder_counts_per_rev)
+    sd = ratio * result.figures["scale_sd"] / slope
+    result.figures |= {"gear_ratio": ratio, "gear_ratio_sd": sd}
+    if abs(ratio / draft.gear_ratio - 1.0) <= max(SCALE_TOLERANCE, 3.0 * sd / ratio):
+        return
+    found = f"{ratio:.2f} motor turns a joint turn (sd {sd:.2f}), the draft says {draft.gear_ratio:g}"
+    if abs(ratio / draft.gear_ratio - 1.0) < ODD_RATIO:
+        result.problems.append(
+            f"joint {drive.joint}: LOOSE ENCODER or WRONG GEAR: {found}: so small a difference is rarely a gearbox; tighten the"
+            " encoder on its shaft and run it again, or correct gear_ratio in the draft if the gearbox's plate says so"
+        )
+        return
+    if readings < FEWEST_READINGS:
+        result.problems.append(
+            f"joint {drive.joint}: WRONG GEAR or a misread angle: {found}, by {readings} readings, which cannot show a mistake"
+            " in one of them; run it again with its end stops, or correct gear_ratio in the draft if the gearbox's plate says so"
+        )
+        return
+    rounded = float(round(ratio)) if abs(ratio - round(ratio)) < 2.0 * sd else float(f"{ratio:.4g}")
+    result.changes.append(
+        f"joint {drive.joint}: WRONG GEAR: {found}: gear_ratio = {rounded:g}; compare it with the gearbox's plate"
+    )
+    if sd > EXACT * ratio:
+        result.notes.append(
+            f"joint {drive.joint}: the gear is known to {sd / ratio:.1%} only: let it go to its end stops, and read them"
+        )
+    result.drive = replace(drive, gear_ratio=rounded)
+
+
+def _motor(result: Diagnosis, found: Measured, draft: Drive) -> None:
+    """Volts = R I + k w over all passes, w the motor's own speed; a check, for data sheets know better."""
+    if len(found.passes) < 4:
+        return
+    per_turn = draft.gear_ratio * draft.encoder_counts_per_rev / result.drive.encoder_counts_per_rev
+    rows = [(p.current_A, p.speed_rad_s * per_turn, p.volts) for p in found.passes]
+    aa, ab, bb = (math.fsum(r[i] * r[j] for r in rows) for i, j in ((0, 0), (0, 1), (1, 1)))
+    av, bv = (math.fsum(r[i] * r[2] for r in rows) for i in (0, 1))
+    determinant = aa * bb - ab * ab
+    if determinant <= 1e-3 * aa * bb or aa < len(rows) * LEAST_CURRENT_A**2:
+        return  # currents in proportion to speeds, or none, tell resistance and constant not apart
+    resistance_ohm, constant = (av * bb - bv * ab) / determinant, (bv * aa - av * ab) / determinant
+    result.figures |= {"resistance_ohm": resistance_ohm, "torque_constant_Nm_A": constant}
+    drive, name = result.drive, f"joint {result.drive.joint}"
+    if abs(constant / drive.torque_constant_Nm_A - 1.0) > CONSTANT_TOLERANCE:
+        result.notes.append(
+            f"{name}: its back-EMF says {constant:.4f} V s/rad, the draft's torque_constant_Nm_A is"
+            f" {drive.torque_constant_Nm_A:g}: another motor, or another winding? compare its data sheet"
+        )
+    if abs(resistance_ohm / drive.resistance_ohm - 1.0) > RESISTANCE_TOLERANCE:
+        result.notes.append(
+            f"{name}: {resistance_ohm:.3f} ohm between board and motor, the draft says {drive.resistance_ohm:g}: check crimps and"
+            " brushes, or correct resistance_ohm"
+        )
+
+
+def _friction(result: Diagnosis, found: Measured, draft: Drive, scale: float) -> None:
+    """Half the difference of the currents both ways, at each speed: coulomb + viscous * speed; the mean is gravity's."""
+    constant = result.drive.torque_constant_Nm_A * result.drive.gear_ratio
+    forth = [p for p in found.passes if p.speed_rad_s > 0.0]
+    back = [p for p in found.passes if p.speed_rad_s < 0.0]
+    points = [
+        (0.5 * (f.speed_rad_s - b.speed_rad_s) * scale, 0.5 * (f.current_A - b.current_A) * constant)
+        for f in forth
+        for b in back
+        if math.isclose(f.speed_rad_s, -b.speed_rad_s, rel_tol=0.1)
+    ]
+    if len(points) < 2:
+        result.notes.append(
+            f"joint {draft.joint}: friction was not measured: it did not turn freely both ways"
+        )
+        return
+    w0, t0 = fmean(w for w, _ in points), fmean(t for _, t in points)
+    sww = math.fsum((w - w0) ** 2 for w, _ in points)
+    viscous = max(0.0, math.fsum((w - w0) * (t - t0) for w, t in points) / sww) if sww > 1e-4 else 0.0
+    result.coulomb_Nm = max(0.0, t0 - viscous * w0)
+    result.viscous_Nm_s_rad = viscous
+    result.figures |= {"coulomb_Nm": result.coulomb_Nm, "viscous_Nm_s_rad": viscous}

@@ -1,0 +1,182 @@
+"""One joint that is known to answer its motor: turned at a speed, by a distance, until it stands against something.
+
+    volts = K speed_set + integral(gain (speed_set - speed))
+
+A motor on a voltage is a speed source with a lag (J R / K^2, some 20 ms), so an integral alone is enough, and it gives what
+friction and gravity take. Signs: `turned_rad` and speeds count up with the voltage's own sign undone by the caller's wiring.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+
+from control.model.arm import Drive
+from control.model.joint_map import JointMap
+from procedures.bringup.bench import Bench, Channel, DriveLimits, Sample
+from procedures.bringup.survey import Caution
+
+INTEGRAL_1_s = 10.0  # crossover of the speed loop, a fifth of the motor's own corner
+STALL_WINDOW_S = 0.15
+STALL_SHARE = 0.1  # of the way that it should have gone in the window
+START_S = 0.35  # before which a joint is only starting
+REST_S = 0.2
+RUNAWAY = 3.0  # times the speed that is asked for
+
+
+class End(Enum):
+    """Why a motion ended."""
+
+    REACHED = "reached"
+    STALLED = "stalled"
+    SEEN = "seen"
+
+
+@dataclass(slots=True)
+class Run:
+    """A motion: why it ended, and its cycles as (time, angle, speed, volts, amperes), all in the joint's sign."""
+
+    end: End
+    rows: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    flags: list[int] = field(default_factory=list)
+    limited: list[bool] = field(default_factory=list)
+    """Whether the board cut the voltage back."""
+
+    @property
+    def travelled_rad(self) -> float:
+        """From its first cycle to its last."""
+        return self.rows[-1][1] - self.rows[0][1] if self.rows else 0.0
+
+
+class JointDriver:
+    """A joint by its measured wiring. Angles: counts by the draft's scale, times `scale`, from where it stood first."""
+
+    def __init__(
+        self,
+        bench: Bench,
+        drive: Drive,
+        node: int,
+        channel: Channel,
+        motor_sign: int,
+        encoder_sign: int,
+        caution: Caution,
+    ) -> None:
+        self.bench, self.drive, self.node, self.channel = bench, drive, node, channel
+        self.scale = 1.0  # true joint angle over the draft's; measured on the way
+        self._motor_sign, self._encoder_sign = motor_sign, encoder_sign
+        self._caution = caution
+        self._per_count = abs(JointMap(drive).radians_per_count)
+        self._zero_count = bench.observe(0.02).counts[channel]
+
+    @property
+    def radians_per_count(self) -> float:
+        """Present belief, positive."""
+        return self._per_count * self.scale
+
+    def angle_rad(self, count: float) -> float:
+        """The joint's angle from where it stood first."""
+        return self._encoder_sign * (count - self._zero_count) * self.radians_per_count
+
+    def where_rad(self) -> float:
+        """Where it is now."""
+        return self.angle_rad(self.bench.observe(0.004).counts[self.channel])
+
+    def limits(self, speed_rad_s: float, travel_rad: float) -> DriveLimits:
+        """For a motion at this speed over this distance."""
+        current_A = self._caution.current_A
+        constant = self.drive.gear_ratio * self.drive.torque_constant_Nm_A
+        volts = current_A * self.drive.resistance_ohm + 1.5 * constant * abs(speed_rad_s)
+        return DriveLimits(
+            current_A,
+            min(volts, self.drive.supply_V),
+            max(RUNAWAY * abs(speed_rad_s), 0.5) / self.radians_per_count,
+            (abs(travel_rad) + 0.2) / self.radians_per_count,
+        )
+
+    def turn(
+        self,
+        distance_rad: float,
+        speed_rad_s: float,
+        until: Callable[[Run, Sample], bool] = lambda run, sample: False,
+    ) -> Run:
+        """Turn by a signed distance at a speed, until there, until it stalls, or until the caller has seen enough."""
+        sign = math.copysign(1.0, distance_rad)
+        speed_set = sign * abs(speed_rad_s)
+        constant = self.drive.gear_ratio * self.drive.torque_constant_Nm_A
+        integral = 0.0
+        run = Run(End.REACHED)
+        limits = self.limits(speed_rad_s, distance_rad)
+        with self.bench.driving(self.node, limits):
+            sample = self.bench.cycle(0.0)
+            start_rad = self.angle_rad(sample.counts[self.channel])
+            while True:
+                volts = constant * speed_set + integral
+                room = limits.voltage_V
+                sample = self.bench.cycle(self._motor_sign * volts)
+                row = self._row(sample)
+                span_s = row[0] - run.rows[-1][0] if run.rows else 0.0
+                if (abs(volts) < room and not sample.is_limited) or volts * (speed_set - row[2]) < 0.0:
+                    integral += INTEGRAL_1_s * constant * (speed_set - row[2]) * span_s
+                run.rows.append(row)
+                run.flags.append(sample.flags[self.channel])
+                run.limited.append(sample.is_limited)
+                if (row[1] - start_rad) * sign >= abs(distance_rad):
+                    break
+                if until(run, sample):
+                    run.end = End.SEEN
+                    break
+                if _has_stalled(run.rows, abs(speed_rad_s)):
+                    run.end = End.STALLED
+                    break
+            self._brake()
+        return run
+
+    def _row(self, sample: Sample) -> tuple[float, float, float, float, float]:
+        return (
+            sample.t_s,
+            self.angle_rad(sample.counts[self.channel]),
+            self._encoder_sign * sample.speed_count_s[self.channel] * self.radians_per_count,
+            self._motor_sign * sample.volts,
+            self._motor_sign * sample.current_A,
+        )
+
+    def _brake(self) -> None:
+        """0 V until it stands; the watch goes on."""
+        end_s = self.bench.clock.now_s() + REST_S
+        while self.bench.clock.now_s() < end_s:
+            self.bench.cycle(0.0)
+
+    def go_to(self, angle_rad: float, speed_rad_s: float) -> Run:
+        """To an angle from where it stood first."""
+        return self.turn(angle_rad - self.where_rad(), speed_rad_s)
+
+    def latches(self, wanted: int, direction: int, speed_rad_s: float, longest_rad: float) -> list[int]:
+        """Counts of index pulses that come one after the other; it stands while the next one is armed.
+
+        Fewer than wanted where the joint goes `longest_rad` without one, or stalls.
+        """
+        found: list[int] = []
+        while len(found) < wanted:
+            self.bench.observe(0.02)
+            self.bench.arm_index(self.channel)
+            run = self.turn(
+                direction * longest_rad,
+                speed_rad_s,
+                lambda run, sample: self.bench.index_latch(self.channel) is not None,
+            )
+            latch = self.bench.index_latch(self.channel)
+            if run.end is not End.SEEN or latch is None:
+                break
+            found.append(latch)
+        return found
+
+
+def _has_stalled(rows: list[tuple[float, float, float, float, float]], speed_rad_s: float) -> bool:
+    """Whether it has hardly moved within the last window."""
+    now_s, now_rad = rows[-1][0], rows[-1][1]
+    if now_s - rows[0][0] < START_S:
+        return False
+    for row in reversed(rows):
+        if now_s - row[0] >= STALL_WINDOW_S:
+            return abs(now_rad - row[1]) < STALL_SHARE * speed_rad_s * STALL_WINDOW_S
+    return False

@@ -1,0 +1,255 @@
+"""What is measured at one joint, in this order: a known angle, index spacing, motor and friction, end stops, home switch.
+
+Everything is returned as numbers; `procedures.bringup.diagnosis` says what they mean.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import pairwise
+from statistics import fmean
+
+from control.loop.homing_sequence import HOME_SWITCH
+from control.loop.watch import QUADRATURE_ERROR, SIGNAL_LOST
+from procedures.bringup.driving import End, JointDriver, Run
+from procedures.bringup.operator import Operator, Stopped
+
+LATCHES = 5
+INDEX_SPEED_rad_s = 0.12
+SAME_PULSE_counts = 4
+INDEX_TURNS = 2.6  # of the motor by the draft: an encoder with half or twice its counts still shows two
+KNOWN_ANGLE_RAD = 0.3  # the end stops are read, too
+LONG_ANGLE_RAD = 0.6  # where they are not
+PASS_SPEEDS_rad_s = (0.1, 0.2, 0.4)
+PASS_RAD = 0.12  # at least, and longer where it is faster
+PASS_S = 0.8
+FREE_SHARE = 0.8  # of its cycles that no limit of the board was at work in
+MIDDLE = (0.35, 0.65)  # of a pass: settled, and the same place both ways
+ODD_RATIO = 0.06  # of the draft's scale; below it, a slipping encoder and a misread angle are likelier than another gear
+TOUCHES = 3
+BACK_OFF_RAD = 0.12
+TOUCH_SPEED_rad_s = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyPass:
+    """Means of a pass at a steady speed, joint's sign, the speed by the draft's scale."""
+
+    speed_rad_s: float
+    volts: float
+    current_A: float
+
+
+@dataclass(slots=True)
+class Measured:
+    """One joint; angles nominal (draft's scale), from where it stood first, unless said otherwise. NaN or empty: not measured."""
+
+    spacings_count: list[int] = field(default_factory=list)
+    passes: list[SteadyPass] = field(default_factory=list)
+    readings: list[tuple[float, float]] = field(default_factory=list)
+    """(angle by counts with the draft's scale, the operator's reading)."""
+    stops_rad: list[list[float]] = field(default_factory=lambda: [[], []])
+    """Where it stood against the lower and the upper stop, each time."""
+    edges: list[tuple[float, int, bool]] = field(default_factory=list)
+    """Where the home switch changed, the direction of motion, and whether the switch is active behind it."""
+    is_home_active: list[bool] = field(default_factory=list)
+    """What the switch was ever seen to be."""
+    index_rad: float = math.nan
+    flags: int = 0
+    stalled_early: bool = False
+
+
+def measure(
+    driver: JointDriver, operator: Operator, speed_rad_s: float, with_stops: bool, joint: int
+) -> Measured:
+    """All of it. Raises Stopped, Surprise and what the boards raise; the drive is off then."""
+    found = Measured()
+    operator.support(joint)
+    try:
+        _known_angle(driver, operator, joint, found, KNOWN_ANGLE_RAD if with_stops else LONG_ANGLE_RAD)
+        _allow(
+            operator, joint, "turns by a few motor turns for its index, then to and fro for its friction", 0.5
+        )
+        _spacing(driver, found)
+        _friction(driver, found)
+        if with_stops:
+            _allow(operator, joint, "creeps to both of its end stops, so its whole way must be free", None)
+            _stops(driver, operator, joint, found, speed_rad_s)
+    finally:
+        operator.let_go()
+    return found
+
+
+def _allow(operator: Operator, joint: int, what: str, travel_rad: float | None) -> None:
+    way = f", by at most {math.degrees(travel_rad):.0f} deg" if travel_rad else ""
+    if not operator.allow(f"Joint {joint} {what}{way}."):
+        raise Stopped(f"the operator did not allow joint {joint} to move")
+
+
+def _known_angle(
+    driver: JointDriver, operator: Operator, joint: int, found: Measured, angle_rad: float
+) -> None:
+    """Read, turn by the draft's scale, read: what is out by a factor is known before anything goes far."""
+    _read(driver, operator, joint, found)
+    _allow(operator, joint, "turns in what should be its positive direction", angle_rad)
+    start_rad = driver.where_rad()
+    if abs(_turned(driver, found, angle_rad)) < 0.8 * angle_rad:
+        _turned(driver, found, -2.0 * angle_rad)  # something stood in the way
+    _read(driver, operator, joint, found)
+    if _is_odd(found):
+        _turned(driver, found, 0.5 * (start_rad - driver.where_rad()))
+        _read(driver, operator, joint, found)
+    _turned(driver, found, start_rad - driver.where_rad())
+    _take_scale(driver, found)
+
+
+def _turned(driver: JointDriver, found: Measured, distance_rad: float, speed_rad_s: float = 0.2) -> float:
+    run = driver.turn(distance_rad, speed_rad_s)
+    _note_flags(run, found)
+    return run.travelled_rad
+
+
+def _note_flags(run: Run, found: Measured) -> None:
+    for flags in run.flags:
+        found.flags |= flags & (QUADRATURE_ERROR | SIGNAL_LOST)
+
+
+def _spacing(driver: JointDriver, found: Measured) -> None:
+    """Index pulses forth; where the joint cannot go forth, back."""
+    start_rad = driver.where_rad()
+    longest_rad = INDEX_TURNS * 2.0 * math.pi / driver.drive.gear_ratio
+    for direction in (1, -1):
+        latches = driver.latches(LATCHES, direction, INDEX_SPEED_rad_s, longest_rad)
+        # A joint that sinks while its index is armed meets the same pulse again.
+        spacings = [abs(b - a) for a, b in pairwise(latches) if abs(b - a) > SAME_PULSE_counts]
+        if len(spacings) > len(found.spacings_count):
+            found.spacings_count = spacings
+        if len(spacings) >= 2:
+            break
+    driver.go_to(start_rad, 0.2)
+
+
+def _friction(driver: JointDriver, found: Measured) -> None:
+    """Steady passes to and fro over the same place, so that gravity is the same both ways."""
+    for speed_rad_s in PASS_SPEEDS_rad_s:
+        length_rad = max(PASS_RAD, PASS_S * speed_rad_s)
+        for direction in (1.0, -1.0):
+            run = driver.turn(direction * length_rad, speed_rad_s)
+            _note_flags(run, found)
+            if run.end is not End.REACHED:
+                found.stalled_early = True
+                continue
+            steady = _steady(run, driver.scale)
+            if steady is not None:
+                found.passes.append(steady)
+
+
+def _steady(run: Run, scale: float) -> SteadyPass | None:
+    """Means over the middle of the way; None where a limit of the board was at work there."""
+    begin_rad = run.rows[0][1]
+    lower, upper = (part * abs(run.travelled_rad) for part in MIDDLE)
+    middle = [k for k, row in enumerate(run.rows) if lower <= abs(row[1] - begin_rad) <= upper]
+    rows = [run.rows[k] for k in middle if not run.limited[k]]
+    if len(rows) < max(10, FREE_SHARE * len(middle)):
+        return None
+    span_s = rows[-1][0] - rows[0][0]
+    speed = (rows[-1][1] - rows[0][1]) / span_s if span_s > 0.0 else math.nan
+    return SteadyPass(speed / scale, fmean(row[3] for row in rows), fmean(row[4] for row in rows))
+
+
+def _read(driver: JointDriver, operator: Operator, joint: int, found: Measured) -> None:
+    where_rad = driver.where_rad() / driver.scale
+    reading_rad = operator.angle_rad(joint)
+    if reading_rad is not None:
+        found.readings.append((where_rad, reading_rad))
+
+
+def _is_odd(found: Measured) -> bool:
+    """Whether two readings say another scale than the draft: then a third place shows whether one of them was misread."""
+    if len(found.readings) < 2:
+        return False
+    (x0, q0), (x1, q1) = found.readings[0], found.readings[-1]
+    return abs(q1 - q0 - (x1 - x0)) > ODD_RATIO * abs(x1 - x0)
+
+
+def _take_scale(driver: JointDriver, found: Measured) -> None:
+    """A joint that turns by another factor than the draft's must not be driven by it over its whole range."""
+    if len(found.readings) >= 2:
+        (x0, q0), (x1, q1) = found.readings[0], found.readings[-1]
+        if abs(x1 - x0) > 0.1 and abs(q1 - q0) > 0.02:
+            driver.scale = abs((q1 - q0) / (x1 - x0))
+
+
+def _stops(driver: JointDriver, operator: Operator, joint: int, found: Measured, speed_rad_s: float) -> None:
+    start_rad = driver.where_rad()
+    drive = driver.drive
+    range_rad = drive.joint_upper_rad - drive.joint_lower_rad
+    longest_rad = 1.3 * range_rad + 0.3 if math.isfinite(range_rad) else 2.2 * math.pi
+    for at, direction in enumerate((-1.0, 1.0)):
+        run = _creep(driver, found, direction * longest_rad, speed_rad_s)
+        if run.end is End.STALLED:
+            found.stops_rad[at].append(driver.where_rad() / driver.scale)
+            for _ in range(TOUCHES - 1):
+                _creep(driver, found, -direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s)
+                if (
+                    _creep(driver, found, 2.0 * direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s).end
+                    is End.STALLED
+                ):
+                    found.stops_rad[at].append(driver.where_rad() / driver.scale)
+            _creep(
+                driver, found, -direction * 0.02, TOUCH_SPEED_rad_s
+            )  # an inclinometer reads a joint that is free
+            _read(driver, operator, joint, found)
+    # Once more over the whole way: what slips a little each turn shows here.
+    if all(found.stops_rad) and _creep(driver, found, -longest_rad, speed_rad_s).end is End.STALLED:
+        found.stops_rad[0].append(driver.where_rad() / driver.scale)
+    _creep(driver, found, start_rad - driver.where_rad(), speed_rad_s)
+
+
+def _creep(driver: JointDriver, found: Measured, distance_rad: float, speed_rad_s: float) -> Run:
+    """A motion on which the home switch and, in its direction of search, the index behind it are noted.
+
+    At the switch the joint stops for a moment, because arming the index needs a conversation with the board.
+    """
+    direction = 1 if distance_rad > 0.0 else -1
+    left_rad = abs(distance_rad)
+    while True:
+        run = driver.turn(direction * left_rad, speed_rad_s, _switch_changes(found, direction))
+        _note_flags(run, found)
+        left_rad -= abs(run.travelled_rad)
+        if run.end is not End.SEEN:
+            return run
+        edge_rad = _edge(run) / driver.scale
+        is_active = bool(run.flags[-1] & HOME_SWITCH)
+        found.edges.append((edge_rad, direction, is_active))
+        home = driver.drive.home
+        forth = 1 if home is None or home.index_rad >= home.switch_rad else -1
+        if is_active and direction == forth and math.isnan(found.index_rad):
+            left_rad -= _index_behind(driver, found, direction)
+        if left_rad <= 0.0:
+            return run
+
+
+def _switch_changes(found: Measured, direction: int) -> Callable[[Run, object], bool]:
+    def has_changed(run: Run, sample: object) -> bool:
+        is_active = bool(run.flags[-1] & HOME_SWITCH)
+        if not found.is_home_active or is_active not in found.is_home_active:
+            found.is_home_active.append(is_active)
+        return len(run.flags) > 1 and bool(run.flags[-2] & HOME_SWITCH) != is_active
+
+    return has_changed
+
+
+def _edge(run: Run) -> float:
+    """Between the two cycles around the change; the brake's way after it does not count."""
+    return 0.5 * (run.rows[-1][1] + run.rows[-2][1])
+
+
+def _index_behind(driver: JointDriver, found: Measured, direction: int) -> float:
+    """The first index pulse after the switch; returns how far the joint has gone for it."""
+    before_rad = driver.where_rad()
+    longest_rad = 2.2 * 2.0 * math.pi / driver.drive.gear_ratio * max(1.0, driver.scale)
+    latches = driver.latches(1, direction, INDEX_SPEED_rad_s, longest_rad)
+    if latches:
+        found.index_rad = driver.angle_rad(latches[0]) / driver.scale
+    return abs(driver.where_rad() - before_rad)

@@ -1,0 +1,49 @@
+"""The arm that a command is given: its links on its own ports, or those of a mock arm, with the clock that goes with them."""
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from console.commands.serve import link_options
+from control.errors import ArmError
+from control.hardware.connect import with_links
+from control.model.arm import Arm
+from control.model.description import load_arm
+from firmware_iface.clock import Clock, MonotonicClock
+
+if TYPE_CHECKING:
+    from hil_mocks.rig import SteppedRig
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """An arm with ports, whose clock it is, and the mock behind the ports, for a mock operator to see; None on a bench."""
+
+    draft: Arm
+    """As its file says."""
+    arm: Arm
+    """With the links of the command line, or of the mock."""
+    clock: Clock
+    rig: "SteppedRig | None" = None
+
+
+@contextmanager
+def opened(given: argparse.Namespace) -> Iterator[Setting]:
+    """The arm of the command line. ArmError where options contradict each other."""
+    draft = load_arm(given.arm)
+    if not given.mock:
+        for name in ("scenario", "mock_arm"):
+            if getattr(given, name) is not None:
+                raise ArmError(f"--{name.replace('_', '-')} is for a mock arm: give --mock, too")
+        yield Setting(draft, with_links(draft, link_options(given)), MonotonicClock())
+        return
+    if given.encoder or given.can_interface or given.can_channel:
+        raise ArmError("--mock brings its own links: leave out --encoder and --can-...")
+    from hil_mocks.rig import SteppedRig
+    from procedures.mock.arm import wired_to
+
+    built = load_arm(given.mock_arm) if given.mock_arm else draft
+    with SteppedRig(built, given.scenario or "demo") as rig:
+        yield Setting(draft, wired_to(draft, rig), rig.clock, rig)

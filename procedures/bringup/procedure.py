@@ -1,0 +1,139 @@
+"""Bring-up from end to end: pulses on every motor board, then joint by joint; what passed is in the journal."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from control.dynamics.dynamics import Dynamics
+from control.errors import MissingModel
+from control.model.arm import Arm, Drive
+from procedures.bringup.bench import Bench, Surprise
+from procedures.bringup.diagnosis import diagnose
+from procedures.bringup.driving import JointDriver
+from procedures.bringup.findings import Diagnosis
+from procedures.bringup.journal import Journal
+from procedures.bringup.measuring import measure
+from procedures.bringup.operator import Operator
+from procedures.bringup.survey import Caution, pulse
+from procedures.bringup.wiring import JointWiring, WiringFound, wiring_of
+
+SURVEY_SPEED_rad_s = 0.3
+PASS_SPEED_rad_s = 0.45  # of the fastest friction pass
+CURRENT_SHARE = 0.15  # of the current limit, where gravity does not ask for more
+LIFTING = 1.6  # times what gravity takes at most: friction of a gear, and a model that is a draft
+LOAD_SHARE = 0.6  # of the current limit, at most
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the operator chose."""
+
+    joints: tuple[int, ...]
+    current_A: float | None
+    speed_rad_s: float
+    with_stops: bool
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What came out of a run."""
+
+    diagnoses: dict[int, Diagnosis] = field(default_factory=dict)
+    wiring: WiringFound = field(default_factory=WiringFound)
+    problems: list[str] = field(default_factory=list)
+
+
+def bring_up(
+    arm: Arm, bench: Bench, operator: Operator, journal: Journal, options: Options, say: Callable[[str], None]
+) -> Outcome:
+    """Pulse, then measure the joints that have not passed yet. Raises Stopped and what boards raise; all drives are off then."""
+    outcome = Outcome()
+    currents = {drive.joint: caution_of(arm, drive, options) for drive in arm.drives}
+    say("Which motor moves what: a short pulse on each motor board.")
+    pulses = []
+    for drive in arm.drives:
+        try:
+            pulses.append(pulse(bench, operator, drive, currents[drive.joint], arm.joint_count))
+        except Surprise as surprise:
+            outcome.problems.append(f"motor board {drive.motor_node}: {surprise}")
+    journal.note_pulses(pulses)
+    outcome.wiring = wiring_of(pulses, arm.drives)
+    outcome.problems += outcome.wiring.problems
+    _say_all(say, outcome.wiring.problems, outcome.wiring.notes)
+    for joint in options.joints:
+        wiring = outcome.wiring.joints.get(joint)
+        if wiring is None:
+            outcome.problems.append(
+                f"joint {joint}: no motor board is known to move it, so nothing else was measured of it"
+            )
+            continue
+        _measure_joint(arm, bench, operator, journal, options, outcome, wiring, currents[joint], say)
+    return outcome
+
+
+def _measure_joint(
+    arm: Arm, bench: Bench, operator: Operator, journal: Journal, options: Options, outcome: Outcome,
+    wiring: JointWiring, caution: Caution, say: Callable[[str], None],
+) -> None:  # fmt: skip
+    drive = arm.drive(wiring.joint)
+    say(f"Joint {wiring.joint}, at most {caution.current_A:.2f} A.")
+    driver = JointDriver(
+        bench, drive, wiring.node, wiring.channel, wiring.motor_direction, wiring.encoder_direction, caution
+    )
+    try:
+        found = measure(driver, operator, options.speed_rad_s, options.with_stops, wiring.joint)
+    except Surprise as surprise:
+        outcome.problems.append(f"joint {wiring.joint}: {surprise}")
+        say(f"  BAD   joint {wiring.joint}: {surprise}")
+        return
+    identity = bench.encoders[wiring.channel[0]].identity
+    said_counts = identity.counts_per_turn[wiring.channel[1]] if identity else drive.encoder_counts_per_rev
+    result = diagnose(drive, wiring, found, said_counts)
+    outcome.diagnoses[wiring.joint] = result
+    outcome.problems += result.problems
+    journal.note_joint(wiring.joint, wiring, found, result)
+    _say_all(say, result.problems, result.changes + result.notes)
+
+
+def _say_all(say: Callable[[str], None], problems: Sequence[str], others: Sequence[str]) -> None:
+    for text in problems:
+        say(f"  BAD   {text}")
+    for text in others:
+        say(f"        {text}")
+
+
+def caution_of(arm: Arm, drive: Drive, options: Options) -> Caution:
+    """A current that moves the joint and no more: what gravity takes by the draft's masses, and some for friction."""
+    speed_rad_s = min(SURVEY_SPEED_rad_s, drive.joint_speed_limit_rad_s)
+    if options.current_A is not None:
+        return Caution(options.current_A, speed_rad_s)
+    limit_A = (
+        drive.current_limit_A
+        if math.isfinite(drive.current_limit_A)
+        else drive.supply_V / drive.resistance_ohm
+    )
+    least_A = CURRENT_SHARE * limit_A
+    lifting_A = (
+        LIFTING * _gravity_Nm(arm, drive.joint) / (drive.gear_ratio * drive.torque_constant_Nm_A)
+        + 0.5 * least_A
+    )
+    return Caution(min(max(least_A, lifting_A), LOAD_SHARE * limit_A), speed_rad_s)
+
+
+def _gravity_Nm(arm: Arm, joint: int) -> float:
+    """The largest torque of gravity that the draft's masses make at a joint; 0 where it has none."""
+    try:
+        dynamics = Dynamics(arm)
+        lower, upper = np.clip(np.array(arm.limits_rad), -np.pi, np.pi).T
+        poses = np.random.default_rng(0).uniform(lower, upper, (200, arm.joint_count))
+        still = [0.0] * arm.joint_count
+        return max(abs(dynamics.inverse(pose.tolist(), still, still)[joint - 1]) for pose in poses)
+    except MissingModel:
+        return 0.0
+
+
+def serial_numbers(bench: Bench) -> dict[int, int]:
+    """Of the motor boards, by node."""
+    return {node: motor.identity.serial_number for node, motor in bench.motors.items() if motor.identity}

@@ -1,0 +1,107 @@
+"""The operator at a terminal: Enter allows a motion, any key stops it, answers are typed."""
+
+import contextlib
+import math
+import select
+import sys
+import termios
+import tty
+from types import TracebackType
+from typing import Self
+
+from procedures.bringup.operator import Stopped
+
+NOTHING = ("0", "n", "no", "none", "nothing")
+
+
+class TerminalOperator:
+    """`procedures.bringup.operator.Operator`. A context manager: the terminal is left as it was found."""
+
+    def __init__(self, goes_on_by_itself: bool = False) -> None:
+        """`goes_on_by_itself`: motions are announced and begin without Enter; questions are asked all the same."""
+        self._goes_on = goes_on_by_itself
+        self._is_terminal = sys.stdin.isatty()
+        self._settings = termios.tcgetattr(sys.stdin) if self._is_terminal else None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._by_lines()
+
+    def say(self, text: str) -> None:
+        """Print it."""
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
+
+    def allow(self, what: str) -> bool:
+        """Enter begins; anything else does not."""
+        if self._goes_on:
+            self.say(f"  {what}")
+        elif self._line(
+            f"  {what}\n  Enter: go, with a hand on the stop. Any key stops it. s and Enter: do not move. "
+        ).strip():
+            return False
+        self._by_keys()
+        return True
+
+    def wants_stop(self) -> bool:
+        """Whether a key was pressed since the motion was allowed."""
+        if not self._is_terminal or not select.select([sys.stdin], [], [], 0)[0]:
+            return False
+        sys.stdin.read(1)
+        return True
+
+    def what_moved(self, joint_count: int) -> tuple[int, int] | None:
+        """Asked until the answer makes sense."""
+        while True:
+            said = self._line(
+                "  What moved, and which way by the drawing? A joint and a sign, such as 1+ or 2-; 0: nothing moved. "
+            ).strip()
+            if said.lower() in NOTHING:
+                return None
+            joint, sign = said[:-1].strip(), said[-1:]
+            if joint.isdigit() and 1 <= int(joint) <= joint_count and sign in ("+", "-"):
+                return int(joint), 1 if sign == "+" else -1
+            self.say(f"  Expected 1 to {joint_count} with + or -, or 0; got {said!r}.")
+
+    def angle_rad(self, joint: int) -> float | None:
+        """Degrees are what protractors have."""
+        while True:
+            said = self._line(
+                f"  Angle of joint {joint} by the drawing, in degrees (protractor or inclinometer; Enter: cannot be read): "
+            ).strip()
+            if not said:
+                return None
+            with contextlib.suppress(ValueError):
+                degrees = float(said.replace(",", "."))
+                if math.isfinite(degrees) and abs(degrees) <= 720.0:
+                    return math.radians(degrees)
+            self.say(f"  Expected a number of degrees, got {said!r}.")
+
+    def support(self, joint: int) -> None:
+        """Say what is to be held."""
+        self.say(f"Joint {joint} is next. Support the links of the other joints: they are braked, not held.")
+
+    def let_go(self) -> None:
+        """Nothing to do: a person sees that the motion is over."""
+
+    def _line(self, question: str) -> str:
+        self._by_lines()
+        sys.stdout.write(question)
+        sys.stdout.flush()
+        line = sys.stdin.readline()
+        if not line:
+            raise Stopped("the operator's input has ended")
+        return line
+
+    def _by_keys(self) -> None:
+        if self._is_terminal:
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)  # keys that were pressed before stop nothing
+            tty.setcbreak(sys.stdin)
+
+    def _by_lines(self) -> None:
+        if self._settings is not None:
+            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._settings)

@@ -1,0 +1,188 @@
+"""What the pulses say about the wiring: which motor board and which encoder channel belong to which joint, with which signs."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from control.model.arm import Drive
+from procedures.bringup.bench import Channel
+from procedures.bringup.survey import Pulse
+
+NO_CURRENT = 0.1  # of what the voltage would drive through the windings at rest
+NO_CURRENT_A = 0.06  # more is no noise; friction of a small gear takes it
+SAME_COUNT = 0.5  # by which the motor board's count may differ: a joint sinks from one reading to the next
+
+
+@dataclass(frozen=True, slots=True)
+class JointWiring:
+    """As measured. Directions as in arm.toml."""
+
+    joint: int
+    node: int
+    motor_direction: int
+    channel: Channel
+    encoder_direction: int
+
+
+@dataclass(slots=True)
+class WiringFound:
+    """Joints that are known, and what stands in the way of the others: sentences with a remedy each."""
+
+    joints: dict[int, JointWiring] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def wiring_of(pulses: Sequence[Pulse], drives: Sequence[Drive]) -> WiringFound:
+    """Put the pulses of all motor boards together."""
+    found = WiringFound()
+    draft = {drive.motor_node: drive for drive in drives}
+    for pulse in pulses:
+        drive = draft[pulse.node]
+        problem = _problem_of(pulse, drive)
+        if problem:
+            found.problems.append(problem)
+            continue
+        _take(found, pulse, drive)
+    _same_channel(found)
+    for joint in found.joints.values():
+        found.notes += _changes(joint, drives[joint.joint - 1])
+    return found
+
+
+def _problem_of(pulse: Pulse, drive: Drive) -> str:
+    """Why a pulse tells nothing about a joint, or an empty text."""
+    name = f"motor board {pulse.node} (joint {drive.joint} by the draft)"
+    is_counted, is_seen = pulse.channel is not None, pulse.joint > 0
+    wanted_A = pulse.peak_volts / drive.resistance_ohm
+    flowed = f"{pulse.peak_current_A:.2f} A at {pulse.peak_volts:.2f} V"
+    # A gear without friction takes hardly a current either, but it goes where the voltage sends it, both ways.
+    follows = pulse.moved_count * pulse.returned_count < 0
+    if (
+        pulse.peak_current_A < min(NO_CURRENT * wanted_A, NO_CURRENT_A)
+        and not follows
+        and is_counted >= is_seen
+    ):
+        moved = "what moved did so by its own weight" if is_counted else "nothing moves, nothing counts"
+        return (
+            f"{name}: DEAD MOTOR: no current flows ({flowed}), {moved}: check the motor's cable and plug, its brushes, and the"
+            " fuse of this board"
+        )
+    if is_counted and is_seen:
+        return ""
+    if not is_counted and not is_seen:
+        return (
+            f"{name}: STUCK JOINT: the motor takes {flowed} and nothing moves or counts: look for a brake, a transport lock or a"
+            " jammed gear; if friction is that large, give a larger --current"
+        )
+    if is_seen:
+        alive = abs(pulse.motor_board_count) > 10
+        hint = (
+            f"the motor board counted {pulse.motor_board_count:+d}, so the encoder lives: check the cable from it to the encoder"
+            " board"
+            if alive
+            else "the motor board counted nothing either: check the encoder's supply, plug and coupling"
+        )
+        if pulse.lost:
+            hint = f"the encoder board reports a lost signal on channel {', '.join(map(_named, pulse.lost))}; {hint}"
+        return f"{name}: DEAD ENCODER: joint {pulse.joint} moved and no encoder channel counted; {hint}"
+    return (
+        f"{name}: channel {_named(pulse.channel)} counted {pulse.moved_count:+d} but no joint was seen to move: the motor turns"
+        " without its joint: check pinion, belt and set screws between them"
+    )
+
+
+def _take(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
+    if pulse.channel is None:
+        return
+    if pulse.joint in found.joints:
+        found.problems.append(
+            f"motor boards {found.joints[pulse.joint].node} and {pulse.node} both moved joint {pulse.joint}: are two motors"
+            " wired in parallel, or was an answer wrong? Run it again"
+        )
+        return
+    if pulse.others:
+        others = ", ".join(_named(at) for at in pulse.others)
+        found.notes.append(
+            f"joint {pulse.joint}: channel {others} moved with it: a belt that couples joints (effect belt_coupling), or a joint"
+            " that is not supported"
+        )
+    encoder_direction = pulse.direction * (1 if pulse.moved_count > 0 else -1)
+    found.joints[pulse.joint] = JointWiring(
+        pulse.joint, pulse.node, pulse.direction, pulse.channel, encoder_direction
+    )
+    _compare_motor_board(found, pulse, drive)
+
+
+def _compare_motor_board(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
+    """The motor board's own counter of the same encoder matters in position mode only."""
+    counted = pulse.motor_board_count
+    name = f"joint {pulse.joint}: motor board {pulse.node}"
+    is_position = drive.pid.mode == "position"
+    if counted < -10:
+        said = (
+            f"{name}: REVERSED MOTOR: its own encoder counts down with positive voltage, so its position control would run away:"
+            " change over the motor's two leads (or A and B of its encoder)"
+        )
+        (found.problems if is_position else found.notes).append(
+            said if is_position else f'{said}, before [drive.pid] mode = "position" is used'
+        )
+    elif abs(counted) <= 10:
+        said = f"{name}: its own encoder input counts nothing"
+        if is_position:
+            found.problems.append(f"{said}: connect it, or take another [drive.pid] mode")
+        else:
+            found.notes.append(f'{said}; only mode = "position" needs it')
+    elif not math.isclose(abs(counted), abs(pulse.moved_count), rel_tol=SAME_COUNT, abs_tol=50):
+        found.notes.append(
+            f"{name}: its own encoder counted {counted:+d}, the encoder board {pulse.moved_count:+d}: two different encoders?"
+        )
+
+
+def _same_channel(found: WiringFound) -> None:
+    """Two joints on one channel cannot be."""
+    seen: dict[Channel, int] = {}
+    for joint, wiring in sorted(found.joints.items()):
+        if wiring.channel in seen:
+            found.problems.append(
+                f"joints {seen[wiring.channel]} and {joint} both made channel {_named(wiring.channel)} count: was an answer"
+                " wrong? Run it again"
+            )
+        seen[wiring.channel] = joint
+
+
+def _changes(found: JointWiring, drive: Drive) -> list[str]:
+    """In which way the wiring is not the draft's; each is mended in the new file."""
+    said = []
+    name = f"joint {found.joint}"
+    if found.node != drive.motor_node:
+        said.append(
+            f"{name}: SWAPPED MOTOR: motor board {found.node} moves it, the draft says {drive.motor_node}: motor_node corrected"
+        )
+    if found.channel != (drive.encoder_board, drive.encoder_channel):
+        draft = _named((drive.encoder_board, drive.encoder_channel))
+        said.append(
+            f"{name}: SWAPPED ENCODER: channel {_named(found.channel)} counts it, the draft says {draft}: encoder_channel"
+            " corrected"
+        )
+    if found.motor_direction != drive.motor_direction:
+        said.append(
+            f"{name}: REVERSED MOTOR: positive voltage turns it in its {_way(found.motor_direction)} direction: motor_direction ="
+            f" {found.motor_direction}"
+        )
+    if found.encoder_direction != drive.encoder_direction:
+        said.append(
+            f"{name}: REVERSED ENCODER: it counts {'up' if found.encoder_direction > 0 else 'down'} in the joint's positive"
+            f" direction: encoder_direction = {found.encoder_direction}"
+        )
+    return said
+
+
+def _way(direction: int) -> str:
+    return "positive" if direction > 0 else "negative"
+
+
+def _named(channel: Channel | None) -> str:
+    if channel is None:
+        return "none"
+    return f"{channel[1]}" if channel[0] == 0 else f"{channel[1]} of encoder board {channel[0]}"

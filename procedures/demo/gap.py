@@ -1,0 +1,206 @@
+"""`armwright demo gap`: an effect is hidden in a mock arm; recorded, named, added to the model, and corrected on the arm.
+
+What records, looks and drives is given the nominal arm and the wires. The scenario that hides the effect is read again only at
+the end, to see whether the name is right.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.design.reach import spread_poses
+from calib.gap.finding import EffectName, GapFinding, NamedEffect
+from calib.gap.plan.collision_free_box import collision_free_box
+from calib.gap.plan.plan import RecordingPlan, Wish, recording_plan
+from calib.validation.tracks import TrackPair
+from calib.validation.verify import Comparison
+from control.errors import ArmError
+from control.kinematics.kinematics import Kinematics
+from control.model import table as tables
+from control.model.arm import Arm
+from control.server.client import ArmClient
+from procedures.demo.gap_hidden import Hidden
+from procedures.gap.recording import Bench as RecordingBench
+from procedures.gap.recording import record
+from procedures.gap.workflow import Outcome, look, read_inputs, write
+from procedures.iso9283.recording import Advance
+from procedures.mock.bench import Bench
+from procedures.verify.models import Model
+from procedures.verify.places import Place, ways
+from procedures.verify.survey import Programme, Survey, compared, paired
+from procedures.verify.tracks import recorded
+
+PLACES = 10
+TURN_rad = 1.2  # of joint 1 to either side: places that the camera could see
+FROM_AXIS_m = 0.15  # of joint 1: nearer to it the nominal arm reaches what the identified one may not
+INSIDE_rad = 0.15  # of the room: the runtime keeps a joint that gives way so far off its ends
+PAYLOAD_kg = 0.5
+NO_NAMES = ("link_geometry", "base_frame")
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """One model's visits and paths: what the camera saw, and by how much the joints were off their set-points."""
+
+    name: str
+    survey: Survey
+    recording: Path
+    following_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """The whole circle: what was hidden, found, and how far off the tip was at each stage."""
+
+    hidden: Hidden
+    outcome: Outcome
+    model: Arm
+    nominal: Arm
+    plans: tuple[RecordingPlan, ...]
+    geometry_alone: Comparison
+    corrected: Comparison
+    paths: tuple[TrackPair, ...]
+    following_rad: tuple[float, float]
+
+    @property
+    def named(self) -> tuple[NamedEffect, ...]:
+        """What the run named, the geometry apart."""
+        return named_in(self.outcome.finding)
+
+    @property
+    def is_right(self) -> bool:
+        """Whether what was named is what was hidden, no more and no less."""
+        return [one.name for one in self.named] == [EffectName(self.hidden.effect, self.hidden.joint)]
+
+
+def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> Circle:
+    """Do it all on the bench's arm; `arm` is the nominal one. Results in `out`."""
+    plans = {
+        "poses": recording_plan(
+            arm, Wish(has_motions=False, payload_kg=PAYLOAD_kg, is_quick=True), bench.speed
+        ),
+        "motions": recording_plan(
+            arm, Wish(has_poses=False, payload_kg=PAYLOAD_kg, is_quick=True), bench.speed
+        ),
+    }
+    programme = programme_of(arm)
+    advance("homing", 0.0)
+    client = bench.start(arm)
+    client.enable()
+    client.home()
+    first = _newest(out)
+    own = RecordingBench(arm, client, first, bench.rig.set_payload, speed=bench.speed)
+    record(own, plans["poses"], out / "poses", lambda what, done: advance(what, 0.02 + 0.38 * done))
+    inputs = read_inputs(arm, [out / "poses" / "points.csv"], [])
+    outcome = look(arm, inputs, (), lambda what, done: advance(what, 0.4 + 0.02 * done))
+    has_motions = not named_in(outcome.finding)
+    if has_motions:  # poses alone tell nothing: what is missing shows in motion, if anywhere
+        record(own, plans["motions"], out / "motions", lambda what, done: advance(what, 0.42 + 0.18 * done))
+        inputs = read_inputs(arm, inputs.point_files, [out / "motions" / "log.csv"])
+    advance("driving by the nominal model", 0.6)
+    before = _driven("nominal", arm, arm, programme, client, first, bench, out)
+    _put_away(arm, client, bench)
+
+    if has_motions:
+        outcome = look(arm, inputs, (), lambda what, done: advance(what, 0.65 + 0.15 * done))
+    model = write(outcome, arm, inputs, out / "gap")
+    advance("driving with the correction off", 0.8)
+    client = bench.start(model)
+    client.enable()
+    second = _newest(out)
+    bare = dataclasses.replace(
+        model, effects=tuple(e for e in model.effects if e in arm.effects or e.effect in NO_NAMES)
+    )
+    off = _driven("off", bare, model, programme, client, second, bench, out)
+    advance("driving with the correction on", 0.87)
+    on = _driven("on", model, model, programme, client, second, bench, out)
+    _put_away(model, client, bench)
+    advance("reporting", 0.95)
+    return Circle(
+        hidden,
+        outcome,
+        model,
+        arm,
+        (plans["poses"], plans["motions"]) if has_motions else (plans["poses"],),
+        compared(programme, off.survey.points(), on.survey.points()),
+        compared(programme, before.survey.points(), on.survey.points()),
+        paired(programme, before.survey.tracks(before.recording), on.survey.tracks(on.recording)),
+        (before.following_rad, on.following_rad),
+    )
+
+
+def named_in(found: GapFinding) -> tuple[NamedEffect, ...]:
+    """What a finding names, the geometry apart."""
+    return tuple(one for one in found.effects if one.name.effect not in NO_NAMES)
+
+
+def programme_of(arm: Arm) -> Programme:
+    """Places that no recording goes to, over the whole room, and a circle and a line above the table."""
+    room = collision_free_box(arm).inset(INSIDE_rad)
+    poses = spread_poses((room.lower_rad, room.upper_rad), 4 * PLACES)[PLACES:]
+    poses[:, 0] = np.clip(poses[:, 0], -TURN_rad, TURN_rad)
+    tips = Kinematics(arm).tips(poses)
+    model = Model(arm)
+    found: list[Place] = []
+    for pose, tip in zip(poses, tips.tolist(), strict=True):
+        if len(found) == PLACES:
+            break
+        try:
+            solved = np.array(model.inverse.nearest(tuple(tip), pose))
+        except ArmError:
+            continue
+        if np.abs(solved - pose).max() < 1e-3 and np.hypot(tip[0], tip[1]) > FROM_AXIS_m:
+            found.append(Place("free", f"v{len(found) + 1}", (tip[0], tip[1], tip[2])))
+    return Programme(tuple(found), ways(tables.table_of(arm), ("normal",)))
+
+
+def _driven(
+    name: str,
+    arm: Arm,
+    believed: Arm,
+    programme: Programme,
+    client: ArmClient,
+    recording: Path,
+    bench: Bench,
+    out: Path,
+) -> Drive:
+    """Every place and every path once, by the model `arm` on a runtime that believes in `believed`."""
+    near = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
+    model = Model(arm)
+    runtime = model if arm is believed else Model(believed)
+    survey = Survey(model, programme, near, out / f"driven_{name}.csv")
+    for _ in survey.tour(1, runtime, client, bench.speed):
+        pass
+    first = int(client.status()["run"]) + 1
+    for _ in survey.run_ways(runtime, client, bench.speed):
+        pass
+    last = int(client.status()["run"])
+    client.wait(0.3)
+    return Drive(name, survey, recording, _following_rad(recording, first, last, arm.joint_count))
+
+
+def _following_rad(recording: Path, first: int, last: int, joints: int) -> float:
+    """Root mean square of set-points less angles in the runs first to last."""
+    rows = recorded(recording)
+    rows = rows[(rows["run"] >= first) & (rows["run"] <= last)]
+    errors = [rows[f"q{j}_set_rad"] - rows[f"q{j}_rad"] for j in range(1, joints + 1)]
+    return float(np.sqrt(np.mean(np.square(errors)))) if len(rows) else float("nan")
+
+
+def _put_away(arm: Arm, client: ArmClient, bench: Bench) -> None:
+    if arm.rest is not None:
+        client.move_joints(arm.rest.q_rad, bench.speed)
+    bench.stop()
+
+
+def _newest(out: Path) -> Path:
+    """The recording that the runtime writes now."""
+    found: Sequence[Path] = sorted((out / "log").glob("*.armlog"), key=lambda path: path.stat().st_mtime_ns)
+    if not found:
+        raise ArmError(f"{out / 'log'}: the runtime records nothing")
+    return found[-1]

@@ -1,0 +1,122 @@
+"""What `armwright demo gap` says and shows: the circle from what was measured to an arm that is better."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+from calib.gap.report import GapReport, gap_parts
+from calib.report.comparison_sections import paths_section, verification_section
+from calib.report.page import Section, list_section, page, paragraph, table, tiles, verdict
+from procedures.demo.gap import Circle
+from procedures.demo.gap_hidden import ON_TIP
+
+
+def findings(circle: Circle) -> tuple[str, ...]:
+    """Sentences: what was named, whether it is right, and what the arm gained."""
+    named = ", ".join(str(one.name) for one in circle.named) or "nothing"
+    right = "It is" if circle.is_right else "It is not"
+    alone, after = (
+        1e3 * summary.mean_m
+        for summary in (circle.geometry_alone.of("all").before, circle.corrected.of("all").after)
+    )
+    before = 1e3 * circle.corrected.of("all").before.mean_m
+    found = circle.outcome.finding
+    gap_after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "not looked at again"
+    said = [
+        f"Named by the run: {named}. Hidden was {circle.hidden}. {right} what was hidden.",
+        f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {gap_after} after.",
+        f"Mean tip error at {len(circle.corrected.point)} places that nothing was recorded at: {before:.2f} mm by the nominal"
+        f" model, {alone:.2f} mm with the geometry identified and the correction off, {after:.2f} mm with it on.",
+    ]
+    following = tuple(1e3 * value for value in circle.following_rad)
+    if circle.hidden.effect not in ON_TIP:
+        said.append(
+            f"Following error on the paths: {following[0]:.3f} mrad before, {following[1]:.3f} mrad with what was named fed"
+            " forward."
+        )
+    return tuple(said)
+
+
+def write_page(circle: Circle, out: Path) -> Path:
+    """report.html."""
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    program = f"armwright {version('armwright')}"
+    path = out / "report.html"
+    about = f"{date} · {program} · a mock arm with something hidden in it"
+    content = page("The gap, closed on the arm", circle.nominal.name, about, _parts(circle, date, program))
+    path.write_text(content, encoding="utf-8")
+    return path
+
+
+def _parts(circle: Circle, date: str, program: str) -> Iterator[Section | str]:
+    yield verdict(findings(circle))
+    yield tiles(_tiles(circle))
+    yield list_section("What was done", _steps(circle))
+    yield _revealed(circle)
+    yield verification_section(
+        circle.geometry_alone,
+        "at places that nothing was recorded at: correction off (before) and on (after)",
+    )
+    yield paths_section(circle.paths)
+    outcome = circle.outcome
+    notes = (*outcome.agreement, *outcome.warnings)
+    yield from gap_parts(GapReport(outcome.finding, outcome.static, outcome.dynamic, notes, date, program))
+
+
+def _tiles(circle: Circle) -> Iterator[tuple[str, str, str]]:
+    yield (
+        "before",
+        f"{1e3 * circle.corrected.of('all').before.mean_m:.2f} mm",
+        "mean tip error, nominal model",
+    )
+    yield (
+        "before",
+        f"{1e3 * circle.geometry_alone.of('all').before.mean_m:.2f} mm",
+        "geometry identified, correction off",
+    )
+    yield "after", f"{1e3 * circle.corrected.of('all').after.mean_m:.2f} mm", "correction on"
+    yield (
+        "after",
+        f"{1e3 * circle.following_rad[1]:.3f} mrad",
+        (f"following error on the paths ({1e3 * circle.following_rad[0]:.3f} before)"),
+    )
+
+
+def _steps(circle: Circle) -> Iterator[str]:
+    minutes = sum(plan.duration_s for plan in circle.plans) / 60.0
+    motions = sum(len(plan.runs) for plan in circle.plans)
+    more = f", and as these named nothing, {motions} motions" if motions else ""
+    yield (
+        f"Recorded {len(circle.plans[0].visits)} poses on the mock arm by the nominal model{more}: {minutes:.1f} minutes of its"
+        " time."
+    )
+    yield "Drove to places that nothing was recorded at, along a circle and a line, by the nominal model; the camera measured."
+    yield "Looked at the recordings with nothing but the nominal arm.toml: what is missing, named and added to a new arm.toml."
+    yield "Started the runtime with the new arm.toml and drove to the same places with the correction off, then on."
+
+
+def _revealed(circle: Circle) -> Section:
+    found = {one.name.effect: one for one in circle.named if one.name.joint == circle.hidden.joint}
+    same = found.get(circle.hidden.effect)
+    rows = []
+    for key, value in circle.hidden.parameters.items():
+        known, sd = (
+            same.parameters.get(key, (float("nan"), float("nan"))) if same else (float("nan"), float("nan"))
+        )
+        rows.append(
+            (
+                ("text", key),
+                f"{value:.4g}",
+                "–" if known != known else f"{known:.4g}",
+                "–" if sd != sd else f"{sd:.2g}",
+            )
+        )
+    head = (("text", "parameter"), "hidden", "found", "sd")
+    return Section(
+        "What was hidden",
+        paragraph(f"{circle.hidden}; the run was not told.") + table(head, rows),
+    )

@@ -1,0 +1,143 @@
+"""`armwright demo paper`: the experiment of SpringerPlus 5:1771 on the mock arm, and what two more steps would have brought.
+
+As there: 33 cavities on the level, rolled and pitched board, the tip seated by hand; DH deviations within 5 mm and 2 degrees by
+the sum of distances, from each tilt alone; the arm then sent to points that were not used, and seen by the camera. Past it:
+all tilts together, free poses that the camera sees, and backlash in the model and in the commands.
+"""
+
+import datetime
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arrays import Array, norms
+from calib.calibration.outcome import write_calibrated_arm
+from calib.points.points import Points, read_points
+from calib.points.writer import PointsWriter
+from calib.report.report_data import input_file
+from calib.session.table import board_points
+from control.model import table as tables
+from control.model.arm import Arm, Table
+from procedures.demo.paper_models import Model, commands, models_of, table_says, with_friction
+from procedures.demo.paper_moves import Mover, Pose
+from procedures.demo.paper_page import paper_page
+from procedures.demo.paper_poses import SETUPS, Target, free_poses, other_trajectory, verification_targets
+from procedures.demo.paper_result import Replay, document
+from procedures.mock.bench import Bench
+
+Advance = Callable[[str, float], None]
+"""Called with what is being done and how much of the whole is done, 0 to 1."""
+BEFORE_SHARE, TABLE_SHARE, FREE_SHARE = 0.1, 0.42, 0.54  # of the whole time, at the end of each part
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The result and where it stands."""
+
+    replay: Replay
+    report: Path
+    figures: Path
+
+
+def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
+    """Do the whole experiment on the bench's arm and leave the results in the folder `out`."""
+    table = tables.table_of(arm)
+    targets = (*verification_targets(table), *other_trajectory(table))
+    advance("homing", 0.0)
+    client = bench.start(arm)
+    client.enable()
+    client.home()
+    mover = Mover(arm, bench, client)
+    told = _Visits(mover, targets, out, advance)
+    before_m = told.visit(arm, "before", 0.02, BEFORE_SHARE)
+    _record(arm, table, mover, out / "points.csv", advance)
+    points, _ = read_points(out / "points.csv", arm.joint_count)
+    advance("identification", FREE_SHARE)
+    models = models_of(arm, points)
+    reached = {}
+    for k, model in enumerate(models):
+        shares = FREE_SHARE + (0.98 - FREE_SHARE) * np.array([k, k + 1]) / len(models)
+        commanded_arm = with_friction(model, arm, points) if model.backlash else model.arm
+        reached[model.name] = told.visit(commanded_arm, model.name, *shares.tolist())
+    if arm.rest is not None:
+        client.move_joints(arm.rest.q_rad, bench.speed)
+    bench.stop()
+    advance("report", 0.98)
+    replay = Replay(targets, before_m, models, reached, _table_error_m(arm, points), table_says(arm, points))
+    outcome = _written(arm, replay, out)
+    advance("done", 1.0)
+    return outcome
+
+
+@dataclass(frozen=True, slots=True)
+class _Visits:
+    """Sends the tip to the targets by a model of the arm, and looks with the camera where it went."""
+
+    mover: Mover
+    targets: Sequence[Target]
+    out: Path
+    advance: Advance
+
+    def visit(self, arm: Arm, name: str, start: float, end: float) -> Array:
+        """Measured tips (m, 3); the records go to verification_NAME.csv, the progress from `start` to `end`."""
+        poses = commands(arm, self.targets, self.mover.q_rad)
+        seen = []
+        with PointsWriter(self.out / f"verification_{_in_file(name)}.csv", arm.joint_count) as writer:
+            for record in self.mover.visit(poses, writer):
+                seen.append(record.tip_m)
+                what = "before" if name == "before" else f"after: {name}"
+                self.advance(f"verification, {what}", start + (end - start) * len(seen) / len(poses))
+        return np.array(seen)
+
+
+def _record(arm: Arm, table: Table, mover: Mover, file: Path, advance: Advance) -> None:
+    """The session: every cavity on every tilt by hand, then the free poses, each from both sides."""
+    cavities = [point for setup in SETUPS for point in board_points(setup, tables.cavities(table, setup))]
+    free = [
+        Pose("free", f"f{k}", tuple(q.tolist()), (side,) * arm.joint_count, repeat)
+        for k, q in enumerate(free_poses(arm), 1)
+        for repeat, side in ((1, 1), (2, -1))
+    ]
+    with PointsWriter(file, arm.joint_count) as writer:
+        for done, record in enumerate(mover.seat(cavities, writer), 1):
+            share = BEFORE_SHARE + (TABLE_SHARE - BEFORE_SHARE) * done / len(cavities)
+            advance(f"table: {record.setup} {record.point}", share)
+        for done, _ in enumerate(mover.visit(free, writer), 1):
+            advance("free poses", TABLE_SHARE + (FREE_SHARE - TABLE_SHARE) * done / len(free))
+
+
+def _table_error_m(arm: Arm, points: Points) -> float:
+    """Mean distance of the nominal model's tips from the cavities of the level board."""
+    level = points.chosen([k for k, setup in enumerate(points.setup) if setup == SETUPS[0]])
+    return float(norms(level.tip_m - ArmModel(arm).tips(arm.dh, level.q_rad)).mean())
+
+
+def _written(arm: Arm, replay: Replay, out: Path) -> Outcome:
+    """Report, figures and calibrated arms."""
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    program = f"armwright {version('armwright')}"
+    files = [input_file(path, "") for path in sorted(out.glob("*.csv"))]
+    inputs = {file.name: file.sha256 for file in files}
+    for model in replay.models:
+        _write_arm(out / f"arm_{_in_file(model.name)}.toml", arm, model, inputs, date, program)
+    figures = out / "paper.json"
+    text = json.dumps(document(replay, program, date, inputs), indent=2, allow_nan=False)
+    figures.write_text(text + "\n", encoding="utf-8")
+    report = out / "report.html"
+    report.write_text(paper_page(replay, arm.name, f"{date} · {program}", inputs), encoding="utf-8")
+    return Outcome(replay, report, figures)
+
+
+def _write_arm(file: Path, arm: Arm, model: Model, inputs: dict[str, str], date: str, program: str) -> None:
+    """The calibrated arm, with the play that was identified."""
+    known = {"points.csv": inputs["points.csv"]}
+    write_calibrated_arm(file, arm, model.found, known, date, program)
+
+
+def _in_file(name: str) -> str:
+    return name.replace(" ", "_")

@@ -1,0 +1,117 @@
+"""How the replay moves and records: poses that are approached gently from a given side, cavities where a hand seats the tip."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.points.writer import PointsWriter, Record
+from calib.session.sequence import BoardPoint
+from calib.session.standstill import wait_for_rest
+from control.kinematics.inverse import InverseKinematics
+from control.model.arm import Arm, Vector3
+from control.server.client import ArmClient
+from procedures.mock.bench import Bench
+from procedures.ports import HandPort, RuntimePort
+
+APPROACH_rad: Final = 0.06  # every joint's last way: several times the play
+# Of the joints' limits, for that way. At full speed the links' inertia throws the gears onto the other flank when the arm
+# brakes, and neither currents nor directions tell; at 0.3 link friction brakes harder than the motors do.
+GENTLE: Final = 0.3
+ABOVE_m: Final = 0.06  # an uncalibrated arm is some 3 cm off
+AVERAGE_s: Final = 0.1
+DIP_m: Final = 0.02  # below both ends of a way: one that dips lower is taken over the rest pose
+STILL_rad, STILL_s, PATIENCE_s, WINDOW_s = 1e-4, 0.1, 10.0, 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Encoder angles to go to, and the sign of each joint's last motion on the way there."""
+
+    setup: str
+    point: str
+    q_rad: tuple[float, ...]
+    direction: tuple[int, ...]
+    repeat: int = 1
+
+
+class Mover:
+    """The bench's arm, told in encoder angles: its runtime knows the nominal arm, what is identified is corrected here."""
+
+    def __init__(self, arm: Arm, bench: Bench, client: ArmClient) -> None:
+        self._arm, self._client = arm, client
+        self._inverse = InverseKinematics(arm)
+        self._port = RuntimePort(client, bench.speed, as_encoders=True)
+        self._gentle = RuntimePort(client, GENTLE * bench.speed, as_encoders=True)
+        self._hand = HandPort(bench.rig.hand, bench.wait)
+
+    @property
+    def q_rad(self) -> tuple[float, ...]:
+        """Where the encoders say that the arm is."""
+        return tuple(self._client.status()["q_rad"])
+
+    def visit(self, poses: Sequence[Pose], writer: PointsWriter) -> Iterator[Record]:
+        """Each pose, approached gently, with what encoders, motors and camera say there."""
+        for pose in poses:
+            start = inside(self._arm, np.array(pose.q_rad) - APPROACH_rad * np.array(pose.direction))
+            self._go(start)
+            self._gentle.move_to_q(pose.q_rad)
+            yield self._recorded(pose.setup, pose.point, pose.repeat, None, writer)
+
+    def seat(self, points: Sequence[BoardPoint], writer: PointsWriter) -> Iterator[Record]:
+        """Each cavity: above it by the nominal model, then by hand with the drives off, as the authors did."""
+        for point in points:
+            x, y, z = (p + ABOVE_m * n for p, n in zip(point.tip_m, point.normal, strict=True))
+            above = self._inverse.nearest((x, y, z), self.q_rad)
+            self._port.move_to_q(above)
+            try:
+                self._port.release()
+                self._hand.seat(point.tip_m)
+                self._port.hold()
+                record = self._recorded(point.setup, point.point, point.repeat, point.tip_m, writer)
+            finally:
+                self._port.hold()
+                self._hand.let_go()
+            self._port.move_to_q(above)
+            yield record
+
+    def _go(self, q_rad: Array) -> None:
+        """Quickly; over the rest pose where the straight way in joint angles dips towards the table."""
+        here = np.array(self.q_rad)
+        way = here + np.linspace(0.0, 1.0, 30)[:, None] * (q_rad - here)
+        height_m = self._inverse.kinematics.tips(way)[:, 2]
+        if self._arm.rest is not None and height_m.min() < min(height_m[0], height_m[-1]) - DIP_m:
+            self._port.move_to_q(self._arm.rest.q_rad)
+        self._port.move_to_q(q_rad.tolist())
+
+    def _recorded(
+        self, setup: str, point: str, repeat: int, tip_m: Vector3 | None, writer: PointsWriter
+    ) -> Record:
+        wait_for_rest(self._port, STILL_rad, STILL_s, PATIENCE_s, WINDOW_s)
+        t_s, mean = self._port.now_s(), self._port.average(AVERAGE_s)
+        seen_m = self._port.measure(AVERAGE_s)[0] if tip_m is None else tip_m
+        record = Record(
+            setup, point, repeat, mean.q_rad, mean.q_sd_rad, mean.direction, mean.current_A, t_s, 0.0, seen_m
+        )  # fmt: skip
+        writer.append(record)
+        return record
+
+
+def inside(arm: Arm, q_rad: Array) -> Array:
+    """The angles within the joints' limits."""
+    lower, upper = np.array(arm.limits_rad).T
+    return np.clip(q_rad, lower, upper)
+
+
+def approached(
+    poses: Sequence[tuple[str, str, tuple[float, ...]]], start_rad: Sequence[float]
+) -> tuple[Pose, ...]:
+    """Poses (setup, point, angles) one after the other, each joint's last motion the way it comes from."""
+    found, before = [], np.array(start_rad)
+    for setup, point, q_rad in poses:
+        way = np.where(np.array(q_rad) >= before, 1, -1)
+        found.append(Pose(setup, point, q_rad, tuple(map(int, way))))
+        before = np.array(q_rad)
+    return tuple(found)

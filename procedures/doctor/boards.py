@@ -1,0 +1,282 @@
+"""The boards that arm.toml names: opened, asked who they are, compared. Each that fails is a finding; the others go on."""
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from control.model.arm import Arm, Drive, EncoderBoardPort
+from firmware_iface.clock import Clock
+from firmware_iface.encoder import wire as encoder_wire
+from firmware_iface.encoder.board import EncoderBoard
+from firmware_iface.errors import BoardSilent, LinkError, PortMissing
+from firmware_iface.link import FrameLink, open_can, open_serial
+from firmware_iface.motor.board import MotorBoard, MotorBus
+from firmware_iface.motor.scan import BusScan, listen, scan_nodes
+from procedures.doctor.finding import Finding, Level
+
+GROUP = "boards"
+LISTEN_S = 0.1
+OTHER_BAUDS = (1_000_000, 921_600, 500_000, 460_800, 230_400, 115_200)
+
+
+class CountedLink:
+    """A CAN bus that counts what passes, for the load that is really there."""
+
+    def __init__(self, link: FrameLink) -> None:
+        self.name = link.name
+        self.frames = 0
+        self._link = link
+
+    def send(self, can_id: int, payload: bytes) -> None:
+        """Send one frame."""
+        self.frames += 1
+        self._link.send(can_id, payload)
+
+    def receive(self) -> list[tuple[int, bytes]]:
+        """All frames that are there."""
+        frames = self._link.receive()
+        self.frames += len(frames)
+        return frames
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._link.close()
+
+
+@dataclass(slots=True)
+class Boards:
+    """Those that answered: encoder boards by their place in arm.toml, motor boards by joint."""
+
+    encoders: dict[int, EncoderBoard] = field(default_factory=dict)
+    motors: dict[int, MotorBoard] = field(default_factory=dict)
+    bus: MotorBus | None = None
+    counted: CountedLink | None = None
+    findings: list[Finding] = field(default_factory=list)
+    may_command: bool = True
+    closers: list[Callable[[], None]] = field(default_factory=list)
+
+    def close(self) -> None:
+        """Stop the streams and close all links."""
+        for encoder in self.encoders.values():
+            with contextlib.suppress(LinkError):
+                encoder.stream(0.0)
+        for close in self.closers:
+            close()
+
+    def note(self, level: Level, what: str, measured: str, expected: str = "", remedy: str = "") -> None:
+        """One more finding about boards."""
+        self.findings.append(Finding(level, GROUP, what, measured, expected, remedy))
+
+
+def open_boards(arm: Arm, clock: Clock) -> Boards:
+    """Open what arm.toml names and see who is there; nothing is enabled, nothing moves. Never raises LinkError."""
+    boards = Boards()
+    if not arm.encoder_boards:
+        boards.note(
+            Level.BAD, "encoder boards", "arm.toml names none", "", "add [[encoder_board]], or give --encoder"
+        )
+    for index, port in enumerate(arm.encoder_boards):
+        _open_encoder(boards, arm, clock, index, port)
+    if arm.can is None:
+        remedy = "add [can], or give --can-interface and --can-channel"
+        boards.note(Level.BAD, "CAN bus", "arm.toml names none", "", remedy)
+        return boards
+    _open_bus(boards, arm, clock)
+    return boards
+
+
+def _open_encoder(boards: Boards, arm: Arm, clock: Clock, index: int, port: EncoderBoardPort) -> None:
+    what = f'encoder board "{port.name}"'
+    try:
+        link = open_serial(port.port, port.baud)
+    except LinkError as error:
+        boards.note(Level.BAD, what, str(error), "", _port_remedy(str(error)))
+        return
+    boards.closers.append(link.close)
+    board = EncoderBoard(link, clock, port.name)
+    try:
+        identity = board.identify()
+    except BoardSilent as error:
+        link.close()
+        boards.note(Level.BAD, what, str(error), "an IDENTITY", _silence_remedy(port, clock))
+        return
+    except LinkError as error:
+        boards.note(Level.BAD, what, str(error), "", "give this port to the right board")
+        return
+    boards.encoders[index] = board
+    firmware = f"{identity.firmware >> 8}.{identity.firmware & 255}"
+    boards.note(
+        Level.OK,
+        what,
+        f"{port.port}: serial number {identity.serial_number}, firmware {firmware}, {identity.channels} channels,"
+        f" {identity.encoder_bits}-bit counters",
+    )
+    _compare_encoder(boards, arm, what, index, port, identity)
+
+
+def _compare_encoder(
+    boards: Boards, arm: Arm, what: str, index: int, port: EncoderBoardPort, identity: encoder_wire.Identity
+) -> None:
+    if port.serial_number not in (None, identity.serial_number):
+        remedy = "change the plugs over, or correct [[encoder_board]] serial_number"
+        boards.note(
+            Level.BAD, f"{what}: serial number", str(identity.serial_number), str(port.serial_number), remedy
+        )
+    for drive in arm.drives:
+        if drive.encoder_board != index:
+            continue
+        if drive.encoder_channel >= identity.channels:
+            remedy = f"correct encoder_channel of joint {drive.joint} (from 0)"
+            boards.note(
+                Level.BAD, f"{what}: joint {drive.joint}", f"{identity.channels} channels",
+                f"a channel {drive.encoder_channel}", remedy,
+            )  # fmt: skip
+            continue
+        _same(boards, what, drive, "counts a motor turn", identity.counts_per_turn[drive.encoder_channel])
+        if drive.encoder_bits != identity.encoder_bits:
+            boards.note(
+                Level.BAD, f"{what}: joint {drive.joint}, counter bits", str(identity.encoder_bits),
+                str(drive.encoder_bits), "correct encoder_bits in arm.toml",
+            )  # fmt: skip
+
+
+def _same(boards: Boards, what: str, drive: Drive, name: str, found: int) -> None:
+    if found == drive.encoder_counts_per_rev:
+        return
+    boards.note(
+        Level.BAD, f"{what}: joint {drive.joint}, {name}", str(found), str(drive.encoder_counts_per_rev),
+        "correct encoder_counts_per_rev, or set the board up for its encoder; `armwright bringup` measures which is right",
+    )  # fmt: skip
+
+
+def _port_remedy(problem: str) -> str:
+    if "ermission" in problem:
+        return (
+            "add yourself to the group that owns the port (`sudo usermod -aG dialout $USER`) and log in again"
+        )
+    if "exclusive" in problem or "busy" in problem or "lock" in problem:
+        return "another program has the port: end it (`armwright off --quit` ends a runtime)"
+    return "plug the board in, or correct its port in arm.toml"
+
+
+def _silence_remedy(port: EncoderBoardPort, clock: Clock) -> str:
+    """Somebody who answers at another baud rate is no dead board."""
+    for baud in OTHER_BAUDS:
+        if baud != port.baud and _answers(port, baud, clock):
+            return f"it answers at {baud} baud: set baud = {baud} in [[encoder_board]]"
+    return "check its supply, its cable and that TX goes to RX; it answers at no usual baud rate"
+
+
+def _answers(port: EncoderBoardPort, baud: int, clock: Clock) -> bool:
+    with contextlib.suppress(LinkError):
+        link = open_serial(port.port, baud)
+        try:
+            EncoderBoard(link, clock, port.name).identify()
+            return True
+        finally:
+            link.close()
+    return False
+
+
+def _open_bus(boards: Boards, arm: Arm, clock: Clock) -> None:
+    can = arm.can
+    if can is None:
+        return
+    try:
+        link = open_can(can.interface, can.channel, can.bitrate, **can.options)
+    except PortMissing as error:
+        boards.note(
+            Level.BAD, "CAN bus", str(error), "", "bring the interface up, or correct [can] in arm.toml"
+        )
+        return
+    boards.closers.append(link.close)
+    counted = boards.counted = CountedLink(link)
+    try:
+        before = listen(counted, clock, LISTEN_S)
+        found = scan_nodes(counted, clock)
+    except LinkError as error:
+        boards.note(
+            Level.BAD,
+            "CAN bus",
+            str(error),
+            "",
+            "check adapter, termination (120 ohm at both ends) and bit rate",
+        )
+        return
+    _judge_bus(boards, arm, before, found)
+    boards.bus = MotorBus(counted, clock)
+    for drive in arm.drives:
+        _meet_motor(boards, arm, drive, found)
+
+
+def _judge_bus(boards: Boards, arm: Arm, before: BusScan, found: BusScan) -> None:
+    where = arm.can.channel if arm.can else ""
+    commanded = sorted(before.commanded | found.commanded)
+    if commanded:
+        boards.may_command = False
+        nodes = ", ".join(map(str, commanded))
+        boards.note(
+            Level.BAD, "CAN bus", f"somebody else commands node {nodes}", "one host a bus",
+            "end the other program (`armwright off --quit` ends a runtime); until then nothing is sent to the boards",
+        )  # fmt: skip
+    strangers = before.strangers + found.strangers
+    if strangers:
+        boards.note(
+            Level.WARN, "CAN bus", f"{strangers} frames of devices that are no motor boards", "none",
+            "take CANopen and other devices off this bus: id 0 stops the arm",
+        )  # fmt: skip
+    nodes = ", ".join(map(str, sorted(found.serial_numbers))) or "none"
+    boards.note(Level.OK, "CAN bus", f"{where}: nodes that answer: {nodes}")
+    known = {drive.motor_node for drive in arm.drives}
+    for node in sorted(set(found.serial_numbers) - known):
+        boards.note(
+            Level.WARN, f"node {node}", "a motor board that arm.toml does not know",
+            "", f"set motor_node = {node} where it belongs, or set another node id on the board",
+        )  # fmt: skip
+
+
+def _meet_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None:
+    what = f"motor board of joint {drive.joint} (node {drive.motor_node})"
+    serials = found.serial_numbers.get(drive.motor_node, [])
+    if not serials:
+        unknown = sorted(set(found.serial_numbers) - {d.motor_node for d in arm.drives})
+        hint = f"; node {unknown[0]} answers and has no joint: is it this one?" if unknown else ""
+        if found.serial_numbers:
+            remedy = f"check its supply and its node id{hint}"
+        else:
+            remedy = "no board answers: check supply, emergency stop, CAN-H and CAN-L, termination, and [can] bitrate"
+        boards.note(Level.BAD, what, "does not answer", "an answer within 5 ms", remedy)
+        return
+    if len(serials) > 1:
+        both = " and ".join(map(str, serials))
+        boards.note(
+            Level.BAD,
+            what,
+            f"two boards answer: serial numbers {both}",
+            "one",
+            "give each a node id of its own",
+        )
+        return
+    if boards.bus is None:
+        return
+    board = MotorBoard(boards.bus, drive.motor_node, f"joint {drive.joint}")
+    try:
+        identity = board.identify()
+    except LinkError as error:
+        boards.note(
+            Level.BAD, what, str(error), "", "update the board's firmware, or take the other host off the bus"
+        )
+        return
+    boards.motors[drive.joint] = board
+    firmware = f"{identity.firmware >> 8}.{identity.firmware & 255}"
+    boards.note(Level.OK, what, f"serial number {identity.serial_number}, firmware {firmware}")
+    if drive.motor_serial_number not in (None, identity.serial_number):
+        remedy = "are two boards or node ids swapped? correct motor_node or motor_serial_number"
+        boards.note(
+            Level.BAD,
+            f"{what}: serial number",
+            str(identity.serial_number),
+            str(drive.motor_serial_number),
+            remedy,
+        )
+    _same(boards, what, drive, "counts a motor turn", identity.encoder_counts_per_turn)

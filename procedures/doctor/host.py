@@ -1,0 +1,139 @@
+"""This machine: rights, how punctual it is, whether its disk takes the recordings, which ports and buses it has."""
+
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from control.recording.record import Layout
+from control.server.process import PIPE_bytes
+from control.server.scheduling import punctuality_remedy
+from firmware_iface.clock import Clock, MonotonicClock
+from firmware_iface.link import can_buses, serial_ports
+from procedures.doctor.finding import Finding, Level, graded, percentile
+
+TICK_S = 0.001
+PAUSE_TEST_S = 1.0
+DISK_TEST_bytes = 4 << 20
+BLOCK_bytes = 1 << 16
+LEAST_FREE_HOURS = 2.0
+GROUP = "host"
+
+
+def look_at_host(period_s: float, watchdog_s: float, joints: int, log_folder: Path) -> list[Finding]:
+    """Rights, pauses and the disk."""
+    remedy = punctuality_remedy()
+    level = Level.WARN if remedy else Level.OK
+    rights = Finding(
+        level,
+        GROUP,
+        "real-time rights",
+        "not granted" if remedy else "granted",
+        "SCHED_FIFO, memlock",
+        remedy,
+    )
+    late_s = lateness(MonotonicClock(), PAUSE_TEST_S)
+    rate_bytes_s = Layout.of(joints).packing.size / period_s
+    return [rights, *judge_lateness(late_s, period_s, watchdog_s), *look_at_disk(log_folder, rate_bytes_s)]
+
+
+def lateness(clock: Clock, duration_s: float) -> list[float]:
+    """How late this process is at each of many short deadlines, in s."""
+    late_s: list[float] = []
+    deadline_s = clock.now_s() + TICK_S
+    end_s = deadline_s + duration_s
+    while deadline_s < end_s:
+        clock.wait_until_s(deadline_s)
+        now_s = clock.now_s()
+        late_s.append(now_s - deadline_s)
+        deadline_s = max(deadline_s, now_s - now_s % TICK_S) + TICK_S
+    return late_s
+
+
+def judge_lateness(late_s: list[float], period_s: float, watchdog_s: float) -> list[Finding]:
+    """Typical lateness against the period, the longest pause against the boards' watchdog."""
+    p99, longest = percentile(late_s, 0.99), max(late_s, default=float("nan"))
+    remedy = "end other programs, give the rights above, switch power saving off (`powerprofilesctl set performance`)"
+    return [
+        graded(
+            GROUP, "timer lateness", p99, (0.5 * period_s, 5.0 * period_s),
+            (f"99 % within {1e3 * p99:.2f} ms", f"below {500 * period_s:.2g} ms", remedy),
+        ),
+        graded(
+            GROUP, "longest pause of this host", longest, (0.25 * watchdog_s, 0.9 * watchdog_s),
+            (
+                f"{1e3 * longest:.1f} ms in {len(late_s) * TICK_S:.1f} s",
+                f"below {250 * watchdog_s:.0f} ms; the boards' watchdog has {1e3 * watchdog_s:.0f} ms",
+                remedy + "; a machine that pauses so long trips the boards' watchdog",
+            ),
+        ),
+    ]  # fmt: skip
+
+
+def look_at_disk(folder: Path, rate_bytes_s: float) -> list[Finding]:
+    """Whether recordings can be written there as fast as they come, and for how long there is room."""
+    place = _existing(folder)
+    try:
+        speed_bytes_s, stall_s = _written(place, time.perf_counter)
+    except OSError as error:
+        problem = f"cannot write there: {error.strerror or error}"
+        remedy = "give --log a folder that you may write to"
+        return [Finding(Level.BAD, GROUP, f"recordings in {folder}", problem, "", remedy)]
+    free_hours = shutil.disk_usage(place).free / rate_bytes_s / 3600.0
+    room_s = PIPE_bytes / rate_bytes_s
+    return [
+        graded(
+            GROUP, "disk speed", rate_bytes_s / speed_bytes_s, (0.2, 0.8),
+            (
+                f"{speed_bytes_s / 1e6:.0f} MB/s in {place}",
+                f"{rate_bytes_s / 1e6:.2g} MB/s for the recording, five times that to spare",
+                "record to another disk: `armwright serve --log DIR`",
+            ),
+        ),
+        graded(
+            GROUP, "longest stall of the disk", stall_s, (0.25 * room_s, room_s),
+            (f"{1e3 * stall_s:.0f} ms", f"below {room_s:.1f} s, which the recorder can hold", "record to another disk"),
+        ),
+        graded(
+            GROUP, "room for recordings", 1.0 / max(free_hours, 1e-9), (1.0 / LEAST_FREE_HOURS, 10.0),
+            (f"{free_hours:.0f} hours", f"more than {LEAST_FREE_HOURS:g} hours", "make room, or record to another disk"),
+        ),
+    ]  # fmt: skip
+
+
+def _existing(folder: Path) -> Path:
+    folder = folder.resolve()
+    while not folder.is_dir() and folder != folder.parent:
+        folder = folder.parent
+    return folder
+
+
+def _written(folder: Path, now_s: Callable[[], float]) -> tuple[float, float]:
+    """Bytes a second that reach the disk, and the longest that a block took."""
+    block = os.urandom(BLOCK_bytes)
+    longest_s = 0.0
+    with tempfile.TemporaryFile(dir=folder, prefix=".armwright-doctor-") as file:
+        begun_s = now_s()
+        for _ in range(DISK_TEST_bytes // BLOCK_bytes):
+            before_s = now_s()
+            file.write(block)
+            longest_s = max(longest_s, now_s() - before_s)
+        file.flush()
+        before_s = now_s()
+        os.fsync(file.fileno())
+        longest_s = max(longest_s, now_s() - before_s)
+        return DISK_TEST_bytes / max(now_s() - begun_s, 1e-9), longest_s
+
+
+def look_at_ports() -> list[Finding]:
+    """What could be connected to; nothing is opened."""
+    ports = [
+        f"{port.path} ({port.description})" if port.description else port.path for port in serial_ports()
+    ]
+    buses = [f"{interface}:{channel}" for interface, channel in can_buses()]
+    return [
+        Finding(Level.OK, "ports", "serial ports here", ", ".join(ports) or "none"),
+        Finding(Level.OK, "ports", "CAN adapters here", ", ".join(buses) or "none that the system knows"),
+    ]

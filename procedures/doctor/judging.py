@@ -1,0 +1,234 @@
+"""What the samples mean: each quantity against what control needs of it. Pure functions of `Samples` and the arm."""
+
+import math
+from collections.abc import Iterator
+from statistics import fmean, median, pstdev
+
+from control.loop.watch import DRIVE_FAULTS, QUADRATURE_ERROR, SIGNAL_LOST
+from control.model.arm import Arm, Drive
+from firmware_iface.encoder import wire
+from procedures.doctor.finding import Finding, Level, graded, percentile
+from procedures.doctor.sampling import EncoderSamples, MotorSamples, Samples
+
+CAN_FRAME_bits = 135  # an 8-byte frame with worst stuffing, docs/motor_board.md
+REPLY_S = 0.0005  # within which a board replies
+CLOCK_LIMITS_ppm = (500.0, 5000.0)  # speeds are computed by board time: half a percent off is bad
+MOVED_counts = 20  # more than the dither of an encoder at rest
+NOISE_LIMITS_counts = (1.0, 3.0)
+OFFSET_LIMITS = (0.02, 0.1)  # of the current limit; it becomes a torque that nobody asked for
+NOISE_LIMITS = (0.02, 0.1)
+SUPPLY_LIMITS = (0.1, 0.25)  # of the nominal
+TEMPERATURE_LIMITS_degC = (60.0, 80.0)
+LOST_LIMITS = (0.0, 0.01)  # of the frames
+MOST_NAMED = 3  # complaints of boards that are quoted
+
+
+def judge(samples: Samples, arm: Arm) -> Iterator[Finding]:
+    """All findings, boards before buses before signals."""
+    for index, encoder in samples.encoders.items():
+        yield from _encoder_timing(
+            f'encoder board "{arm.encoder_boards[index].name}"', encoder, samples, arm, index
+        )
+    for joint, motor in samples.motors.items():
+        yield from _reply_timing(f"motor board of joint {joint}", motor, samples)
+    yield from _buses(samples, arm)
+    for drive in arm.drives:
+        channel = samples.encoders.get(drive.encoder_board)
+        if channel is not None and channel.counts:
+            yield from _channel(drive, channel)
+        seen = samples.motors.get(drive.joint)
+        if seen is not None and seen.current_A:
+            if not _has_moved(drive, channel):  # a motor that is turned makes a current of its own
+                yield _current(drive, seen)
+            yield from _power(drive, seen)
+    for problem in samples.problems[:MOST_NAMED]:
+        yield Finding(Level.BAD, "signals", "a board complained", problem, "", "mend that first")
+
+
+def _encoder_timing(
+    what: str, found: EncoderSamples, samples: Samples, arm: Arm, index: int
+) -> Iterator[Finding]:
+    group = "timing"
+    if len(found.latched_s) < 10:
+        text = f"{found.reports} in {samples.duration_s:.1f} s"
+        yield Finding(
+            Level.BAD, group, f"{what}: reports", text, "a stream", "check supply, cable and baud rate"
+        )
+        return
+    spans = [b - a for a, b in zip(found.latched_s, found.latched_s[1:], strict=False)]
+    period_s = min(median(spans), samples.period_s)
+    wanted = samples.duration_s / (0.5 * samples.period_s)
+    if found.reports < 0.75 * wanted:  # a slow line takes one report a cycle instead of two
+        wanted = samples.duration_s / samples.period_s
+    rate_Hz = found.reports / samples.duration_s
+    missing = abs(1.0 - found.reports / wanted)
+    yield graded(
+        group, f"{what}: report rate", missing, (0.01, 0.05),
+        (f"{rate_Hz:.1f} Hz", f"{wanted / samples.duration_s:.0f} Hz", "look for bad frames, and at this host's load"),
+    )  # fmt: skip
+    yield from _lost(what, found)
+    drift_ppm, sd_ppm, residual_s = clock_drift(found.latched_s, found.arrived_s)
+    sd_ppm = math.hypot(sd_ppm, 1e6 * samples.resolution_s / samples.duration_s)
+    yield graded(
+        group, f"{what}: its clock against this host's", max(0.0, abs(drift_ppm) - 2.0 * sd_ppm), CLOCK_LIMITS_ppm,
+        (
+            f"{drift_ppm:+.0f} ppm, sd {sd_ppm:.0f}", f"within {CLOCK_LIMITS_ppm[0]:.0f} ppm",
+            "speeds are off by as much: check the board's oscillator, and whether this host's clock is being set",
+        ),
+    )  # fmt: skip
+    late_s = percentile(residual_s, 0.99)
+    remedy = "an FTDI adapter needs latency_timer = 1 (/sys/bus/usb-serial/devices/*/latency_timer); no hub in between"
+    yield graded(
+        group, f"{what}: jitter of reports", late_s, (samples.period_s, arm.limits.stale_s),
+        (f"99 % within {1e3 * late_s:.2f} ms", f"below {1e3 * samples.period_s:.2g} ms", remedy),
+    )  # fmt: skip
+    baud = arm.encoder_boards[index].baud
+    load = wire.REPORT_WIRE_BYTES * 10 / baud / period_s
+    yield graded(
+        group, f"{what}: load of its line", load, (0.9, 1.0),
+        (f"{load:.0%} of {baud} baud", "below 90 %", "take a higher baud rate, or a lower --rate"),
+    )  # fmt: skip
+
+
+def _lost(what: str, found: EncoderSamples) -> Iterator[Finding]:
+    total = found.reports + found.lost
+    yield graded(
+        "timing", f"{what}: frames lost or broken", max(found.lost, found.bad_frames) / max(total, 1), LOST_LIMITS,
+        (
+            f"{found.lost} lost, {found.bad_frames} with a bad CRC, of {total}", "none",
+            "check cable, shield and ground; keep it away from the motor cables",
+        ),
+    )  # fmt: skip
+
+
+def clock_drift(latched_s: list[float], arrived_s: list[float]) -> tuple[float, float, list[float]]:
+    """How much a board's clock is fast [ppm], its standard deviation, and how much later each report came than the earliest [s].
+
+    A straight line through arrivals over board time; a delay makes a report only later, so residuals count from the lowest.
+    """
+    n = len(latched_s)
+    x0, y0 = fmean(latched_s), fmean(arrived_s)
+    sxx = math.fsum((x - x0) ** 2 for x in latched_s)
+    sxy = math.fsum((x - x0) * (y - y0) for x, y in zip(latched_s, arrived_s, strict=True))
+    slope = sxy / sxx if sxx > 0.0 else math.nan
+    residual_s = [(y - y0) - slope * (x - x0) for x, y in zip(latched_s, arrived_s, strict=True)]
+    variance = math.fsum(r * r for r in residual_s) / max(n - 2, 1)
+    earliest_s = min(residual_s)
+    sd_ppm = 1e6 * math.sqrt(variance / sxx) if sxx > 0.0 else math.nan
+    return 1e6 * (1.0 / slope - 1.0), sd_ppm, [r - earliest_s for r in residual_s]
+
+
+def _reply_timing(what: str, found: MotorSamples, samples: Samples) -> Iterator[Finding]:
+    if not found.commands:
+        return
+    missing = 1.0 - found.replies / found.commands
+    # The last command's reply may still be on its way.
+    yield graded(
+        "timing", f"{what}: replies", max(0.0, missing - 1.0 / found.commands), LOST_LIMITS,
+        (f"{found.replies} to {found.commands} commands", "one for each", "check CAN cable and termination"),
+    )  # fmt: skip
+    p99 = percentile(found.latency_s, 0.99)
+    middle = 1e3 * median(found.latency_s) if found.latency_s else math.nan
+    yield graded(
+        "timing", f"{what}: latency of replies", p99, (samples.period_s, 5.0 * samples.period_s),
+        (
+            f"{middle:.2f} ms, 99 % within {1e3 * p99:.2f} ms",
+            f"within {1e3 * REPLY_S:g} ms and the host's own lateness",
+            "look at the CAN adapter (USB hubs, slcan at a low baud rate) and at the load of this host",
+        ),
+    )  # fmt: skip
+
+
+def _buses(samples: Samples, arm: Arm) -> Iterator[Finding]:
+    if arm.can is None or not samples.motors:
+        return
+    frames = 2 * len(arm.drives)
+    computed = frames * CAN_FRAME_bits / arm.can.bitrate / samples.period_s
+    measured = samples.can_frames * CAN_FRAME_bits / arm.can.bitrate / samples.duration_s
+    load = max(computed, measured)
+    yield graded(
+        "timing", "CAN bus load", load, (0.7, 0.9),
+        (
+            f"{measured:.0%} measured, {computed:.0%} computed at {1.0 / samples.period_s:.0f} Hz", "below 70 %",
+            "take a lower --rate or a higher bit rate, and take other devices off the bus",
+        ),
+    )  # fmt: skip
+
+
+def _channel(drive: Drive, found: EncoderSamples) -> Iterator[Finding]:
+    at = drive.encoder_channel
+    what, group = f"joint {drive.joint}: encoder", "signals"
+    if at >= len(found.flags):
+        return
+    if found.flags[at] & SIGNAL_LOST:
+        yield Finding(
+            Level.BAD, group, what, "its signal is lost", "a signal", "check the encoder's cable and plug"
+        )
+        return
+    if found.flags[at] & QUADRATURE_ERROR:
+        remedy = "check the encoder's cable, shield and supply; then home again"
+        yield Finding(
+            Level.WARN, group, what, "an illegal transition was seen: the count may be off", "", remedy
+        )
+    counts = [row[at] for row in found.counts]
+    spread = max(counts) - min(counts)
+    if spread > MOVED_counts:
+        yield Finding(
+            Level.WARN, group, what, f"it moved by {spread} counts", "an arm at rest",
+            "let the arm rest on its support and look again; noise cannot be judged on a moving joint",
+        )  # fmt: skip
+        return
+    noise = pstdev(counts)
+    homed = "its zero is set" if found.zero_set[at] else "not homed yet"
+    yield graded(
+        group, what, noise, NOISE_LIMITS_counts,
+        (
+            f"noise {noise:.2f} counts at rest, {spread} from lowest to highest; {homed}",
+            f"below {NOISE_LIMITS_counts[0]:g} count",
+            "check shield and ground of the encoder's cable",
+        ),
+    )  # fmt: skip
+
+
+def _has_moved(drive: Drive, found: EncoderSamples | None) -> bool:
+    at = drive.encoder_channel
+    if found is None or at >= len(found.flags):
+        return False
+    counts = [row[at] for row in found.counts]
+    return max(counts, default=0) - min(counts, default=0) > MOVED_counts
+
+
+def _current(drive: Drive, found: MotorSamples) -> Finding:
+    joint = f"joint {drive.joint}"
+    limit_A = drive.current_limit_A if math.isfinite(drive.current_limit_A) else 10.0
+    offset_A, noise_A = fmean(found.current_A), pstdev(found.current_A)
+    # Offsets are warned of by the larger of the two: either is a current that nobody asked for.
+    return graded(
+        "signals", f"{joint}: current with the drive off", max(abs(offset_A), noise_A) / limit_A, OFFSET_LIMITS,
+        (
+            f"{1e3 * offset_A:+.0f} mA, noise {1e3 * noise_A:.0f} mA",
+            f"within {OFFSET_LIMITS[0] * limit_A * 1e3:.0f} mA",
+            "have the board measure its offset anew; look for ripple on its supply",
+        ),
+    )  # fmt: skip
+
+
+def _power(drive: Drive, found: MotorSamples) -> Iterator[Finding]:
+    joint = f"joint {drive.joint}"
+    supply_V = fmean(found.supply_V)
+    remedy = "check the supply, its fuse and the emergency stop; or correct supply_V in arm.toml"
+    yield graded(
+        "signals", f"{joint}: supply", abs(supply_V / drive.supply_V - 1.0), SUPPLY_LIMITS,
+        (f"{supply_V:.2f} V", f"{drive.supply_V:g} V", remedy),
+    )  # fmt: skip
+    hottest = max(found.temperature_degC)
+    yield graded(
+        "signals", f"{joint}: power stage", hottest, TEMPERATURE_LIMITS_degC,
+        (f"{hottest:.0f} degC", f"below {TEMPERATURE_LIMITS_degC[0]:.0f} degC", "let it cool; check the fan and the load"),
+    )  # fmt: skip
+    for bit, (name, cure) in DRIVE_FAULTS.items():
+        if found.faults >> bit & 1:
+            yield Finding(
+                Level.BAD, "signals", f"{joint}: drive", f"reports a fault: {name}", "none",
+                f"{cure}; then `armwright acknowledge`",
+            )  # fmt: skip

@@ -1,0 +1,194 @@
+"""Takes the steps of a recording plan, one after the other, and keeps each on the disk before the arm goes on.
+
+points.csv grows by a line a pose; runs/NAME.csv holds a run as the runtime recorded it. log.csv is made of all runs so far
+when the recording ends, however it ends. A recording that was interrupted goes on where it was.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.errors import CalibrationError
+from calib.gap.plan.plan import GENTLE, AVERAGE_s, RecordingPlan, Run, SETTLE_s, Step, Visit
+from calib.points.writer import PointsWriter, Record
+from control.errors import ArmError
+from control.model.arm import Arm
+from control.server.client import ArmClient, Average
+from procedures.gap.run_file import RunFile, write_log
+from procedures.iso9283.run_rows import RunRows
+from procedures.ports import RuntimePort
+
+REST_s = 0.1  # of a run after its motion
+CAMERA_PATIENCE = 10  # averages: a marker may be hidden for a moment
+FLUSH_s = 0.3  # after a run, until its rows are on the disk: two writes of the recorder
+
+Advance = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """An arm that holds and is homed: its client, the file that its runtime records, whether a camera sees the tip.
+
+    `hang` hangs a mass at the tip, or asks somebody to; `speed` is that of moves between poses.
+    """
+
+    arm: Arm
+    client: ArmClient
+    recording: Path
+    hang: Callable[[float], None]
+    has_camera: bool = True
+    speed: float = 1.0
+
+
+def note_plan(out: Path, plan: RecordingPlan, arm: Arm) -> None:
+    """Write plan.json; CalibrationError if the folder holds the records of another plan or arm."""
+    path = out / "plan.json"
+    wanted = json.dumps(plan_document(plan, arm), indent=1) + "\n"
+    if path.exists() and path.read_text(encoding="utf-8") != wanted:
+        raise CalibrationError(
+            f"{path}: the records here are of another plan or arm: give the same options to go on with it, or another --out"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    path.write_text(wanted, encoding="utf-8")
+
+
+def plan_document(plan: RecordingPlan, arm: Arm) -> dict[str, object]:
+    """What plan.json holds: every step in order."""
+    return {
+        "format": "gap_plan/1",
+        "arm": arm.name,
+        "duration_s": round(plan.duration_s, 1),
+        "room_rad": [plan.room.lower_rad.tolist(), plan.room.upper_rad.tolist()],
+        "steps": [_described(step) for step in plan.steps],
+    }
+
+
+def record(bench: Bench, plan: RecordingPlan, out: Path, advance: Advance) -> None:
+    """Take every step that is not taken yet. On every way out log.csv is made of what there is."""
+    note_plan(out, plan, bench.arm)
+    recorder = _Recorder(bench, out)
+    try:
+        for done, step in enumerate(plan.steps):
+            advance(_said(step), done / len(plan.steps))
+            recorder.take(step)
+        recorder.take_off_load()
+    finally:
+        recorder.close()
+        if plan.runs:
+            write_log(out, bench.arm, [run.name for run in plan.runs])
+    advance("recorded", 1.0)
+
+
+class _Recorder:
+    def __init__(self, bench: Bench, out: Path) -> None:
+        self._bench, self._out = bench, out
+        self._points = PointsWriter(out / "points.csv", bench.arm.joint_count)
+        self._rows = RunRows(bench.recording)
+        self._port = RuntimePort(bench.client, bench.speed, as_encoders=True)
+        self._gentle = RuntimePort(bench.client, GENTLE * bench.speed, as_encoders=True)
+        self._load_kg = 0.0
+        self._stands_out_of: tuple[float, ...] | None = None  # where to go back to before anywhere else
+
+    def take(self, step: Step) -> None:
+        """Do it, unless it was done before."""
+        if isinstance(step, Run):
+            file = RunFile.of(self._out, step.name)
+            if not file.exists():
+                self._run(step, file)
+        elif (step.setup, step.point, step.repeat) not in self._points.recorded:
+            self._visit(step)
+
+    def take_off_load(self) -> None:
+        """Nothing hangs at the tip any more, and the arm stands where every way is clear."""
+        self._come_back(None)
+        self._hang(0.0)
+
+    def close(self) -> None:
+        """Close the files."""
+        self._points.close()
+
+    def _visit(self, step: Visit) -> None:
+        client = self._bench.client
+        self._hang(step.payload_kg)
+        self._come_back(
+            step.via_rad if self._stands_out_of == step.via_rad and self._last == step.q_rad else None
+        )
+        if step.via_rad is not None and self._stands_out_of is None:
+            self._port.move_to_q(step.via_rad)
+        self._stands_out_of, self._last = step.via_rad, step.q_rad
+        self._port.move_to_q(step.start_rad)
+        self._gentle.move_to_q(step.q_rad)
+        client.wait(SETTLE_s)
+        mean = client.average(AVERAGE_s)  # angles and tip of the same moments: an integral may still creep
+        tip_m = mean.tip_m
+        if tip_m is None and self._bench.has_camera:
+            mean = self._seen()
+            tip_m = mean.tip_m
+        self._points.append(
+            Record(
+                step.setup, step.point, step.repeat, mean.q_rad, mean.q_std_rad, mean.direction, mean.current_A, mean.t_s,
+                step.payload_kg, tip_m,
+            )
+        )  # fmt: skip
+
+    def _seen(self) -> Average:
+        """An average in which the camera saw the tip; ArmError where it does not for a while."""
+        for _ in range(CAMERA_PATIENCE):
+            mean = self._bench.client.average(AVERAGE_s)
+            if mean.tip_m is not None:
+                return mean
+        raise ArmError(
+            f"no camera frame came within {CAMERA_PATIENCE * AVERAGE_s:g} s: is the camera on, and does it see the tip?"
+        )
+
+    _last: tuple[float, ...] | None = None
+
+    def _come_back(self, stay_rad: tuple[float, ...] | None) -> None:
+        """From a pose outside of the room to its middle, before the arm goes anywhere else."""
+        if self._stands_out_of is not None and stay_rad is None:
+            self._port.move_to_q(self._stands_out_of)
+            self._stands_out_of = None
+
+    def _run(self, step: Run, file: Path) -> None:
+        client = self._bench.client
+        self._come_back(None)
+        self._hang(step.payload_kg)
+        self._port.move_to_q(step.path.knots[0].q_rad)
+        client.wait(SETTLE_s)
+        self._rows.skip()
+        client.run_joints(step.path.to_message(), as_encoders=True)
+        client.wait(FLUSH_s)
+        rows = self._rows.of_run(int(client.status()["run"]))
+        if not len(rows):
+            raise ArmError(
+                f"{self._bench.recording}: holds no rows of the run that has just ended: is the disk full?"
+            )
+        rows = rows[rows["t_s"] <= rows["t_s"][0] + step.path.duration_s + REST_s]
+        RunFile.write(file, rows, self._bench.arm.joint_count, step.payload_kg)
+
+    def _hang(self, mass_kg: float) -> None:
+        if mass_kg != self._load_kg:
+            self._come_back(None)
+            self._bench.hang(mass_kg)
+            self._bench.client.ask("payload", mass_kg=mass_kg)
+            self._load_kg = mass_kg
+
+
+def _said(step: Step) -> str:
+    load = f" with {step.payload_kg:g} kg" if step.payload_kg else ""
+    return f"run {step.name}: {step.kind}{load}" if isinstance(step, Run) else f"pose {step.point}{load}"
+
+
+def _described(step: Step) -> dict[str, object]:
+    if isinstance(step, Run):
+        return {
+            "run": step.name, "kind": step.kind, "payload_kg": step.payload_kg,
+            "duration_s": round(step.path.duration_s, 3), "start_rad": list(step.path.knots[0].q_rad),
+        }  # fmt: skip
+    return {
+        "setup": step.setup, "point": step.point, "repeat": step.repeat, "payload_kg": step.payload_kg, "q_rad": list(step.q_rad),
+        "direction": list(step.direction),
+    }  # fmt: skip

@@ -1,0 +1,91 @@
+"""Runs as the runtime recorded them, one file each, and log.csv made of them on one clock.
+
+A run file holds rows as they were written, cycle by cycle; what of a row belongs to which moment is `procedures.gap.timing`'s.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.points.writer import replace_file
+from control.model.arm import Arm
+from procedures.gap.timing import Aligned, Raw, aligned, clocks_of
+
+TIP = ("x_m", "y_m", "z_m")
+
+
+class RunFile:
+    """runs/NAME.csv in the folder of a recording."""
+
+    @staticmethod
+    def of(out: Path, name: str) -> Path:
+        """Where it stands."""
+        return out / "runs" / f"{name}.csv"
+
+    @staticmethod
+    def write(path: Path, rows: npt.NDArray[np.void], joint_count: int, payload_kg: float) -> None:
+        """The rows of a run, whole or not at all."""
+        names = [
+            "t_s",
+            *_joint_names(joint_count),
+            *(f"counted{j}_s" for j in range(1, joint_count + 1)),
+            *TIP,
+        ]
+        table = np.column_stack([np.asarray(rows[name], dtype=np.float64) for name in names])
+        text = [",".join([*names, "payload_kg"])]
+        text += [",".join([*(_cell(x, 12) for x in row), f"{payload_kg:g}"]) for row in table.tolist()]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(path, ("\n".join(text) + "\n").encode())
+
+    @staticmethod
+    def read(path: Path, joint_count: int) -> Raw:
+        """A run as it was recorded."""
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.reader(file)
+            header = next(reader)
+            table = np.array([[float(cell or "nan") for cell in row] for row in reader])
+        column = {name: table[:, k] for k, name in enumerate(header)}
+
+        def group(form: str) -> npt.NDArray[np.float64]:
+            return np.column_stack([column[form.format(j)] for j in range(1, joint_count + 1)])
+
+        return Raw(
+            column["t_s"], group("q{}_rad"), group("q{}_set_rad"), group("i{}_A"), group("u{}_V"), group("counted{}_s"),
+            np.column_stack([column[name] for name in TIP]), float(column["payload_kg"][0]),
+        )  # fmt: skip
+
+
+def write_log(out: Path, arm: Arm, names: Sequence[str]) -> tuple[str, ...]:
+    """log.csv of all runs that are there, on one clock; returns sentences about the delays that were taken out."""
+    n = arm.joint_count
+    there = [(name, RunFile.of(out, name)) for name in names]
+    runs = [(name, RunFile.read(path, n)) for name, path in there if path.exists()]
+    if not runs:
+        return ()
+    clocks = clocks_of(arm, [raw for _, raw in runs])
+    header = ["run", "t_s", *_joint_names(n), *TIP, "payload_kg"]
+    lines = [",".join(header)]
+    for name, raw in runs:
+        lines += _lines(name, aligned(arm, raw, clocks), raw.payload_kg)
+    replace_file(out / "log.csv", ("\n".join(lines) + "\n").encode())
+    return clocks.in_words()
+
+
+def _lines(name: str, run: Aligned, payload_kg: float) -> list[str]:
+    table = np.column_stack((run.t_s, run.q_rad, run.q_set_rad, run.current_A, run.voltage_V, run.tip_m))
+    end = f"{payload_kg:g}"
+    return [",".join([name, *(_cell(x) for x in row), end]) for row in table.tolist()]
+
+
+def _joint_names(n: int) -> list[str]:
+    """Grouped by what they hold."""
+    return [form.format(j) for form in ("q{}_rad", "q{}_set_rad", "i{}_A", "u{}_V") for j in range(1, n + 1)]
+
+
+def _cell(value: float, digits: int = 9) -> str:
+    return "" if value != value else f"{value:.{digits}g}"

@@ -1,0 +1,287 @@
+"""What of a recorded row belongs to which moment, so that angles, currents, voltages and tips of log.csv share one clock.
+
+A row holds the newest that had arrived: the current of the last cycle (a board answers a command with the mean of the last
+millisecond before it, docs/motor_board.md), an encoder report that is up to a cycle old, a camera frame that is older. While a
+voltage u is held, the winding's current follows R i(t) = u - k_t N dq/dt(t - L/R): it falls by k_t N a / R a second, by which the
+mean is brought to the command's moment, and angles that are d late leave k_t N a d in the balance, which tells d. Resistance,
+motor constant and a delay of the commands are fitted beside it, so that none of them is taken for age. The camera's age is that
+under which its tips follow those of the encoders, beside everything that is a smooth function of the pose, a play or a spring.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array, Mask
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm, Drive
+
+MEAN_s = 1e-3  # that a board averages a current over, before the command that it answers
+SMOOTH = 4  # cycles: of the filter that all channels pass alike
+ROUNDS = 3
+OLDEST_ENCODER = 3.0  # cycles; beyond it, what was estimated is no age
+OLDEST_CAMERA_s = 0.2
+MOVING_rad_s = 0.01
+LEAST_ROWS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Raw:
+    """A run as recorded, m cycles of n joints.
+
+    t_s (m,); q, set-points, current, voltage (m, n); counted_s (m, n): when each angle was latched, by its board's clock; tip_m
+    (m, 3), NaN without frame.
+    """
+
+    t_s: Array
+    q_rad: Array
+    q_set_rad: Array
+    current_A: Array
+    voltage_V: Array
+    counted_s: Array
+    tip_m: Array
+    payload_kg: float
+
+    @property
+    def period_s(self) -> float:
+        """Of the cycle."""
+        return float(np.median(np.diff(self.t_s)))
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """The same on one clock, t_s from 0: what was true at each moment, the voltage that began there."""
+
+    t_s: Array
+    q_rad: Array
+    q_set_rad: Array
+    current_A: Array
+    voltage_V: Array
+    tip_m: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """A board's clock on the loop's: t = since_s + offset_s + (1 + rate) (board time - since_s)."""
+
+    since_s: float
+    offset_s: float
+    rate: float = 0.0
+
+    def loop_s(self, board_s: Array) -> Array:
+        """The loop's time of moments of the board."""
+        return self.since_s + self.offset_s + (1.0 + self.rate) * (board_s - self.since_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Clocks:
+    """The clock of every joint's encoder board, and the age of a camera's frame when a row holds it (NaN: no camera)."""
+
+    encoder: tuple[Clock, ...]
+    camera_s: float
+    angle_age_s: float
+
+    def in_words(self) -> tuple[str, ...]:
+        """What was taken out."""
+        camera = "" if math.isnan(self.camera_s) else f", camera frames {1e3 * self.camera_s:.1f} ms"
+        return (
+            f"Taken out of the log: angles were {1e3 * self.angle_age_s:.2f} ms old on average{camera}, currents one cycle.",
+        )
+
+
+def clocks_of(arm: Arm, runs: Sequence[Raw]) -> Clocks:
+    """Estimated from all runs together; angles half a cycle old on average where voltages or currents are absent."""
+    joints = range(arm.joint_count)
+    boards: dict[int, list[int]] = {}
+    for j in joints:
+        boards.setdefault(arm.drive(j + 1).encoder_board, []).append(j)
+    by_joint: dict[int, Clock] = {}
+    for own in boards.values():
+        by_joint.update(dict.fromkeys(own, _board_clock(arm, runs, own)))
+    clocks = tuple(by_joint[j] for j in joints)
+    ages = [float(np.mean(raw.t_s - clocks[0].loop_s(raw.counted_s[:, 0]))) for raw in runs]
+    return Clocks(clocks, _camera_age_s(arm, runs, clocks), float(np.mean(ages)))
+
+
+def aligned(arm: Arm, raw: Raw, clocks: Clocks) -> Aligned:
+    """Rows k = 1 ... m - 2: what stood in row k + 1 was measured when row k's voltage began."""
+    at = raw.t_s[1:-1]
+    q = np.column_stack([_angle(raw, j, clock, at) for j, clock in enumerate(clocks.encoder)])
+    current = raw.current_A[2:] + 0.5 * MEAN_s * _current_slope_A_s(arm, q, raw.period_s)
+    tip = _tips(arm, raw, clocks, at)
+    return Aligned(at - at[0], q, raw.q_set_rad[1:-1], current, raw.voltage_V[1:-1], tip)
+
+
+def _tips(arm: Arm, raw: Raw, clocks: Clocks, at: Array) -> Array:
+    """Frames in the rows nearest to when they were taken, brought there by the speed of the tip: by half a cycle at most."""
+    tips = np.full((len(at), 3), np.nan)
+    if math.isnan(clocks.camera_s):
+        return tips
+    sees = _sees(raw)
+    taken_s = raw.t_s[sees] - clocks.camera_s
+    row = np.round((taken_s - at[0]) / raw.period_s).astype(int)
+    within = (row >= 0) & (row < len(at))
+    row, taken_s = row[within], taken_s[within]
+    q, speed, _ = _motion(raw, clocks.encoder, taken_s)
+    moving = np.einsum("mij,mj->mi", Kinematics(arm).jacobians(q), speed)
+    tips[row] = raw.tip_m[sees][within] + (at[row] - taken_s)[:, None] * moving
+    return tips
+
+
+def _current_slope_A_s(arm: Arm, q: Array, period_s: float) -> Array:
+    """Of the motors' currents while a voltage is held, (m, n): the back-EMF grows with the acceleration."""
+    slopes = np.zeros_like(q)
+    for j in range(q.shape[1]):
+        drive = arm.drive(j + 1)
+        per_speed = drive.torque_constant_Nm_A * drive.gear_ratio / drive.resistance_ohm
+        slopes[:, j] = -per_speed * _filtered(q[:, j], 2, period_s, keep=True)
+    return slopes
+
+
+def _board_clock(arm: Arm, runs: Sequence[Raw], joints: Sequence[int]) -> Clock:
+    """Of the board of these joints (0-based)."""
+    period = runs[0].period_s
+    ahead = np.concatenate([raw.t_s - raw.counted_s[:, joints[0]] for raw in runs])
+    since = float(runs[0].counted_s[0, joints[0]])
+    first = Clock(since, float(np.mean(ahead)) - 0.5 * period)
+    clock, information = first, np.zeros((2, 2))
+    for _ in range(ROUNDS):
+        information, pull = np.zeros((2, 2)), np.zeros(2)
+        for j in joints:
+            own, towards = _later(arm.drive(j + 1), runs, j, clock)
+            information += own
+            pull += towards
+        if np.linalg.matrix_rank(information) < 2:
+            return first
+        later, faster = np.linalg.solve(information, pull)
+        clock = Clock(since, clock.offset_s - float(later), clock.rate - float(faster))
+    oldest = max(float(np.mean(raw.t_s - clock.loop_s(raw.counted_s[:, joints[0]]))) for raw in runs)
+    return clock if -0.1 * period <= oldest <= OLDEST_ENCODER * period else first
+
+
+def _later(drive: Drive, runs: Sequence[Raw], j: int, clock: Clock) -> tuple[Array, Array]:
+    """Normal equations (2, 2), (2,): by how much the clock is late and fast, as the angles of joint j (0-based) show it."""
+    constant = drive.torque_constant_Nm_A * drive.gear_ratio
+    values, columns = [], []
+    for raw in runs:
+        current, voltage = raw.current_A[2:, j], raw.voltage_V[:-2, j]
+        if len(current) < LEAST_ROWS or not (np.isfinite(current).all() and np.isfinite(voltage).all()):
+            continue
+        behind_s = (
+            drive.inductance_H / drive.resistance_ohm + 0.5 * MEAN_s
+        )  # of the current, against the speed
+        q = _angle(raw, j, clock, raw.t_s[1:-1] - behind_s)
+        speed, bend = (_filtered(q, order, raw.period_s) for order in (1, 2))
+        i, u, rise = (
+            _filtered(current, 0, 1.0),
+            _filtered(voltage, 0, 1.0),
+            _filtered(voltage, 1, raw.period_s),
+        )
+        values.append(u - drive.resistance_ohm * i - constant * speed)
+        since_s = np.full(len(i), float(np.mean(raw.counted_s[:, j])) - clock.since_s)
+        columns.append(
+            np.column_stack((constant * bend, constant * bend * since_s, i, speed, rise, np.ones_like(i)))
+        )
+    if not values:
+        return np.zeros((2, 2)), np.zeros(2)
+    design, value = np.concatenate(columns), np.concatenate(values)
+    found, *_ = np.linalg.lstsq(design, value, rcond=None)
+    others = design[:, 2:]
+    alone = design[:, :2] - others @ np.linalg.lstsq(others, design[:, :2], rcond=None)[0]
+    information = alone.T @ alone / max(float(np.mean((value - design @ found) ** 2)), 1e-12)
+    return information, information @ found[:2]
+
+
+def _angle(raw: Raw, j: int, clock: Clock, at_s: Array) -> Array:
+    """The angle of joint j (0-based) at moments of the loop's clock."""
+    latched, first = np.unique(raw.counted_s[:, j], return_index=True)  # a report may have been in two rows
+    return _cubic(at_s, clock.loop_s(latched), raw.q_rad[first, j])
+
+
+def _camera_age_s(arm: Arm, runs: Sequence[Raw], clocks: Sequence[Clock]) -> float:
+    """Of the frames; NaN where there are too few."""
+    if sum(int(_sees(raw).sum()) for raw in runs) < LEAST_ROWS:
+        return math.nan
+    kinematics, age = Kinematics(arm), 0.0
+    for _ in range(ROUNDS):
+        value, design = _camera_rows(kinematics, runs, clocks, age)
+        found, *_ = np.linalg.lstsq(design, value, rcond=None)
+        age += float(found[0])
+    return age if 0.0 <= age <= OLDEST_CAMERA_s else math.nan
+
+
+def _camera_rows(
+    kinematics: Kinematics, runs: Sequence[Raw], clocks: Sequence[Clock], age_s: float
+) -> tuple[Array, Array]:
+    """Measured minus modelled tips, and what may explain them: more age first."""
+    values, columns = [], []
+    for raw in runs:
+        sees = _sees(raw)
+        at = raw.t_s[sees] - age_s
+        within = (at > raw.t_s[0]) & (at < raw.t_s[-1])
+        if not within.any():
+            continue
+        at, seen = at[within], raw.tip_m[sees][within]
+        q, speed, bend = _motion(raw, clocks, at)
+        jacobians = kinematics.jacobians(q)
+        moving = np.einsum("mij,mj->mi", jacobians, speed)
+        values.append((seen - kinematics.tips(q)).ravel())
+        loose = jacobians * np.tanh(speed / MOVING_rad_s)[:, None, :]
+        springy = jacobians * bend[:, None, :]
+        smooth = np.einsum("mk,ia->miak", _shapes(q), np.eye(3)).reshape(len(q), 3, -1)
+        own = np.concatenate((-moving[:, :, None], loose, springy, smooth), axis=2)
+        columns.append(own.reshape(-1, own.shape[2]))
+    return np.concatenate(values), np.concatenate(columns)
+
+
+def _motion(raw: Raw, clocks: Sequence[Clock], at_s: Array) -> tuple[Array, Array, Array]:
+    """Angles, speeds and accelerations (k, n) at moments."""
+    parts = [np.column_stack([_angle(raw, j, clock, at_s) for j, clock in enumerate(clocks)])]
+    even = [_angle(raw, j, clock, raw.t_s) for j, clock in enumerate(clocks)]
+    for order in (1, 2):
+        filtered = [_filtered(values, order, raw.period_s, keep=True) for values in even]
+        parts.append(np.column_stack([np.interp(at_s, raw.t_s, values) for values in filtered]))
+    return parts[0], parts[1], parts[2]
+
+
+def _shapes(q: Array) -> Array:
+    """Everything smooth: 1, q and its products (m, k)."""
+    n = q.shape[1]
+    products = [q[:, a] * q[:, b] for a in range(n) for b in range(a, n)]
+    return np.column_stack((np.ones(len(q)), q, *products))
+
+
+def _sees(raw: Raw) -> Mask:
+    return np.asarray(np.isfinite(raw.tip_m).all(axis=1))
+
+
+def _filtered(values: Array, order: int, period_s: float, keep: bool = False) -> Array:
+    """Smoothed by a Gaussian, or its first or second derivative; `keep`: as long as it was, its ends as they are."""
+    half = 4 * SMOOTH
+    s = np.arange(-half, half + 1) / SMOOTH
+    bell = np.exp(-0.5 * s * s)
+    bell /= bell.sum()
+    kernel = (bell, -s * bell / SMOOTH, (s * s - 1.0) * bell / SMOOTH**2)[order]
+    if order == 2:  # a constant has no curvature, cut off as the bell is
+        kernel = kernel - kernel.mean()
+    padded = np.concatenate((np.full(half, values[0]), values, np.full(half, values[-1]))) if keep else values
+    return np.asarray(np.convolve(padded, kernel, mode="valid") / period_s**order)
+
+
+def _cubic(at: Array, times: Array, values: Array) -> Array:
+    """Values at moments, by the cubic through the four samples around each (Lagrange); beyond the ends the last value."""
+    k = np.clip(np.searchsorted(times, at) - 1, 1, len(times) - 3)
+    x = np.clip(at, times[0], times[-1])
+    places = [times[k + shift] for shift in (-1, 0, 1, 2)]
+    total = np.zeros(len(at))
+    for a in range(4):
+        share = np.ones(len(at))
+        for b in range(4):
+            if a != b:
+                share *= (x - places[b]) / (places[a] - places[b])
+        total += share * values[k + a - 1]
+    return total

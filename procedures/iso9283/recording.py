@@ -1,0 +1,249 @@
+"""Runs the test programmes on an arm and keeps what it measured: points.csv, log.csv, programme.json.
+
+Each visit and each run is on the disk before the arm goes on, and a recording that was interrupted goes on where it was
+when it is started again with the same folder and programme.
+"""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.iso9283.criteria.checks import Iso9283Error
+from calib.iso9283.cube import Point, TestCube
+from calib.iso9283.files import RecordFile, log_header, points_header, text
+from calib.iso9283.programme import Extent, PathRun, Step, Visit, path_programme, programme_document, steps
+from calib.iso9283.workspace import Solver, solver_of
+from control.errors import ArmError
+from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm
+from control.motion.plan import PlannedPath, plan_path
+from control.server.client import ArmClient, Average
+from procedures.iso9283.run_rows import RunRows
+
+DWELL_S = 0.2  # after a move, before the average: the arm comes to rest
+AVERAGE_S = 0.2  # 20 camera frames
+FLUSH_S = 0.3  # after a run, until its rows are on the disk: two writes of the recorder
+KEEP_EVERY = 5  # cycles of a path without a camera
+_SPEED_ROUNDS = 6
+_BOX = 4  # samples along each joint between two poses
+
+Advance = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """An arm that holds and is homed: its client, the file that its runtime records, and who hangs loads."""
+
+    arm: Arm
+    client: ArmClient
+    recording: Path
+    hang: Callable[[float], None] | None
+    speed: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """Everything that will be done, checked: steps with the joint angles of their poses."""
+
+    document: dict[str, object]
+    steps: tuple[Step, ...]
+    q_rad: dict[Point, tuple[float, ...]]
+    paths: dict[tuple[Point, ...], dict[float, PlannedPath]]
+
+
+def rated_speed_m_s(arm: Arm, cube: TestCube) -> float:
+    """The greatest speed on the test's straight line that the planner need not slow, at most the tip's limit."""
+    speed = arm.limits.tip_speed_m_s
+    line = next(path_programme(cube, 1, (1.0,), 1.0))
+    near = _solved(solver_of(arm, cube), line.points_m[0])
+    for _ in range(_SPEED_ROUNDS):
+        planned = plan_path(arm, line.points_m, [speed * share for share in line.speeds_m_s], q_near_rad=near)
+        if not planned.slowdowns:
+            break
+        speed = math.floor(100.0 * speed / max(s.factor for s in planned.slowdowns)) / 100.0
+    return speed
+
+
+def plan(arm: Arm, cube: TestCube, extent: Extent, rated_m_s: float) -> Planned:
+    """Solve every pose and plan every path; ArmError or Iso9283Error say what stands in the way, and nothing moves."""
+    solver = solver_of(arm, cube)
+    todo = tuple(steps(cube, extent, rated_m_s))
+    visits = [step for step in todo if isinstance(step, Visit)]
+    tips = {p for v in visits for p in (v.tip_m, v.via_m) if p is not None}
+    q_rad = {tip: _solved(solver, tip) for tip in tips}
+    _require_clear(arm, list(q_rad.values()))
+    paths: dict[tuple[Point, ...], dict[float, PlannedPath]] = {}
+    inverse, kinematics = InverseKinematics(arm), Kinematics(arm)
+    for step in todo:
+        if isinstance(step, PathRun) and step.speed_m_s not in paths.setdefault(step.points_m, {}):
+            near = _solved(solver, step.points_m[0])
+            paths[step.points_m][step.speed_m_s] = plan_path(
+                arm, step.points_m, step.speeds_m_s, q_near_rad=near, inverse=inverse, kinematics=kinematics
+            )
+    return Planned(programme_document(cube, extent, rated_m_s), todo, q_rad, paths)
+
+
+def record(bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
+    """Run what was planned; records go to `out`. Goes on where an earlier recording of the same programme ended."""
+    out.mkdir(parents=True, exist_ok=True)
+    _note_programme(out / "programme.json", planned.document)
+    n = bench.arm.joint_count
+    with (
+        RecordFile(out / "points.csv", points_header(n)) as points,
+        RecordFile(out / "log.csv", log_header(n)) as log,
+    ):
+        recorder = _Recorder(bench, planned, points, log)
+        try:
+            for done, step in enumerate(planned.steps):
+                advance(_said(step), done / len(planned.steps))
+                recorder.take(step)
+        finally:
+            recorder.take_off_load()
+    advance("recorded", 1.0)
+
+
+class _Recorder:
+    """Takes one step after the other."""
+
+    def __init__(self, bench: Bench, planned: Planned, points: RecordFile, log: RecordFile) -> None:
+        self._bench, self._planned, self._points, self._log = bench, planned, points, log
+        self._rows = RunRows(bench.recording)
+        self._load_kg = 0.0
+        self._began_s: dict[str, float] = {}
+        self._visited = {(r["setup"], r["point"], r["repeat"]) for r in points.rows}
+        self._ran = {(r["programme"], r["speed_m_s"], r["cycle"]) for r in log.rows}
+        self._run = max((int(r["run"]) for r in log.rows), default=0)
+
+    def take(self, step: Step) -> None:
+        """Do one step and record it, unless that was done before."""
+        if isinstance(step, PathRun):
+            key = (step.programme, text(step.speed_m_s, 6), str(step.cycle))
+            if key not in self._ran:
+                self._travel(step)
+        elif (step.setup, step.point, str(step.repeat)) not in self._visited:
+            self._visit(step)
+
+    def take_off_load(self) -> None:
+        """Nothing hangs at the tip any more."""
+        if self._load_kg:
+            self._hang(0.0)
+
+    def _visit(self, step: Visit) -> None:
+        client, speed = self._bench.client, self._bench.speed
+        self._hang(step.payload_kg)
+        self._wait_until(step)
+        if step.via_m is not None:
+            client.move_joints(self._planned.q_rad[step.via_m], speed)
+            client.wait(DWELL_S)
+        self._rows.skip()
+        client.move_joints(self._planned.q_rad[step.tip_m], speed)
+        client.wait(DWELL_S)
+        mean = client.average(AVERAGE_S)
+        self._points.append([_points_row(step, mean)])
+        if step.recorded:
+            self._keep(step.recorded, str(step.repeat), "", step.payload_kg, every=1)
+
+    def _travel(self, step: PathRun) -> None:
+        client, path = self._bench.client, self._planned.paths[step.points_m][step.speed_m_s]
+        client.move_joints(path.q_start_rad, self._bench.speed)
+        client.wait(DWELL_S)
+        self._rows.skip()
+        client.run_path(path.to_message())
+        self._keep(step.programme, str(step.cycle), text(step.speed_m_s, 6), 0.0, every=KEEP_EVERY)
+
+    def _keep(self, programme: str, cycle: str, speed: str, payload_kg: float, every: int) -> None:
+        """The last run's rows into log.csv: those with a camera frame, or every `every`-th."""
+        client, n = self._bench.client, self._bench.arm.joint_count
+        client.wait(FLUSH_S)
+        rows = self._rows.of_run(int(client.status()["run"]))
+        if not len(rows):
+            raise ArmError(
+                f"{self._bench.recording}: holds no rows of the run that has just ended: is the disk full?"
+            )
+        is_kept = np.isfinite(rows["x_m"]) if every > 1 else np.ones(len(rows), dtype=bool)
+        is_kept[::every] = True
+        self._run += 1
+        of_encoders = [f.format(j) for f in ("q{}_rad", "q{}_set_rad") for j in range(1, n + 1)]
+        of_joints = [name.replace("q", "joint", 1) for name in of_encoders]
+        # without gears or encoders that err, the joints are where their encoders are, and only those are recorded
+        names = of_encoders + (of_joints if of_joints[0] in (rows.dtype.names or ()) else of_encoders)
+        start_s = float(rows["t_s"][0])
+        self._log.append(
+            [
+                str(self._run), text(float(row["t_s"]) - start_s, 6), programme, cycle, speed,
+                *(text(float(row[name])) for name in names), text(payload_kg, 6),
+                *(text(float(row[name]), 7) for name in ("x_m", "y_m", "z_m")),
+            ]
+            for row in rows[is_kept]
+        )  # fmt: skip
+
+    def _hang(self, mass_kg: float) -> None:
+        if mass_kg == self._load_kg:
+            return
+        if self._bench.hang is None:
+            raise ArmError("nobody hangs loads at the tip: leave the programme `load` out")
+        self._bench.hang(mass_kg)
+        self._load_kg = mass_kg
+
+    def _wait_until(self, step: Visit) -> None:
+        """Let time pass until the step is due, counted from the first of its programme."""
+        if not step.setup.startswith("drift_"):
+            return
+        now_s = float(self._bench.client.status()["t_s"])
+        left_s = self._began_s.setdefault("drift", now_s) + step.not_before_s - now_s
+        if left_s > 0.0:
+            self._bench.client.wait(left_s)
+
+
+def _points_row(step: Visit, mean: Average) -> Sequence[str]:
+    tip = mean.tip_m or (float("nan"),) * 3
+    return [
+        step.setup, step.point, str(step.repeat), text(mean.t_s, 3), text(step.payload_kg, 6),
+        *map(text, mean.q_rad), *map(str, mean.direction), *(text(i, 4) for i in mean.current_A),
+        *(text(x, 7) for x in tip), *map(text, step.tip_m), *map(text, mean.q_std_rad),
+    ]  # fmt: skip
+
+
+def _said(step: Step) -> str:
+    if isinstance(step, PathRun):
+        return f"{step.programme} at {step.speed_m_s:.3g} m/s, cycle {step.cycle}"
+    return f"{step.setup}: {step.point}, {step.repeat}"
+
+
+def _solved(solver: Solver, tip: Point) -> tuple[float, ...]:
+    return solver(np.asarray(tip))
+
+
+def _require_clear(arm: Arm, poses: Sequence[Sequence[float]]) -> None:
+    """Iso9283Error where a joint move between any two of the poses might take the tip to the floor.
+
+    Joints move at their own pace, so every mixture of the two poses' angles is looked at.
+    """
+    floor_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m
+    kinematics, shares = Kinematics(arm), np.linspace(0.0, 1.0, _BOX)
+    mixtures = np.stack(np.meshgrid(*[shares] * arm.joint_count), axis=-1).reshape(-1, arm.joint_count)
+    angles = np.unique(np.round(np.array(poses), 9), axis=0)
+    for k, q in enumerate(angles):
+        between = (q + mixtures[None] * (angles[k:, None, :] - q)).reshape(-1, arm.joint_count)
+        lowest_m = float(kinematics.tips(between)[:, 2].min())
+        if lowest_m < floor_m:
+            raise Iso9283Error(
+                f"arm {arm.name}: a joint move between poses of the test could take the tip to {lowest_m:.3f} m, below the"
+                f" floor at {floor_m:g} m: choose a cube that stands higher (--cube-centre, --cube-edge)"
+            )
+
+
+def _note_programme(path: Path, document: dict[str, object]) -> None:
+    """Write programme.json; Iso9283Error if the folder holds the records of another programme."""
+    wanted = json.dumps(document, indent=2) + "\n"
+    if path.exists() and path.read_text(encoding="utf-8") != wanted:
+        raise Iso9283Error(
+            f"{path}: the records here are of another programme or cube: choose another folder with --out, or give the"
+            " same options to go on with it"
+        )
+    path.write_text(wanted, encoding="utf-8")

@@ -1,0 +1,184 @@
+"""A mock arm on the bench, and the runtime that is connected to it: stepped in this process, or in real time in others."""
+
+import contextlib
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Protocol
+
+from control.dynamics.joint_side import has_joint_side
+from control.errors import ArmError
+from control.hardware.connect import Connection, connect
+from control.model.arm import Arm
+from control.model.description import arm_text, save_arm
+from control.recording.record import FileSink, Layout
+from control.server.assemble import assemble
+from control.server.client import ArmClient, RuntimeGone, SocketChannel
+from control.server.in_process import InProcessChannel
+from hil_mocks.realtime import RealTimeRig
+from hil_mocks.rig import MockArm, SteppedRig
+from procedures.mock.arm import wired_to
+
+PERIOD_S = 0.002
+START_LIMIT_S = 20.0
+
+
+class Bench(Protocol):
+    """A mock arm and, after `start`, a runtime connected to it."""
+
+    @property
+    def rig(self) -> MockArm: ...
+
+    @property
+    def speed(self) -> float:
+        """Fraction of the joints' limits for joint moves."""
+        ...
+
+    def start(self, arm: Arm) -> ArmClient:
+        """Start a runtime that believes in `arm`; drives are off."""
+        ...
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass."""
+        ...
+
+    def stop(self) -> Path:
+        """Drives off, runtime ended; returns its recording."""
+        ...
+
+    def close(self) -> None:
+        """End the mock arm."""
+        ...
+
+
+class SteppedBench:
+    """Everything in this process; time passes only while somebody waits, many times faster than outside."""
+
+    speed = 1.0
+
+    def __init__(self, arm: Arm, scenario: Path, log_folder: Path) -> None:
+        self.rig: MockArm = SteppedRig(arm, scenario)
+        self._log_folder = log_folder
+        self._connection: Connection | None = None
+        self._channel: InProcessChannel | None = None
+        self._sink: FileSink | None = None
+        self._client: ArmClient | None = None
+        self._recordings: list[Path] = []
+
+    def start(self, arm: Arm) -> ArmClient:
+        """Connect and make a runtime in this process."""
+        self._connection = connect(wired_to(arm, self.rig), self.rig.clock, PERIOD_S, self.rig.camera_port)
+        self._log_folder.mkdir(parents=True, exist_ok=True)
+        path = self._log_folder / f"run-{len(self._recordings) + 1}.armlog"
+        header = Layout.of(arm.joint_count, has_joint_side(arm)).header(
+            {"arm": arm.name, "arm_toml": arm_text(arm), "period_s": PERIOD_S}
+        )
+        self._sink = FileSink(path, header)
+        assembly = assemble(
+            arm,
+            self._connection.hardware,
+            PERIOD_S,
+            self._connection.camera,
+            self._sink,
+            self.rig.clock.now_s,
+        )
+        self._recordings.append(path)
+        self._channel = InProcessChannel(assembly, self.rig.clock)
+        self._client = ArmClient(self._channel)
+        self._client.wait(0.05)
+        return self._client
+
+    def wait(self, duration_s: float) -> None:
+        """Run cycles for `duration_s`."""
+        if self._channel is not None:
+            self._channel.wait(duration_s)
+
+    def stop(self) -> Path:
+        """Drives off, links closed."""
+        if self._client is None or self._connection is None or self._sink is None:
+            raise ArmError("the bench has no runtime to stop")
+        self._client.off(quit_runtime=True)
+        while self._channel is not None and self._channel.is_running:
+            self._channel.wait(PERIOD_S)
+        self._connection.close()
+        self._sink.close()
+        return self._recordings[-1]
+
+    def close(self) -> None:
+        """End the mock arm."""
+        self.rig.close()
+
+
+class RealTimeBench:
+    """The mock arm in one process, the runtime in another, as it would be with a real arm.
+
+    Joint moves are slower: a desktop pauses its programs for a tenth of a second now and then, and an arm that goes on at
+    its last voltage meanwhile must not get far.
+    """
+
+    speed = 0.4
+
+    def __init__(self, arm: Path | str, scenario: Path, log_folder: Path) -> None:
+        self.rig: MockArm = RealTimeRig(arm, scenario)
+        self._log_folder = log_folder
+        self._folder = tempfile.TemporaryDirectory(prefix="armwright-demo-")
+        self._runtime: subprocess.Popen[bytes] | None = None
+        self._client: ArmClient | None = None
+        self._starts = 0
+
+    def start(self, arm: Arm) -> ArmClient:
+        """Start `armwright serve` and wait until it answers."""
+        self._starts += 1
+        folder = Path(self._folder.name)
+        arm_file, socket_path = folder / f"arm-{self._starts}.toml", folder / f"{self._starts}.sock"
+        save_arm(wired_to(arm, self.rig), arm_file)
+        self._runtime = subprocess.Popen(
+            [
+                sys.executable, "-m", "console.main", "serve", "--arm", str(arm_file), "--socket", str(socket_path),
+                "--log", str(self._log_folder),
+            ],
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C is for the demo, which then ends the runtime in its own way
+        )  # fmt: skip
+        self._client = ArmClient(self._connected(socket_path))
+        return self._client
+
+    def _connected(self, socket_path: Path) -> SocketChannel:
+        deadline_s = time.monotonic() + START_LIMIT_S
+        while True:
+            with contextlib.suppress(RuntimeGone):
+                return SocketChannel(socket_path)
+            if self._runtime is not None and self._runtime.poll() is not None:
+                raise ArmError(
+                    f"the runtime ended at once with status {self._runtime.returncode}; it said why above"
+                )
+            if time.monotonic() > deadline_s:
+                raise ArmError(f"the runtime did not open its socket within {START_LIMIT_S:g} s")
+            time.sleep(0.05)
+
+    def wait(self, duration_s: float) -> None:
+        """Wait on the host's clock."""
+        time.sleep(duration_s)
+
+    def stop(self) -> Path:
+        """Drives off, the runtime's process ended."""
+        if self._client is None or self._runtime is None:
+            raise ArmError("the bench has no runtime to stop")
+        recording = Path(self._client.status()["recording"])
+        self._client.off(quit_runtime=True)
+        self._runtime.wait(START_LIMIT_S)
+        return recording
+
+    def close(self) -> None:
+        """End the runtime, if it still runs, and the mock arm."""
+        if self._runtime is not None and self._runtime.poll() is None:
+            self._runtime.terminate()
+            try:
+                self._runtime.wait(START_LIMIT_S)
+            except subprocess.TimeoutExpired:
+                self._runtime.kill()
+                self._runtime.wait()
+        self.rig.close()
+        self._folder.cleanup()

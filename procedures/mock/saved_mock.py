@@ -1,0 +1,43 @@
+"""A mock arm in this process whose scenario is kept beside what is recorded with it, so that a recording can go on."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from calib.errors import CalibrationError
+from control.model.arm import Arm
+from control.server.client import ArmClient
+from procedures.folders import free_folder
+from procedures.mock.bench import SteppedBench
+from procedures.mock.scenario_file import seeded_scenario
+
+
+@contextmanager
+def kept_mock(
+    arm: Arm, scenario: str, seed: int | None, out: Path, speed: float = 1.0
+) -> Iterator[tuple[SteppedBench, ArmClient, Path]]:
+    """A mock of `arm`, homed and holding: its bench, its client, the file that its runtime records. Put away at the end.
+
+    `out` keeps scenario.toml, and the recordings in log. CalibrationError where it holds another scenario; nothing has moved.
+    """
+    can_home = all(drive.home is not None for drive in arm.drives)
+    drawn = seeded_scenario(scenario, seed, was_homed=not can_home)
+    out.mkdir(parents=True, exist_ok=True)
+    kept = out / "scenario.toml"
+    if kept.exists() and kept.read_bytes() != drawn:
+        raise CalibrationError(
+            f"{kept}: the records here are of another mock arm: choose another folder with --out"
+        )
+    kept.write_bytes(drawn)
+    log = free_folder(out / "log")
+    bench = SteppedBench(arm, kept, log)
+    try:
+        client = bench.start(arm)
+        client.enable()
+        client.home()
+        yield bench, client, next(log.glob("*.armlog"))
+        if arm.rest is not None:
+            client.move_joints(arm.rest.q_rad, speed)
+        bench.stop()
+    finally:
+        bench.close()

@@ -1,0 +1,117 @@
+"""The runtime, the mock hand and the camera, as a calibration session wants them (calib.session.moves.ports)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from calib.session.moves.ports import Sample, Vector
+from calib.session.plan import Target
+from control.errors import ArmError
+from control.server.client import ArmClient, ArmFaulted, fault_text
+
+if TYPE_CHECKING:
+    from hil_mocks.rig import MockHand  # brings the physics with it
+
+SEATED_m = 2e-4  # a tip that is this near the hand sits in its cavity
+CAMERA_PATIENCE_S = 2.0  # a marker may be hidden for a moment, a host may pause
+SEAT_PATIENCE = 3.0  # times what the hand said that it takes
+CREEP = 0.1  # of the speed of other moves
+
+
+class RuntimePort:
+    """`ArmPort` and `Camera` over the runtime's client."""
+
+    def __init__(self, client: ArmClient, speed: float = 1.0, as_encoders: bool = False) -> None:
+        """`as_encoders`: moves are to encoder angles, without what the runtime knows of its gears (docs/corrections.md)."""
+        self._client = client
+        self._speed = speed
+        self._as_encoders = as_encoders
+
+    def now_s(self) -> float:
+        """The runtime's time."""
+        return float(self._client.status()["t_s"])
+
+    def move_to_q(self, q_rad: Sequence[float]) -> None:
+        """Joint move, done when the arm holds there."""
+        self._client.move_joints(q_rad, self._speed, as_encoders=self._as_encoders)
+
+    def creep_to_q(self, q_rad: Sequence[float]) -> None:
+        """The same, slowly: for jogging."""
+        self._client.move_joints(q_rad, CREEP * self._speed, as_encoders=self._as_encoders)
+
+    def release(self) -> None:
+        """Open the circuits for a hand that has the arm."""
+        self._client.guide()
+
+    def hold(self) -> None:
+        """Hold where the arm stands."""
+        status = self._client.status()
+        if status["mode"] == "FAULT":
+            raise ArmFaulted(fault_text(status))
+        if status["mode"] != "HOLDING":
+            self._client.hold()
+
+    def average(self, duration_s: float) -> Sample:
+        """Mean of encoders and currents, and the drives' temperature now."""
+        mean = self._client.average(duration_s)
+        warmth = tuple(math.nan if t is None else float(t) for t in self._client.status()["temperature_C"])
+        return Sample(mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction, warmth)
+
+    def measure(self, duration_s: float) -> tuple[Vector, Vector]:
+        """Mean of the camera's tip positions and their standard deviation. ArmError when none came."""
+        for _ in range(1 + int(CAMERA_PATIENCE_S / duration_s)):
+            mean = self._client.average(duration_s)
+            if mean.tip_m is not None and mean.tip_std_m is not None:
+                return mean.tip_m, mean.tip_std_m
+        raise ArmError(
+            f"no camera frame came within {CAMERA_PATIENCE_S:g} s: is the camera on, and does it see the tip?"
+        )
+
+
+class MockHandSeat:
+    """`calib.session.conduct.Hand` by the mock arm's hand, which knows where the cavities really are."""
+
+    def __init__(self, hand: HandPort, place_of: Callable[[Target], Vector]) -> None:
+        self._hand, self._place_of = hand, place_of
+
+    def grip(self) -> None:
+        """The hand has the tip."""
+        self._hand.grip()
+
+    def seat(self, target: Target) -> None:
+        """Drag the tip to the cavity; returns when it sits."""
+        self._hand.seat(self._place_of(target))
+
+    def let_go(self) -> None:
+        """Leave the tip to the arm."""
+        self._hand.let_go()
+
+
+class HandPort:
+    """`TipSeat` by the mock arm's hand."""
+
+    def __init__(self, hand: MockHand, wait: Callable[[float], None]) -> None:
+        self._hand = hand
+        self._wait = wait
+
+    def grip(self) -> None:
+        """The mock hand is quicker than gravity: nothing to wait for."""
+
+    def seat(self, point_m: Vector) -> None:
+        """Drag the tip to the cavity; returns when it sits. ArmError when it cannot be brought there."""
+        duration_s = self._hand.seat(point_m)
+        self._wait(duration_s)
+        for _ in range(int(SEAT_PATIENCE / 0.1)):
+            if self._hand.state == "holding" and self._hand.residual_m() < SEATED_m:
+                return
+            self._wait(0.1)
+        raise ArmError(
+            f"the mock hand did not seat the tip at {point_m}: {self._hand.state},"
+            f" {1e3 * self._hand.residual_m():.2f} mm away"
+        )
+
+    def let_go(self) -> None:
+        """Leave the tip to the arm."""
+        self._hand.let_go()

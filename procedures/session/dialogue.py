@@ -1,0 +1,105 @@
+"""The operator's commands as text: what `armwright session` understands on a terminal, in a pipe and in a script."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from dataclasses import dataclass
+from enum import Enum
+
+from calib.session.dialogue import GO, Command, Do, Jog
+
+HELP = """\
+  Enter                      yes: it is so, go on
+  skip [[SETUP] POINT [N]]   leave a point out (without a name: this one)
+  redo [[SETUP] POINT [N]]   take a point again (without a name: the last); its record is withdrawn and kept in the journal
+  bad  [[SETUP] POINT [N]]   withdraw a record for good; N is the repeat, all repeats without it
+  note TEXT                  keep a remark
+  jog AXIS STEP              x, y or z in mm, j1, j2, ... in degrees: jog z -5
+  status, board              what is done and what is left; the board drawn
+  auto [N]                   with a mock arm: answer N questions, or all, with Enter
+  quit                       stop here; the same command resumes
+"""
+WORDS = {do.value: do for do in (Do.SKIP, Do.REDO, Do.BAD, Do.NOTE, Do.JOG, Do.QUIT)}
+MM, DEGREE = 1e-3, math.pi / 180.0
+
+
+class View(Enum):
+    """What an operator wants to see; nothing changes by it."""
+
+    HELP = "help"
+    STATUS = "status"
+    BOARD = "board"
+
+
+@dataclass(frozen=True, slots=True)
+class Auto:
+    """Answer the next questions with Enter: `count` of them, or all."""
+
+    count: int | None
+
+
+class NotUnderstood(Exception):
+    """A line that is no command; the text says what was expected."""
+
+
+def understood(line: str) -> Command | View | Auto:
+    """The command that a line means. NotUnderstood."""
+    text = line.strip()
+    if not text:
+        return GO
+    word, _, rest = text.partition(" ")
+    word, rest = word.lower(), rest.strip()
+    if word in ("help", "?"):
+        return View.HELP
+    if word in (View.STATUS.value, View.BOARD.value) and not rest:
+        return View(word)
+    if word == "auto":
+        return Auto(_count(rest) if rest else None)
+    do = WORDS.get(word)
+    if do is Do.NOTE:
+        if not rest:
+            raise NotUnderstood("note: expected a text")
+        return Command(do, text=rest)
+    if do is Do.JOG:
+        return Command(do, jog=_jog(rest))
+    if do is Do.QUIT and not rest:
+        return Command(do)
+    if do in (Do.SKIP, Do.REDO, Do.BAD):
+        return _about_point(do, rest)
+    raise NotUnderstood(f"not understood: {text!r}; `help` lists what is")
+
+
+def _about_point(do: Do, rest: str) -> Command:
+    """Nothing, a point, a setup and a point, and with both a repeat."""
+    try:
+        names = shlex.split(rest)
+    except ValueError as error:
+        raise NotUnderstood(f"{do.value}: {error}") from None
+    if len(names) > 3:
+        raise NotUnderstood(f"{do.value}: expected [[SETUP] POINT [N]], got {rest!r}")
+    if not names:
+        return Command(do)
+    if len(names) == 1:
+        return Command(do, point=names[0])
+    return Command(do, names[0], names[1], _count(names[2]) if len(names) == 3 else None)
+
+
+def _jog(rest: str) -> Jog:
+    axis, _, number = rest.lower().partition(" ")
+    unit = MM if axis in ("x", "y", "z") else DEGREE
+    try:
+        step = float(number)
+    except ValueError:
+        step = math.nan
+    if not axis or not math.isfinite(step):
+        raise NotUnderstood(
+            "jog: expected an axis and a step, as in `jog z -5` (mm) or `jog j2 0.5` (degrees)"
+        )
+    return Jog(axis, unit * step)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise NotUnderstood(f"expected a number from 1, got {text!r}")
+    return int(text)

@@ -1,0 +1,76 @@
+"""A session with a stepped mock arm in this process: the bench, the hand, and where its scenario is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.errors import SessionError
+from calib.session.boards_known import Boards
+from calib.session.conduct import Hand
+from calib.session.folder import SessionFolder
+from control.model.arm import Arm
+from control.server.client import ArmClient
+from hil_mocks.scenario import load_scenario
+from procedures.mock.bench import SteppedBench
+from procedures.mock.scenario_file import seeded_scenario
+from procedures.ports import HandPort, MockHandSeat
+from procedures.session.mock_board import hidden_place
+
+SCENARIO = "mock_scenario.toml"
+DEFAULT_SCENARIO = "demo"
+
+
+@dataclass(frozen=True, slots=True)
+class MockSession:
+    """A mock arm that is homed and holds, and the hand that seats its tip."""
+
+    client: ArmClient
+    hand: Hand
+    speed: float
+
+
+@contextmanager
+def mock_session(arm: Arm, folder: SessionFolder, boards: Boards, name: str | None) -> Iterator[MockSession]:
+    """Start the mock arm of a session's folder; the scenario is kept there, so that a session that is resumed has the
+    same arm. SessionError where it is resumed with another scenario, or was one with a real arm.
+    """
+    scenario = _kept_scenario(arm, folder, name)
+    bench = SteppedBench(arm, scenario, _free_log(folder.path))
+    try:
+        client = bench.start(arm)
+        client.enable()
+        client.home()
+        bench.rig.set_payload(folder.plan.payload_kg)
+        hidden = None
+        if boards.kind != "known" and arm.table is not None:
+            hidden = hidden_place(arm.table, load_scenario(scenario).seed)
+        hand = MockHandSeat(HandPort(bench.rig.hand, bench.wait), hidden or boards.reference_m)
+        yield MockSession(client, hand, bench.speed)
+        if arm.rest is not None:
+            client.move_joints(arm.rest.q_rad, bench.speed)
+        bench.stop()
+    finally:
+        bench.close()
+
+
+def _kept_scenario(arm: Arm, folder: SessionFolder, name: str | None) -> Path:
+    file = folder.path / SCENARIO
+    can_home = all(drive.home is not None for drive in arm.drives)
+    if not file.exists():
+        if folder.points() is not None:
+            raise SessionError(f"{folder.path} is the session of a real arm: leave --mock away")
+        file.write_bytes(seeded_scenario(name or DEFAULT_SCENARIO, None, was_homed=not can_home))
+    elif name is not None and file.read_bytes() != seeded_scenario(name, None, was_homed=not can_home):
+        raise SessionError(f"{folder.path} was begun with another scenario ({file}): leave --scenario away")
+    return file
+
+
+def _free_log(folder: Path) -> Path:
+    """A new folder for this run's recording: none is overwritten."""
+    number = 1
+    while (folder / "log" / str(number)).exists():
+        number += 1
+    return folder / "log" / str(number)

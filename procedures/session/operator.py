@@ -1,0 +1,150 @@
+"""The talk of a session on lines of text: a terminal, a pipe or a script, all the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from calib.session.boards_known import Boards
+from calib.session.conduct import Talk
+from calib.session.dialogue import GO, Ask, Command, Question, Recorded, Saying
+from calib.session.folder import SessionFolder
+from calib.session.plan import Target
+from calib.session.state import Mark
+from control.model.arm import Table
+from procedures.session.dialogue import HELP, Auto, NotUnderstood, View, understood
+from procedures.session.drawing import board_text, status_text
+
+Say = Callable[[str], None]
+
+
+class Operator:
+    """Says what a session says, and answers from lines. When they end, the answer is `quit`."""
+
+    def __init__(
+        self,
+        folder: SessionFolder,
+        boards: Boards,
+        lines: Iterator[str],
+        say: Say,
+        table: Table | None = None,
+        may_auto: bool = False,
+    ) -> None:
+        """`may_auto`: a mock hand seats the tip, so that questions may be answered without looking."""
+        self._folder, self._boards, self._lines, self._say = folder, boards, lines, say
+        self._table, self._may_auto = table, may_auto
+        self._auto: int | None = 0  # questions still to be answered by itself, None: all
+
+    def run(self, talk: Talk) -> None:
+        """Carry the talk to its end."""
+        try:
+            saying = next(talk)
+            while True:
+                saying = talk.send(self._answer(saying))
+        except StopIteration:
+            return
+        finally:
+            talk.close()
+
+    def _answer(self, saying: Saying) -> Command:
+        if isinstance(saying, Ask):
+            return self._asked(saying)
+        if isinstance(saying, Recorded):
+            self._say(self._kept(saying))
+            if saying.verdict.is_suspect:
+                self._auto = 0
+        else:
+            self._say(f"{'! ' if saying.is_warning else ''}{saying.text}")
+        return GO
+
+    def _asked(self, ask: Ask) -> Command:
+        """Show the question and read lines until one is an answer."""
+        self._say(f"{self._prompt(ask)} >")
+        while True:
+            if self._auto is None and ask.question is not Question.DONE:
+                return GO
+            if self._auto:
+                self._auto -= 1
+                return GO
+            line = next(self._lines, self._last_word(ask))
+            try:
+                wish = understood(line)
+                if isinstance(wish, Command):
+                    return wish
+                if isinstance(wish, View):
+                    self._show(wish, ask)
+                else:
+                    self._start_auto(wish)
+            except NotUnderstood as error:
+                self._say(f"! {error}")
+
+    def _last_word(self, ask: Ask) -> str:
+        """What is answered when the lines have ended: nothing is left to do with a mock arm, or nobody is there."""
+        return "" if ask.question is Question.DONE and self._may_auto else "quit"
+
+    def _start_auto(self, wish: Auto) -> None:
+        if not self._may_auto:
+            raise NotUnderstood("auto: only a mock arm's session goes on by itself")
+        self._auto = wish.count
+
+    def _show(self, view: View, ask: Ask) -> None:
+        state = self._folder.state
+        if view is View.HELP:
+            self._say(HELP)
+        elif view is View.STATUS:
+            self._say(status_text(state))
+        else:
+            setup = ask.target.setup if ask.target is not None else self._folder.standing
+            self._say(board_text(state, self._boards.cavities_m, setup, ask.target))
+
+    def _prompt(self, ask: Ask) -> str:
+        state, target = self._folder.state, ask.target
+        if target is None:
+            return f"Nothing is left ({state.count(Mark.DONE)} recorded). Enter ends the session, `redo` takes a point again"
+        done = len(state.targets) - len(state.left())
+        where = f"[{done + 1}/{len(state.targets)}] {target.name}"
+        return f"{where}: {self._wish(ask.question, target)}"
+
+    def _wish(self, question: Question, target: Target) -> str:
+        """What the operator is asked for, in words."""
+        if question is Question.BOARD:
+            return f"set the board to {self._tilt(target.setup)}. Enter when it stands"
+        if question is Question.NEXT:
+            side = (
+                f" from side {target.approach}"
+                if self._folder.plan.approaches > 1 and not target.is_free
+                else ""
+            )
+            where = "the pose" if target.is_free else f"above the cavity{side}"
+            return f"hands off; Enter moves the arm to {where}"
+        if question is Question.TAKE:
+            return "hold the arm by hand; Enter switches its drives off"
+        if self._folder.plan.seat == "jog":
+            return f"jog the tip into cavity {target.point} (`jog z -5`); Enter when it sits"
+        return f"seat the tip in cavity {target.point} and keep it there; Enter when it sits"
+
+    def _tilt(self, setup: str) -> str:
+        if self._table is None:
+            return setup
+        angles = {
+            "normal": "normal: level",
+            "roll": f"roll: {np.degrees(self._table.roll_tilt_rad):.1f} deg about its x axis",
+            "pitch": f"pitch: {np.degrees(self._table.pitch_tilt_rad):.1f} deg about its y axis",
+        }
+        return angles.get(setup, setup)
+
+    def _kept(self, kept: Recorded) -> str:
+        """What was recorded, how far the model is off, and whether that fits the records before."""
+        record, verdict = kept.record, kept.verdict
+        text = f"{self._folder.state.targets[record.key].name} recorded"
+        if np.isfinite(verdict.error_m).all():
+            text += f"; the model is {1e3 * float(np.linalg.norm(verdict.error_m)):.2f} mm off"
+        if np.isfinite(verdict.surprise):
+            text += f", {1e3 * verdict.off_m:.2f} mm from what the points before say"
+        if verdict.is_suspect:
+            text = (
+                f"! {text}: {verdict.surprise:.0f} standard deviations. Does the tip sit in {record.point}, in the"
+                " right cavity? `redo` takes it again, Enter keeps it"
+            )
+        return text

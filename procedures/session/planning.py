@@ -1,0 +1,160 @@
+"""From the command line's options to a session's plan."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from calib.errors import SessionError
+from calib.points.points import opened_text
+from calib.session.moves.free_poses import chosen_free_poses, read_free_poses
+from calib.session.plan import (
+    FREE,
+    Board,
+    SessionPlan,
+    Target,
+    board_targets,
+    fingerprint,
+    free_targets,
+)
+from control.model import table as tables
+from control.model.arm import Arm, Table
+
+OPTIONS = ("setups", "points", "repeats", "approaches", "free", "plan", "payload", "seat", "board", "camera")
+MOST_FREE = 500
+
+
+def wanted_plan(given: argparse.Namespace, arm: Arm) -> SessionPlan | None:
+    """The plan that the options ask for; None where none of them is given, which resumes what is there."""
+    if all(getattr(given, name) is None for name in OPTIONS) and (Path(given.out) / "session.json").exists():
+        return None
+    targets = _from_file(Path(given.plan), given, arm) if given.plan else _from_options(given, arm)
+    payload_kg = given.payload if given.payload is not None else 0.0
+    if not (math.isfinite(payload_kg) and 0.0 <= payload_kg <= 100.0):
+        raise SessionError(f"--payload: expected 0 to 100 kg, got {payload_kg:g}")
+    return SessionPlan(
+        arm.name,
+        fingerprint(arm),
+        arm.joint_count,
+        targets,
+        given.board or _board_of(arm.table),
+        given.seat or "hand",
+        bool(given.camera),
+        payload_kg,
+    )
+
+
+def _board_of(table: Table | None) -> Board:
+    return "known" if table is None or (table.known_pose and table.origin_m is not None) else "unknown"
+
+
+def _from_options(given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
+    free = _free(given, arm)
+    if arm.table is None and free and given.setups is None and given.points is None:
+        return free
+    table = tables.table_of(arm)
+    setups = _names(given.setups) if given.setups is not None else _setups_of(table)
+    cavities = tables.board_cavities(table)
+    points = _points(given.points, list(cavities)) if given.points is not None else list(cavities)
+    repeats, approaches = _positive(given.repeats, "--repeats"), _positive(given.approaches, "--approaches")
+    return (*board_targets(setups, points, repeats, approaches), *free)
+
+
+def _free(given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
+    """Free poses: a number of them, or a file."""
+    if given.free is None:
+        return ()
+    if given.free.isdecimal():
+        count = int(given.free)
+        if not 1 <= count <= MOST_FREE:
+            raise SessionError(f"--free: expected 1 to {MOST_FREE} poses or a file, got {count}")
+        poses = chosen_free_poses(arm, count)
+    else:
+        poses = read_free_poses(Path(given.free), arm.joint_count)
+        for name, q_rad in poses.items():
+            _require_inside(f"{given.free}, pose {name}", arm, q_rad)
+    return free_targets(poses, _positive(given.repeats, "--repeats"))
+
+
+def _from_file(path: Path, given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
+    """Rows of setup and point, in the file's order; q1_rad ... where a free pose goes, or the posture for a cavity."""
+    for name in ("setups", "points", "free", "repeats", "approaches"):
+        if getattr(given, name) is not None:
+            raise SessionError(f"--plan says which points and repeats: leave --{name} away")
+    angles = [f"q{j}_rad" for j in range(1, arm.joint_count + 1)]
+    targets = []
+    with opened_text(path) as file:
+        reader = csv.DictReader(file)
+        if not {"setup", "point"} <= set(reader.fieldnames or ()):
+            raise SessionError(f"{path}, line 1: expected the columns setup and point")
+        for row in reader:
+            where = f"{path}, line {reader.line_num}"
+            setup, point = (row["setup"] or "").strip(), (row["point"] or "").strip()
+            repeat = (row.get("repeat") or "").strip() or "1"
+            if not repeat.isdecimal():
+                raise SessionError(f"{where}, column repeat: got {repeat!r}, expected a whole number")
+            q_rad = _posture(where, arm, [row.get(name) or "" for name in angles])
+            if setup == FREE and q_rad is None:
+                raise SessionError(f"{where}: a free pose takes q1_rad to q{arm.joint_count}_rad")
+            targets.append(Target(setup, point, int(repeat), 1, q_rad))
+    return tuple(targets)
+
+
+def _posture(where: str, arm: Arm, texts: Sequence[str]) -> tuple[float, ...] | None:
+    """Joint angles within the arm's limits, None where the cells are empty."""
+    if not any(text.strip() for text in texts):
+        return None
+    try:
+        q_rad = tuple(float(text) for text in texts)
+    except ValueError:
+        raise SessionError(f"{where}: expected {len(texts)} joint angles, got {', '.join(texts)}") from None
+    _require_inside(where, arm, q_rad)
+    return q_rad
+
+
+def _require_inside(where: str, arm: Arm, q_rad: Sequence[float]) -> None:
+    for joint, (q, (lower, upper)) in enumerate(zip(q_rad, arm.limits_rad, strict=True), start=1):
+        if not lower <= q <= upper:
+            raise SessionError(
+                f"{where}: joint {joint} at {q:g} rad is outside of its range, {lower:g} to {upper:g} rad"
+            )
+
+
+def _setups_of(table: Table) -> list[str]:
+    """The tilts that the table has."""
+    tilts = {"normal": True, "roll": bool(table.roll_tilt_rad), "pitch": bool(table.pitch_tilt_rad)}
+    return [setup for setup in tables.SETUPS if tilts[setup]]
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _points(text: str, known: Sequence[str]) -> list[str]:
+    """`1,2,5-9`: names and ranges of numbered ones."""
+    points = [point for name in _names(text) for point in _range(name, known)]
+    unknown = [point for point in points if point not in known]
+    if unknown:
+        some = ", ".join(known[:8])
+        raise SessionError(
+            f"--points: the table has no cavity {unknown[0]}; it has {some}, ... ({len(known)})"
+        )
+    return points
+
+
+def _range(name: str, known: Iterable[str]) -> list[str]:
+    first, dash, last = name.partition("-")
+    if name in known or not (dash and first.isdecimal() and last.isdecimal()):
+        return [name]
+    if int(first) > int(last):
+        raise SessionError(f"--points: {name} runs backwards")
+    return [str(number) for number in range(int(first), int(last) + 1)]
+
+
+def _positive(number: int | None, option: str) -> int:
+    if number is not None and not 1 <= number <= 100:
+        raise SessionError(f"{option}: expected 1 to 100, got {number}")
+    return number or 1

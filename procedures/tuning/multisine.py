@@ -1,0 +1,137 @@
+"""A signal of many sines at once, and the response that is read from it.
+
+It is given while the joint moves steadily, to and fro: then friction only pushes one way, and is no part of the response.
+Odd harmonics of one period with random phases, some odd ones left out: what a linear joint cannot put there, friction and play
+do, so the lines that were left out tell how much of the response is not linear. Periods are averaged coherently (the signal is
+the same in each); what differs between them is noise. Pintelon and Schoukens, System Identification: A Frequency Domain
+Approach, have the method.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from control.dynamics.tuning import Response
+from control.errors import ArmError
+
+Real = NDArray[np.float64]
+PERIOD_S = 2.0
+PASSES = 4
+BEYOND = 50  # samples of the next period that are kept, to tell steady motion from the response
+LOWEST_Hz, HIGHEST_Hz = 2.0, 80.0  # below, the loop holds the joint, and the mean motion is in the way
+LINES = 48
+LOW_Hz, HIGH_Hz = 2.0, 20.0  # where the loops of arms cross over
+LEAST_SHARE = 0.7  # of the frequencies there that must be good
+_TRIALS = 60  # of phases, for a signal without a high peak
+
+
+class PoorResponse(ArmError):
+    """What was measured is not good enough to put gains on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Multisine:
+    """One period, peak 1; `lines` are its harmonics, `silent` odd ones between them."""
+
+    samples: Real
+    lines: NDArray[np.int64]
+    silent: NDArray[np.int64]
+    rate_Hz: float
+
+
+def multisine(period_s: float, rate_Hz: float, seed: int = 0) -> Multisine:
+    """About as many lines in every octave, odd ones, up to a fifth of the sampling rate."""
+    count = round(period_s * rate_Hz)
+    highest = min(HIGHEST_Hz, 0.2 * rate_Hz) * period_s
+    wanted = np.geomspace(max(1.0, LOWEST_Hz * period_s), highest, LINES)
+    odd = np.unique(2 * np.floor(wanted / 2.0).astype(np.int64) + 1)
+    lines = np.array([k for n, k in enumerate(odd) if k < 7 or n % 4 != 2], dtype=np.int64)
+    silent = np.setdiff1d(odd, lines)
+    random = np.random.default_rng(seed)
+    t = np.arange(count) / count
+    best: Real | None = None
+    for _ in range(_TRIALS):
+        phases = random.uniform(0.0, 2.0 * np.pi, len(lines))
+        wave = np.cos(2.0 * np.pi * np.outer(t, lines) + phases).sum(axis=1)
+        if best is None or np.abs(wave).max() < np.abs(best).max():
+            best = wave
+    if best is None:
+        raise ArmError("tuning: no signal was made")
+    return Multisine(best / np.abs(best).max(), lines, silent, rate_Hz)
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A response, the loop that it was measured in (L = added / output - 1, by the loop's own output), and its shortcomings."""
+
+    response: Response
+    loop: NDArray[np.complex128]
+    distortion: float
+    """Of the angle at lines that were left out, over that at the lines: what is not linear."""
+    noise: float
+    """Of the response, from period to period, relative."""
+    span_rad: float
+
+
+def evaluate(wave: Multisine, angle_rad: Real, output: Real, added: Real) -> Measured:
+    """From arrays (periods, samples), each row a period and the begin of the next. A joint may move steadily meanwhile."""
+    count = len(wave.samples)
+    y, u, d = (np.fft.rfft(_level(rows, count), axis=1) for rows in (angle_rad, output, added))
+    at = wave.lines
+    y_mean, u_mean, d_mean = (spectrum.mean(axis=0) for spectrum in (y, u, d))
+    plant = y_mean[at] / u_mean[at]
+    omega = 2.0 * np.pi * at * wave.rate_Hz / count
+    # What this period's output does not explain of this period's angle.
+    unexplained = y[:, at] - plant * u[:, at]
+    noise = np.sqrt((np.abs(unexplained) ** 2).mean(axis=0)) / np.abs(y_mean[at])
+    odd = wave.silent
+    between = _interpolated(omega, plant, 2.0 * np.pi * odd * wave.rate_Hz / count)
+    stray = np.abs(y_mean[odd] - between * u_mean[odd])
+    level = np.interp(at, odd, stray / np.abs(np.interp(odd, at, np.abs(y_mean[at]))))
+    coherence = 1.0 / (1.0 + noise**2 / len(y) + level**2)
+    return Measured(
+        Response(omega, plant, coherence),
+        d_mean[at] / u_mean[at] - 1.0,
+        float(np.sqrt(np.mean(level**2))),
+        float(np.sqrt(np.mean(noise**2 / len(y)))),
+        float(np.ptp(angle_rad)),
+    )
+
+
+def _level(rows: Real, count: int) -> Real:
+    """Each period without its mean and its steady motion, which is what differs between a sample and the same one a period on.
+
+    A straight line by least squares would take a part of the response with it, and leave a saw-tooth in its place.
+    """
+    beyond = rows.shape[1] - count
+    slope = (rows[:, count:].mean(axis=1) - rows[:, :beyond].mean(axis=1)) / count
+    t = np.arange(count) - 0.5 * (count - 1)
+    period = rows[:, :count]
+    return np.asarray(period - period.mean(axis=1, keepdims=True) - slope[:, None] * t)
+
+
+def _interpolated(omega: Real, plant: NDArray[np.complex128], wanted: Real) -> NDArray[np.complex128]:
+    magnitude = np.interp(np.log(wanted), np.log(omega), np.log(np.abs(plant)))
+    phase = np.interp(np.log(wanted), np.log(omega), np.unwrap(np.angle(plant)))
+    return np.asarray(np.exp(magnitude + 1j * phase), dtype=np.complex128)
+
+
+def usable(measured: Measured, least_coherence: float) -> Measured:
+    """The measurement without frequencies of poor coherence. Raises PoorResponse when too few are left around the loop's own."""
+    keep = measured.response.coherence >= least_coherence
+    response = measured.response
+    low, high = 2.0 * math.pi * LOW_Hz, 2.0 * math.pi * HIGH_Hz
+    inside = (response.omega_rad_s >= low) & (response.omega_rad_s <= high)
+    good = int((keep & inside).sum())
+    if good < LEAST_SHARE * int(inside.sum()):
+        raise PoorResponse(
+            f"the response is poor: coherence reaches {least_coherence:g} at {good} of {int(inside.sum())} frequencies from"
+            f" {LOW_Hz:g} to {HIGH_Hz:g} Hz (noise {measured.noise:.1%}, not linear {measured.distortion:.1%}): friction or play"
+            " swallow the signal, or somebody touches the arm; give a larger --amplitude, look for play"
+        )
+    return Measured(
+        Response(response.omega_rad_s[keep], response.plant[keep], response.coherence[keep]),
+        measured.loop[keep], measured.distortion, measured.noise, measured.span_rad,
+    )  # fmt: skip

@@ -1,0 +1,95 @@
+"""Between the loop and the boards: adds a known signal to one joint's output, keeps what was commanded and what was counted."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from control.hardware.interface import Feedback, Hardware, OutputMode
+from firmware_iface.clock import Clock
+
+
+@dataclass(slots=True)
+class Trace:
+    """One joint, a value a cycle: time, count, output as commanded (V or A), what was added to it."""
+
+    t_s: list[float] = field(default_factory=list)
+    count: list[int] = field(default_factory=list)
+    output: list[float] = field(default_factory=list)
+    added: list[float] = field(default_factory=list)
+
+
+class Probe:
+    """`control.hardware.interface.Hardware` that passes everything on, and the signal with it."""
+
+    def __init__(self, hardware: Hardware, clock: Clock) -> None:
+        self.feedback: Feedback = hardware.feedback
+        self.trace = Trace()
+        self._hardware, self._clock = hardware, clock
+        self._joint: int | None = None
+        self._signal: Sequence[float] = (0.0,)
+        self._limit = 0.0
+        self._on_cycle: Callable[[int], None] = lambda cycle: None
+
+    def watch(
+        self, joint: int, signal: Sequence[float], limit: float, on_cycle: Callable[[int], None]
+    ) -> None:
+        """Begin a trace of a joint (0-based): a signal, once, that never takes the output beyond the limit.
+
+        `on_cycle` is called at the end of each cycle with its number, from 0.
+        """
+        self.trace = Trace()
+        self._joint, self._signal, self._limit, self._on_cycle = joint, signal, limit, on_cycle
+
+    def rest(self) -> Trace:
+        """End it."""
+        self._joint = None
+        return self.trace
+
+    def read(self) -> Feedback:
+        """As the hardware."""
+        return self._hardware.read()
+
+    def write(self, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float]) -> None:
+        """The same, with the signal added to one joint while the loop controls it."""
+        joint = self._joint
+        if joint is None:
+            self._hardware.write(mode, output, feedforward_V)
+            return
+        trace = self.trace
+        cycle = len(trace.t_s)
+        added = self._signal[cycle] if cycle < len(self._signal) and mode is not OutputMode.OFF else 0.0
+        outputs = list(output)
+        outputs[joint] = min(max(outputs[joint] + added, -self._limit), self._limit)
+        trace.t_s.append(self._clock.now_s())
+        trace.count.append(self.feedback.count[joint])
+        trace.output.append(outputs[joint])
+        trace.added.append(outputs[joint] - output[joint])
+        self._hardware.write(mode, outputs, feedforward_V)
+        self._on_cycle(cycle)
+
+    def enable(self) -> None:
+        """As the hardware."""
+        self._hardware.enable()
+
+    def disable(self) -> None:
+        """As the hardware."""
+        self._hardware.disable()
+
+    def reset_drive_faults(self) -> None:
+        """As the hardware."""
+        self._hardware.reset_drive_faults()
+
+    def emergency_stop(self) -> None:
+        """As the hardware."""
+        self._hardware.emergency_stop()
+
+    def arm_index(self, joint: int) -> None:
+        """As the hardware."""
+        self._hardware.arm_index(joint)
+
+    def index_count(self, joint: int) -> int | None:
+        """As the hardware."""
+        return self._hardware.index_count(joint)
+
+    def shift_count(self, joint: int, counts: int) -> None:
+        """As the hardware."""
+        self._hardware.shift_count(joint, counts)

@@ -1,0 +1,239 @@
+"""Tuning from end to end: measure each joint, design, try the old gains and the new ones on the arm."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from control.dynamics.dynamics import Dynamics
+from control.dynamics.gains import Gains, gains_of
+from control.dynamics.tuning import Design, Margins, MarginsUnmet, MotorFit, Tuner, fit_motor, margins
+from control.errors import ArmError, MissingModel
+from control.model.arm import Arm, DrivePid
+from control.server.client import ArmFaulted
+from firmware_iface.clock import Clock
+from procedures.tuning.multisine import PERIOD_S, Measured, PoorResponse, multisine, usable
+from procedures.tuning.session import CYCLE_S, MoveResponse, PASS_SPEED_rad_s, Session, StepResponse
+
+LEAST_GAIN_dB, LEAST_PHASE_deg = 6.0, 45.0
+RESERVE_dB, RESERVE_deg = 2.0, 10.0  # kept where no bandwidth is asked for: an arm ages
+SHYNESS = (
+    0.7  # of the poles, where the response is not that of a stiff, linear joint: play is no part of a margin
+)
+NOT_LINEAR = 0.08
+MISFIT = 0.25  # of the response against a stiff motor's: something gives between motor and joint
+LEAST_COHERENCE = 0.9
+STEP_RAD = 0.005
+MOVE_RAD = 0.2
+ROOM_RAD = 0.08  # from a pass to the joint's limit
+CENTRE_SPEED = 0.3
+Advance = Callable[[str, float], None]
+
+
+class NotTuned(ArmError):
+    """A joint was not tuned, and the message says why; nothing is written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the operator chose; None is for the product to choose."""
+
+    joints: tuple[int, ...]
+    bandwidth_Hz: float | None = None
+    amplitude: float = 0.25
+    pose_rad: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """Some gains on the arm: margins by the loop's own output, a step and a move."""
+
+    gains: Gains
+    margins: Margins
+    measured: Measured
+    step: StepResponse
+    move: MoveResponse
+
+
+@dataclass(frozen=True, slots=True)
+class Tuned:
+    """One joint."""
+
+    joint: int
+    fit: MotorFit
+    design: Design
+    inertia_ratios: tuple[float, ...]
+    before: Trial
+    after: Trial
+    cautions: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """The new arm, and how each joint came to its gains."""
+
+    arm: Arm
+    joints: tuple[Tuned, ...]
+
+
+def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
+    """Measure, design, try. Raises NotTuned, ArmFaulted, and what connecting raises; the drives are off then.
+
+    The gains belong to the runtimes that are started here: whatever ends them, the arm's own file is as it was.
+    """
+    pose = _pose(arm, options)
+    measuring = _in_voltage_mode(arm)
+    advance("homing", 0.0)
+    designs: dict[int, tuple[MotorFit, Design, tuple[float, ...], tuple[str, ...]]] = {}
+    before: dict[int, Trial] = {}
+    total = 2 * len(options.joints) + 1
+    with Session(measuring, clock) as session:
+        session.client.move_joints(pose, CENTRE_SPEED)
+        for number, joint in enumerate(options.joints):
+            advance(f"joint {joint}: its response, and the gains that it has", (number + 0.5) / total)
+            before[joint], fitted = _try(session, measuring, joint, options)
+            designs[joint] = _designed(measuring, joint, before[joint], fitted, options, pose)
+    tuned = _with_gains(arm, {joint: design.gains for joint, (_, design, _, _) in designs.items()})
+    after: dict[int, Trial] = {}
+    with Session(_in_voltage_mode(tuned), clock) as session:
+        session.client.move_joints(pose, CENTRE_SPEED)
+        for number, joint in enumerate(options.joints):
+            advance(f"joint {joint}: the new gains", (number + 0.5 + len(options.joints)) / total)
+            after[joint], _ = _try(session, _in_voltage_mode(tuned), joint, options)
+    joints = []
+    for joint in options.joints:
+        fit, design, ratios, cautions = designs[joint]
+        _require_margins(joint, after[joint])
+        joints.append(Tuned(joint, fit, design, ratios, before[joint], after[joint], cautions))
+    return Result(tuned, tuple(joints))
+
+
+def _in_voltage_mode(arm: Arm) -> Arm:
+    """Where the board runs the PID, the loop does it meanwhile: same gains, same units, and its output can be heard."""
+    drives = tuple(
+        replace(drive, pid=replace(drive.pid, mode="voltage")) if drive.pid.mode == "position" else drive
+        for drive in arm.drives
+    )
+    return replace(arm, drives=drives)
+
+
+def _pose(arm: Arm, options: Options) -> tuple[float, ...]:
+    """Where the arm shall stand: as asked, else at rest, else amid its ranges; with room for what the joints will do."""
+    pose = options.pose_rad or (arm.rest.q_rad if arm.rest else None)
+    if pose is None:
+        pose = tuple(0.5 * (a + b) if math.isfinite(a + b) else 0.0 for a, b in arm.limits_rad)
+    half_rad = 0.5 * PASS_SPEED_rad_s * PERIOD_S + 0.1 + ROOM_RAD
+    for joint in options.joints:
+        lower, upper = arm.limits_rad[joint - 1]
+        at = pose[joint - 1]
+        if at - half_rad < lower or at + max(half_rad, MOVE_RAD + ROOM_RAD) > upper:
+            raise NotTuned(
+                f"joint {joint}: at {at:.2f} rad it has no room: a pass takes {half_rad:.2f} rad to either side, its range is"
+                f" {lower:.2f} to {upper:.2f} rad; give another --pose"
+            )
+    return tuple(pose)
+
+
+def _try(session: Session, arm: Arm, joint: int, options: Options) -> tuple[Trial, Measured]:
+    """Measure with the gains that the session's runtime has."""
+    drive = arm.drive(joint)
+    unit = 1.0 if drive.pid.mode == "current" else drive.resistance_ohm
+    current_A = (
+        drive.current_limit_A
+        if math.isfinite(drive.current_limit_A)
+        else drive.supply_V / drive.resistance_ohm
+    )
+    amplitude = options.amplitude * current_A * unit
+    home = session.angles_rad()
+    try:
+        measured = session.excite(joint, multisine(PERIOD_S, 1.0 / CYCLE_S), amplitude)
+        session.client.move_joints(home, CENTRE_SPEED)
+        step = session.step(joint, STEP_RAD)
+        move = session.move(joint, MOVE_RAD)
+    except ArmFaulted as fault:
+        raise ArmFaulted(f"joint {joint} was not tuned, its old gains stay: {fault}") from None
+    try:
+        good = usable(measured, LEAST_COHERENCE)
+    except PoorResponse as poor:
+        raise NotTuned(f"joint {joint}: {poor}") from None
+    found = margins(good.response.omega_rad_s, good.loop)
+    return Trial(gains_of(arm, joint), found, good, step, move), good
+
+
+def _designed(
+    arm: Arm, joint: int, before: Trial, measured: Measured, options: Options, pose: tuple[float, ...]
+) -> tuple[MotorFit, Design, tuple[float, ...], tuple[str, ...]]:
+    fit = fit_motor(measured.response)
+    ratios = inertia_ratios(arm, joint, pose)
+    tuner = Tuner(measured.response, fit, CYCLE_S, before.gains.derivative_filter_s, ratios)
+    cautions = _cautions(joint, fit, measured)
+    try:
+        if options.bandwidth_Hz is not None:
+            wanted = 2.0 * math.pi * options.bandwidth_Hz
+            design = tuner.at_bandwidth(wanted, LEAST_GAIN_dB, LEAST_PHASE_deg)
+        else:
+            design = tuner.fastest(LEAST_GAIN_dB + RESERVE_dB, LEAST_PHASE_deg + RESERVE_deg)
+            slower = tuner.design_at(SHYNESS * design.pole_rad_s)
+            if cautions and slower.worst.meet(LEAST_GAIN_dB, LEAST_PHASE_deg):
+                design = slower
+    except MarginsUnmet as unmet:
+        raise NotTuned(f"joint {joint}: {unmet}") from None
+    return fit, _rounded(tuner, design), ratios, cautions
+
+
+def _rounded(tuner: Tuner, design: Design) -> Design:
+    """Gains as they will stand in the file."""
+    gains = design.gains
+    kp, ki, kd = (float(f"{value:.5g}") for value in (gains.kp, gains.ki, gains.kd))
+    short = Gains(kp, ki, kd, gains.derivative_filter_s)
+    return replace(design, gains=short, here=tuner.margins_of(short))
+
+
+def inertia_ratios(arm: Arm, joint: int, pose: tuple[float, ...]) -> tuple[float, ...]:
+    """Least, present and largest inertia of a joint over its poses, relative to the present one; 1 without masses."""
+    try:
+        dynamics = Dynamics(arm)
+        lower, upper = np.clip(np.array(arm.limits_rad), -np.pi, np.pi).T
+        poses = np.random.default_rng(0).uniform(lower, upper, (200, arm.joint_count))
+        diagonal = dynamics.mass_matrices(poses)[:, joint - 1, joint - 1]
+        here = dynamics.mass_matrix(pose)[joint - 1][joint - 1]
+    except MissingModel:
+        return (1.0,)
+    return (float(min(diagonal.min() / here, 1.0)), 1.0, float(max(diagonal.max() / here, 1.0)))
+
+
+def _cautions(joint: int, fit: MotorFit, measured: Measured) -> tuple[str, ...]:
+    said = []
+    if measured.distortion > NOT_LINEAR:
+        said.append(
+            f"joint {joint}: {measured.distortion:.0%} of its response is not linear (play, friction): margins say less than they"
+            " seem to, so it was made slower than they allow"
+        )
+    if fit.residual > MISFIT:
+        said.append(
+            f"joint {joint}: its response is {fit.residual:.0%} off that of a stiff joint: something gives between motor and"
+            " joint, so it was made slower than margins allow"
+        )
+    return tuple(said)
+
+
+def _with_gains(arm: Arm, gains: dict[int, Gains]) -> Arm:
+    drives = []
+    for drive in arm.drives:
+        chosen = gains.get(drive.joint)
+        if chosen is not None:
+            pid = DrivePid(drive.pid.mode, chosen.kp, chosen.ki, chosen.kd, chosen.derivative_filter_s)
+            drive = replace(drive, pid=pid)
+        drives.append(drive)
+    return replace(arm, drives=tuple(drives))
+
+
+def _require_margins(joint: int, after: Trial) -> None:
+    """What was designed must be what is there."""
+    if not after.margins.meet(LEAST_GAIN_dB, LEAST_PHASE_deg):
+        raise NotTuned(
+            f"joint {joint}: with the new gains {after.margins.gain_dB:.1f} dB and {after.margins.phase_deg:.0f} deg were"
+            f" measured, {LEAST_GAIN_dB:g} dB and {LEAST_PHASE_deg:g} deg are wanted: its response changes with motion; give a"
+            " lower --bandwidth"
+        )

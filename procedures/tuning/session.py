@@ -1,0 +1,250 @@
+"""A runtime of tune's own, in this process, with a probe between it and the boards; and what is done with a joint through it."""
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from control.errors import ArmError
+from control.hardware.connect import connect
+from control.model.arm import Arm
+from control.model.joint_map import JointMap
+from control.motion.setpoint import SetPoint, at_rest
+from control.safety.table import Mode
+from control.server.assemble import assemble
+from control.server.client import ArmClient
+from control.server.in_process import InProcessChannel
+from firmware_iface.clock import Clock
+from firmware_iface.errors import LinkError
+from procedures.tuning.multisine import BEYOND, PASSES, PERIOD_S, Measured, Multisine, evaluate
+from procedures.tuning.probe import Probe, Trace
+
+CYCLE_S = 0.002
+PASS_SPEED_rad_s = 0.22  # faster than the signal shakes the joint, so that it never turns round
+RAMP_S = 0.3
+LEAD_S = 0.5  # from the begin of a pass until the response is that of the signal alone
+REST_S = 0.4
+STEP_S = 0.6
+LATE = 0.5  # of a cycle: a pass with a cycle that was missed is not evaluated
+
+
+@dataclass(frozen=True, slots=True)
+class StepResponse:
+    """A step of the set-point, small enough for no limit: t_s from the step, angle over step height, what became of it."""
+
+    t_s: tuple[float, ...]
+    share: tuple[float, ...]
+    overshoot: float
+    rise_s: float
+    """From 10 to 90 %."""
+    settling_s: float
+    """Until it stays within 5 %, or two counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class MoveResponse:
+    """A jerk-limited move at the joint's own limits: t_s, set and measured angle; following error in rad."""
+
+    t_s: tuple[float, ...]
+    set_rad: tuple[float, ...]
+    angle_rad: tuple[float, ...]
+    peak_error_rad: float
+    rms_error_rad: float
+    settling_s: float
+    """After the set-point stands, until the error stays within 0.5 mrad."""
+
+
+class Session:
+    """Connected, enabled and homed when entered; off when left, whatever happens."""
+
+    def __init__(self, arm: Arm, clock: Clock) -> None:
+        self.arm, self.clock = arm, clock
+        self._connection = connect(arm, clock, CYCLE_S)
+        self.probe = Probe(self._connection.hardware, clock)
+        self._assembly = assemble(arm, self.probe, CYCLE_S)
+        self._channel = InProcessChannel(self._assembly, clock)
+        self.client = ArmClient(self._channel)
+
+    def __enter__(self) -> Self:
+        try:
+            self.client.wait(0.05)
+            self.client.enable()
+            self.client.home()
+        except BaseException:
+            self._leave()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._leave()
+
+    def _leave(self) -> None:
+        """Stop, hold, brake, off; where the runtime cannot, the boards are told to brake."""
+        self.probe.rest()
+        try:
+            with contextlib.suppress(ArmError):
+                self.client.off()
+        finally:
+            if self._connection.hardware.is_any_enabled():
+                with contextlib.suppress(LinkError):
+                    self._connection.hardware.emergency_stop()
+            self._connection.close()
+
+    def angles_rad(self) -> tuple[float, ...]:
+        """Measured."""
+        return tuple(self.client.status()["q_rad"])
+
+    def _run(self, joint: int, points: Sequence[SetPoint], signal: Sequence[float]) -> Trace:
+        """Give set-points to a loop that holds, one a cycle, and a signal to a joint (1-based). ArmError if the arm faults."""
+        runtime = self._assembly.runtime
+        drive = self.arm.drive(joint)
+        limit = drive.current_limit_A if drive.pid.mode == "current" else drive.supply_V
+
+        def follow(cycle: int) -> None:
+            if runtime.monitor.mode is Mode.HOLDING and cycle < len(points):
+                runtime.set_point = points[cycle]
+
+        self.probe.watch(joint - 1, signal, limit, follow)
+        try:
+            self.client.wait((len(points) + 1) * CYCLE_S)
+        finally:
+            trace = self.probe.rest()
+        self.client.until(["HOLDING"], 0.1)
+        return trace
+
+    def excite(self, joint: int, wave: Multisine, amplitude: float) -> Measured:
+        """Passes to and fro around where the arm stands, with the signal on the joint."""
+        centre = at_rest(self.angles_rad())
+        forth = _pass(centre, joint - 1)
+        self.client.move_joints(forth[0].q_rad, 0.3)
+        mapped = JointMap(self.arm.drive(joint))
+        lead, count = round(LEAD_S / CYCLE_S), len(wave.samples)
+        signal = [0.0] * lead + (amplitude * np.append(wave.samples, wave.samples[:BEYOND])).tolist()
+        # The signal begins before its period is evaluated, so that the response is periodic by then.
+        early = round((LEAD_S - RAMP_S) / CYCLE_S)
+        signal[lead - early : lead] = (amplitude * wave.samples[-early:]).tolist()
+        rows: list[tuple[list[float], list[float], list[float]]] = []
+        for number in range(PASSES):
+            points = forth if number % 2 == 0 else _reversed(forth)
+            trace = self._run(joint, points, signal)
+            inside = slice(lead, lead + count + BEYOND)
+            if _is_punctual(trace.t_s[inside]):
+                angle = [mapped.radians(k) for k in trace.count[inside]]
+                rows.append((angle, trace.output[inside], trace.added[inside]))
+        if len(rows) < 2:
+            raise ArmError(
+                "tuning: this host missed cycles in nearly every pass: `armwright doctor` says which rights it needs"
+            )
+        angle_rad, output, added = (np.array([row[k] for row in rows]) for k in range(3))
+        return evaluate(wave, angle_rad, output, added)
+
+    def step(self, joint: int, height_rad: float) -> StepResponse:
+        """A step forth and one back, averaged."""
+        here = at_rest(self.angles_rad())
+        there = SetPoint(_with(here.q_rad, joint - 1, height_rad), here.speed_rad_s, here.acceleration_rad_s2)
+        hold, steps = round(REST_S / CYCLE_S), round(STEP_S / CYCLE_S)
+        mapped = JointMap(self.arm.drive(joint))
+        shares = []
+        for begin, end, sign in ((here, there, 1.0), (there, here, -1.0)):
+            trace = self._run(joint, [begin] * hold + [end] * steps, ())
+            angle = np.array([mapped.radians(k) for k in trace.count])
+            before = angle[hold - 20 : hold].mean()
+            shares.append(sign * (angle[hold + 1 : hold + steps] - before) / height_rad)
+        share = np.mean(shares, axis=0)
+        return _judged_step(share, abs(2.0 * mapped.radians_per_count / height_rad))
+
+    def move(self, joint: int, distance_rad: float) -> MoveResponse:
+        """A move forth; the arm is brought back after it."""
+        runtime, drive = self._assembly.runtime, self.arm.drive(joint)
+        home = self.angles_rad()
+        mapped = JointMap(drive)
+        wanted: list[float] = []
+        limit = drive.supply_V if drive.pid.mode != "current" else drive.current_limit_A
+        self.probe.watch(
+            joint - 1, (), limit, lambda cycle: wanted.append(runtime.set_point.q_rad[joint - 1])
+        )
+        try:
+            self.client.move_joints(_with(home, joint - 1, distance_rad), 1.0)
+            self.client.wait(REST_S)
+        finally:
+            trace = self.probe.rest()
+        self.client.move_joints(home, 0.3)
+        angle = np.array([mapped.radians(k) for k in trace.count])
+        return _judged_move(np.array(wanted), angle)
+
+
+def _pass(centre: SetPoint, j: int) -> list[SetPoint]:
+    """Set-points of a pass around a pose: speed up, steady, slow down, rest."""
+    ramp, steady = round(RAMP_S / CYCLE_S), round((LEAD_S - RAMP_S + PERIOD_S) / CYCLE_S) + BEYOND
+    push = PASS_SPEED_rad_s / RAMP_S
+    accelerations = [push] * ramp + [0.0] * steady + [-push] * ramp + [0.0] * round(REST_S / CYCLE_S)
+    speed, way = 0.0, 0.0
+    rows = []
+    for acceleration in accelerations:
+        way += (speed + 0.5 * acceleration * CYCLE_S) * CYCLE_S
+        speed += acceleration * CYCLE_S
+        rows.append((way, speed, acceleration))
+    begin_rad = -0.5 * way
+    points = [
+        SetPoint(
+            _with(centre.q_rad, j, begin_rad + at),
+            _with(centre.speed_rad_s, j, v),
+            _with(centre.acceleration_rad_s2, j, a),
+        )
+        for at, v, a in rows
+    ]
+    return [at_rest(_with(centre.q_rad, j, begin_rad)), *points[:-1], at_rest(points[-1].q_rad)]
+
+
+def _reversed(points: Sequence[SetPoint]) -> list[SetPoint]:
+    """The same pass from its end to its begin; the rest comes last again."""
+    rest = round(REST_S / CYCLE_S)
+    moving = list(reversed(points[: len(points) - rest]))
+    back = [SetPoint(p.q_rad, tuple(-v for v in p.speed_rad_s), p.acceleration_rad_s2) for p in moving]
+    return [at_rest(points[-1].q_rad), *back[1:], *[at_rest(points[0].q_rad)] * rest]
+
+
+def _with(values: Sequence[float], j: int, more: float) -> tuple[float, ...]:
+    return tuple(value + more if k == j else value for k, value in enumerate(values))
+
+
+def _is_punctual(t_s: Sequence[float]) -> bool:
+    steps = np.diff(t_s)
+    return bool(steps.size and np.all(np.abs(steps - CYCLE_S) < LATE * CYCLE_S))
+
+
+def _judged_step(
+    share: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]", two_counts: float
+) -> StepResponse:
+    t_s = CYCLE_S * (1 + np.arange(len(share)))
+    final = float(share[-50:].mean())
+    band = max(0.05, two_counts)
+    outside = np.flatnonzero(np.abs(share - final) > band)
+    low, high = (int(np.argmax(share >= part * final)) for part in (0.1, 0.9))
+    return StepResponse(
+        tuple(t_s.tolist()), tuple(share.tolist()), float(share.max() - final), float(t_s[high] - t_s[low]),
+        float(t_s[outside[-1]]) if outside.size else 0.0,
+    )  # fmt: skip
+
+
+def _judged_move(
+    wanted: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]",
+    angle: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]",
+) -> MoveResponse:
+    n = min(len(wanted), len(angle))
+    wanted, angle = wanted[:n], angle[:n]
+    error = wanted - angle
+    moving = np.flatnonzero(np.diff(wanted))
+    end = int(moving[-1]) + 1 if moving.size else 0
+    unsettled = np.flatnonzero(np.abs(error[end:]) > 5e-4)
+    t_s = CYCLE_S * np.arange(n)
+    return MoveResponse(
+        tuple(t_s.tolist()), tuple(wanted.tolist()), tuple(angle.tolist()),
+        float(np.abs(error).max()), float(np.sqrt(np.mean(error[: end + 1] ** 2))),
+        float(CYCLE_S * (unsettled[-1] + 1)) if unsettled.size else 0.0,
+    )  # fmt: skip

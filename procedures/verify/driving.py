@@ -1,0 +1,123 @@
+"""Drives an arm by a model of it, whatever model the runtime itself believes in, and looks with the camera.
+
+Points are joint moves to what the model's inverse kinematics says: the loop needs no geometry for these. A path goes to the
+runtime in Cartesian space and through the runtime's own inverse kinematics, so it is handed over as the path that takes the
+joints where the model wants them: q(t) by the model, x'(t) = f(q(t)) by the runtime's forward kinematics.
+
+What is between joints and encoders (play, springs, belt, encoder errors) only the runtime can correct. For a model that has the
+same of it as the runtime's, motions are given in joint angles; for one that has none, in encoder angles.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from calib.points.writer import PointsWriter
+from calib.session.sequence import FreePose, Progress, take_free_poses
+from calib.session.take import SessionSettings
+from control.errors import ArmError
+from control.motion.plan import PlannedPath, plan_path
+from control.motion.spline import hermite
+from control.motion.waypoints import Waypoints
+from control.server.client import ArmClient
+from procedures.ports import RuntimePort
+from procedures.verify.models import Model
+from procedures.verify.places import Place, Way
+
+AVERAGE_S = 0.2  # 20 camera frames
+# Sections of a path that is handed over: a cubic of 10 mm follows its original within a few nanometres.
+SECTION_m = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A path as it was run: the number of the run in the recording; `path` where the recorded set-points are not the joints'."""
+
+    number: int
+    path: PlannedPath | None = None
+    pace: float = 1.0
+
+
+def poses_at(places: Sequence[Place], model: Model, q_near_rad: Sequence[float]) -> tuple[FreePose, ...]:
+    """Joint angles at the places, each on the branch of the one before; ArmError names the first out of reach."""
+    poses = []
+    for place in places:
+        try:
+            q_near_rad = model.inverse.nearest(model.in_base(place.tip_m), q_near_rad)
+        except ArmError as error:
+            raise ArmError(
+                f"verification point {place.setup} {place.point}: {error}; nothing was moved"
+            ) from error
+        poses.append(FreePose(place.setup, place.point, tuple(q_near_rad)))
+    return tuple(poses)
+
+
+def visit(
+    poses: Sequence[FreePose],
+    repeat: int,
+    client: ArmClient,
+    speed: float,
+    writer: PointsWriter,
+    as_encoders: bool = False,
+) -> Iterator[Progress]:
+    """One tour of the poses; the camera measures at each, and each is on the disk before the next."""
+    port = RuntimePort(client, speed, as_encoders)
+    tour = [replace(pose, repeat=repeat) for pose in poses]
+    return take_free_poses(tour, port, port, writer, SessionSettings(average_s=AVERAGE_S))
+
+
+def planned(way: Way, model: Model, speed_m_s: float, q_near_rad: Sequence[float]) -> PlannedPath:
+    """The way by the model; ArmError where the arm cannot run it. Nothing moves."""
+    points = tuple(model.in_base(point) for point in way.waypoints.points)
+    try:
+        return plan_path(
+            model.arm,
+            Waypoints(points, None, way.waypoints.places),
+            speed_m_s,
+            q_near_rad=q_near_rad,
+            setup=way.setup,
+            inverse=model.inverse,
+            kinematics=model.kinematics,
+        )
+    except ArmError as error:
+        raise ArmError(f"{way.name} above the board's setup {way.setup}: {error}") from error
+
+
+def run(path: PlannedPath, model: Model, believed: Model, client: ArmClient, speed: float) -> Run:
+    """Go to the path's start and run it as `model` has planned it."""
+    as_encoders = not model.has_gears_of(believed)
+    client.move_joints(path.q_start_rad, speed, as_encoders=as_encoders)
+    client.run_path(handed_over(path, model, believed).to_message(), as_encoders=as_encoders)
+    status = client.status()
+    in_joints = path if believed.gears and not as_encoders else None
+    return Run(int(status["run"]), in_joints, float(status["override"]))
+
+
+def handed_over(path: PlannedPath, model: Model, believed: Model) -> PlannedPath:
+    """The path in the base frame of the model that the runtime believes in: the same joint angles at the same times."""
+    if believed is model:
+        return path
+    motion = path.motion(model.inverse, model.kinematics)
+    points, velocities, poses = [], [], []
+    times_s = _times_s(path)
+    for time_s in times_s:
+        wanted = motion.at(time_s)
+        tip_m, rows = believed.kinematics.tip_jacobian(*wanted.q_rad)
+        x, y, z = (
+            sum(slope * speed for slope, speed in zip(row, wanted.speed_rad_s, strict=True)) for row in rows
+        )
+        points.append(tip_m)
+        velocities.append((x, y, z))
+        poses.append(tuple(wanted.q_rad))
+    durations_s = [end - start for start, end in pairwise(times_s)]
+    return replace(path, spline=hermite(points, velocities, durations_s), q_waypoints_rad=tuple(poses))
+
+
+def _times_s(path: PlannedPath) -> list[float]:
+    """The path's own times, its sections cut into short ones."""
+    times_s = [0.0]
+    for start, end in pairwise(path.spline.times_s):
+        way_m = max(abs(b - a) for a, b in zip(path.spline.at(start)[0], path.spline.at(end)[0], strict=True))
+        cuts = 1 + int(way_m / SECTION_m)
+        times_s += [start + (end - start) * k / cuts for k in range(1, cuts)] + [end]
+    return times_s

@@ -1,0 +1,117 @@
+"""The nominal and the calibrated model of one arm: which file is which, and how each is driven over one runtime."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from calib.arm_problem.assembly import base_frame_of
+from calib.arm_problem.frames import Frame
+from control.dynamics.joint_side import SIDE_EFFECTS
+from control.errors import ArmError
+from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm, Vector3
+from control.model.description import arm_names, load_arm
+from control.server.client import Message
+
+SAME_TIP_m = 1e-6
+
+
+class Model:
+    """One model of the arm: what it takes to send the tip somewhere in the frame of table and camera."""
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+        self.frame: Frame = base_frame_of(arm)
+
+    @cached_property
+    def kinematics(self) -> Kinematics:
+        """Of this model."""
+        return self.inverse.kinematics
+
+    @cached_property
+    def inverse(self) -> InverseKinematics:
+        """Of this model."""
+        return InverseKinematics(self.arm)
+
+    @cached_property
+    def gears(self) -> frozenset[tuple[object, ...]]:
+        """What the model knows between joints and encoders."""
+        return frozenset(
+            (e.effect, e.joint, *sorted(e.parameters.items()))
+            for e in self.arm.effects
+            if e.effect in SIDE_EFFECTS
+        )
+
+    def has_gears_of(self, believed: "Model") -> bool:
+        """Whether the runtime that believes in the other model corrects what this one knows of its gears, no more, no less."""
+        return self.gears == believed.gears
+
+    def in_base(self, point_m: Sequence[float]) -> Vector3:
+        """A point of the frame of table and camera, in the model's base frame."""
+        x, y, z = self.frame.to_base(np.array([point_m]))[0].tolist()
+        return x, y, z
+
+    def tips(self, q_rad: np.ndarray) -> np.ndarray:
+        """Tips (m, 3) of poses (m, n), in the frame of table and camera."""
+        return self.seen(self.kinematics.tips(q_rad))
+
+    def seen(self, base_m: np.ndarray) -> np.ndarray:
+        """Points (m, 3) of the model's base frame, in the frame of table and camera."""
+        return np.asarray((base_m - self.frame.origin_m) @ self.frame.rotation)
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """The two models that are compared."""
+
+    nominal: Model
+    calibrated: Model
+
+
+def nominal_of(calibrated: Arm, against: str | None) -> Arm:
+    """The arm that a calibrated one is compared with: as asked, or the one that it says it was calibrated from.
+
+    ArmError where it says nothing, where the file is not to be found, or where the two are not the same arm.
+    """
+    nominal = load_arm(against or _source_of(calibrated))
+    shapes = [(a.joint_count, len(a.links), a.dh_convention) for a in (nominal, calibrated)]
+    if shapes[0] != shapes[1]:
+        raise ArmError(
+            f"{calibrated.path} and {nominal.path} are not the same arm: {shapes[1]} and {shapes[0]} (joints, links, DH)"
+        )
+    return nominal
+
+
+def _source_of(calibrated: Arm) -> str:
+    if calibrated.calibration is None:
+        raise ArmError(
+            f"{calibrated.path}: has no [calibration], so what it was before is not known; name it with --against"
+        )
+    source = calibrated.calibration.source
+    beside = (calibrated.path or Path()).parent / source
+    for candidate in (beside, Path(source)):
+        if candidate.is_file():
+            return str(candidate)
+    if Path(source).stem in arm_names():
+        return Path(source).stem
+    raise ArmError(
+        f"{calibrated.path}: was calibrated from {source}, which is neither beside it nor here; name it with --against"
+    )
+
+
+def believed_by(status: Message, pair: Pair) -> Model:
+    """Which of the two models the runtime runs: the one by which its tip is where it says. ArmError if neither."""
+    if not status["is_homed"] or status["tip_m"] is None:
+        raise ArmError("the arm is not homed, so its angles mean nothing yet: `armwright home`")
+    for model in (pair.calibrated, pair.nominal):
+        tip_m = model.kinematics.tip(*status["joint_rad"])
+        if max(abs(a - b) for a, b in zip(tip_m, status["tip_m"], strict=True)) < SAME_TIP_m:
+            return model
+    raise ArmError(
+        f"the runtime was started with another arm than {pair.calibrated.arm.path} or {pair.nominal.arm.path}: its tip would"
+        " be elsewhere; start `armwright serve` with one of the two"
+    )

@@ -1,0 +1,183 @@
+"""A verification from end to end, on an arm over its runtime or on recorded points."""
+
+import datetime
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from calib.arm_problem.joint_laws import LAWS
+from calib.points.points import Points, read_points
+from calib.points.writer import write_points
+from calib.report.report_data import InputFile, input_file
+from calib.report.verification import Verification, write_verification_json, write_verification_report
+from calib.session.table import with_reference_tips
+from calib.validation.tracks import TrackPair
+from calib.validation.used_points import Used, already_used
+from calib.validation.verify import Comparison
+from calib.validation.verify_recorded import compare_arms
+from control.dynamics.feedforward import FED_FORWARD
+from control.dynamics.joint_side import SIDE_EFFECTS
+from control.model import table as tables
+from control.model.arm import Arm, Effect
+from control.server.client import ArmClient
+from procedures.verify.models import Model, Pair
+from procedures.verify.survey import Programme, Survey, compared, paired, raw_points
+
+Advance = Callable[[str, float], None]
+"""Called with what is being done and how much of the whole is done, 0 to 1."""
+
+
+@dataclass(slots=True)
+class Drive:
+    """Both models' surveys of one arm, planned; nothing has moved yet."""
+
+    programme: Programme
+    before: Survey
+    after: Survey
+
+    @classmethod
+    def planned(cls, pair: Pair, programme: Programme, q_near_rad: Sequence[float], out: Path) -> "Drive":
+        """ArmError where something is out of reach by either model."""
+        return cls(
+            programme,
+            Survey(pair.nominal, programme, q_near_rad, out / "before.csv"),
+            Survey(pair.calibrated, programme, q_near_rad, out / "after.csv"),
+        )
+
+    def run(self, believed: Model, client: ArmClient, speed: float, advance: Advance) -> None:
+        """Tours by the nominal and the calibrated model in turn, so that drift meets both alike; then the paths."""
+        places, ways = len(self.programme.places), len(self.programme.ways)
+        total, done = 2 * (places * self.programme.repeats + 2 * ways), 0
+        for what in self._steps(believed, client, speed):
+            done += 2 if what.startswith("path") else 1
+            advance(what, done / total)
+        rest = self.after.model.arm.rest
+        if rest is not None:
+            client.move_joints(rest.q_rad, speed)
+
+    def _steps(self, believed: Model, client: ArmClient, speed: float) -> Iterator[str]:
+        for repeat in range(1, self.programme.repeats + 1):
+            for survey, name in self._named():
+                for step in survey.tour(repeat, believed, client, speed):
+                    yield f"{name}: {step.setup} {step.point}, visit {repeat}"
+        for survey, name in self._named():
+            for way in survey.run_ways(believed, client, speed):
+                yield f"path, {name}: {way.setup} {way.name}"
+
+    def _named(self) -> tuple[tuple[Survey, str], tuple[Survey, str]]:
+        return (self.before, "nominal"), (self.after, "calibrated")
+
+    def results(self, recording: Path | None, out: Path) -> tuple[Comparison, tuple[TrackPair, ...]]:
+        """What was measured; writes points.csv."""
+        before, after = self.before.points(), self.after.points()
+        write_points(out / "points.csv", raw_points(self.programme, before, after))
+        paths: tuple[TrackPair, ...] = ()
+        if recording is not None and self.programme.ways:
+            paths = paired(self.programme, self.before.tracks(recording), self.after.tracks(recording))
+        return compared(self.programme, before, after), paths
+
+
+def driven(
+    pair: Pair,
+    drive: Drive,
+    comparison: Comparison,
+    paths: tuple[TrackPair, ...],
+    notes: tuple[str, ...],
+) -> Verification:
+    """The verification of an arm that was driven."""
+    programme = drive.programme
+    how = [
+        f"Sent the tip to {len(programme.places)} points that no calibration seats it in, {programme.repeats} times by the"
+        " nominal model and as often by the calibrated one, in turn; the camera measured at rest.",
+    ]
+    if programme.ways:
+        how.append(
+            f"Ran {len(programme.ways)} paths by either model at {programme.path_speed_m_s:g} m/s; the camera measured on the"
+            " way."
+        )
+    used = already_used(pair.calibrated.arm, np.concatenate((drive.before.q_rad, drive.after.q_rad)))
+    return _verification(pair, comparison, paths, tuple(how), used, notes, is_driven=True)
+
+
+def on_recorded(pair: Pair, file: Path) -> Verification:
+    """The verification on static poses with measured tips: what either model predicts from the encoders."""
+    nominal, calibrated = pair.nominal.arm, pair.calibrated.arm
+    points, warnings = read_points(file, calibrated.joint_count)
+    comparison = compare_arms(nominal, calibrated, _with_tips(calibrated, points))
+    used_file = input_file(file, "recorded poses and measured tips")
+    how = (
+        f"Compared {len(points)} recorded poses of {file.name}: measured tips against those that the nominal and the calibrated"
+        " model predict from the encoders. Nothing moved.",
+    )
+    used = already_used(calibrated, points.q_rad, used_file.sha256)
+    return _verification(pair, comparison, (), how, used, warnings, is_driven=False, more=(used_file,))
+
+
+def _with_tips(arm: Arm, points: Points) -> Points:
+    """Tips that were not measured are the cavities of a table whose pose is known."""
+    if np.isfinite(points.tip_m).all() or arm.table is None or not arm.table.known_pose:
+        return points
+    table = arm.table
+    return with_reference_tips(points, lambda setup: tables.cavities(table, setup))
+
+
+def _verification(
+    pair: Pair,
+    comparison: Comparison,
+    paths: tuple[TrackPair, ...],
+    how: tuple[str, ...],
+    used: Used,
+    notes: tuple[str, ...],
+    is_driven: bool,
+    more: tuple[InputFile, ...] = (),
+) -> Verification:
+    nominal, calibrated = pair.nominal.arm, pair.calibrated.arm
+    return Verification(
+        nominal,
+        calibrated,
+        comparison,
+        paths,
+        (*_arm_files(nominal, calibrated), *more),
+        how,
+        (*used.warnings, *notes, *_left_out(nominal, calibrated, is_driven)),
+        is_driven,
+        datetime.datetime.now(datetime.UTC).date().isoformat(),
+        f"armwright {version('armwright')}",
+        used.count,
+    )
+
+
+def _arm_files(nominal: Arm, calibrated: Arm) -> tuple[InputFile, ...]:
+    return tuple(
+        input_file(arm.path, what)
+        for arm, what in ((nominal, "the nominal arm"), (calibrated, "the calibrated arm"))
+        if arm.path is not None and arm.path.is_file()
+    )
+
+
+def _left_out(nominal: Arm, calibrated: Arm, is_driven: bool) -> tuple[str, ...]:
+    """Effects that play no part: the runtime corrects and feeds forward what it can, predictions know the static ones."""
+    known = {"base_frame"} | (SIDE_EFFECTS | FED_FORWARD if is_driven else set(LAWS))
+    notes = []
+    names = [_named(effect) for effect in calibrated.effects if effect.effect not in known]
+    if names:
+        notes.append(f"effects of the calibrated arm that play no part here: {', '.join(names)}")
+    was = [_named(effect) for effect in nominal.effects if effect.effect in SIDE_EFFECTS]
+    if is_driven and was and not Model(nominal).has_gears_of(Model(calibrated)):
+        notes.append(
+            f"the nominal arm's {', '.join(was)} played no part when it was driven: the runtime corrects by one arm's file"
+        )
+    return tuple(notes)
+
+
+def _named(effect: Effect) -> str:
+    return f"{effect.effect} of {effect.joint}" if effect.joint else effect.effect
+
+
+def write(verification: Verification, out: Path) -> None:
+    """verify.json and report.html."""
+    write_verification_json(out / "verify.json", verification)
+    write_verification_report(out / "report.html", verification)

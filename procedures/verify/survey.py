@@ -1,0 +1,115 @@
+"""One model's part of a verification: planned before anything moves, then tours of the points and runs of the paths."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.points.points import Points, joined, make_points, read_points
+from calib.points.writer import PointsWriter
+from calib.session.sequence import Progress
+from calib.validation.tracks import Track, TrackPair
+from calib.validation.verify import Comparison, compare_repeated
+from control.server.client import ArmClient
+from procedures.verify.driving import Run, planned, poses_at, run, visit
+from procedures.verify.models import Model
+from procedures.verify.places import Place, Way
+from procedures.verify.tracks import track_of
+
+PATH_SPEED_m_s = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Programme:
+    """Where a verification goes, and how often it visits each place."""
+
+    places: tuple[Place, ...]
+    ways: tuple[Way, ...]
+    repeats: int = 1
+    path_speed_m_s: float = PATH_SPEED_m_s
+
+
+class Survey:
+    """The arm driven by one model. ArmError where a place or a way is out of reach; nothing has moved then."""
+
+    def __init__(self, model: Model, programme: Programme, q_near_rad: Sequence[float], file: Path) -> None:
+        self.model = model
+        self._programme = programme
+        self._file = file
+        self._poses = poses_at(programme.places, model, q_near_rad)
+        near = self._poses[0].q_rad if self._poses else q_near_rad
+        self._paths = [planned(way, model, programme.path_speed_m_s, near) for way in programme.ways]
+        self._runs: list[tuple[Way, Run]] = []
+
+    @property
+    def q_rad(self) -> np.ndarray:
+        """The poses that it goes to, (m, n)."""
+        return np.array([pose.q_rad for pose in self._poses])
+
+    def tour(self, repeat: int, believed: Model, client: ArmClient, speed: float) -> Iterator[Progress]:
+        """Every place once."""
+        as_encoders = not self.model.has_gears_of(believed)
+        with PointsWriter(self._file, self.model.arm.joint_count) as writer:
+            yield from visit(self._poses, repeat, client, speed, writer, as_encoders)
+
+    def run_ways(self, believed: Model, client: ArmClient, speed: float) -> Iterator[Way]:
+        """Every way once; yields what it has run."""
+        for way, path in zip(self._programme.ways, self._paths, strict=True):
+            self._runs.append((way, run(path, self.model, believed, client, speed)))
+            yield way
+
+    def points(self) -> Points:
+        """What was measured at the places, from the file."""
+        return read_points(self._file, self.model.arm.joint_count)[0]
+
+    def tracks(self, recording: Path) -> list[Track]:
+        """The ways as they were run."""
+        return [track_of(recording, self.model, ran, way.name) for way, ran in self._runs]
+
+
+def compared(programme: Programme, before: Points, after: Points) -> Comparison:
+    """Measured minus wanted at every place, by both models."""
+    wanted = {(place.setup, place.point): place.tip_m for place in programme.places}
+    found = [_by_key(points) for points in (before, after)]
+    keys = [key for key in found[0] if key in found[1]]
+    tips = np.array([wanted[setup, point] for setup, point, _ in keys])
+    errors = [np.array([measured[key] for key in keys]) - tips for measured in found]
+    return compare_repeated([key[0] for key in keys], [key[1] for key in keys], tips, *errors)
+
+
+def _by_key(points: Points) -> dict[tuple[str, str, int], np.ndarray]:
+    return {
+        key: points.tip_m[row]
+        for row, key in enumerate(zip(points.setup, points.point, points.repeat, strict=True))
+    }
+
+
+def paired(programme: Programme, before: Sequence[Track], after: Sequence[Track]) -> tuple[TrackPair, ...]:
+    """The ways by both models."""
+    return tuple(
+        TrackPair(way.name, way.setup, first, second)
+        for way, first, second in zip(programme.ways, before, after, strict=True)
+    )
+
+
+def raw_points(programme: Programme, before: Points, after: Points) -> Points:
+    """All measurements as one points.csv: columns `model` and `wanted_x_m` ... beyond those of the format."""
+    both = joined([before, after])
+    wanted = {(place.setup, place.point): place.tip_m for place in programme.places}
+    tips = [wanted[name] for name in zip(both.setup, both.point, strict=True)]
+    extra = {"model": ("nominal",) * len(before) + ("calibrated",) * len(after)} | {
+        f"wanted_{axis}_m": tuple(f"{tip[k]:.9f}" for tip in tips) for k, axis in enumerate("xyz")
+    }
+    return make_points(
+        both.setup,
+        both.point,
+        both.repeat,
+        both.q_rad,
+        both.tip_m,
+        both.direction,
+        both.current_A,
+        both.t_s,
+        both.payload_kg,
+        extra,
+    )

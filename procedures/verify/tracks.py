@@ -1,0 +1,102 @@
+"""Planned and measured tip along a run, from the recording: the camera's frames against the set-points."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from calib.arrays import frozen
+from calib.validation.tracks import Track
+from control.errors import ArmError
+from control.recording.record import Layout, Recording
+from control.safety.table import Mode
+from procedures.verify.driving import Run
+from procedures.verify.models import Model
+
+LONGEST_DELAY_S = 0.1  # of a camera that is worth using
+DELAY_STEP_S = 0.001
+MOVING = list(Mode).index(Mode.MOVING)
+PATIENCE_S = 5.0  # of a recording's writer, which is another process
+_NUMPY = {"d": "f8", "f": "f4", "I": "u4", "i": "i4", "B": "u1"}
+
+
+def track_of(recording: Path, model: Model, ran: Run, name: str) -> Track:
+    """The tip along a run: planned by the model, measured by the camera.
+
+    Planned is where the recorded set-points take the tip; where those are of encoders that are not the joints', where the path
+    was at that time of the run. In the frame of table and camera. A camera's frames arrive late by a constant delay. It is
+    estimated as the one under which the measured path follows the planned one best, and taken out, so that the error is that of
+    the arm.
+    """
+    rows = recorded(recording)
+    rows = rows[(rows["run"] == ran.number) & (rows["mode"] == MOVING)]
+    if not len(rows):
+        raise ArmError(f"{recording}: holds no run {ran.number}")
+    time_s = np.asarray(rows["t_s"])
+    planned_m = _planned_m(rows, model, ran)
+    seen_m = np.column_stack([rows[name] for name in ("x_m", "y_m", "z_m")])
+    seen = ~np.isnan(seen_m).any(axis=1)
+    if not seen.any():
+        raise ArmError(f"{recording}: no camera frame in run {ran.number}: was the camera on?")
+    taken_s = time_s[seen] - _camera_delay_s(time_s, planned_m, time_s[seen], seen_m[seen])
+    within = taken_s >= time_s[0]  # the first frames to arrive were taken before the run
+    at_s = taken_s[within]
+    planned_at_m = _at(at_s, time_s, planned_m)
+    return Track(name, frozen(at_s - time_s[0]), frozen(planned_at_m), frozen(seen_m[seen][within]))
+
+
+def _planned_m(rows: np.ndarray, model: Model, ran: Run) -> np.ndarray:
+    """Planned tips (m, 3) at the rows' times. The first row of a run is one cycle into it."""
+    if ran.path is None:
+        joints = range(1, model.arm.joint_count + 1)
+        return model.tips(np.column_stack([rows[f"q{joint}_set_rad"] for joint in joints]))
+    time_s = np.asarray(rows["t_s"])
+    period_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+    spline = ran.path.spline
+    at_s = (ran.pace * (time_s - time_s[0] + period_s)).tolist()
+    return model.seen(np.array([spline.at(t)[0] for t in at_s]))
+
+
+def recorded(recording: Path) -> np.ndarray:
+    """The rows of a recording, which may still be growing, as a structured array."""
+    opened = Recording.open(recording)
+    return np.fromfile(
+        recording, dtype=_dtype(opened.layout), offset=opened.offset, count=_row_count(recording, opened)
+    )
+
+
+def _row_count(recording: Path, opened: Recording) -> int:
+    return (recording.stat().st_size - opened.offset) // opened.layout.packing.size
+
+
+def _dtype(layout: Layout) -> np.dtype[np.void]:
+    """The packing of a row, little endian and without gaps, as numpy has it."""
+    codes = layout.packing.format.removeprefix("<")
+    return np.dtype([(name, "<" + _NUMPY[code]) for name, code in zip(layout.names, codes, strict=True)])
+
+
+def wait_until_recorded(recording: Path, t_s: float, wait: Callable[[float], None]) -> None:
+    """Return when the recording has come to the loop's time `t_s`; ArmError where it does not."""
+    for _ in range(int(PATIENCE_S / 0.1)):
+        opened = Recording.open(recording)
+        if _row_count(recording, opened) and recorded(recording)["t_s"][-1] >= t_s:
+            return
+        wait(0.1)
+    raise ArmError(f"{recording}: does not grow any more; is its disk full?")
+
+
+def _at(time_s: np.ndarray, times_s: np.ndarray, points_m: np.ndarray) -> np.ndarray:
+    """Points (m, 3) between those of times_s."""
+    return np.column_stack([np.interp(time_s, times_s, points_m[:, axis]) for axis in range(3)])
+
+
+def _camera_delay_s(
+    time_s: np.ndarray, planned_m: np.ndarray, seen_s: np.ndarray, seen_m: np.ndarray
+) -> float:
+    """The delay that leaves the least scatter of measured minus planned; a constant offset is no delay."""
+    delays_s = np.arange(0.0, LONGEST_DELAY_S, DELAY_STEP_S)
+    scatter = []
+    for delay_s in delays_s:
+        error = seen_m - _at(seen_s - delay_s, time_s, planned_m)
+        scatter.append(float(np.sum((error - error.mean(axis=0)) ** 2)))
+    return float(delays_s[int(np.argmin(scatter))])
