@@ -10,9 +10,9 @@
 | | compliance<j>_held = link's share of friction / stiffness | -held friction |
 | belt_coupling | belt_coupling = ratio | q_2, of joint 3 |
 
-Signs as in control.dynamics.effect_laws; flank, gravity torque and held friction as in control.dynamics.static_pose, from currents
-and directions of the points. How friction is shared between motor and link is unknown, hence the side parameters, which are no
-part of the effect. An effect is asked for by name and joint: "backlash:2", "belt_coupling".
+Signs as in control.dynamics.effect_laws; flank, gravity torque and held friction as in control.dynamics.static_pose,
+from currents and directions of the points. How friction is shared between motor and link is unknown, hence the side
+parameters, which are no part of the effect. An effect is asked for by name and joint: "backlash:2", "belt_coupling".
 """
 
 from __future__ import annotations

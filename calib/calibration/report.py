@@ -6,8 +6,9 @@ import numpy as np
 
 from calib.arrays import frozen
 from calib.calibration.calibrate import Calibrated
+from calib.inputs import InputFile
 from calib.report.page import Section, bullets, paragraph, table
-from calib.report.report_data import InputFile, ReportData
+from calib.report.report_data import ReportData
 from calib.report.report_sections import frames_section
 from calib.validation.holdout import HeldOut
 from calib.validation.verify import Comparison, compare

@@ -40,7 +40,7 @@ class NamedEffect:
 
 @dataclass(frozen=True, slots=True)
 class Nameable:
-    """Whether this data could name an effect at all: detectability in standard deviations, and its doubles."""
+    """Whether this data could name an effect at all: detectability in standard deviations, and its confounders."""
 
     name: EffectName
     detectability: float
@@ -81,7 +81,7 @@ class GapFinding:
     @property
     def judged_on(self) -> str:
         """Where the gap was looked at, in words."""
-        return "recordings kept apart" if self.is_held_out else "what was fitted (none could be kept apart)"
+        return "held-out recordings" if self.is_held_out else "what was fitted (none could be held out)"
 
 
 def write_gap_json(path: Path, found: GapFinding) -> None:

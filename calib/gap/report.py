@@ -103,7 +103,7 @@ def _parameter_rows(effect: NamedEffect) -> Iterator[tuple[tuple[str, str] | str
 def _static(gap: StaticGap) -> Iterator[Section]:
     kept = int(gap.split.report.sum())
     how = (
-        f"{gap.split.recordings_count} recordings; {kept} of {len(gap.points)} poses were kept apart for the report."
+        f"{gap.split.recordings_count} recordings; {kept} of {len(gap.points)} poses were held out for the report."
         if gap.split.is_divided
         else "Too few recordings to keep one apart: the gap is that of the poses which were fitted."
     )

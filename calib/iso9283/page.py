@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from calib.inputs import InputFile
 from calib.iso9283 import pictures
 from calib.iso9283.result import Criterion, Evaluation, Figure
 from calib.report.page import Cell, Section, bullets, page, table
-from calib.report.report_data import InputFile
 
 SHOWN = {"m": (1e3, "mm", 3), "m/s": (1.0, "m/s", 4), "m/N": (1e6, "µm/N", 3), "rad": (1e3, "mrad", 3)}
 

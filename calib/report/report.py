@@ -1,7 +1,7 @@
 """report.html: one file without any outside resource that says what was done and what came out of it.
 
-`report_html` puts the sections in their usual order; calib.report.comparison_sections and calib.report.report_sections have each by itself,
-and `calib.report.page.page` makes a page of any.
+`report_html` puts the sections in their usual order. comparison_sections and report_sections have each section by itself;
+`page.page` makes a page of any.
 """
 
 from __future__ import annotations

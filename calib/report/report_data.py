@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
-from pathlib import Path
 
 from calib.identify.identification import Identification
+from calib.inputs import InputFile
 from calib.report.page import Section
 from calib.validation.tracks import TrackPair
 from calib.validation.verify import Comparison
 from control.model.arm import Arm
 
 UNUSED = "at points that calibration did not use"
-
-
-@dataclass(frozen=True, slots=True)
-class InputFile:
-    """A file that the result depends on."""
-
-    name: str
-    sha256: str
-    what: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +38,3 @@ class ReportData:
     verdict: tuple[str, ...] = ()
     sections: tuple[Section, ...] = ()
     verified_at: str = UNUSED
-
-
-def input_file(path: Path, what: str) -> InputFile:
-    """Name and SHA-256 of a file as it is now."""
-    with path.open("rb") as file:
-        return InputFile(path.name, hashlib.file_digest(file, "sha256").hexdigest(), what)

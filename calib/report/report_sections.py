@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 from calib.arm_problem.frames import rotation_vector
 from calib.identify.estimates import Estimate
 from calib.identify.identification import Identification
+from calib.inputs import InputFile
 from calib.report.page import Cell, Section, bullets, heading, paragraph, said, table
-from calib.report.report_data import InputFile
 from control.model.arm import Arm
 
 NO_EFFECT = 0.999  # share of a parameter that the data leave open, from which on it is said to have no effect

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.arrays import Array, norms
+from calib.inputs import InputFile
 from calib.report.report import write_report
-from calib.report.report_data import UNUSED, InputFile, ReportData
+from calib.report.report_data import UNUSED, ReportData
 from calib.validation.statistics import Difference, ErrorSummary, Finding
 from calib.validation.tracks import TrackPair, compare_tracks
 from calib.validation.verify import ALL, Comparison, SetupComparison, findings

@@ -69,7 +69,7 @@ class Jog:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One wish. REDO, SKIP, BAD without a point mean the last record, or for SKIP the target that is asked about."""
+    """One command. REDO, SKIP, BAD without a point mean the last record, or for SKIP the target that is asked about."""
 
     do: Do
     setup: str = ""

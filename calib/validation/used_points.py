@@ -9,8 +9,8 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.errors import CalibrationError
+from calib.inputs import input_file
 from calib.points.points import read_points
-from calib.report.report_data import input_file
 from control.model.arm import Arm
 
 SAME_POSE_rad = 0.002  # every joint as near as this: about a millimetre at the tip, no new place

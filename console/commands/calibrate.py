@@ -17,9 +17,9 @@ from calib.calibration.text import judgement_json, summary_text
 from calib.errors import CalibrationError
 from calib.export import FORMS, export
 from calib.identify.objective import objective_named
+from calib.inputs import InputFile, input_file
 from calib.points.points import Points, joined, read_points
 from calib.report.report import write_report
-from calib.report.report_data import InputFile, input_file
 from console.commands.progress import Bar
 from console.quantities import quantity, unit_of
 from control.errors import ArmError

@@ -5,11 +5,12 @@ import json
 import sys
 from typing import Any
 
-from console.commands.serve import camera_port, link_options
+from console.commands.serve import camera_port
 from control.hardware.connect import Connection, connect, with_links
 from control.model.description import load_arm
 from control.server.scheduling import punctuality_remedy
 from firmware_iface.clock import MonotonicClock
+from procedures.link_options import link_options
 
 PERIOD_S = 0.002
 FORMAT = "check/1"

@@ -85,12 +85,14 @@ def _say(given: argparse.Namespace, outcome: Outcome, out: Path) -> None:
 def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, ...]) -> int:
     """Plan, say it, record, and look at what was recorded."""
     from calib.gap.plan import foresight
-    from calib.gap.plan.plan import Wish, recording_plan
+    from calib.gap.plan.plan import PlanRequest, recording_plan
 
     _require_recording_options(given)
     payload_kg = given.payload if given.payload is not None else MOCK_PAYLOAD_kg * bool(given.mock)
-    wish = Wish(given.only != "motion", given.only != "static", payload_kg, bool(given.quick), given.minutes)
-    plan = recording_plan(arm, wish, 1.0 if given.mock else REAL_SPEED)
+    request = PlanRequest(
+        given.only != "motion", given.only != "static", payload_kg, bool(given.quick), given.minutes
+    )
+    plan = recording_plan(arm, request, 1.0 if given.mock else REAL_SPEED)
     if given.plan_only:
         sys.stdout.write("".join(f"{line}\n" for line in foresight.in_words(arm, plan, payload_kg)))
         return 0

@@ -6,10 +6,11 @@ from pathlib import Path
 
 from console.commands.connection import socket_path
 from control.errors import ArmError
-from control.hardware.connect import LinkOptions, with_links
+from control.hardware.connect import with_links
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.process import ServeOptions, serve
+from procedures.link_options import link_options
 
 LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 50.0, 1200.0  # three boards at 1 Mbit/s end at 1234 Hz
 
@@ -31,19 +32,6 @@ def camera_port(given: argparse.Namespace, arm: Arm) -> int | None:
     if given.camera_port is not None:
         return int(given.camera_port)
     return arm.camera.udp_port if arm.camera else None
-
-
-def link_options(given: argparse.Namespace) -> LinkOptions:
-    """The links of the command line."""
-    options = dict(_option(text) for text in given.can_option or ())
-    return LinkOptions(tuple(given.encoder or ()), given.can_interface, given.can_channel, options)
-
-
-def _option(text: str) -> tuple[str, int | str]:
-    key, equals, value = text.partition("=")
-    if not (key and equals and value):
-        raise ArmError(f"--can-option: expected KEY=VALUE, got {text!r}")
-    return key, int(value) if value.lstrip("-").isdigit() else value
 
 
 def announce(text: str) -> None:

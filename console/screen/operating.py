@@ -288,7 +288,7 @@ class OperatingScreen(Screen[None]):
 
     @work
     async def action_guide(self) -> None:
-        """By hand: drives off, or carrying the arm."""
+        """By hand: drives off, or with gravity compensation."""
         how = await self.app.push_screen_wait(Choose("Guide by hand", list(GUIDING)))
         if how is not None:
             await self.app.operator.line(GUIDING[how])

@@ -116,8 +116,8 @@ class Operator:
                 self._step(_step_of(target, by, speed), _step_line(target, by, speed))
             )
 
-    async def _step(self, wish: Message, text: str) -> None:
-        answer = await self._asked("jog", **wish)
+    async def _step(self, request: Message, text: str) -> None:
+        answer = await self._asked("jog", **request)
         if answer is None:
             return
         limited = str(answer["limited"])
@@ -206,10 +206,10 @@ def _velocity(target: Target, speed: float, joint_count: int) -> Message:
 
 def _step_of(target: Target, by: float, speed: float) -> Message:
     if target.joint is not None:
-        wish: Message = {"joint": target.joint, "by_rad": by}
-        return {**wish, "speed_rad_s": speed} if speed else wish
-    wish = {"axis": target.axis, "by_m": by}
-    return {**wish, "speed_m_s": speed} if speed else wish
+        request: Message = {"joint": target.joint, "by_rad": by}
+        return {**request, "speed_rad_s": speed} if speed else request
+    request = {"axis": target.axis, "by_m": by}
+    return {**request, "speed_m_s": speed} if speed else request
 
 
 def _step_line(target: Target, by: float, speed: float) -> str:

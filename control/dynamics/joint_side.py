@@ -2,9 +2,9 @@
 
     joint = rigid(encoder) - offset,    offset = flank width / 2 + transmitted torque / stiffness
 
-`rigid` is control.kinematics.encoder_chain. Encoders are on the motors, so an offset is by how much a motor is ahead of its joint; it
-comes from the set-point and the model, never from what is measured (control.dynamics.gear). The transmitted torque is that of the
-links without the rotors, with the dry friction on the link's side of the gear, of which nobody knows the share.
+`rigid` is control.kinematics.encoder_chain. Encoders are on the motors: the offset is by how much a motor is ahead of its
+joint. It comes from the set-point and the model, never from what is measured (control.dynamics.gear). The transmitted torque
+is that of the links without the rotors, with the link-side share of the dry friction, which is unknown.
 """
 
 from collections.abc import Callable, Mapping, Sequence

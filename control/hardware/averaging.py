@@ -4,9 +4,26 @@ Started by a request, fed by every cycle, read when its time is over. Camera fra
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from control.hardware.measurement import Measurement, RunningMean
-from control.server.client import Average
+
+
+@dataclass(frozen=True, slots=True)
+class Average:
+    """A measurement at rest: means over `duration_s`; angles in rad through the joint map, tip in the base frame in m."""
+
+    duration_s: float
+    samples: int
+    q_rad: tuple[float, ...]
+    q_std_rad: tuple[float, ...]
+    current_A: tuple[float, ...]
+    direction: tuple[int, ...]
+    camera_frames: int
+    tip_m: tuple[float, float, float] | None
+    tip_std_m: tuple[float, float, float] | None
+    moved_rad: float
+    t_s: float
 
 
 class Averaging:

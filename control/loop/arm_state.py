@@ -1,7 +1,7 @@
 """All that changes while an arm is under control, in one place: what the steps of a cycle read and write.
 
-The steps are functions of it, by what they are about: control.loop.set_points (where the arm is to be), travelling (motions, jogs,
-stops), reactions (faults), zeroing (homing), way_off. Each says which of these attributes it changes; others only read them.
+The steps are functions of it, one module a subject: control.loop.set_points (where the arm is to be), motion_modes (motions,
+jogs, stops), fault_reactions, homing, shutdown. Each module lists the attributes that it changes; all others only read them.
 """
 
 import math
@@ -38,11 +38,11 @@ class ArmState:
         self.camera_at_s = -math.inf
         self.drives = DriveReadiness(parts.joint_names)
         self.stillness = Standstill()
-        # where the arm is to be (aiming)
+        # set-points (set_points)
         self.no_motion = (0.0,) * n  # speeds or accelerations
         self.set_point = self.aim = at_rest(self.no_motion)  # of the joints; of their encoders
         self.is_of_encoders = False  # whether set_point is, while a motion runs that was given so
-        # how it gets there (travelling, zeroing)
+        # motions (motion_modes, homing)
         self.run_number = 0
         self.paced: Paced | None = None  # the motion that runs, a stop too
         self.override = 1.0  # pace at which motions run
@@ -50,11 +50,11 @@ class ArmState:
         self.homing: HomingSequence | None = None
         self.was_stopped = False  # the last motion, before its end
         self.is_weightless = False  # while a hand guides the arm: its drives carry it
-        # what it is on the way to (way_off)
+        # the mode that is wanted (shutdown)
         self.wants_hold = False
         self.is_going_off = False
         self.is_quitting = False
-        self.fault_rows: tuple[bytes, ...] = ()  # the cycles before the first fault (reactions)
+        self.fault_rows: tuple[bytes, ...] = ()  # the cycles before the first fault (fault_reactions)
 
     def on(self, event: Event) -> None:
         """Take an event; IllegalTransition when the mode does not allow it, and nothing has changed."""

@@ -47,7 +47,7 @@ class TipStep:
     speed_m_s: float
 
 
-Wish = JointSpeeds | JointStep | TipVelocity | TipStep
+JogRequest = JointSpeeds | JointStep | TipVelocity | TipStep
 
 
 class _Motion(Protocol):
@@ -68,7 +68,7 @@ class Jogging:
         self._inverse = inverse
         self._is_homed = is_homed
         self._motion: JointJog | TipJog | None = None
-        self._next: Wish | None = None  # once the arm has come to rest
+        self._next: JogRequest | None = None  # once the arm has come to rest
         self._is_step = False
         self._asked_s = 0.0
         self._has_ceased = False
@@ -84,12 +84,12 @@ class Jogging:
         is_done = self._is_step or self._has_ceased
         return is_done and self._next is None and (self._motion is None or self._motion.is_at_rest)
 
-    def ask(self, now_s: float, wish: Wish, set_point: SetPoint) -> None:
+    def ask(self, now_s: float, request: JogRequest, set_point: SetPoint) -> None:
         """Ask for something, anew or once more. ArmError says why it cannot be, and nothing has changed."""
-        if self._begun(wish, set_point):
+        if self._begun(request, set_point):
             self._next = None
         else:
-            self._next = wish
+            self._next = request
             self._cease()
         self._has_ceased = False
         self._asked_s = now_s
@@ -106,31 +106,31 @@ class Jogging:
             self._cease()
         if self._next is not None and self._motion is not None and self._motion.is_at_rest:
             self._motion = None
-            wish, self._next = self._next, None
+            request, self._next = self._next, None
             try:
-                self._begun(wish, set_point)
+                self._begun(request, set_point)
             except ArmError:  # it stands elsewhere than where it was asked for; the next renewal says why
                 self._is_step = True
         return set_point if self._motion is None else self._motion.advance(elapsed_s)
 
-    def _begun(self, wish: Wish, set_point: SetPoint) -> bool:
-        """Whether the wish could be followed at once; else the arm must first come to rest."""
+    def _begun(self, request: JogRequest, set_point: SetPoint) -> bool:
+        """Whether the request could be followed at once; else the arm must first come to rest."""
         motion = self._motion
-        is_step = isinstance(wish, JointStep | TipStep)
+        is_step = isinstance(request, JointStep | TipStep)
         if (
             motion is not None
-            and (is_step or self._is_step or not _suits(motion, wish))
+            and (is_step or self._is_step or not _suits(motion, request))
             and not motion.is_at_rest
         ):
             return False
-        if motion is None or not _suits(motion, wish):
-            motion = self._new(wish, set_point)
-        _tell(motion, wish)
+        if motion is None or not _suits(motion, request):
+            motion = self._new(request, set_point)
+        _tell(motion, request)
         self._motion, self._is_step = motion, is_step
         return True
 
-    def _new(self, wish: Wish, set_point: SetPoint) -> JointJog | TipJog:
-        if isinstance(wish, JointSpeeds | JointStep):
+    def _new(self, request: JogRequest, set_point: SetPoint) -> JointJog | TipJog:
+        if isinstance(request, JointSpeeds | JointStep):
             return JointJog(set_point, self._limits.joints)
         if not self._is_homed:
             raise ArmError(
@@ -151,16 +151,16 @@ class Jogging:
             self._motion.want((0.0, 0.0, 0.0))
 
 
-def _suits(motion: JointJog | TipJog, wish: Wish) -> bool:
-    return isinstance(motion, JointJog) == isinstance(wish, JointSpeeds | JointStep)
+def _suits(motion: JointJog | TipJog, request: JogRequest) -> bool:
+    return isinstance(motion, JointJog) == isinstance(request, JointSpeeds | JointStep)
 
 
-def _tell(motion: JointJog | TipJog, wish: Wish) -> None:
-    if isinstance(motion, JointJog) and isinstance(wish, JointSpeeds):
-        motion.want(wish.speed_rad_s)
-    elif isinstance(motion, JointJog) and isinstance(wish, JointStep):
-        motion.step(wish.joint, wish.by_rad, wish.speed_rad_s)
-    elif isinstance(motion, TipJog) and isinstance(wish, TipVelocity):
-        motion.want(wish.velocity_m_s)
-    elif isinstance(motion, TipJog) and isinstance(wish, TipStep):
-        motion.step(wish.axis, wish.by_m, wish.speed_m_s)
+def _tell(motion: JointJog | TipJog, request: JogRequest) -> None:
+    if isinstance(motion, JointJog) and isinstance(request, JointSpeeds):
+        motion.want(request.speed_rad_s)
+    elif isinstance(motion, JointJog) and isinstance(request, JointStep):
+        motion.step(request.joint, request.by_rad, request.speed_rad_s)
+    elif isinstance(motion, TipJog) and isinstance(request, TipVelocity):
+        motion.want(request.velocity_m_s)
+    elif isinstance(motion, TipJog) and isinstance(request, TipStep):
+        motion.step(request.axis, request.by_m, request.speed_m_s)

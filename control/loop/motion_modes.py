@@ -8,7 +8,7 @@ from control.loop import set_points
 from control.loop.active_motion import begin, stop_from
 from control.loop.arm_state import ArmState
 from control.loop.fault_reactions import fail, lose_motion, refuse
-from control.loop.jogging import Wish
+from control.loop.jogging import JogRequest
 from control.motion.setpoint import Motion, SetPoint
 from control.safety.fault import Fault, Reaction
 from control.safety.table import TRAVELLING_MODES, Event, Mode
@@ -68,14 +68,14 @@ def start(state: ArmState, motion: Motion, as_encoders: bool) -> None:
     begin(state, motion, state.override)
 
 
-def jog(state: ArmState, wish: Wish) -> None:
+def jog(state: ArmState, request: JogRequest) -> None:
     """Move as somebody keeps asking; ArmError says why not, and nothing has changed then."""
     if state.jogging is not None and state.monitor.mode is Mode.JOGGING:
-        state.jogging.ask(state.now_s, wish, state.set_point)
+        state.jogging.ask(state.now_s, request, state.set_point)
         return
     state.monitor.require(Event.JOG)
     jogging = state.parts.jogging(state.monitor.is_homed)
-    jogging.ask(state.now_s, wish, state.set_point)
+    jogging.ask(state.now_s, request, state.set_point)
     state.on(Event.JOG)
     state.run_number += 1
     state.was_stopped = False

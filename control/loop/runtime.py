@@ -10,14 +10,14 @@
 
 The runtime never waits and opens nothing: a hardware, a recorder and the rest are handed to it (control.server.assemble). The
 same object runs in a process of its own in real time and inside a test on a stepped clock. What it knows is ArmState; what the
-modes do stands by its subject in control.loop.set_points, travelling, zeroing, way_off and reactions.
+modes do is in control.loop.set_points, motion_modes, homing, shutdown and fault_reactions.
 """
 
 from control.errors import ArmError
 from control.hardware.interface import OutputMode
 from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown
 from control.loop.arm_state import ArmState
-from control.loop.jogging import Wish
+from control.loop.jogging import JogRequest
 from control.loop.parts import NOWHERE
 from control.loop.row import row_of
 from control.loop.watch import Expectation
@@ -191,9 +191,9 @@ class Runtime(ArmState):
         """Start a motion that was checked and that begins where the arm is `seen`, at rest."""
         motion_modes.start(self, motion, as_encoders)
 
-    def jog(self, wish: Wish) -> None:
+    def jog(self, request: JogRequest) -> None:
         """Move as somebody keeps asking; ArmError says why not, and nothing has changed then."""
-        motion_modes.jog(self, wish)
+        motion_modes.jog(self, request)
 
     def renew_jog(self) -> None:
         """Whoever jogs still wants it; ArmError where nothing is jogged."""

@@ -14,7 +14,7 @@ class Mode(Enum):
     HOLDING = "position control at a constant set-point"
     MOVING = "position control along a checked motion"
     HOMING = "position control in search of switches and index pulses"
-    GUIDING = "a hand moves the arm: drives open circuit, or carrying its weight and nothing more"
+    GUIDING = "a hand moves the arm: drives open circuit, or gravity compensation and nothing more"
     STOPPING = "position control along a jerk-limited stop"
     FAULT = "reaction of the fault: stop and hold, or 0 V; waits for acknowledgement"
     JOGGING = "position control as an operator's key or button asks, as long as it keeps asking"

@@ -7,13 +7,13 @@ docs/socket.md lists every request.
 
 import socket
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import msgspec
 
 from control.errors import ArmError
+from control.hardware.averaging import Average
 
 Message = dict[str, Any]
 POLL_S = 0.02  # how often a waiting client looks; an operator sees no difference, the loop hardly notices
@@ -97,23 +97,6 @@ class SocketChannel:
         """Hang up. A motion that this connection started is stopped by the runtime."""
         self._lines.close()
         self._socket.close()
-
-
-@dataclass(frozen=True, slots=True)
-class Average:
-    """A measurement at rest: means over `duration_s`; angles in rad through the joint map, tip in the base frame in m."""
-
-    duration_s: float
-    samples: int
-    q_rad: tuple[float, ...]
-    q_std_rad: tuple[float, ...]
-    current_A: tuple[float, ...]
-    direction: tuple[int, ...]
-    camera_frames: int
-    tip_m: tuple[float, float, float] | None
-    tip_std_m: tuple[float, float, float] | None
-    moved_rad: float
-    t_s: float
 
 
 class ArmClient:

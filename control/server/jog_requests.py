@@ -3,7 +3,7 @@
 from typing import Any
 
 from control.errors import ArmError
-from control.loop.jogging import JointSpeeds, JointStep, TipStep, TipVelocity, Wish
+from control.loop.jogging import JogRequest, JointSpeeds, JointStep, TipStep, TipVelocity
 from control.server.request_values import number, numbers
 
 Message = dict[str, Any]
@@ -12,7 +12,7 @@ KINDS = ("joint_speed_rad_s", "tip_velocity_m_s", "joint", "axis")
 LARGEST_STEP_rad, LARGEST_STEP_m = 7.0, 1.0  # a slip of the unit, not of the hand
 
 
-def jog_wish(request: Message, joint_count: int) -> Wish:
+def jog_request(request: Message, joint_count: int) -> JogRequest:
     """What is asked for. ArmError says what is wrong with it; whether the arm can is not asked here."""
     kinds = [kind for kind in KINDS if kind in request]
     if len(kinds) != 1:

@@ -19,7 +19,7 @@ from control.motion.plan import PlannedPath
 from control.motion.setpoint import Motion, SetPoint
 from control.safety.monitor import IllegalTransition
 from control.safety.table import TRAVELLING_MODES, Event, Mode
-from control.server.jog_requests import jog_wish
+from control.server.jog_requests import jog_request
 from control.server.request_values import flag, number, numbers
 from control.server.status import status_of
 from firmware_iface.errors import LinkError
@@ -169,7 +169,7 @@ class Requests:
 
     def _jog(self, request: Message, client: int) -> Message:
         self._require_own_jog(client)
-        self._runtime.jog(jog_wish(request, len(self._runtime.parts.joint_names)))
+        self._runtime.jog(jog_request(request, len(self._runtime.parts.joint_names)))
         self._owner = client
         return self._jogged()
 

@@ -6,12 +6,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from console.commands.serve import link_options
 from control.errors import ArmError
 from control.hardware.connect import with_links
 from control.model.arm import Arm
 from control.model.description import load_arm
 from firmware_iface.clock import Clock, MonotonicClock
+from procedures.link_options import link_options
 
 if TYPE_CHECKING:
     from hil_mocks.rig import SteppedRig

@@ -16,7 +16,7 @@ import numpy as np
 from calib.design.reach import spread_poses
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
 from calib.gap.plan.collision_free_box import collision_free_box
-from calib.gap.plan.plan import RecordingPlan, Wish, recording_plan
+from calib.gap.plan.plan import PlanRequest, RecordingPlan, recording_plan
 from calib.validation.tracks import TrackPair
 from calib.validation.verify import Comparison
 from control.errors import ArmError
@@ -82,10 +82,10 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
     """Do it all on the bench's arm; `arm` is the nominal one. Results in `out`."""
     plans = {
         "poses": recording_plan(
-            arm, Wish(has_motions=False, payload_kg=PAYLOAD_kg, is_quick=True), bench.speed
+            arm, PlanRequest(has_motions=False, payload_kg=PAYLOAD_kg, is_quick=True), bench.speed
         ),
         "motions": recording_plan(
-            arm, Wish(has_poses=False, payload_kg=PAYLOAD_kg, is_quick=True), bench.speed
+            arm, PlanRequest(has_poses=False, payload_kg=PAYLOAD_kg, is_quick=True), bench.speed
         ),
     }
     programme = programme_of(arm)

@@ -13,10 +13,11 @@ from calib.arm_problem.assembly import problem_of
 from calib.arrays import norms
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
 from calib.identify.identification import Identification, identify
+from calib.inputs import InputFile, input_file
 from calib.points.points import Points, read_points
 from calib.points.writer import PointsWriter
 from calib.report.report import write_report
-from calib.report.report_data import InputFile, ReportData, input_file
+from calib.report.report_data import ReportData
 from calib.session.moves.geometry import ArmGeometry
 from calib.session.sequence import Stage, step_through
 from calib.session.table import board_points, with_reference_tips

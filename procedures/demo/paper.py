@@ -17,9 +17,9 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array, norms
 from calib.calibration.outcome import write_calibrated_arm
+from calib.inputs import input_file
 from calib.points.points import Points, read_points
 from calib.points.writer import PointsWriter
-from calib.report.report_data import input_file
 from calib.session.table import board_points
 from control.model import table as tables
 from control.model.arm import Arm, Table

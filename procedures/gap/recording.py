@@ -15,8 +15,9 @@ from calib.errors import CalibrationError
 from calib.gap.plan.plan import GENTLE, AVERAGE_s, RecordingPlan, Run, SETTLE_s, Step, Visit
 from calib.points.writer import PointsWriter, Record
 from control.errors import ArmError
+from control.hardware.averaging import Average
 from control.model.arm import Arm
-from control.server.client import ArmClient, Average
+from control.server.client import ArmClient
 from procedures.gap.run_file import RunFile, write_log
 from procedures.iso9283.run_rows import RunRows
 from procedures.ports import RuntimePort

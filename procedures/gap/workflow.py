@@ -18,8 +18,8 @@ from calib.gap.log import Log, joined_logs, read_log
 from calib.gap.model_update import updated_arm
 from calib.gap.report import GapReport, gap_page
 from calib.gap.static.find import StaticGap, find
+from calib.inputs import input_file
 from calib.points.points import Points, joined, read_points
-from calib.report.report_data import input_file
 from control.errors import ArmError
 from control.model.arm import Arm, Calibration
 from control.model.description import save_arm

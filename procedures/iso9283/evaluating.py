@@ -5,13 +5,13 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+from calib.inputs import InputFile, input_file
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.evaluation import evaluate
 from calib.iso9283.page import write_page
 from calib.iso9283.recorded import PoseGroup, Run, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import Evaluation, write_document
 from calib.points.points import read_points
-from calib.report.report_data import InputFile, input_file
 from control.model.arm import Arm
 
 

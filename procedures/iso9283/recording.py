@@ -18,11 +18,12 @@ from calib.iso9283.files import RecordFile, log_header, points_header, text
 from calib.iso9283.programme import Extent, PathRun, Step, Visit, path_programme, programme_document, steps
 from calib.iso9283.workspace import Solver, solver_of
 from control.errors import ArmError
+from control.hardware.averaging import Average
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.motion.plan import PlannedPath, plan_path
-from control.server.client import ArmClient, Average
+from control.server.client import ArmClient
 from procedures.iso9283.run_rows import RunRows
 
 DWELL_S = 0.2  # after a move, before the average: the arm comes to rest

@@ -69,13 +69,13 @@ class Operator:
                 return GO
             line = next(self._lines, self._last_word(ask))
             try:
-                wish = understood(line)
-                if isinstance(wish, Command):
-                    return wish
-                if isinstance(wish, View):
-                    self._show(wish, ask)
+                command = understood(line)
+                if isinstance(command, Command):
+                    return command
+                if isinstance(command, View):
+                    self._show(command, ask)
                 else:
-                    self._start_auto(wish)
+                    self._start_auto(command)
             except NotUnderstood as error:
                 self._say(f"! {error}")
 
@@ -83,10 +83,10 @@ class Operator:
         """What is answered when the lines have ended: nothing is left to do with a mock arm, or nobody is there."""
         return "" if ask.question is Question.DONE and self._may_auto else "quit"
 
-    def _start_auto(self, wish: Auto) -> None:
+    def _start_auto(self, command: Auto) -> None:
         if not self._may_auto:
             raise NotUnderstood("auto: only a mock arm's session goes on by itself")
-        self._auto = wish.count
+        self._auto = command.count
 
     def _show(self, view: View, ask: Ask) -> None:
         state = self._folder.state
@@ -104,9 +104,9 @@ class Operator:
             return f"Nothing is left ({state.count(Mark.DONE)} recorded). Enter ends the session, `redo` takes a point again"
         done = len(state.targets) - len(state.left())
         where = f"[{done + 1}/{len(state.targets)}] {target.name}"
-        return f"{where}: {self._wish(ask.question, target)}"
+        return f"{where}: {self._question(ask.question, target)}"
 
-    def _wish(self, question: Question, target: Target) -> str:
+    def _question(self, question: Question, target: Target) -> str:
         """What the operator is asked for, in words."""
         if question is Question.BOARD:
             return f"set the board to {self._tilt(target.setup)}. Enter when it stands"

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from calib.arm_problem.joint_laws import LAWS
+from calib.inputs import InputFile, input_file
 from calib.points.points import Points, read_points
 from calib.points.writer import write_points
-from calib.report.report_data import InputFile, input_file
 from calib.report.verification import Verification, write_verification_json, write_verification_report
 from calib.session.table import with_reference_tips
 from calib.validation.tracks import TrackPair

@@ -172,12 +172,14 @@ def test_skip_redo_bad_and_note_do_what_they_say(tmp_path: Path) -> None:
     assert '"windy"' in (tmp_path / "s" / "journal.jsonl").read_text()
 
 
-@pytest.mark.parametrize("wish", [REDO, BAD])
-def test_a_record_that_is_withdrawn_is_no_longer_believed(tmp_path: Path, monkeypatch, wish: Command) -> None:
+@pytest.mark.parametrize("command", [REDO, BAD])
+def test_a_record_that_is_withdrawn_is_no_longer_believed(
+    tmp_path: Path, monkeypatch, command: Command
+) -> None:
     forgotten: list = []
     monkeypatch.setattr(ResidualWatch, "forget", lambda watch, key: forgotten.append(key))
     session = bench(tmp_path)
-    session.run([GO, GO, wish])
+    session.run([GO, GO, command])
     assert forgotten == [("normal", "1", 1)]
 
 

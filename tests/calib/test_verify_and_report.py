@@ -13,10 +13,11 @@ from calib_arms import REFERENCE, REFERENCE_DH, board_session, identified
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
 from calib.errors import CalibrationError
 from calib.identify import ArmModel
+from calib.inputs import input_file
 from calib.report.page import list_section, text_section
 from calib.report.path_pictures import SAMPLES_DRAWN, thinned
 from calib.report.report import report_html, write_report
-from calib.report.report_data import ReportData, input_file
+from calib.report.report_data import ReportData
 from calib.report.report_sections import parameters_section
 from calib.validation.statistics import Finding, difference, student_t
 from calib.validation.tracks import PARTS, Track, TrackPair, compare_tracks, parts_of

@@ -143,11 +143,11 @@ def _flying(rows: Rows, known: Sequence[Term], accepted: Fitted) -> tuple[str, .
 
 
 def _grown(finding: GapFinding) -> tuple[str, ...]:
-    """Said where the runs kept apart do not bear out what the others accepted."""
+    """Said where the held-out runs do not bear out what the others accepted."""
     if not finding.effects or finding.gap_after <= finding.gap_before:
         return ()
     return (
-        f"on the runs kept apart the gap grows from {finding.gap_before:.2f} to {finding.gap_after:.2f}: what was named helps"
+        f"on the held-out runs the gap grows from {finding.gap_before:.2f} to {finding.gap_after:.2f}: what was named helps"
         " the other runs alone",
     )
 

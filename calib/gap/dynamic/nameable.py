@@ -1,4 +1,4 @@
-"""What this recording could name at all, before any residual is looked at: detectability and doubles."""
+"""What this recording could name at all, before any residual is looked at: detectability and confounders."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ def nameable(arm: Arm, screen: Screen, split: Split, pool: Sequence[Candidate]) 
         signatures[candidate.name] = slopes / max(float(norms.max()), 1e-300)
     return tuple(
         Nameable(
-            name, detectable[name], (*_doubles(name, signatures), *_waves(name, signatures, detectable[name]))
+            name,
+            detectable[name],
+            (*_confounders(name, signatures), *_waves(name, signatures, detectable[name])),
         )
         for name in signatures
     )
@@ -48,7 +50,7 @@ def _typical(candidate: Candidate) -> Term:
     return candidate.starts[0]
 
 
-def _doubles(name: EffectName, signatures: dict[EffectName, Array]) -> tuple[EffectName, ...]:
+def _confounders(name: EffectName, signatures: dict[EffectName, Array]) -> tuple[EffectName, ...]:
     own = signatures[name]
     if own.shape[1] != 1 or not np.any(own):
         return ()

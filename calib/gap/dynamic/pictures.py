@@ -52,13 +52,13 @@ def dynamic_sections(outcome: DynamicOutcome) -> Iterator[Section]:
 def _about(outcome: DynamicOutcome) -> str:
     kept = ", ".join(name for name in outcome.run_names if name in outcome.split.report_runs)
     text = (
-        f"The noise floor comes from {outcome.rows.floor_source}; runs {kept} were kept apart for the report."
+        f"The noise floor comes from {outcome.rows.floor_source}; runs {kept} were held out for the report."
     )
     return paragraph(text) + (bullets(outcome.warnings) if outcome.warnings else "")
 
 
 def gap_picture(outcome: DynamicOutcome) -> str:
-    """Left: the gap after each name. Right: every cell before and after, on the runs kept apart."""
+    """Left: the gap after each name. Right: every cell before and after, on the held-out runs."""
     return svg((10.4, 3.2), lambda figure: _draw_gap(figure, outcome))
 
 
@@ -126,7 +126,7 @@ def _draw_cells(axes: Axes, outcome: DynamicOutcome) -> None:
     axes.axhline(1.0, color=PLANNED, lw=1.0, ls="--")
     axes.legend(loc="best", fontsize=8)
     axes.set(ylabel="RMS over the noise")
-    axes.set_title("by channel, runs kept apart")
+    axes.set_title("by channel, held-out runs")
 
 
 def _short(cell: Cell) -> str:

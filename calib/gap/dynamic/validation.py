@@ -1,4 +1,4 @@
-"""The last word of the runs kept apart: a name that makes them worse is no good name.
+"""Validation on the held-out runs: a name that makes them fit worse is withdrawn.
 
 They decide nothing else: no effect is found, fitted or preferred by them, so that the gap on them stays an honest one.
 """
@@ -33,7 +33,7 @@ class Validated:
 
 
 def validate(choice: Choice, steps: Sequence[Step], verdict: Verdict) -> Validated:
-    """Take back names, the worst first, with which the runs kept apart fit worse beyond the growth's deviation or share."""
+    """Take back names, the worst first, with which the held-out runs fit worse beyond the growth's deviation or share."""
     said: list[str] = []
     while True:
         terms = terms_of(steps, verdict)
@@ -45,13 +45,13 @@ def validate(choice: Choice, steps: Sequence[Step], verdict: Verdict) -> Validat
             return Validated(verdict, accepted, tuple(said))
         worst = max(worse, key=lambda k: grown[k][0])
         name = steps[worst].best.candidate.name
-        said.append(f"{name}: helps the runs that decide, but not those kept apart: not named")
+        said.append(f"{name}: helps the runs that decide, but not those held out: not named")
         verdict = _without(choice, steps[worst], verdict, worst, name)
 
 
 def _without(choice: Choice, step: Step, verdict: Verdict, k: int, name: EffectName) -> Verdict:
     cell = int(np.argmax(step.claims))
-    text = f"{where(choice, step.before.residual, cell)}: {name} does not bear it out on the runs kept apart"
+    text = f"{where(choice, step.before.residual, cell)}: {name} does not bear it out on the held-out runs"
     unknown = verdict.unknown or Unknown(text, name, verdict.explained[k])
     return replace(verdict, named=tuple(one for one in verdict.named if one != k), unknown=unknown)
 

@@ -65,7 +65,7 @@ Step = Visit | Run
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class PlanRequest:
     """What is asked for: poses, motions or both, how long, and with which load (0: none)."""
 
     has_poses: bool = True
@@ -94,17 +94,17 @@ class RecordingPlan:
         return tuple(step for step in self.steps if isinstance(step, Run))
 
 
-def recording_plan(arm: Arm, wish: Wish, speed: float = 1.0) -> RecordingPlan:
+def recording_plan(arm: Arm, request: PlanRequest, speed: float = 1.0) -> RecordingPlan:
     """Plan it; CalibrationError or ArmError where the arm has no room, or the time does not do. Nothing moves.
 
     `speed`: of the joints' limits, for moves between poses.
     """
     room = collision_free_box(arm)
-    extent, run_s, spare = (QUICK, 6.0, 1) if wish.is_quick else (FULL, 8.0, 2)
-    steps = _steps(arm, room, wish, extent, run_s, spare)
+    extent, run_s, spare = (QUICK, 6.0, 1) if request.is_quick else (FULL, 8.0, 2)
+    steps = _steps(arm, room, request, extent, run_s, spare)
     plan = RecordingPlan(room, steps, _duration_s(arm, steps, speed))
-    if wish.minutes is not None:
-        plan = _of_length(arm, room, wish, plan, run_s, speed)
+    if request.minutes is not None:
+        plan = _of_length(arm, room, request, plan, run_s, speed)
     _require_clear(arm, plan)
     return plan
 
@@ -115,44 +115,44 @@ LEAST = Extent(levels=2, spread=2, outside=0, pulled=1)
 
 
 def _of_length(
-    arm: Arm, room: CollisionFreeBox, wish: Wish, plan: RecordingPlan, run_s: float, speed: float
+    arm: Arm, room: CollisionFreeBox, request: PlanRequest, plan: RecordingPlan, run_s: float, speed: float
 ) -> RecordingPlan:
     """More or fewer poses and runs, until the time is used. CalibrationError where the least takes longer."""
-    wanted_s = 60.0 * (wish.minutes or 0.0)
+    wanted_s = 60.0 * (request.minutes or 0.0)
     best = None
     for spread in (2, 4, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256):
         extent = dataclasses.replace(LEAST if spread < 8 else QUICK if spread < 16 else FULL, spread=spread)
-        steps = _steps(arm, room, wish, extent, run_s, max(0, spread // 8))
+        steps = _steps(arm, room, request, extent, run_s, max(0, spread // 8))
         length_s = _duration_s(arm, steps, speed)
         if length_s > wanted_s:
             if best is None:
                 raise CalibrationError(
-                    f"--minutes {wish.minutes:g}: the least that tells anything takes {length_s / 60.0:.1f} minutes"
+                    f"--minutes {request.minutes:g}: the least that tells anything takes {length_s / 60.0:.1f} minutes"
                 )
             break
         best = RecordingPlan(room, steps, length_s)
-        if not wish.has_poses and spread >= 32:
+        if not request.has_poses and spread >= 32:
             break
     return best or plan
 
 
 def _steps(
-    arm: Arm, room: CollisionFreeBox, wish: Wish, extent: Extent, run_s: float, spare: int
+    arm: Arm, room: CollisionFreeBox, request: PlanRequest, extent: Extent, run_s: float, spare: int
 ) -> tuple[Step, ...]:
     empty: list[Step] = []
     loaded: list[Step] = []
-    if wish.has_poses:
+    if request.has_poses:
         poses = static_poses(arm, room.inset(MARGIN_rad), extent)
         draw = np.random.default_rng(SEED)
         blocks = _blocks(poses, draw)
         shuffled = [poses[k] for k in draw.permutation(len(poses)).tolist()]
-        some = shuffled[: round(SHARE_LOADED * len(poses))] if wish.payload_kg > 0.0 else []
+        some = shuffled[: round(SHARE_LOADED * len(poses))] if request.payload_kg > 0.0 else []
         for number, block in enumerate(blocks):
             empty += _visits(block, room, 0.0, number)
         for number, block in enumerate(_blocks(some, draw), start=len(blocks)):
-            loaded += _visits(block, room, wish.payload_kg, number)
-    if wish.has_motions:
-        runs = list(_runs(arm, room.inset(MARGIN_rad), wish.payload_kg, run_s, spare))
+            loaded += _visits(block, room, request.payload_kg, number)
+    if request.has_motions:
+        runs = list(_runs(arm, room.inset(MARGIN_rad), request.payload_kg, run_s, spare))
         empty += [run for run in runs if not run.payload_kg]
         loaded += [run for run in runs if run.payload_kg]
     return (*empty, *loaded)
@@ -171,8 +171,8 @@ def _blocks(poses: Sequence[Pose], draw: np.random.Generator) -> list[list[Pose]
 def _visits(poses: Sequence[Pose], room: CollisionFreeBox, payload_kg: float, number: int) -> Iterator[Visit]:
     """A block: every pose from two opposite sides, every other one from the other pair of sides; the reference in between.
 
-    The reference comes from all four sides first. In which order is another in each block, so that each side is kept apart for
-    the report in some block: what is kept apart is what comes from the side that came last.
+    The reference comes from all four sides first. In which order is another in each block, so that each side is held out for
+    the report in some block: what is held out is what comes from the side that came last.
     """
     reference = Pose(REFERENCE, tuple(round(float(q), 6) for q in room.middle_rad))
     sides = _sides(len(room.lower_rad), number)

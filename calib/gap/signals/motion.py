@@ -24,13 +24,13 @@ from control.errors import MissingModel
 
 Places = npt.NDArray[np.intp]
 WINDOW_s, BETWEEN_s = 0.2, 0.25
-FEWEST_WINDOWS = 3  # of the runs kept apart
+FEWEST_WINDOWS = 3  # of the held-out runs
 OPEN, CLOSED = "q_rad", "q_loop_rad"
 
 
 @dataclass(frozen=True, slots=True)
 class MotionGap:
-    """Root mean square of simulated less measured angles [rad] on the runs kept apart, and the floor of that."""
+    """Root mean square of simulated less measured angles [rad] on the held-out runs, and the floor of that."""
 
     floor_rad: float
     before_rad: float

@@ -1,4 +1,4 @@
-"""Static poses from end to end: floor, what could be named, what is named, what is left, and the gap on poses kept apart."""
+"""Static poses from end to end: floor, what could be named, what is named, what is left, and the gap on held-out poses."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def _draw_recordings(figure: Figure, gap: StaticGap) -> None:
     )
     axes.set_ylabel("RMS over the noise")
     axes.set_title(
-        "by recording (setup|payload|approach): geometry alone (squares), with what is named (circles); * kept apart"
+        "by recording (setup|payload|approach): geometry alone (squares), with what is named (circles); * held out"
     )
 
 

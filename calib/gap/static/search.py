@@ -137,7 +137,9 @@ class Search:
             if one.name in sure and not any(is_same_joint(one, shape) for shape in confounded.values())
         ]
         verdict = judge(accepted, decision.leader, self.bare, fit, left, self.parts.known, self.floor)
-        if verdict.unknown is not None or not (confounded or broken):  # orphans come with one of these
+        if verdict.unknown is not None or not (
+            confounded or broken
+        ):  # unsupported names come with one of these
             return verdict
         share = round(explained_share(self.bare, fit, self.parts.known, self.floor.tip_m), 3)
         for number, shape in confounded.items():

@@ -1,4 +1,4 @@
-"""Names that the runs kept apart contradict are taken back, and said."""
+"""Names that the held-out runs contradict are taken back, and said."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_a_name_that_the_runs_kept_apart_contradict_is_unknown_with_a_sentence()
     assert outcome.finding.unknown is not None
     assert outcome.finding.gap_after == outcome.finding.gap_before
     assert outcome.finding.unknown.nearest == LOAD_2
-    assert any("not those kept apart" in text for text in outcome.warnings)
+    assert any("not those held out" in text for text in outcome.warnings)
 
 
 def test_a_name_that_they_bear_out_stays() -> None:

@@ -71,7 +71,7 @@ def test_friction_behind_a_spring_is_transmitted_by_it() -> None:
 
 
 def test_friction_on_a_loose_link_decides_its_flank() -> None:
-    """Without a load of its own a rubbing link drags behind its motor."""
+    """Without a load of its own a link with friction drags behind its motor."""
     still = np.zeros((1000, 1))
     drive = Follower(still, still + 0.05, still, PERIOD_s, still + 0.3, 0.4, 0.0)
     found = loose(drive, 0.01, share=1.0)

@@ -11,7 +11,7 @@ from calib.errors import CalibrationError
 from calib.gap.plan.collision_free_box import CLEARANCE_m, clear, collision_free_box
 from calib.gap.plan.foresight import as_recorded, in_words
 from calib.gap.plan.motions import Limits, demand, multisine, poses_of, ramps, shake
-from calib.gap.plan.plan import REFERENCE, Wish, recording_plan
+from calib.gap.plan.plan import REFERENCE, PlanRequest, recording_plan
 from calib.gap.plan.poses import APPROACH_rad
 from calib.gap.static.split import split
 from control.dynamics.static_pose import gravity_Nm
@@ -20,7 +20,7 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 
 RIGHT = load_arm("right")
-QUICK = Wish(payload_kg=0.5, is_quick=True)
+QUICK = PlanRequest(payload_kg=0.5, is_quick=True)
 
 
 @pytest.fixture(scope="module")
@@ -117,11 +117,13 @@ def test_poses_come_shuffled_with_the_reference_in_between_and_the_load_last(qui
     assert set(loads) == {0.0, 0.5}
 
 
-@pytest.mark.parametrize("wish", [QUICK, Wish(has_motions=False), Wish(has_motions=False, minutes=1.6)])
+@pytest.mark.parametrize(
+    "asked", [QUICK, PlanRequest(has_motions=False), PlanRequest(has_motions=False, minutes=1.6)]
+)
 def test_each_side_of_each_block_is_a_recording_and_a_fifth_of_all_is_kept_apart_with_every_side(
-    wish,
+    asked,
 ) -> None:
-    plan = recording_plan(RIGHT, wish)
+    plan = recording_plan(RIGHT, asked)
     points = as_recorded(RIGHT, plan.visits, plan.duration_s)
     parts = split(points)
     assert parts.recordings_count == 4 * len(set(points.setup))
@@ -130,7 +132,7 @@ def test_each_side_of_each_block_is_a_recording_and_a_fifth_of_all_is_kept_apart
     if len(set(points.setup)) < 4:
         return
     assert len(np.unique(points.direction[parts.report], axis=0)) == 4
-    # each block goes over much of the room, and what is kept apart over most of it
+    # each block goes over much of the room, and what is held out over most of it
     for setup in set(points.setup):
         own = points.q_rad[np.array(points.setup) == setup]
         assert (np.ptp(own, axis=0) > 0.4 * plan.room.width_rad).all()
@@ -161,18 +163,18 @@ def test_records_have_keys_of_their_own_and_the_plan_is_the_same_every_time(quic
 
 
 def test_only_poses_or_only_motions() -> None:
-    assert not recording_plan(RIGHT, Wish(has_motions=False, is_quick=True)).runs
-    assert not recording_plan(RIGHT, Wish(has_poses=False, is_quick=True)).visits
+    assert not recording_plan(RIGHT, PlanRequest(has_motions=False, is_quick=True)).runs
+    assert not recording_plan(RIGHT, PlanRequest(has_poses=False, is_quick=True)).visits
 
 
 def test_the_time_that_is_given_is_used_and_not_passed() -> None:
-    short = recording_plan(RIGHT, Wish(has_motions=False, minutes=1.6))
-    longer = recording_plan(RIGHT, Wish(has_motions=False, minutes=3.0))
+    short = recording_plan(RIGHT, PlanRequest(has_motions=False, minutes=1.6))
+    longer = recording_plan(RIGHT, PlanRequest(has_motions=False, minutes=3.0))
     assert short.duration_s <= 96.0
     assert 144.0 < longer.duration_s <= 180.0
     assert len(longer.visits) > len(short.visits)
     with pytest.raises(CalibrationError, match="the least that tells anything takes"):
-        recording_plan(RIGHT, Wish(minutes=0.2))
+        recording_plan(RIGHT, PlanRequest(minutes=0.2))
 
 
 def test_what_a_plan_would_make_nameable_is_said_before_anything_moves(quick) -> None:
@@ -198,6 +200,6 @@ def test_an_arm_without_masses_is_planned_for_all_the_same() -> None:
             dataclasses.replace(link, mass_kg=None, com_m=None, inertia_kg_m2=None) for link in RIGHT.links
         ),
     )
-    plan = recording_plan(bare, Wish(has_motions=False, is_quick=True))
+    plan = recording_plan(bare, PlanRequest(has_motions=False, is_quick=True))
     assert not [visit for visit in plan.visits if visit.point.startswith("g")]
     assert np.isnan(as_recorded(bare, plan.visits, plan.duration_s).current_A).all()

@@ -25,9 +25,9 @@ def cell() -> Iterator[Cell]:
         yield cell
 
 
-def jog(cell: Cell, duration_s: float, **wish: object) -> None:
+def jog(cell: Cell, duration_s: float, **request: object) -> None:
     """Ask, and renew every 0.1 s."""
-    cell.client.ask("jog", **wish)
+    cell.client.ask("jog", **request)
     for _ in range(round(duration_s / 0.1)):
         cell.run(0.1)
         cell.client.ask("jog_on")

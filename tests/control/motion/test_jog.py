@@ -43,8 +43,8 @@ class Hand:
         self.now_s = 0.0
         self.states = [self.state]
 
-    def ask(self, wish):
-        self.jogging.ask(self.now_s, wish, self.state)
+    def ask(self, request):
+        self.jogging.ask(self.now_s, request, self.state)
 
     def hold(self, duration_s, renews=True):
         for cycle in range(round(duration_s / PERIOD_S)):
@@ -229,7 +229,7 @@ def test_whatever_is_asked_for_in_whatever_pose_all_limits_hold(seed):
         return tuple(draw.choice([0.0, draw.uniform(-most, most)]) for _ in range(3))
 
     for _ in range(12):
-        wish = draw.choice(
+        request = draw.choice(
             [
                 JointSpeeds(some(3.0)),
                 TipVelocity(some(0.4)),
@@ -239,7 +239,7 @@ def test_whatever_is_asked_for_in_whatever_pose_all_limits_hold(seed):
             ]
         )
         try:
-            hand.ask(wish)
+            hand.ask(request)
         except ArmError:
             continue
         hand.hold(draw.choice([0.02, 0.1, 0.5, 1.0]), renews=draw.random() < 0.8)
