@@ -17,7 +17,7 @@ from control.loop.assemble import assemble
 from control.loop.client import ArmClient
 from control.loop.connect import connect
 from control.loop.in_process import InProcessChannel
-from control.loop.record import Layout
+from control.loop.record import Layout, NoSink
 from control.model.arm import Arm
 from control.model.joint_side import has_joint_side
 from control.model.kinematics import Kinematics
@@ -31,7 +31,7 @@ MOVING = list(Mode).index(Mode.MOVING)
 Points = NDArray[np.float64]
 
 
-class TruthSink:
+class TruthSink(NoSink):
     """A recording that keeps the set-points of motions, and what the mock knows of its tip at the same time."""
 
     def __init__(self, rig: MockArm, layout: Layout) -> None:

@@ -8,6 +8,7 @@ from calib.errors import CalibrationError
 from console.demo.bench import SteppedBench
 from console.folders import free_folder
 from console.scenario_file import seeded_scenario
+from control.files import write_whole
 from control.loop.client import ArmClient
 from control.model.arm import Arm
 
@@ -28,7 +29,7 @@ def kept_mock(
         raise CalibrationError(
             f"{kept}: the records here are of another mock arm: choose another folder with --out"
         )
-    kept.write_bytes(drawn)
+    write_whole(kept, drawn)
     log = free_folder(out / "log")
     bench = SteppedBench(arm, kept, log)
     try:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from console.folders import write_whole
 from control.errors import ArmError
+from control.files import write_whole
 
 KEYS = {"q_rad", "tip_m"}
 

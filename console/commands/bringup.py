@@ -14,6 +14,7 @@ from console.bringup.opening import Setting, opened
 from console.bringup.operator import Operator, Stopped
 from console.bringup.procedure import Options, Outcome, bring_up, serial_numbers
 from console.bringup.terminal import TerminalOperator
+from console.folders import require_writable
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import save_arm
@@ -33,6 +34,7 @@ def run(given: argparse.Namespace) -> int:
         )
     if not out.parent.is_dir():
         raise ArmError(f"--out {out}: there is no folder {out.parent}")
+    require_writable(out.parent)
     if not 0.02 <= given.speed <= FASTEST_rad_s:
         raise ArmError(f"--speed: expected 0.02 to {FASTEST_rad_s:g} rad/s, got {given.speed:g}")
     with opened(given) as setting:

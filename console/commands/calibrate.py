@@ -21,6 +21,7 @@ from calib.points import Points, joined, read_points
 from calib.report import write_report
 from calib.report_data import InputFile, input_file
 from console.commands.progress import Bar
+from console.folders import require_writable
 from console.quantities import quantity, unit_of
 from control.errors import ArmError
 from control.model.arm import Arm
@@ -34,6 +35,7 @@ def run(given: argparse.Namespace) -> int:
     """Read, identify, judge, write. Nothing is written before everything is read and found usable."""
     arm, out, forms = load_arm(given.arm), Path(given.out), _forms(given.export or [])
     _require_no_results(out, forms)
+    require_writable(out)
     plan = _plan(given)
     points, warnings = _read(given, arm)
     with Bar("calibrate") as bar:

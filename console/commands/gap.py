@@ -12,6 +12,7 @@ from calib.gap.finding import gap_content
 from calib.gap.words import in_words
 from console.commands.connection import connected
 from console.commands.progress import Bar
+from console.folders import require_writable
 from console.gap.workflow import Outcome, known_effects, look, read_inputs, require_free, say_warnings, write
 from control.errors import ArmError
 from control.model.arm import Arm
@@ -31,6 +32,8 @@ def run(given: argparse.Namespace) -> int:
     arm, out = load_arm(given.arm), Path(given.out)
     without = known_effects(given.without or [])
     require_free(out)
+    if not given.plan_only:
+        require_writable(out)
     if given.record:
         return _record(given, arm, out, without)
     for name in (

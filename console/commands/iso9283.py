@@ -12,6 +12,7 @@ from calib.iso9283.programme import PROGRAMMES, Extent
 from calib.iso9283.workspace import largest_cube
 from console.commands.connection import connected
 from console.commands.progress import Bar
+from console.folders import require_writable
 from console.iso9283 import recording
 from console.iso9283.evaluating import evaluate_files
 from control.errors import ArmError
@@ -34,6 +35,8 @@ def run(given: argparse.Namespace) -> int:
         raise Iso9283Error(
             f"give one of --points FILE, --record and --mock; got {' and '.join('--' + w for w in ways) or 'none'}"
         )
+    if not given.plan_only:
+        require_writable(Path(given.out))
     if given.points:
         points, logs = Path(given.points), [Path(log) for log in given.log or ()]
         return _evaluate(given, arm, points, logs, _programme(given, points), ())

@@ -19,6 +19,7 @@ from calib.session.take import SessionSettings
 from calib.session.watch import ResidualWatch
 from calib.session.ways import Ways
 from console.commands.connection import connected
+from console.folders import require_writable
 from console.ports import RuntimePort
 from console.session.mock_session import SCENARIO, MockSession, mock_session
 from console.session.operator import Operator
@@ -42,6 +43,7 @@ def run(given: argparse.Namespace) -> int:
     if wanted is not None:
         wanted.require_sound()  # what is wrong with it is said before there is a folder, or a connection
         Boards(arm, wanted)
+    require_writable(Path(given.out))
     front = Front(lines, say, operator)
     if given.mock:
         _with_mock(given, arm, wanted, front)

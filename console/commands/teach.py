@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 
 from console.commands.connection import connected
-from console.folders import write_whole
 from control.errors import ArmError
+from control.files import write_whole
 from control.motion.waypoints import POSITION_COLUMNS
 
 HEADER = ",".join(POSITION_COLUMNS)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from console.bringup.opening import opened
 from console.commands.progress import Bar
+from console.folders import require_writable
 from console.tuning.procedure import NotTuned, Options, Result, tune
 from control.errors import ArmError
 from control.model.arm import Arm
@@ -24,6 +25,7 @@ def run(given: argparse.Namespace) -> int:
             raise ArmError(f"--out: {path} is there already, and nothing is overwritten: take another name")
     if not out.parent.is_dir():
         raise ArmError(f"--out {out}: there is no folder {out.parent}")
+    require_writable(out.parent)
     with opened(given) as setting:
         options = _options(given, setting.draft)
         if setting.rig is None and not given.yes and not _allowed(setting.draft, options):

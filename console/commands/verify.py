@@ -12,13 +12,14 @@ from calib.verification import Verification
 from calib.verify import comparison_text
 from console.commands.connection import connected
 from console.commands.progress import Bar
-from console.folders import free_folder
+from console.folders import free_folder, require_writable
 from console.verify.models import Model, Pair, believed_by, nominal_of
 from console.verify.places import places, ways
 from console.verify.procedure import Drive, driven, on_recorded, write
 from console.verify.survey import Programme
 from console.verify.tracks import wait_until_recorded
 from control.errors import ArmError
+from control.files import write_whole
 from control.loop.client import ArmClient
 from control.model import table as tables
 from control.model.arm import Arm
@@ -41,6 +42,7 @@ def run(given: argparse.Namespace) -> int:
     """Verify; exit status 1 where the calibrated arm is worse by more than chance, or the arm could not go on."""
     calibrated = load_arm(given.arm)
     pair = Pair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
+    require_writable(Path(given.out))
     if given.points is not None:
         return _finish(given, on_recorded(pair, Path(given.points)), free_folder(Path(given.out)))
     programme, notes = _programme(given, calibrated)
@@ -117,7 +119,7 @@ def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) ->
     text = seeded_scenario(given.scenario, None, was_homed=not can_home)
     out.mkdir(parents=True)
     scenario = out / "scenario.toml"
-    scenario.write_bytes(text)
+    write_whole(scenario, text)
     bench = SteppedBench(nominal, scenario, out / "log")
     stack.callback(bench.close)
     client = bench.start(pair.calibrated.arm)

@@ -27,6 +27,7 @@ from console.demo.paper_moves import Mover, Pose
 from console.demo.paper_page import paper_page
 from console.demo.paper_poses import SETUPS, Target, free_poses, other_trajectory, verification_targets
 from console.demo.paper_result import Replay, document
+from control.files import write_whole
 from control.model import table as tables
 from control.model.arm import Arm, Table
 
@@ -127,9 +128,9 @@ def _written(arm: Arm, replay: Replay, out: Path) -> Outcome:
         _write_arm(out / f"arm_{_in_file(model.name)}.toml", arm, model, inputs, date, program)
     figures = out / "paper.json"
     text = json.dumps(document(replay, program, date, inputs), indent=2, allow_nan=False)
-    figures.write_text(text + "\n", encoding="utf-8")
+    write_whole(figures, text + "\n")
     report = out / "report.html"
-    report.write_text(paper_page(replay, arm.name, f"{date} · {program}", inputs), encoding="utf-8")
+    write_whole(report, paper_page(replay, arm.name, f"{date} · {program}", inputs))
     return Outcome(replay, report, figures)
 
 

@@ -18,6 +18,7 @@ from console.gap.run_file import RunFile, write_log
 from console.iso9283.run_rows import RunRows
 from console.ports import RuntimePort
 from control.errors import ArmError
+from control.files import write_whole
 from control.loop.client import ArmClient, Average
 from control.model.arm import Arm
 
@@ -52,7 +53,7 @@ def note_plan(out: Path, plan: RecordingPlan, arm: Arm) -> None:
             f"{path}: the records here are of another plan or arm: give the same options to go on with it, or another --out"
         )
     out.mkdir(parents=True, exist_ok=True)
-    path.write_text(wanted, encoding="utf-8")
+    write_whole(path, wanted)
 
 
 def plan_document(plan: RecordingPlan, arm: Arm) -> dict[str, object]:

@@ -15,6 +15,7 @@ from console.demo.bench import SteppedBench
 from console.ports import HandPort, MockHandSeat
 from console.scenario_file import seeded_scenario
 from console.session.mock_board import hidden_place
+from control.files import write_whole
 from control.loop.client import ArmClient
 from control.model.arm import Arm
 from hil_mocks.scenario import load_scenario
@@ -62,7 +63,7 @@ def _kept_scenario(arm: Arm, folder: SessionFolder, name: str | None) -> Path:
     if not file.exists():
         if folder.points() is not None:
             raise SessionError(f"{folder.path} is the session of a real arm: leave --mock away")
-        file.write_bytes(seeded_scenario(name or DEFAULT_SCENARIO, None, was_homed=not can_home))
+        write_whole(file, seeded_scenario(name or DEFAULT_SCENARIO, None, was_homed=not can_home))
     elif name is not None and file.read_bytes() != seeded_scenario(name, None, was_homed=not can_home):
         raise SessionError(f"{folder.path} was begun with another scenario ({file}): leave --scenario away")
     return file

@@ -11,6 +11,7 @@ import numpy as np
 from calib.drawing import AFTER, BEFORE, svg
 from calib.page import Section, bullets, page, pair, paragraph, table
 from console.tuning.procedure import LEAST_GAIN_dB, LEAST_PHASE_deg, Result, Trial, Tuned
+from control.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +28,7 @@ HEADER = (
 def write_report(result: Result, path: Path, about: str) -> None:
     """One HTML file without outside resources."""
     parts = [_summary(result), *(_joint(tuned) for tuned in result.joints)]
-    path.write_text(page("Tuning", result.arm.name, about, parts), "utf-8")
+    write_whole(path, page("Tuning", result.arm.name, about, parts))
 
 
 def rows(tuned: Tuned) -> list[tuple[str, ...]]:

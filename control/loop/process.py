@@ -130,7 +130,7 @@ def _start_writer(arm: Arm, recording: Path) -> tuple["subprocess.Popen[bytes]",
             sys.executable, "-m", "control.loop.writer", str(recording), str(kept.rotate_bytes), str(kept.keep_bytes),
         ],
         stdin=read_fd,
-        stdout=of_writer,
+        stdout=of_writer.fileno(),
         start_new_session=True,
     )  # fmt: skip
     os.close(read_fd)

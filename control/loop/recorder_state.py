@@ -37,7 +37,10 @@ class RecorderState:
     def usage(self) -> str:
         """What it takes, in words: `400 MB/h, room for 31 h`."""
         rate = f"{1e-6 * self.bytes_per_h:.0f} MB/h"
-        return rate if self.hours_left is None else f"{rate}, room for {self.hours_left:.3g} h"
+        if self.hours_left is None:
+            return rate
+        left = f"{self.hours_left:.0f} h" if self.hours_left >= 2.0 else f"{60.0 * self.hours_left:.0f} min"
+        return f"{rate}, room for {left}"
 
 
 def hours_left(folder: Path, bytes_per_h: float) -> float | None:

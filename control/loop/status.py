@@ -98,8 +98,8 @@ def _recorder_warnings(recorder: RecorderState) -> list[str]:
         )
     elif recorder.lost_rows:
         warnings.append(f"{recorder.lost_rows} cycles were not recorded: the disk was full or too slow")
-    if recorder.hours_left is not None and recorder.hours_left < FEW_HOURS:
-        warnings.append(f"{recorder.file}: the disk has room for {recorder.hours_left:.2g} h of recording")
+    if recorder.is_on and recorder.hours_left is not None and recorder.hours_left < FEW_HOURS:
+        warnings.append(f"{recorder.file}: the disk is full after {60.0 * recorder.hours_left:.0f} min more")
     return warnings
 
 
