@@ -85,6 +85,10 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
         return 1
     except NotWritten as error:
         return fail(str(error), 1)
+    except UnicodeEncodeError as error:
+        return fail(
+            f"{error.object!r} cannot be written in {error.encoding}: set a UTF-8 locale (LC_ALL=C.UTF-8)", 2
+        )
     except OSError as error:  # a folder that cannot be made, a file that cannot be read
         return fail(
             f"{error.filename or 'the system'}: {error.strerror or error}", 1 if error.errno in NO_ROOM else 2

@@ -34,6 +34,8 @@ def plainly(error: UnicodeError) -> tuple[str | bytes, int]:
 
 
 def _reconfigure(stream: TextIO | None, errors: str) -> None:
-    reconfigure = getattr(stream, "reconfigure", None)  # a stream that a test or a caller put there may have none
+    reconfigure = getattr(
+        stream, "reconfigure", None
+    )  # a stream that a test or a caller put there may have none
     if reconfigure is not None:
         reconfigure(errors=errors)

@@ -48,7 +48,7 @@ def make_whole(path: Path, write: Callable[[Path], T]) -> T:
 
 def write_whole(path: Path, content: str | bytes) -> None:
     """The file with this content (text in UTF-8), or as it was. NotWritten names `path`."""
-    written = _utf_8(content) if isinstance(content, str) else content
+    written = utf_8(content) if isinstance(content, str) else content
     make_whole(path, lambda beside: beside.write_bytes(written))
 
 
@@ -89,16 +89,16 @@ def require_writable(folder: Path) -> None:
                 part.rmdir()
 
 
+def utf_8(text: str) -> bytes:
+    """The text in UTF-8, with whatever bytes of file names it carries: as the characters that they are, else as U+FFFD."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace").encode()
+
+
 def _beside(path: Path) -> Path:
     """A hidden name in the same folder with the same endings, which writers choose a format by."""
     named = path.with_name(f".partial-{path.name}")
     is_short = len(os.fsencode(named.name)) <= LONGEST_NAME_bytes
     return named if is_short else path.with_name(f".partial{path.suffix}")
-
-
-def _utf_8(text: str) -> bytes:
-    """The text with whatever bytes of file names it carries: as the characters that they are, else as U+FFFD."""
-    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace").encode()
 
 
 def _write_all(fd: int, content: bytes) -> None:

@@ -36,7 +36,10 @@ def export(arm: Arm, form: str, path: Path) -> tuple[str, ...]:
     text = export_text(arm, form)
     if path.exists():
         raise CalibrationError(f"{path}: exists already, and an export overwrites nothing; name another file")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be written: {error.strerror or error}") from None
     write_whole(path, text)
     return losses(arm, form)
 
