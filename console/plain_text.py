@@ -25,6 +25,8 @@ def prepare_streams() -> None:
 
 def plainly(error: UnicodeError) -> tuple[str | bytes, int]:
     """What stands for the first character that cannot be encoded, and where to go on: a handler for `codecs`."""
+    if isinstance(error, UnicodeDecodeError):  # of a stream that is read as well
+        return "\ufffd", error.end
     if not isinstance(error, UnicodeEncodeError):
         raise error
     character, after = error.object[error.start], error.start + 1

@@ -120,11 +120,11 @@ def _figures(joint: int, result: Diagnosis) -> str:
         ("gear_ratio", "gear {:.2f}"),
         ("coulomb_Nm", "friction {:.2f} Nm"),
         ("viscous_Nm_s_rad", "+ {:.2f} Nm s/rad"),
-        ("lower_stop_rad", "stops {:+.3f}"),
-        ("upper_stop_rad", "to {:+.3f} rad"),
+        ("lower_stop_rad", "stops {:+.1f}"),
+        ("upper_stop_rad", "to {:+.1f} deg"),
         ("torque_constant_Nm_A", "k {:.4f} Nm/A"),
         ("resistance_ohm", "{:.3f} ohm"),
     ):
         if math.isfinite(figures.get(key, math.nan)):
-            parts.append(text.format(figures[key]))
+            parts.append(text.format(math.degrees(figures[key]) if key.endswith("_rad") else figures[key]))
     return ", ".join(parts)

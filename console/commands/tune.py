@@ -71,13 +71,13 @@ def _allowed(arm: Arm, options: Options) -> bool:
 def _write(result: Result, draft: Arm, out: Path, page: Path) -> None:
     from dataclasses import replace
 
-    from console.tuning.report import HEADER, rows, worst_pose, write_report
+    from console.tuning.report import header, rows, worst_pose, write_report
 
     pids = {drive.joint: drive.pid for drive in result.arm.drives}
     drives = tuple(replace(drive, pid=pids[drive.joint]) for drive in draft.drives)
     save_arm(replace(draft, drives=drives), out)
     write_report(result, page, f"from {draft.path}; armwright {version('armwright')}")
-    lines = [HEADER, *(row for tuned in result.joints for row in rows(tuned))]
+    lines = [header(draft), *(row for tuned in result.joints for row in rows(tuned))]
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     for line in lines:
         sys.stdout.write(

@@ -12,6 +12,7 @@ from calib.drawing import AFTER, BEFORE, svg
 from calib.page import Section, bullets, page, pair, paragraph, table
 from console.tuning.procedure import LEAST_GAIN_dB, LEAST_PHASE_deg, Result, Trial, Tuned
 from control.files import write_whole
+from control.model.arm import Arm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,10 +20,15 @@ if TYPE_CHECKING:
 
 MEASURED = "#1d2430"
 TICKS_Hz = (2, 5, 10, 20, 50)
-HEADER = (
-    "joint", "gains", "kp", "ki", "kd", "gain margin", "phase margin", "crossover", "overshoot", "settling",
-    "following error",
-)  # fmt: skip
+
+
+def header(arm: Arm) -> tuple[str, ...]:
+    """Heads of the columns; the gains' units are those of the drives' mode."""
+    unit = "A" if arm.drives[0].pid.mode == "current" else "V"
+    return (
+        "joint", "gains", f"kp [{unit}/rad]", f"ki [{unit}/(rad s)]", f"kd [{unit} s/rad]", "gain margin", "phase margin",
+        "crossover", "overshoot", "settling", "following error",
+    )  # fmt: skip
 
 
 def write_report(result: Result, path: Path, about: str) -> None:
@@ -69,7 +75,7 @@ def _summary(result: Result) -> Section:
     )
     notes = [worst_pose(tuned) for tuned in result.joints]
     notes += [caution for tuned in result.joints for caution in tuned.cautions]
-    return Section("What came out", paragraph(wanted) + table(HEADER, lines) + bullets(notes))
+    return Section("What came out", paragraph(wanted) + table(header(result.arm), lines) + bullets(notes))
 
 
 def worst_pose(tuned: Tuned) -> str:
