@@ -248,6 +248,22 @@ class RecordError(ArmError):
     """A recording that cannot be read."""
 
 
+def _require_columns(layout: Layout) -> None:
+    """ValueError where the columns are not those of so many joints. What later versions added may be missing."""
+    if type(layout.joint_count) is not int or not 1 <= layout.joint_count <= len(layout.names):
+        raise ValueError(f"joint_count {layout.joint_count!r} does not go with {len(layout.names)} columns")
+    later = {f"counted{joint}_s" for joint in range(1, layout.joint_count + 1)}
+    for name in Layout.of(layout.joint_count).names:
+        if name not in layout.names and name not in later:
+            raise ValueError(f"column {name} of {layout.joint_count} joints is missing")
+
+
+def _require_numbers(header: dict[str, Any]) -> None:
+    for key in ("started_unix_s", "period_s"):
+        if not isinstance(header.get(key, 0.0), int | float):
+            raise ValueError(f"{key} is no number: {header[key]!r}")
+
+
 @dataclass(frozen=True, slots=True)
 class Recording:
     """A recording on disk: its header and where its rows begin."""
@@ -273,8 +289,8 @@ class Recording:
             packing = struct.Struct(header["packing"])
             layout = Layout(header["joint_count"], tuple(header["names"]), packing)
             packing.pack(*(0 for _ in layout.names))  # as many values as names
-            if not layout.names:
-                raise ValueError("it names no columns")
+            _require_columns(layout)
+            _require_numbers(header)
         except (ValueError, KeyError, TypeError, struct.error) as error:
             raise RecordError(f"{path}: the header of this recording is damaged ({error})") from error
         return cls(path, header, layout, len(MAGIC) + 4 + length)

@@ -89,7 +89,9 @@ def header(**changes: object) -> bytes:
         b"", b"hello", MAGIC, MAGIC + b"\x01\x00\x00\x00", MAGIC + struct.pack("<I", 2**31) + b"{}",
         MAGIC + struct.pack("<I", 2) + b"[]", MAGIC + struct.pack("<I", 4) + b"\xff\xfe\xfd\xfc",
         header(names="absent"), header(packing="absent"), header(joint_count="absent"), header(packing="<dz"),
-        header(packing="<", names=[]), header(names=5), header(packing=5), header(names=["t_s"]),
+        header(packing="<", names=[]), header(joint_count=3), header(joint_count=10**9), header(joint_count=True),
+        header(started_unix_s="yesterday"), header(names=["other", *LAYOUT.names[1:]]),
+        header(names=5), header(packing=5), header(names=["t_s"]),
     ],
     ids=lambda start: repr(start[:24]),
 )  # fmt: skip
