@@ -61,7 +61,7 @@ def test_a_verification_reads_every_part_and_waits_for_the_newest(tmp_path: Path
         ["session", "--mock", "--out", "{}/session"],
         ["gap", "--record", "--mock", "--out", "{}/gap"],
         ["iso9283", "--mock", "--out", "{}/iso"],
-        ["verify", "--mock", "--out", "{}/verify"],
+        ["verify", "--mock", "--against", "left", "--arm", "right", "--out", "{}/verify"],
         ["demo", "--out", "{}/demo"],
         ["plan-poses", "--out", "{}/plan"],
     ],
