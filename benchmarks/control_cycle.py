@@ -84,7 +84,7 @@ class DrainedPipe:
 
     def __init__(self) -> None:
         self._out, into = os.pipe()
-        self.sink = PipeSink(into, b"-")
+        self.sink = PipeSink(into)
 
     def drain(self) -> None:
         """Take all that is in it."""

@@ -16,7 +16,7 @@ from control.dynamics.joint_side import has_joint_side
 from control.hardware.connect import connect
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
-from control.recording.record import Layout
+from control.recording.record import Layout, NoSink
 from control.safety.table import Mode
 from control.server.assemble import assemble
 from control.server.client import ArmClient
@@ -31,7 +31,7 @@ MOVING = list(Mode).index(Mode.MOVING)
 Points = NDArray[np.float64]
 
 
-class TruthSink:
+class TruthSink(NoSink):
     """A recording that keeps the set-points of motions, and what the mock knows of its tip at the same time."""
 
     def __init__(self, rig: MockArm, layout: Layout) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from console import options
 from console.commands.table import COMMANDS
+from console.plain_text import prepare_streams
 
 
 def parser() -> argparse.ArgumentParser:
@@ -40,6 +41,7 @@ def _usage_of(top: argparse.ArgumentParser, command: str | None) -> argparse.Arg
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
+    prepare_streams()
     top = parser()
     given, unknown = top.parse_known_args(arguments)
     if unknown:
@@ -65,6 +67,7 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
     """Run a command and turn what the packages raise into one message and an exit status."""
     from calib.errors import CalibrationError
     from control.errors import ArmError
+    from control.files import NO_ROOM, NotWritten
     from control.server.client import ArmFaulted, MotionStopped
     from firmware_iface.errors import LinkError
     from hil_mocks.errors import MockError
@@ -80,8 +83,16 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return 1
+    except NotWritten as error:
+        return fail(str(error), 1)
+    except UnicodeEncodeError as error:
+        return fail(
+            f"{error.object!r} cannot be written in {error.encoding}: set a UTF-8 locale (LC_ALL=C.UTF-8)", 2
+        )
     except OSError as error:  # a folder that cannot be made, a file that cannot be read
-        return fail(f"{error.filename or 'the system'}: {error.strerror or error}", 2)
+        return fail(
+            f"{error.filename or 'the system'}: {error.strerror or error}", 1 if error.errno in NO_ROOM else 2
+        )
 
 
 def fail(message: str, status: int) -> int:

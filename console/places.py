@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from control.errors import ArmError
-from procedures.folders import write_whole
+from control.files import write_whole
 
 KEYS = {"q_rad", "tip_m"}
 

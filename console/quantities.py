@@ -1,4 +1,9 @@
-"""Quantities as an operator writes them, `5mm` or `2deg`, in SI units for the packages."""
+"""Quantities as an operator writes them, `5mm` or `2deg`, in SI units for the packages.
+
+What is printed, reported and drawn has the same units everywhere: lengths in mm; poses, ranges and the model's angles (with
+their deviations and standard deviations beside them) in deg; angular errors, play and noise by themselves in mrad. SI stands in
+files for programs, and where an operator copies a value into arm.toml or back into a command that takes rad or m.
+"""
 
 import math
 import re

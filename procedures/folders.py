@@ -1,6 +1,9 @@
-"""Where results go: no folder that is there is overwritten, and a file that grows loses nothing to a full disk."""
+"""Where results go: no folder that is there is overwritten, and each is tried before anything moves."""
 
 from pathlib import Path
+
+from control import files
+from control.errors import ArmError
 
 
 def free_folder(wanted: Path) -> Path:
@@ -14,8 +17,11 @@ def free_folder(wanted: Path) -> Path:
     return folder
 
 
-def write_whole(file: Path, text: str) -> None:
-    """The file with this text, or as it was: what is written goes beside it first."""
-    beside = file.with_name(f".{file.name}.partial")
-    beside.write_text(text, encoding="utf-8")
-    beside.replace(file)
+def require_writable(folder: Path, option: str = "--out") -> None:
+    """ArmError where nothing can be written into `folder`: said before an arm has moved for results that have no place."""
+    try:
+        files.require_writable(folder)
+    except files.NotWritten as error:
+        raise ArmError(
+            f"{option} {folder}: nothing can be written there ({error.strerror}): make room, or take another place"
+        ) from error

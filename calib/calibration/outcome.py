@@ -13,6 +13,7 @@ from calib.arm_problem.frames import Frame, rotation_vector
 from calib.arm_problem.joint_effects import with_effects
 from calib.identify.identification import Estimate, Identification
 from calib.validation.verify import Comparison, ErrorSummary
+from control.files import write_whole
 from control.model.arm import Arm, Calibration, Effect
 from control.model.description import save_arm
 
@@ -86,7 +87,7 @@ def write_calibration_json(
         **(more or {}),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def _found(found: Identification) -> dict[str, object]:

@@ -14,6 +14,7 @@ from calib.export.losses import losses
 from calib.export.mjcf import mjcf_text
 from calib.export.plain import plain_text
 from calib.export.urdf import urdf_text
+from control.files import write_whole
 from control.model.arm import Arm
 
 __all__ = ["FORMS", "export", "export_text"]
@@ -29,16 +30,17 @@ def export(arm: Arm, form: str, path: Path) -> tuple[str, ...]:
     """Write the arm as a new file; returns what this form cannot hold, one sentence each.
 
     Raises:
-        CalibrationError: there is no such form, or the file is there already or cannot be written.
+        CalibrationError: there is no such form, or the file is there already.
+        NotWritten: there is no room for the file.
     """
     text = export_text(arm, form)
     if path.exists():
         raise CalibrationError(f"{path}: exists already, and an export overwrites nothing; name another file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be written: {error.strerror or error}") from None
+    write_whole(path, text)
     return losses(arm, form)
 
 

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from control.files import write_whole
+
 ON_LINKS = ("link_flexure", "link_inertia")  # the key is still `joint`, and carries the link's number
 
 
@@ -87,7 +89,7 @@ class GapFinding:
 def write_gap_json(path: Path, found: GapFinding) -> None:
     """Write gap.json; a number that there is not is null."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(gap_content(found), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(gap_content(found), indent=2, allow_nan=False) + "\n")
 
 
 def gap_content(found: GapFinding) -> dict[str, object]:

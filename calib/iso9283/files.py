@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import math
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 
 from calib.iso9283.criteria.checks import Iso9283Error
+from control.files import append_whole, write_whole
 
 SET = ("x_set_m", "y_set_m", "z_set_m")
 TIP = ("x_m", "y_m", "z_m")
@@ -54,15 +54,12 @@ class RecordFile:
             )
         self.rows = [dict(zip(self._header, line, strict=True)) for line in lines[1:]]
         if whole.encode() != content:
-            beside = path.with_name(f".{path.name}.partial")
-            beside.write_bytes(whole.encode())
-            beside.replace(path)
+            write_whole(path, whole)
         self._file = path.open("ab", buffering=0)
 
     def append(self, rows: Iterable[Sequence[str]]) -> None:
         """Write rows and wait for the disk."""
-        self._file.write("".join(_line(row) for row in rows).encode())
-        os.fsync(self._file.fileno())
+        append_whole(self._file.fileno(), self._path, "".join(_line(row) for row in rows).encode())
 
     def __enter__(self) -> RecordFile:
         """Nothing to do: the file is open."""

@@ -9,6 +9,7 @@ from calib.inputs import InputFile
 from calib.iso9283 import pictures
 from calib.iso9283.result import Criterion, Evaluation, Figure
 from calib.report.page import Cell, Section, bullets, page, table
+from control.files import write_whole
 
 SHOWN = {"m": (1e3, "mm", 3), "m/s": (1.0, "m/s", 4), "m/N": (1e6, "µm/N", 3), "rad": (1e3, "mrad", 3)}
 
@@ -18,7 +19,7 @@ def write_page(
 ) -> None:
     """Write iso9283.html."""
     title = "Performance criteria of ISO 9283:1998"
-    path.write_text(page(title, arm, f"{date} · {program}", _sections(evaluation, inputs)), encoding="utf-8")
+    write_whole(path, page(title, arm, f"{date} · {program}", _sections(evaluation, inputs)))
 
 
 def _sections(evaluation: Evaluation, inputs: Sequence[InputFile]) -> Iterator[Section]:

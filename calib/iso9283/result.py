@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.arrays import Array
+from control.files import write_whole
 
 FORMAT = "iso9283/1"
 
@@ -150,4 +151,4 @@ def document(evaluation: Evaluation, about: Mapping[str, Any]) -> dict[str, Any]
 def write_document(path: Path, evaluation: Evaluation, about: Mapping[str, Any]) -> None:
     """Write iso9283.json."""
     text = json.dumps(document(evaluation, about), indent=2, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    write_whole(path, text + "\n")

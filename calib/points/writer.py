@@ -6,7 +6,6 @@ import csv
 import gzip
 import io
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 
 from calib.errors import SessionError
 from calib.points.points import SCALARS, TIP, Points, read_points
+from control.files import append_whole, write_whole
 
 Key = tuple[str, str, int]
 
@@ -104,8 +104,7 @@ class PointsWriter:
         if record.key in self._lines:
             raise SessionError(f"{self._path}: {' '.join(map(str, record.key))} is recorded already")
         line = _line(self._row(record))
-        self._file.write(line.encode())
-        os.fsync(self._file.fileno())
+        append_whole(self._file.fileno(), self._path, line.encode())
         self._lines[record.key] = line.rstrip("\n")
 
     def withdraw(self, key: Key) -> None:
@@ -220,14 +219,4 @@ def _line(values: Sequence[str]) -> str:
 def replace_file(path: Path, content: bytes) -> None:
     """Put a whole file in place, so that a reader sees the old one or the new one."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.partial")
-    with beside.open("wb") as file:
-        file.write(gzip.compress(content, mtime=0) if path.name.endswith(".gz") else content)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    write_whole(path, gzip.compress(content, mtime=0) if path.name.endswith(".gz") else content)

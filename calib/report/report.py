@@ -13,12 +13,13 @@ from calib.report.comparison_sections import calibration_section, paths_section,
 from calib.report.page import Section, page, tiles, verdict
 from calib.report.report_data import ReportData
 from calib.report.report_sections import dh_section, done_section, inputs_section, parameters_section
+from control.files import write_whole
 
 
 def write_report(path: Path, report: ReportData) -> None:
     """Write report.html, making its folder if need be."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(report_html(report), encoding="utf-8")
+    write_whole(path, report_html(report))
 
 
 def report_html(report: ReportData) -> str:

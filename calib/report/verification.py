@@ -15,6 +15,7 @@ from calib.report.report_data import UNUSED, ReportData
 from calib.validation.statistics import Difference, ErrorSummary, Finding
 from calib.validation.tracks import TrackPair, compare_tracks
 from calib.validation.verify import ALL, Comparison, SetupComparison, findings
+from control.files import write_whole
 from control.model.arm import Arm
 
 FORMAT = "verify/1"
@@ -129,7 +130,7 @@ def write_verification_json(path: Path, verification: Verification) -> None:
         },
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def comparison_figures(comparison: Comparison) -> dict[str, object]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.errors import SessionError
+from control.files import append_whole
 
 Entry = dict[str, Any]
 
@@ -37,8 +38,7 @@ class Journal:
 
     def append(self, entry: Mapping[str, Any]) -> None:
         """Write one entry and wait for the disk."""
-        self._file.write(json.dumps(entry).encode() + b"\n")
-        os.fsync(self._file.fileno())
+        append_whole(self._file.fileno(), self._path, json.dumps(entry).encode() + b"\n")
         self.entries += (dict(entry),)
 
     def close(self) -> None:

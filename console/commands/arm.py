@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import sys
 from typing import Any
 
@@ -36,11 +37,12 @@ def described(arm: Arm) -> str:
     """The arm in brief, for people."""
     lines = [
         f"arm {arm.name} ({arm.path}): {arm.joint_count} joints, {len(arm.drives)} drives, {arm.dh_convention} DH",
-        f"{'link':<6}{'joint':<10}{'d [m]':>12}{'theta [rad]':>14}{'L [m]':>12}{'alpha [rad]':>14}",
+        f"{'link':<6}{'joint':<10}{'d [mm]':>12}{'theta [deg]':>14}{'L [mm]':>12}{'alpha [deg]':>14}",
     ]
     for number, link in enumerate(arm.links, start=1):
+        theta_deg, alpha_deg = math.degrees(link.theta_rad), math.degrees(link.alpha_rad)
         lines.append(
-            f"{number:<6}{link.joint:<10}{link.d_m:>12.6f}{link.theta_rad:>14.6f}{link.L_m:>12.6f}{link.alpha_rad:>14.6f}"
+            f"{number:<6}{link.joint:<10}{1e3 * link.d_m:>12.3f}{theta_deg:>14.4f}{1e3 * link.L_m:>12.3f}{alpha_deg:>14.4f}"
         )
     lines += [f"effect {e.effect}, joint {e.joint}: {dict(e.parameters)}" for e in arm.effects]
     if arm.calibration:

@@ -17,6 +17,7 @@ from procedures.bringup.opening import Setting, opened
 from procedures.bringup.operator import Operator, Stopped
 from procedures.bringup.procedure import Options, Outcome, bring_up, serial_numbers
 from procedures.bringup.terminal import TerminalOperator
+from procedures.folders import require_writable
 
 FASTEST_rad_s = 1.0
 PREFACE = """Bring-up of arm {name}. One motor at a time gets a low current; all others stay off with shorted windings.
@@ -33,6 +34,7 @@ def run(given: argparse.Namespace) -> int:
         )
     if not out.parent.is_dir():
         raise ArmError(f"--out {out}: there is no folder {out.parent}")
+    require_writable(out.parent)
     if not 0.02 <= given.speed <= FASTEST_rad_s:
         raise ArmError(f"--speed: expected 0.02 to {FASTEST_rad_s:g} rad/s, got {given.speed:g}")
     with opened(given) as setting:
@@ -118,11 +120,11 @@ def _figures(joint: int, result: Diagnosis) -> str:
         ("gear_ratio", "gear {:.2f}"),
         ("coulomb_Nm", "friction {:.2f} Nm"),
         ("viscous_Nm_s_rad", "+ {:.2f} Nm s/rad"),
-        ("lower_stop_rad", "stops {:+.3f}"),
-        ("upper_stop_rad", "to {:+.3f} rad"),
+        ("lower_stop_rad", "stops {:+.1f}"),
+        ("upper_stop_rad", "to {:+.1f} deg"),
         ("torque_constant_Nm_A", "k {:.4f} Nm/A"),
         ("resistance_ohm", "{:.3f} ohm"),
     ):
         if math.isfinite(figures.get(key, math.nan)):
-            parts.append(text.format(figures[key]))
+            parts.append(text.format(math.degrees(figures[key]) if key.endswith("_rad") else figures[key]))
     return ", ".join(parts)

@@ -25,6 +25,7 @@ from console.quantities import quantity, unit_of
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
+from procedures.folders import require_writable
 
 ENDINGS = {"urdf": "urdf", "mjcf": "xml", "json": "json"}
 RESULTS = ("arm.toml", "calibration.json", "report.html")
@@ -34,6 +35,7 @@ def run(given: argparse.Namespace) -> int:
     """Read, identify, judge, write. Nothing is written before everything is read and found usable."""
     arm, out, forms = load_arm(given.arm), Path(given.out), _forms(given.export or [])
     _require_no_results(out, forms)
+    require_writable(out)
     plan = _plan(given)
     points, warnings = _read(given, arm)
     with Bar("calibrate") as bar:

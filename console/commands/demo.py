@@ -7,10 +7,11 @@ from pathlib import Path
 
 from calib.errors import CalibrationError
 from console.commands.progress import Bar
+from control.files import write_whole
 from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
 from procedures.demo import job
-from procedures.folders import free_folder
+from procedures.folders import free_folder, require_writable
 from procedures.mock.bench import Bench, RealTimeBench, SteppedBench
 from procedures.mock.scenario_file import seeded_scenario
 
@@ -31,9 +32,10 @@ def run(given: argparse.Namespace) -> int:
     can_home = all(drive.home is not None for drive in arm.drives)
     drawn = seeded_scenario(given.scenario or scenario_name, given.seed, was_homed=not can_home)
     out = free_folder(Path(given.out or out_name))
+    require_writable(out)
     out.mkdir(parents=True)
     scenario = out / "scenario.toml"
-    scenario.write_bytes(drawn)
+    write_whole(scenario, drawn)
     log = out / "log"
     bench: Bench = (
         RealTimeBench(given.arm, scenario, log) if given.realtime else SteppedBench(arm, scenario, log)
@@ -53,7 +55,7 @@ def _job(arm: Arm, bench: Bench, out: Path, advance: job.Advance) -> str:
 
     outcome = job.run(arm, bench, out, advance)
     found = comparison_text(outcome.verification)
-    (out / "verification.txt").write_text(found + "\n", encoding="utf-8")
+    write_whole(out / "verification.txt", found + "\n")
     return (
         f"\nTip error at {len(outcome.verification.point)} verification points that the calibration did not use:\n\n"
         f"{found}\n\n"
@@ -72,7 +74,7 @@ def _paper(arm: Arm, bench: Bench, out: Path, advance: job.Advance) -> str:
 
     outcome = paper.run(arm, bench, out, advance)
     table = table_text(outcome.replay)
-    (out / "paper.txt").write_text(table + "\n", encoding="utf-8")
+    write_whole(out / "paper.txt", table + "\n")
     sentences = "\n".join(findings(outcome.replay))
     return (
         f"\nMean tip error at points that the calibrations did not use, and how much smaller it became (95 %):\n\n{table}\n\n"
@@ -98,13 +100,14 @@ def _gap(given: argparse.Namespace) -> int:
     hidden = drawn(seed, given.effect, given.joint)
     arm = with_known_friction(load_arm(given.arm))
     out = free_folder(Path(given.out or "out/demo-gap"))
+    require_writable(out)
     out.mkdir(parents=True)
     save_arm(arm, out / "nominal.toml")
     arm = load_arm(str(out / "nominal.toml"))
     scenario = out / "scenario.toml"
-    scenario.write_text(beyond_known(hidden, arm).as_scenario("gap", seed), encoding="utf-8")
+    write_whole(scenario, beyond_known(hidden, arm).as_scenario("gap", seed))
     can_home = all(drive.home is not None for drive in arm.drives)
-    scenario.write_bytes(seeded_scenario(str(scenario), seed, was_homed=not can_home))
+    write_whole(scenario, seeded_scenario(str(scenario), seed, was_homed=not can_home))
     bench = SteppedBench(arm, scenario, out / "log")
     try:
         with Bar("demo") as bar:

@@ -15,6 +15,7 @@ from console.commands.progress import Bar
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
+from procedures.folders import require_writable
 from procedures.gap.workflow import (
     Outcome,
     known_effects,
@@ -39,6 +40,8 @@ def run(given: argparse.Namespace) -> int:
     arm, out = load_arm(given.arm), Path(given.out)
     without = known_effects(given.without or [])
     require_free(out)
+    if not given.plan_only:
+        require_writable(out)
     if given.record:
         return _record(given, arm, out, without)
     for name in (

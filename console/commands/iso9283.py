@@ -16,6 +16,7 @@ from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient
+from procedures.folders import require_writable
 from procedures.iso9283 import recording
 from procedures.iso9283.evaluating import evaluate_files
 
@@ -34,6 +35,8 @@ def run(given: argparse.Namespace) -> int:
         raise Iso9283Error(
             f"give one of --points FILE, --record and --mock; got {' and '.join('--' + w for w in ways) or 'none'}"
         )
+    if not given.plan_only:
+        require_writable(Path(given.out))
     if given.points:
         points, logs = Path(given.points), [Path(log) for log in given.log or ()]
         return _evaluate(given, arm, points, logs, _programme(given, points), ())

@@ -15,6 +15,7 @@ from calib.errors import CalibrationError
 from calib.points.points import Points, read_points
 from control.model.arm import Arm
 from control.model.description import load_arm
+from procedures.folders import require_writable
 
 USUAL_COUNT = 12
 HEAD = "  {:<12}{:<9}{:>5}{:>9}{:>10}{:>10}{:>8}{:>9}{:>9}{:>9}{:>8}  {}\n"
@@ -23,6 +24,8 @@ HEAD = "  {:<12}{:<9}{:>5}{:>9}{:>10}{:>10}{:>8}{:>9}{:>9}{:>9}{:>8}  {}\n"
 def run(given: argparse.Namespace) -> int:
     """Plan, say what it brings, write plan.csv and plan.json."""
     arm = load_arm(given.arm)
+    if given.out:
+        require_writable(Path(given.out))
     taken = _points(given, arm)
     choice = Choice(boards=_boards(given))
     plan = plan_poses(arm, taken, request_of(given), choice)

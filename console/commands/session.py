@@ -24,6 +24,7 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient, ArmFaulted, Message, fault_text
 from hil_mocks.scenario import load_scenario
+from procedures.folders import require_writable
 from procedures.ports import RuntimePort
 from procedures.session.mock_session import SCENARIO, MockSession, mock_session
 from procedures.session.operator import Operator
@@ -42,6 +43,7 @@ def run(given: argparse.Namespace) -> int:
     if wanted is not None:
         wanted.require_sound()  # what is wrong with it is said before there is a folder, or a connection
         Boards(arm, wanted)
+    require_writable(Path(given.out))
     front = Front(lines, say, operator)
     if given.mock:
         _with_mock(given, arm, wanted, front)

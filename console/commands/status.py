@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from console.commands.connection import connected
+from control.recording.recorder_state import RecorderState
 from control.server.client import Message
 
 
@@ -44,11 +45,18 @@ def described(status: Message) -> str:
         f"loop: {1e3 * status['period_s']:g} ms, p99 {1e6 * status['late_p99_s']:.0f} us late,"
         f" {1e6 * status['busy_p50_s']:.0f} us busy, {status['missed_cycles']} cycles missed"
     )
+    if status["recording"]:
+        lines.append(_recording(RecorderState.of(status["recorder"])))
     lines += [f"warning: {warning}" for warning in status["warnings"]]
     lines += [f"FAULT {f['where']}: {f['message']}; {f['remedy']}" for f in status["faults"]]
     if status["faults"]:
         lines.append("when it is safe: `armwright acknowledge`, then `armwright enable`")
     return "\n".join(lines)
+
+
+def _recording(recorder: RecorderState) -> str:
+    is_on = "recording" if recorder.is_on else "NOT recording"
+    return f"{is_on}: {recorder.file}, {1e-6 * recorder.written_bytes:.1f} MB written, {recorder.usage()}"
 
 
 def _row(name: str, cells: Sequence[str]) -> str:

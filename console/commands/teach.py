@@ -6,8 +6,8 @@ from pathlib import Path
 
 from console.commands.connection import connected
 from control.errors import ArmError
+from control.files import write_whole
 from control.motion.waypoints import POSITION_COLUMNS
-from procedures.folders import write_whole
 
 HEADER = ",".join(POSITION_COLUMNS)
 SAME_m = 1e-4  # two way-points nearer than this are one: no path can turn there

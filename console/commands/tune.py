@@ -10,6 +10,7 @@ from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import save_arm
 from procedures.bringup.opening import opened
+from procedures.folders import require_writable
 from procedures.tuning.procedure import NotTuned, Options, Result, tune
 
 LOWEST_Hz, HIGHEST_Hz = 2.0, 40.0
@@ -24,6 +25,7 @@ def run(given: argparse.Namespace) -> int:
             raise ArmError(f"--out: {path} is there already, and nothing is overwritten: take another name")
     if not out.parent.is_dir():
         raise ArmError(f"--out {out}: there is no folder {out.parent}")
+    require_writable(out.parent)
     with opened(given) as setting:
         options = _options(given, setting.draft)
         if setting.rig is None and not given.yes and not _allowed(setting.draft, options):
@@ -69,13 +71,13 @@ def _allowed(arm: Arm, options: Options) -> bool:
 def _write(result: Result, draft: Arm, out: Path, page: Path) -> None:
     from dataclasses import replace
 
-    from procedures.tuning.report import HEADER, rows, worst_pose, write_report
+    from procedures.tuning.report import header, rows, worst_pose, write_report
 
     pids = {drive.joint: drive.pid for drive in result.arm.drives}
     drives = tuple(replace(drive, pid=pids[drive.joint]) for drive in draft.drives)
     save_arm(replace(draft, drives=drives), out)
     write_report(result, page, f"from {draft.path}; armwright {version('armwright')}")
-    lines = [HEADER, *(row for tuned in result.joints for row in rows(tuned))]
+    lines = [header(draft), *(row for tuned in result.joints for row in rows(tuned))]
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     for line in lines:
         sys.stdout.write(

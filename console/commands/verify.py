@@ -13,11 +13,12 @@ from calib.validation.verify import comparison_text
 from console.commands.connection import connected
 from console.commands.progress import Bar
 from control.errors import ArmError
+from control.files import write_whole
 from control.model import table as tables
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient
-from procedures.folders import free_folder
+from procedures.folders import free_folder, require_writable
 from procedures.verify.models import Model, Pair, believed_by, nominal_of
 from procedures.verify.places import places, ways
 from procedures.verify.procedure import Drive, driven, on_recorded, write
@@ -41,6 +42,7 @@ def run(given: argparse.Namespace) -> int:
     """Verify; exit status 1 where the calibrated arm is worse by more than chance, or the arm could not go on."""
     calibrated = load_arm(given.arm)
     pair = Pair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
+    require_writable(Path(given.out))
     if given.points is not None:
         return _finish(given, on_recorded(pair, Path(given.points)), free_folder(Path(given.out)))
     programme, notes = _programme(given, calibrated)
@@ -117,7 +119,7 @@ def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) ->
     text = seeded_scenario(given.scenario, None, was_homed=not can_home)
     out.mkdir(parents=True)
     scenario = out / "scenario.toml"
-    scenario.write_bytes(text)
+    write_whole(scenario, text)
     bench = SteppedBench(nominal, scenario, out / "log")
     stack.callback(bench.close)
     client = bench.start(pair.calibrated.arm)

@@ -23,6 +23,7 @@ from textual.widgets import Input, RichLog, Static
 from console.screen.child import subcommand
 from console.screen.texts import escaped
 from console.screen.widgets import CommandBox
+from control.files import write_whole
 
 if TYPE_CHECKING:
     from console.screen.app import ConsoleApp
@@ -184,7 +185,7 @@ class SessionScreen(Screen[None]):
         """Keep the decision beside the result; the arm that runs is another after `armwright serve` with the new file."""
         folders = sorted(self._folder.glob("calibrated-*"), key=lambda f: int(f.name.rpartition("-")[2]))
         decision = {"accepted": is_accepted, "decided_unix_s": round(time.time(), 3)}
-        (folders[-1] / "decision.json").write_text(json.dumps(decision) + "\n", encoding="utf-8")
+        write_whole(folders[-1] / "decision.json", json.dumps(decision) + "\n")
         text = (
             f"Accepted: `armwright serve --arm {folders[-1] / 'arm.toml'}` runs the arm with it."
             if is_accepted

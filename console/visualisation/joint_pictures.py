@@ -30,17 +30,24 @@ def draw_tracking(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
     """Set-point and measured angle."""
     for k, (axes, joint) in enumerate(zip(joint_axes(figure, joints), joints, strict=True)):
         mark_runs(axes, series)
-        curve(axes, series, series.q_rad[:, joint - 1], color=MEASURED, label="measured", linewidth=2.2)
         curve(
             axes,
             series,
-            series.q_set_rad[:, joint - 1],
+            np.degrees(series.q_rad[:, joint - 1]),
+            color=MEASURED,
+            label="measured",
+            linewidth=2.2,
+        )
+        curve(
+            axes,
+            series,
+            np.degrees(series.q_set_rad[:, joint - 1]),
             color=SET,
             linestyle="--",
             label="set-point",
             linewidth=0.9,
         )
-        axes.set_ylabel("angle [rad]")
+        axes.set_ylabel("angle [deg]")
         head(axes, f"joint {joint}")
         if k == 0:
             legend(axes)

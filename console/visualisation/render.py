@@ -15,6 +15,7 @@ from console.visualisation.moments import Moment, moment_at
 from console.visualisation.series import Array, Series
 from console.visualisation.traces import Traces
 from control.errors import ArmError
+from control.files import make_whole
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 
@@ -132,18 +133,22 @@ def write_images(out: Path, images: Iterator[tuple[float, Image]], period_s: flo
     if out.suffix == ".png":
         out.parent.mkdir(parents=True, exist_ok=True)
         for _, image in images:
-            Pillow.fromarray(image).save(out)
+            make_whole(out, Pillow.fromarray(image).save)
         return [out]
     if out.suffix == ".gif":
         out.parent.mkdir(parents=True, exist_ok=True)
         pictures = [Pillow.fromarray(image).quantize(256) for _, image in images]
-        pictures[0].save(
-            out, save_all=True, append_images=pictures[1:], duration=max(20, round(1e3 * period_s)), loop=0
+        each_ms = max(20, round(1e3 * period_s))
+        make_whole(
+            out,
+            lambda beside: pictures[0].save(
+                beside, save_all=True, append_images=pictures[1:], duration=each_ms, loop=0
+            ),
         )
         return [out]
     out.mkdir(parents=True, exist_ok=True)
     written = []
     for number, (_, image) in enumerate(images, start=1):
         written.append(out / f"frame-{number:05d}.png")
-        Pillow.fromarray(image).save(written[-1])
+        make_whole(written[-1], Pillow.fromarray(image).save)
     return written

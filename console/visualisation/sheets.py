@@ -10,6 +10,7 @@ from calib.report.drawing import STYLE
 from console.visualisation.pictures import Picture
 from console.visualisation.series import Series
 from control.errors import ArmError
+from control.files import make_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
@@ -82,7 +83,7 @@ def _save(file: Path, pictures: Sequence[Picture], series: Series, joints: Seque
         for part, picture in zip(parts, pictures, strict=True):
             _draw(part, picture, series, joints)
         about = {"Date": None} if file.suffix == ".svg" else None
-        figure.savefig(file, dpi=DOTS_PER_in, metadata=about)
+        make_whole(file, lambda beside: figure.savefig(beside, dpi=DOTS_PER_in, metadata=about))
 
 
 def _draw(on: FigureBase, picture: Picture, series: Series, joints: Sequence[int]) -> None:

@@ -24,6 +24,7 @@ from control.model.rules import (
     NOT_NEGATIVE,
     ONE_OR_MORE,
     POSITIVE,
+    ROTATE_BYTES,
     TILT,
     ZERO_OR_MORE,
     Rule,
@@ -202,6 +203,17 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordingPolicy:
+    """How large a recording grows before the next file begins, and how much the recordings of this arm may take.
+
+    keep_bytes: the oldest finished ones in the folder are removed beyond it; 0: none is ever removed.
+    """
+
+    rotate_bytes: Annotated[int, ROTATE_BYTES] = 500_000_000
+    keep_bytes: Annotated[int, ZERO_OR_MORE] = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Calibration:
     """Where a calibrated arm comes from; `inputs` maps files to their SHA-256."""
 
@@ -229,6 +241,7 @@ class Arm:
     can: CanBus | None = None
     rest: Rest | None = None
     limits: Limits = Limits()
+    recording: RecordingPolicy = RecordingPolicy()
     calibration: Calibration | None = None
     path: Path | None = field(default=None, compare=False, metadata={"key": ""})
 

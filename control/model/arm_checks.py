@@ -21,6 +21,7 @@ def check_arm(arm: Arm) -> None:
         _check_drive(arm, drive, index)
     _check_wiring(arm)
     _check_rest(arm)
+    _check_recording(arm)
     if arm.limits.jog_silence_s > LONGEST_JOG_SILENCE_S:
         expected = f"{LONGEST_JOG_SILENCE_S} s at most: it is a dead man's switch"
         raise Rejected(("limits", "jog_silence_s"), expected, str(arm.limits.jog_silence_s))
@@ -87,6 +88,13 @@ def _check_unique(items: Iterable[Named], expected: str) -> None:
         if value in seen:
             raise Rejected(path, expected, f"{value} a second time")
         seen.add(value)
+
+
+def _check_recording(arm: Arm) -> None:
+    kept = arm.recording
+    if 0 < kept.keep_bytes < 2 * kept.rotate_bytes:
+        expected = f"0 (keep everything) or at least twice rotate_bytes, {2 * kept.rotate_bytes}"
+        raise Rejected(("recording", "keep_bytes"), expected, str(kept.keep_bytes))
 
 
 def _check_rest(arm: Arm) -> None:

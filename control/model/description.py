@@ -15,6 +15,7 @@ from typing import Any
 import tomli_w
 
 from control.errors import ArmError, ArmFileError
+from control.files import NO_ROOM, write_new
 from control.model.arm import (
     Arm,
     Calibration,
@@ -104,16 +105,17 @@ def parse_arm(text: str, path: Path) -> Arm:
 def save_arm(arm: Arm, path: str | Path) -> None:
     """Write the arm as a new file; a file that is there is never overwritten. Every number is kept exactly.
 
-    Keys that have their default value are left out.
+    Keys that have their default value are left out. NotWritten where the disk is full: then there is no file.
     """
     try:
-        with Path(path).open("x", encoding="utf-8") as file:
-            file.write(arm_text(arm))
+        write_new(Path(path), arm_text(arm))
     except FileExistsError:
         raise ArmFileError(
             path, None, "", "a new file", "one that is there already", "arms are never overwritten"
         ) from None
     except OSError as error:
+        if error.errno in NO_ROOM:
+            raise
         raise ArmFileError(path, None, "", "a place to write to", error.strerror or str(error)) from None
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TextIO
 
+from control.files import make_whole
 from control.model.arm import Arm
 from control.recording.mcap_file import to_mcap
 from control.recording.record import JOINT_SIDE_FIELDS, Layout, RecordError, Recording
@@ -120,23 +121,12 @@ def export(
             raise RecordError(f"{out / name} is there already: choose another folder or remove it first")
     rows = max(1, recording.row_count)
     return {
-        "log.csv.gz": _whole(
+        "log.csv.gz": make_whole(
             out / "log.csv.gz",
             lambda file: to_csv(recording, file, every, lambda row: report(0.3 * row / rows)),
         ),
-        "log.mcap": _whole(
+        "log.mcap": make_whole(
             out / "log.mcap",
             lambda file: to_mcap(recording, file, every, drawn, lambda row: report(0.3 + 0.7 * row / rows)),
         ),
     }
-
-
-def _whole(path: Path, write: Callable[[Path], int]) -> int:
-    """`path` as `write` makes it, or not at all: an export that was interrupted leaves nothing that looks complete."""
-    beside = path.with_name(f".partial-{path.name}")
-    try:
-        written = write(beside)
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
-    return written

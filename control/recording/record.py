@@ -4,21 +4,29 @@ File: `ARMLOG1\n`, u32 header length, JSON header (fields, joint count, arm, sta
 little endian.
 Rows are only ever appended, so a killed writer can tear nothing but the last row, and the reader drops that one.
 In real time the rows go through a pipe to a writer process of their own (`control.recording.writer`): the loop never waits for a
-disk, and when the loop dies the writer still drains what was sent. Stepped, the same rows go straight to the file.
+disk, and when the loop dies the writer still drains what was sent. It goes on in another file where one has grown large
+(`next_part`). Stepped, the same rows go straight to the file.
 """
 
 import json
 import os
+import re
+import socket
 import struct
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 from control.errors import ArmError
+from control.recording.recorder_state import RecorderState
 from control.safety.table import Mode
 
 MAGIC = b"ARMLOG1\n"
+SUFFIX = ".armlog"
+ROWS_A_REPORT = 256  # reports are listened to once in so many rows
+REPORT_bytes = 1 << 14
 MODES_BEFORE_THEY_WERE_RECORDED = (
     "OFF", "BRAKED", "HOLDING", "MOVING", "HOMING", "GUIDING", "STOPPING", "FAULT",
 )  # fmt: skip
@@ -61,22 +69,52 @@ class Layout:
 
     def header(self, about: dict[str, Any]) -> bytes:
         """What stands before the rows."""
-        text = json.dumps(
-            {
-                "names": self.names,
-                "packing": self.packing.format,
-                "joint_count": self.joint_count,
-                "modes": [mode.name for mode in Mode],
-                **about,
-            }
-        ).encode()
-        return MAGIC + struct.pack("<I", len(text)) + text
+        return header_bytes(self.about(**about))
+
+    def about(self, **more: Any) -> dict[str, Any]:
+        """The header as a JSON object."""
+        return {
+            "names": self.names,
+            "packing": self.packing.format,
+            "joint_count": self.joint_count,
+            "modes": [mode.name for mode in Mode],
+            **more,
+        }
+
+
+def header_bytes(header: Mapping[str, Any]) -> bytes:
+    """A header as it stands before the rows."""
+    text = json.dumps(header).encode()
+    return MAGIC + struct.pack("<I", len(text)) + text
+
+
+def next_part(path: Path) -> Path:
+    """The file in which the recording `path` goes on: NAME.armlog, NAME.part2.armlog, NAME.part3.armlog, ..."""
+    stem = path.name.removesuffix(SUFFIX)
+    if found := re.fullmatch(r"(.+)\.part(\d+)", stem):
+        return path.with_name(f"{found[1]}.part{int(found[2]) + 1}{SUFFIX}")
+    return path.with_name(f"{stem}.part2{SUFFIX}")
+
+
+def parts_from(path: Path) -> list[Path]:
+    """A recording and the files in which it went on, in order."""
+    parts = [path]
+    while has_part(following := next_part(parts[-1])):
+        parts.append(following)
+    return parts
+
+
+def has_part(path: Path) -> bool:
+    """Whether there is a file with a header: a part that is just being begun is empty."""
+    return path.exists() and path.stat().st_size > 0
 
 
 class RowSink(Protocol):
     """Where packed rows go. `write` must not wait; it returns False when the row could not be taken."""
 
     def write(self, row: bytes) -> bool: ...
+
+    def state(self) -> RecorderState: ...
 
     def close(self) -> None: ...
 
@@ -87,11 +125,16 @@ class FileSink:
     def __init__(self, path: Path, header: bytes) -> None:
         self._file: BinaryIO = path.open("xb")
         self._file.write(header)
+        self._state = RecorderState(True, str(path))
 
     def write(self, row: bytes) -> bool:
         """Append the row."""
         self._file.write(row)
         return True
+
+    def state(self) -> RecorderState:
+        """Rows are kept for as long as nothing raises."""
+        return self._state
 
     def close(self) -> None:
         """Flush and close."""
@@ -99,24 +142,54 @@ class FileSink:
 
 
 class PipeSink:
-    """Rows into the non-blocking end of a pipe; a full or broken pipe loses the row and says so, the loop goes on."""
+    """Rows into the non-blocking end of a pipe; a full or broken pipe loses the row and says so, the loop goes on.
 
-    def __init__(self, fd: int, header: bytes) -> None:
-        os.write(fd, header)
+    `reports` is where the writer tells how the recording stands: a non-blocking datagram socket.
+    """
+
+    def __init__(self, fd: int, reports: socket.socket | None = None, first: str = "") -> None:
         os.set_blocking(fd, False)
-        self._fd = fd
+        self._fd, self._reports = fd, reports
+        self._state = RecorderState(True, first)
+        self._row = 0
 
     def write(self, row: bytes) -> bool:
         """Append the row; rows are shorter than PIPE_BUF, so the kernel takes a row whole or not at all."""
+        self._row += 1
+        if self._row % ROWS_A_REPORT == 0:
+            self._listen()
         try:
             os.write(self._fd, row)
-        except (BlockingIOError, BrokenPipeError):
+        except BlockingIOError:
+            return False
+        except BrokenPipeError:
+            if self._state.is_on:
+                reason = "the process that writes the file has ended"
+                self._state = replace(self._state, is_on=False, reason=reason, since_unix_s=time.time())
             return False
         return True
+
+    def state(self) -> RecorderState:
+        """What the writer told last."""
+        self._listen()
+        return self._state
 
     def close(self) -> None:
         """Close the pipe: the writer drains it and ends."""
         os.close(self._fd)
+        if self._reports is not None:
+            self._reports.close()
+
+    def _listen(self) -> None:
+        """Take all reports that wait, so that there is always room for the next; the last one counts."""
+        while self._reports is not None:
+            try:
+                message = self._reports.recv(REPORT_bytes)
+            except OSError:  # none waits
+                return
+            if not message:
+                return
+            self._state = RecorderState.of(json.loads(message))
 
 
 class NoSink:
@@ -125,6 +198,10 @@ class NoSink:
     def write(self, row: bytes) -> bool:
         """Take the row and forget it."""
         return True
+
+    def state(self) -> RecorderState:
+        """There is no recording."""
+        return RecorderState(False)
 
     def close(self) -> None:
         """Nothing to close."""
@@ -135,7 +212,7 @@ class Recorder:
 
     def __init__(self, layout: Layout, sink: RowSink, saved_rows: int = 250) -> None:
         self.layout = layout
-        self.lost_rows = 0
+        self._refused = 0
         self._sink = sink
         self._kept: list[bytes] = [b""] * saved_rows
         self._next = 0
@@ -147,7 +224,16 @@ class Recorder:
         self._kept[self._next] = row
         self._next = (self._next + 1) % len(self._kept)
         if not self._sink.write(row):
-            self.lost_rows += 1
+            self._refused += 1
+
+    def state(self) -> RecorderState:
+        """How the recording stands, with the rows that never came to the writer among the lost ones."""
+        return self._sink.state().plus_lost(self._refused)
+
+    @property
+    def lost_rows(self) -> int:
+        """Rows that are in no file."""
+        return self.state().lost_rows
 
     def last_rows(self) -> tuple[bytes, ...]:
         """The kept rows, oldest first."""
@@ -160,6 +246,22 @@ class Recorder:
 
 class RecordError(ArmError):
     """A recording that cannot be read."""
+
+
+def _require_columns(layout: Layout) -> None:
+    """ValueError where the columns are not those of so many joints. What later versions added may be missing."""
+    if type(layout.joint_count) is not int or not 1 <= layout.joint_count <= len(layout.names):
+        raise ValueError(f"joint_count {layout.joint_count!r} does not go with {len(layout.names)} columns")
+    later = {f"counted{joint}_s" for joint in range(1, layout.joint_count + 1)}
+    for name in Layout.of(layout.joint_count).names:
+        if name not in layout.names and name not in later:
+            raise ValueError(f"column {name} of {layout.joint_count} joints is missing")
+
+
+def _require_numbers(header: dict[str, Any]) -> None:
+    for key in ("started_unix_s", "period_s"):
+        if not isinstance(header.get(key, 0.0), int | float):
+            raise ValueError(f"{key} is no number: {header[key]!r}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,8 +289,8 @@ class Recording:
             packing = struct.Struct(header["packing"])
             layout = Layout(header["joint_count"], tuple(header["names"]), packing)
             packing.pack(*(0 for _ in layout.names))  # as many values as names
-            if not layout.names:
-                raise ValueError("it names no columns")
+            _require_columns(layout)
+            _require_numbers(header)
         except (ValueError, KeyError, TypeError, struct.error) as error:
             raise RecordError(f"{path}: the header of this recording is damaged ({error})") from error
         return cls(path, header, layout, len(MAGIC) + 4 + length)

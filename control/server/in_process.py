@@ -7,6 +7,7 @@ import msgspec
 from control.server.assemble import Assembly
 from control.server.client import Message
 from control.server.periodic import PeriodicTimer
+from control.server.server import encoded
 from firmware_iface.clock import Clock
 
 
@@ -30,7 +31,7 @@ class InProcessChannel:
         if runtime.has_waited:
             runtime.has_waited = False
             self._beat.restart()
-        decoded: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(answer))
+        decoded: dict[str, Any] = msgspec.json.decode(encoded(answer))
         return decoded
 
     def wait(self, duration_s: float) -> None:

@@ -6,6 +6,7 @@ signal during that changes nothing; the emergency stop is a switch, not a signal
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -19,6 +20,8 @@ from control.hardware.connect import Connection, connect
 from control.model.arm import Arm
 from control.model.description import arm_text
 from control.recording.record import Layout, PipeSink
+from control.recording.recorder_state import RecorderState, hours_left
+from control.recording.rotation import begin
 from control.server.assemble import Assembly, assemble
 from control.server.periodic import PeriodicTimer
 from control.server.scheduling import request_punctuality
@@ -43,13 +46,16 @@ def serve(arm: Arm, options: ServeOptions, announce: Callable[[str], None]) -> N
     require_free(options.socket_path)  # before its boards hear anything from a second host
     clock = MonotonicClock()
     connection = connect(arm, clock, options.period_s, options.camera_port)
-    recording, writer, sink = _start_writer(arm, options)
+    recording = _begun_recording(arm, options)
+    writer, sink = _start_writer(arm, recording)
     remedy = request_punctuality()
-    about = {"recording": str(recording), "rights": remedy or "granted"}
+    about = {"rights": remedy or "granted"}
     try:
         assembly = assemble(arm, connection.hardware, options.period_s, connection.camera, sink, about=about)
         server = Server(options.socket_path, assembly.requests.handle, assembly.requests.on_gone)
-        announce(f"serving arm {arm.name!r} at {options.socket_path}, recording to {recording}")
+        announce(
+            f"serving arm {arm.name!r} at {options.socket_path}, recording to {recording} ({_usage(arm, options)})"
+        )
         if remedy:
             announce(remedy)
         try:
@@ -92,28 +98,50 @@ def _leave_safely(connection: Connection) -> None:
     connection.close()
 
 
-def _start_writer(arm: Arm, options: ServeOptions) -> tuple[Path, "subprocess.Popen[bytes]", PipeSink]:
+def _begun_recording(arm: Arm, options: ServeOptions) -> Path:
+    """A recording with its header. OSError where there is no place for it: nothing has moved then."""
     options.log_folder.mkdir(parents=True, exist_ok=True)
     started_s = time.time()
     name = time.strftime("%Y%m%d-%H%M%S", time.localtime(started_s))
     path = _free(options.log_folder, f"{arm.name}-{name}")
+    layout = Layout.of(arm.joint_count, has_joint_side(arm))
+    begin(
+        path,
+        layout.about(
+            arm=arm.name,
+            arm_file=str(arm.path),
+            arm_toml=arm_text(arm),
+            program=f"armwright {version('armwright')}",
+            started_unix_s=started_s,
+            period_s=options.period_s,
+        ),
+    )
+    return path
+
+
+def _start_writer(arm: Arm, recording: Path) -> tuple["subprocess.Popen[bytes]", PipeSink]:
     read_fd, write_fd = os.pipe()
     _enlarge(write_fd)
+    reports, of_writer = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    reports.setblocking(False)
+    kept = arm.recording
     writer = subprocess.Popen(
-        [sys.executable, "-m", "control.recording.writer", str(path)], stdin=read_fd, start_new_session=True
-    )
+        [
+            sys.executable, "-m", "control.recording.writer", str(recording), str(kept.rotate_bytes), str(kept.keep_bytes),
+        ],
+        stdin=read_fd,
+        stdout=of_writer.fileno(),
+        start_new_session=True,
+    )  # fmt: skip
     os.close(read_fd)
-    header = Layout.of(arm.joint_count, has_joint_side(arm)).header(
-        {
-            "arm": arm.name,
-            "arm_file": str(arm.path),
-            "arm_toml": arm_text(arm),
-            "program": f"armwright {version('armwright')}",
-            "started_unix_s": started_s,
-            "period_s": options.period_s,
-        }
-    )
-    return path, writer, PipeSink(write_fd, header)
+    of_writer.close()
+    return writer, PipeSink(write_fd, reports, str(recording))
+
+
+def _usage(arm: Arm, options: ServeOptions) -> str:
+    row_bytes = Layout.of(arm.joint_count, has_joint_side(arm)).packing.size
+    rate = 3600.0 * row_bytes / options.period_s
+    return RecorderState(True, bytes_per_h=rate, hours_left=hours_left(options.log_folder, rate)).usage()
 
 
 def _free(folder: Path, stem: str) -> Path:

@@ -6,6 +6,7 @@ closes, for whatever reason, the motion is stopped (a dead operator's terminal m
 """
 
 import contextlib
+import json
 import os
 import selectors
 import socket
@@ -16,6 +17,7 @@ from typing import Any
 import msgspec
 
 from control.errors import ArmError
+from control.files import utf_8
 
 Message = dict[str, Any]
 Handle = Callable[[Message, int], Message]
@@ -25,6 +27,14 @@ QUEUE_LIMIT = (
 )
 CHUNK_bytes = 1 << 13  # taken from one client a cycle: even newlines alone are split well within a cycle
 CLIENT_LIMIT = 32  # connections at a time; more would use up the loop's file descriptors
+
+
+def encoded(message: Message) -> bytes:
+    """JSON in UTF-8, also where a file name in it is no text: its bytes are then U+FFFD."""
+    try:
+        return msgspec.json.encode(message)
+    except UnicodeEncodeError:
+        return utf_8(json.dumps(message, ensure_ascii=False))
 
 
 class SocketTaken(ArmError):
@@ -112,7 +122,7 @@ class Server:
         client = waiting[self._turn % len(waiting)]
         answer = self._answer(client.lines.pop(0), client.number)
         try:
-            client.connection.sendall(msgspec.json.encode(answer) + b"\n")
+            client.connection.sendall(encoded(answer) + b"\n")
         except OSError:
             self._drop(client)
 

@@ -1,13 +1,16 @@
 """The runtime's state as a JSON object: what `status` answers (docs/socket.md)."""
 
+import time
 from typing import Any
 
 from control.kinematics.kinematics import Kinematics
 from control.loop.runtime import Runtime
+from control.recording.recorder_state import RecorderState
 from control.safety.table import CONTROLLED_MODES, Mode
 from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD
 
 CAMERA_FRESH_S = 0.5
+FEW_HOURS = 1.0  # of recording left: time to make room
 NEAR = 0.9  # of a limit: worth a warning
 
 
@@ -17,6 +20,7 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
     feedback, measured, aim = parts.hardware.feedback, parts.measurement, runtime.aim
     q_rad = measured.q_rad
     joint_rad, joint_set_rad = runtime.joint_rad()
+    recorder = parts.recorder.state()
     sees_tip = runtime.now_s - runtime.camera_at_s < CAMERA_FRESH_S
     return {
         "mode": monitor.mode.name,
@@ -50,12 +54,14 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
             {"code": f.code, "where": f.where, "message": f.message, "remedy": f.remedy}
             for f in monitor.faults
         ],
-        "warnings": _warnings(runtime),
+        "warnings": [*_warnings(runtime), *_recorder_warnings(recorder)],
         "period_s": parts.period_s,
         "missed_cycles": runtime.punctuality.missed,
         "late_p99_s": runtime.punctuality.late_s(0.99),
         "busy_p50_s": runtime.punctuality.busy_s(0.5),
-        "lost_rows": parts.recorder.lost_rows,
+        "lost_rows": recorder.lost_rows,
+        "recording": recorder.file,
+        "recorder": recorder.content(),
     }
 
 
@@ -72,16 +78,28 @@ def _warnings(runtime: Runtime) -> list[str]:
             warnings.append(
                 f"the drive of {name} is in FAULT (bits 0x{bits:02x}): `armwright acknowledge` when it is safe"
             )
-    if parts.recorder.lost_rows:
-        warnings.append(
-            f"{parts.recorder.lost_rows} cycles were not recorded: the disk or the writer does not keep up"
-        )
     if runtime.jogging is not None and runtime.jogging.limited:
         warnings.append(runtime.jogging.limited)
     if runtime.monitor.mode in CONTROLLED_MODES - {Mode.HOMING} and not runtime.monitor.is_homed:
         warnings.append("not homed: joint angles mean nothing yet (`armwright home`)")
     if runtime.monitor.is_homed:
         warnings += _near_range(runtime)
+    return warnings
+
+
+def _recorder_warnings(recorder: RecorderState) -> list[str]:
+    """Rows that are lost, why, and a disk that is full soon."""
+    warnings = []
+    if recorder.reason:
+        since = time.strftime("%H:%M:%S", time.localtime(recorder.since_unix_s))
+        warnings.append(
+            f"recording stopped at {since}: {recorder.file}: {recorder.reason}; {recorder.lost_rows} cycles were not"
+            " recorded. Recording resumes when there is room"
+        )
+    elif recorder.lost_rows:
+        warnings.append(f"{recorder.lost_rows} cycles were not recorded: the disk was full or too slow")
+    if recorder.is_on and recorder.hours_left is not None and recorder.hours_left < FEW_HOURS:
+        warnings.append(f"{recorder.file}: the disk is full after {60.0 * recorder.hours_left:.0f} min more")
     return warnings
 
 

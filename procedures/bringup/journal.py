@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from control.errors import ArmError
+from control.files import write_whole
 from control.model.arm import Arm, Drive, Effect, Home
 from procedures.bringup.findings import Diagnosis
 from procedures.bringup.measuring import Measured
@@ -87,9 +88,7 @@ class Journal:
 
     def _save(self) -> None:
         text = json.dumps(_finite(self._content), indent=1)
-        part = self.path.with_name(self.path.name + ".part")
-        part.write_text(text, "utf-8")
-        part.replace(self.path)
+        write_whole(self.path, text)
 
 
 def _keys(drive: Drive) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from calib.gap.report import GapReport, gap_parts
 from calib.report.comparison_sections import paths_section, verification_section
 from calib.report.page import Section, list_section, page, paragraph, table, tiles, verdict
+from control.files import write_whole
 from procedures.demo.gap import Circle
 from procedures.demo.gap_hidden import ON_TIP
 
@@ -48,7 +49,7 @@ def write_page(circle: Circle, out: Path) -> Path:
     path = out / "report.html"
     about = f"{date} · {program} · a mock arm with something hidden in it"
     content = page("The gap, closed on the arm", circle.nominal.name, about, _parts(circle, date, program))
-    path.write_text(content, encoding="utf-8")
+    write_whole(path, content)
     return path
 
 

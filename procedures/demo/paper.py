@@ -21,6 +21,7 @@ from calib.inputs import input_file
 from calib.points.points import Points, read_points
 from calib.points.writer import PointsWriter
 from calib.session.table import board_points
+from control.files import write_whole
 from control.model import table as tables
 from control.model.arm import Arm, Table
 from procedures.demo.paper_models import Model, commands, models_of, table_says, with_friction
@@ -127,9 +128,9 @@ def _written(arm: Arm, replay: Replay, out: Path) -> Outcome:
         _write_arm(out / f"arm_{_in_file(model.name)}.toml", arm, model, inputs, date, program)
     figures = out / "paper.json"
     text = json.dumps(document(replay, program, date, inputs), indent=2, allow_nan=False)
-    figures.write_text(text + "\n", encoding="utf-8")
+    write_whole(figures, text + "\n")
     report = out / "report.html"
-    report.write_text(paper_page(replay, arm.name, f"{date} · {program}", inputs), encoding="utf-8")
+    write_whole(report, paper_page(replay, arm.name, f"{date} · {program}", inputs))
     return Outcome(replay, report, figures)
 
 

@@ -15,6 +15,7 @@ from calib.errors import CalibrationError
 from calib.gap.plan.plan import GENTLE, AVERAGE_s, RecordingPlan, Run, SETTLE_s, Step, Visit
 from calib.points.writer import PointsWriter, Record
 from control.errors import ArmError
+from control.files import write_whole
 from control.hardware.averaging import Average
 from control.model.arm import Arm
 from control.server.client import ArmClient
@@ -53,7 +54,7 @@ def note_plan(out: Path, plan: RecordingPlan, arm: Arm) -> None:
             f"{path}: the records here are of another plan or arm: give the same options to go on with it, or another --out"
         )
     out.mkdir(parents=True, exist_ok=True)
-    path.write_text(wanted, encoding="utf-8")
+    write_whole(path, wanted)
 
 
 def plan_document(plan: RecordingPlan, arm: Arm) -> dict[str, object]:

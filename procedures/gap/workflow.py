@@ -21,6 +21,7 @@ from calib.gap.static.find import StaticGap, find
 from calib.inputs import input_file
 from calib.points.points import Points, joined, read_points
 from control.errors import ArmError
+from control.files import write_whole
 from control.model.arm import Arm, Calibration
 from control.model.description import save_arm
 from control.model.effects import EFFECTS
@@ -142,7 +143,7 @@ def write(outcome: Outcome, arm: Arm, inputs: Inputs, out: Path) -> Arm:
         date,
         program,
     )
-    (out / "report.html").write_text(gap_page(report), encoding="utf-8")
+    write_whole(out / "report.html", gap_page(report))
     return model
 
 

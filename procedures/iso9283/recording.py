@@ -18,6 +18,7 @@ from calib.iso9283.files import RecordFile, log_header, points_header, text
 from calib.iso9283.programme import Extent, PathRun, Step, Visit, path_programme, programme_document, steps
 from calib.iso9283.workspace import Solver, solver_of
 from control.errors import ArmError
+from control.files import write_whole
 from control.hardware.averaging import Average
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
@@ -247,4 +248,4 @@ def _note_programme(path: Path, document: dict[str, object]) -> None:
             f"{path}: the records here are of another programme or cube: choose another folder with --out, or give the"
             " same options to go on with it"
         )
-    path.write_text(wanted, encoding="utf-8")
+    write_whole(path, wanted)

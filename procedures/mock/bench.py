@@ -126,6 +126,7 @@ class RealTimeBench:
         self._folder = tempfile.TemporaryDirectory(prefix="armwright-demo-")
         self._runtime: subprocess.Popen[bytes] | None = None
         self._client: ArmClient | None = None
+        self._recording = log_folder
         self._starts = 0
 
     def start(self, arm: Arm) -> ArmClient:
@@ -143,6 +144,7 @@ class RealTimeBench:
             start_new_session=True,  # Ctrl-C is for the demo, which then ends the runtime in its own way
         )  # fmt: skip
         self._client = ArmClient(self._connected(socket_path))
+        self._recording = Path(self._client.status()["recording"])
         return self._client
 
     def _connected(self, socket_path: Path) -> SocketChannel:
@@ -166,10 +168,9 @@ class RealTimeBench:
         """Drives off, the runtime's process ended."""
         if self._client is None or self._runtime is None:
             raise ArmError("the bench has no runtime to stop")
-        recording = Path(self._client.status()["recording"])
         self._client.off(quit_runtime=True)
         self._runtime.wait(START_LIMIT_S)
-        return recording
+        return self._recording
 
     def close(self) -> None:
         """End the runtime, if it still runs, and the mock arm."""

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from calib.errors import CalibrationError
+from control.files import write_whole
 from control.model.arm import Arm
 from control.server.client import ArmClient
 from procedures.folders import free_folder
@@ -28,7 +29,7 @@ def kept_mock(
         raise CalibrationError(
             f"{kept}: the records here are of another mock arm: choose another folder with --out"
         )
-    kept.write_bytes(drawn)
+    write_whole(kept, drawn)
     log = free_folder(out / "log")
     bench = SteppedBench(arm, kept, log)
     try:

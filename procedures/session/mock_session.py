@@ -11,6 +11,7 @@ from calib.errors import SessionError
 from calib.session.boards_known import Boards
 from calib.session.conduct import Hand
 from calib.session.folder import SessionFolder
+from control.files import write_whole
 from control.model.arm import Arm
 from control.server.client import ArmClient
 from hil_mocks.scenario import load_scenario
@@ -62,7 +63,7 @@ def _kept_scenario(arm: Arm, folder: SessionFolder, name: str | None) -> Path:
     if not file.exists():
         if folder.points() is not None:
             raise SessionError(f"{folder.path} is the session of a real arm: leave --mock away")
-        file.write_bytes(seeded_scenario(name or DEFAULT_SCENARIO, None, was_homed=not can_home))
+        write_whole(file, seeded_scenario(name or DEFAULT_SCENARIO, None, was_homed=not can_home))
     elif name is not None and file.read_bytes() != seeded_scenario(name, None, was_homed=not can_home):
         raise SessionError(f"{folder.path} was begun with another scenario ({file}): leave --scenario away")
     return file

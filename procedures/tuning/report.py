@@ -10,6 +10,8 @@ import numpy as np
 
 from calib.report.drawing import AFTER, BEFORE, svg
 from calib.report.page import Section, bullets, page, pair, paragraph, table
+from control.files import write_whole
+from control.model.arm import Arm
 from procedures.tuning.procedure import LEAST_GAIN_dB, LEAST_PHASE_deg, Result, Trial, Tuned
 
 if TYPE_CHECKING:
@@ -18,16 +20,21 @@ if TYPE_CHECKING:
 
 MEASURED = "#1d2430"
 TICKS_Hz = (2, 5, 10, 20, 50)
-HEADER = (
-    "joint", "gains", "kp", "ki", "kd", "gain margin", "phase margin", "crossover", "overshoot", "settling",
-    "following error",
-)  # fmt: skip
+
+
+def header(arm: Arm) -> tuple[str, ...]:
+    """Heads of the columns; the gains' units are those of the drives' mode."""
+    unit = "A" if arm.drives[0].pid.mode == "current" else "V"
+    return (
+        "joint", "gains", f"kp [{unit}/rad]", f"ki [{unit}/(rad s)]", f"kd [{unit} s/rad]", "gain margin", "phase margin",
+        "crossover", "overshoot", "settling", "following error",
+    )  # fmt: skip
 
 
 def write_report(result: Result, path: Path, about: str) -> None:
     """One HTML file without outside resources."""
     parts = [_summary(result), *(_joint(tuned) for tuned in result.joints)]
-    path.write_text(page("Tuning", result.arm.name, about, parts), "utf-8")
+    write_whole(path, page("Tuning", result.arm.name, about, parts))
 
 
 def rows(tuned: Tuned) -> list[tuple[str, ...]]:
@@ -68,7 +75,7 @@ def _summary(result: Result) -> Section:
     )
     notes = [worst_pose(tuned) for tuned in result.joints]
     notes += [caution for tuned in result.joints for caution in tuned.cautions]
-    return Section("What came out", paragraph(wanted) + table(HEADER, lines) + bullets(notes))
+    return Section("What came out", paragraph(wanted) + table(header(result.arm), lines) + bullets(notes))
 
 
 def worst_pose(tuned: Tuned) -> str:

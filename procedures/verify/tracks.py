@@ -8,7 +8,7 @@ import numpy as np
 from calib.arrays import frozen
 from calib.validation.tracks import Track
 from control.errors import ArmError
-from control.recording.record import Layout, Recording
+from control.recording.record import Layout, Recording, parts_from
 from control.safety.table import Mode
 from procedures.verify.driving import Run
 from procedures.verify.models import Model
@@ -58,10 +58,14 @@ def _planned_m(rows: np.ndarray, model: Model, ran: Run) -> np.ndarray:
 
 
 def recorded(recording: Path) -> np.ndarray:
-    """The rows of a recording, which may still be growing, as a structured array."""
-    opened = Recording.open(recording)
+    """The rows of a recording and of its later parts, which may still be growing, as a structured array."""
+    return np.concatenate([_rows(part) for part in parts_from(recording)])
+
+
+def _rows(part: Path) -> np.ndarray:
+    opened = Recording.open(part)
     return np.fromfile(
-        recording, dtype=_dtype(opened.layout), offset=opened.offset, count=_row_count(recording, opened)
+        part, dtype=_dtype(opened.layout), offset=opened.offset, count=_row_count(part, opened)
     )
 
 
@@ -78,8 +82,8 @@ def _dtype(layout: Layout) -> np.dtype[np.void]:
 def wait_until_recorded(recording: Path, t_s: float, wait: Callable[[float], None]) -> None:
     """Return when the recording has come to the loop's time `t_s`; ArmError where it does not."""
     for _ in range(int(PATIENCE_S / 0.1)):
-        opened = Recording.open(recording)
-        if _row_count(recording, opened) and recorded(recording)["t_s"][-1] >= t_s:
+        newest = _rows(parts_from(recording)[-1])
+        if len(newest) and newest["t_s"][-1] >= t_s:
             return
         wait(0.1)
     raise ArmError(f"{recording}: does not grow any more; is its disk full?")

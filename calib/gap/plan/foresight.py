@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from calib.gap.finding import Nameable
@@ -76,10 +78,10 @@ def in_words(arm: Arm, plan: RecordingPlan, payload_kg: float) -> tuple[str, ...
     """The plan for an operator: what is recorded, how long it takes, what it would make nameable, what not and why."""
     said = [in_short(arm, plan)]
     ranges = ", ".join(
-        f"q{j + 1} {a:.2f} to {b:.2f}"
+        f"q{j + 1} {math.degrees(a):.0f} to {math.degrees(b):.0f}"
         for j, (a, b) in enumerate(zip(plan.room.lower_rad, plan.room.upper_rad, strict=True))
     )
-    said.append(f"Room: {ranges} rad; a few poses outside of it are reached from its middle.")
+    said.append(f"Room: {ranges} deg; a few poses outside of it are reached from its middle.")
     could = foreseen(arm, plan)
     if could:
         yes = [str(one.name) for one in could if is_nameable(one)]

@@ -24,6 +24,7 @@ from control.server.server import (
     Server,
     SocketTaken,
     default_path,
+    encoded,
 )
 from tests.cell import Cell
 
@@ -360,3 +361,13 @@ def test_an_answer_that_nobody_waited_for_is_not_taken_for_the_next_one(tmp_path
             assert channel.request({"do": "hold"})["mode"] == "HOLDING"
             assert json.loads(runtime.recv(1000)) == {"do": "hold", "id": 1}
             channel.close()
+
+
+def test_a_file_name_that_is_no_text_ends_no_runtime() -> None:
+    name = b"/log/by\xfcte".decode("ascii", "surrogateescape")
+    assert json.loads(encoded({"recording": name, "t_s": 1.5})) == {
+        "recording": "/log/by\ufffdte",
+        "t_s": 1.5,
+    }
+    name = "/log/prüfung".encode().decode("ascii", "surrogateescape")  # of a process with LC_ALL=C
+    assert json.loads(encoded({"recording": name})) == {"recording": "/log/prüfung"}

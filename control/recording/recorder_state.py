@@ -1,0 +1,52 @@
+"""How the recording stands: on or stopped, since when and why, what it takes and how long the disk lasts."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderState:
+    """What `status` answers under `recorder`. `reason` says why rows are not kept; empty while they are."""
+
+    is_on: bool
+    file: str = ""
+    reason: str = ""
+    since_unix_s: float = 0.0
+    lost_rows: int = 0
+    written_bytes: int = 0
+    bytes_per_h: float = 0.0
+    hours_left: float | None = None
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> "RecorderState":
+        """From a message; keys that this version does not know are passed over."""
+        known = {field.name for field in fields(cls)}
+        return cls(**{key: value for key, value in content.items() if key in known})
+
+    def content(self) -> dict[str, Any]:
+        """As a JSON object."""
+        return asdict(self)
+
+    def plus_lost(self, rows: int) -> "RecorderState":
+        """With rows that were lost before they came to the recorder."""
+        return replace(self, lost_rows=self.lost_rows + rows)
+
+    def usage(self) -> str:
+        """What it takes, in words: `400 MB/h, room for 31 h`."""
+        rate = f"{1e-6 * self.bytes_per_h:.0f} MB/h"
+        if self.hours_left is None:
+            return rate
+        left = f"{self.hours_left:.0f} h" if self.hours_left >= 2.0 else f"{60.0 * self.hours_left:.0f} min"
+        return f"{rate}, room for {left}"
+
+
+def hours_left(folder: Path, bytes_per_h: float) -> float | None:
+    """How long the disk of `folder` lasts at this rate; None where the system does not say."""
+    try:
+        disk = os.statvfs(folder)
+    except OSError:
+        return None
+    return disk.f_bavail * disk.f_frsize / bytes_per_h if bytes_per_h > 0.0 else None

@@ -1,0 +1,88 @@
+"""Plain-ASCII terminals and file names of any bytes: no traceback, and nothing that cannot be read."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from console.plain_text import HANDLER, IN_ASCII, prepare_streams
+
+PLAIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+SOURCES = [
+    file
+    for name in ("calib", "console", "control", "firmware_iface", "hil_mocks")
+    for file in Path(name).rglob("*.py")
+]
+
+
+def _put(monkeypatch: pytest.MonkeyPatch, encoding: str) -> io.BytesIO:
+    """Standard output on a terminal of this encoding; the test's own streams stay as they are."""
+    shown = io.BytesIO()
+    monkeypatch.setattr(sys, "stdin", None)
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(shown, encoding=encoding, write_through=True))
+    return shown
+
+
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [
+        ("25 °C ± 0.1 µm", b"25 degC +- 0.1 um"),
+        ("größe.toml", b"gr\\xf6\\xdfe.toml"),
+        (b"by\xfcte".decode("utf-8", "surrogateescape"), b"by\xfcte"),
+        ("a → b", b"a -> b"),
+        ("\U0001f916", b"\\U0001f916"),
+    ],
+)
+def test_what_a_terminal_cannot_show_is_said_in_ascii(
+    monkeypatch: pytest.MonkeyPatch, text: str, plain: bytes
+) -> None:
+    shown = _put(monkeypatch, "ascii")
+    prepare_streams()
+    sys.stdout.write(text)
+    assert shown.getvalue() == plain
+
+
+def test_every_symbol_that_the_program_writes_is_shown_as_one_that_is_there() -> None:
+    used = {character for file in SOURCES for character in file.read_text("utf-8") if not character.isascii()}
+    assert {character for character in used if not character.isalpha() or character in "µσ"} <= set(IN_ASCII)
+    assert all(plain.isascii() for plain in IN_ASCII.values())
+
+
+def test_a_utf_8_terminal_shows_everything_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = _put(monkeypatch, "utf-8")
+    prepare_streams()
+    sys.stdout.write("3 °C in Prüfung\n")
+    assert (shown.getvalue(), sys.stdout.errors) == ("3 °C in Prüfung\n".encode(), HANDLER)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [
+        (["export-arm", "--arm", "right", "--export", "urdf", "--out", "{}/arm.urdf"], 0),
+        (["calibrate", "--arm", "right", "--points", "{}/none.csv", "--out", "{}"], 2),
+        (["run", "{}/none.csv", "--arm", "right", "--plan-only"], 2),
+        (["status", "--arm", "right", "--socket", "{}/none.sock"], 2),
+        (["plot", "{}/none.armlog"], 2),
+    ],
+    ids=lambda given: given[0] if isinstance(given, list) else "",
+)
+def test_commands_take_any_path_on_a_plain_ascii_terminal(
+    tmp_path: Path, arguments: list[str], status: int
+) -> None:
+    name = "Prüfung ".encode() + b"by\xfcte"
+    folder = os.fsencode(tmp_path) + b"/" + name
+    Path(os.fsdecode(folder)).mkdir()
+    given = [os.fsencode(one).replace(b"{}", folder) for one in arguments]
+    command = [os.fsencode(sys.executable), b"-m", b"console.main", *given]
+    done = subprocess.run(command, env={**os.environ, **PLAIN}, capture_output=True, check=False, timeout=120)
+    said = done.stdout + done.stderr
+    assert b"Traceback" not in said
+    assert b"cannot be written in" not in said
+    assert name in said
+    assert done.returncode == status
