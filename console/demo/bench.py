@@ -2,7 +2,6 @@
 
 import contextlib
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -18,6 +17,7 @@ from control.loop.record import FileSink, Layout
 from control.model.arm import Arm
 from control.model.description import arm_text, save_arm
 from control.model.joint_side import has_joint_side
+from firmware_iface.installation import command
 from hil_mocks.realtime import RealTimeRig
 from hil_mocks.rig import MockArm, SteppedRig
 
@@ -83,6 +83,7 @@ class SteppedBench:
             self._connection.camera,
             self._sink,
             self.rig.clock.now_s,
+            {"recording": str(path)},
         )
         self._recordings.append(path)
         self._channel = InProcessChannel(assembly, self.rig.clock)
@@ -135,10 +136,9 @@ class RealTimeBench:
         arm_file, socket_path = folder / f"arm-{self._starts}.toml", folder / f"{self._starts}.sock"
         save_arm(wired_to(arm, self.rig), arm_file)
         self._runtime = subprocess.Popen(
-            [
-                sys.executable, "-m", "console.main", "serve", "--arm", str(arm_file), "--socket", str(socket_path),
-                "--log", str(self._log_folder),
-            ],
+            command(
+                "console.main", "serve", "--arm", str(arm_file), "--socket", str(socket_path), "--log", str(self._log_folder)
+            ),
             stdout=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C is for the demo, which then ends the runtime in its own way
         )  # fmt: skip
