@@ -178,6 +178,7 @@ def calibrate(
     Raises:
         CalibrationError: the points or the choice cannot be used; says which and why.
     """
+    _require_of(arm, points)
     choice = Choice(fixed=tuple(fixed), freed=tuple(free), effects=tuple(effects))
     plan = CalibrationPlan(choice, objective_named(objective), accuracy_m, leave_out, seed=seed)
     return CalibrationResult(calibrated(arm, points, plan))
@@ -189,7 +190,16 @@ def verify(nominal: Arm, calibrated_arm: Arm, points: Points) -> Comparison:
     `of("all")` gives mean, RMS, largest and whether the difference is more than chance; `of(setup)` that of one setup.
     CalibrationError if no point has a tip to compare with.
     """
+    _require_of(nominal, points)
+    _require_of(calibrated_arm, points)
     return compare_arms(nominal, calibrated_arm, points)
+
+
+def _require_of(arm: Arm, points: Points) -> None:
+    if points.joint_count != arm.joint_count:
+        raise CalibrationError(
+            f"points: {points.joint_count} joints, but arm {arm.name} has {arm.joint_count}"
+        )
 
 
 def _array(values: ArrayLike, what: str) -> Array:

@@ -65,8 +65,10 @@ def mock_arm(
         log = Path(folder).resolve() if folder is not None else work / "log"
         bench = _bench(described, Path(scenario), log, work, realtime)
         stack.callback(bench.close)
-        yield MockArm(bench.start(described), described, bench.rig)
-        bench.stop()
+        running = MockArm(bench.start(described), described, bench.rig)
+        stack.callback(running.close)
+        stack.callback(bench.stop)
+        yield running
 
 
 def _bench(arm: Arm, scenario: Path, log: Path, work: Path, realtime: bool) -> Bench:

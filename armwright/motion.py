@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from control.errors import BadTarget
 from control.model.arm import Arm
 from control.model.inverse import InverseKinematics
+from control.motion.errors import PathError
 from control.motion.plan import PlannedPath
 from control.motion.plan import plan_path as planned
 from control.motion.waypoints import read_waypoints
@@ -86,12 +87,20 @@ def plan_path(
         PathError: names the way-point, what is in the way and by how much.
         ArmError: the arm has not three joints, or a number is not usable.
     """
-    waypoints = (
-        read_waypoints(waypoints_m)
-        if isinstance(waypoints_m, str | Path)
-        else np.asarray(waypoints_m, dtype=np.float64).tolist()
-    )
+    waypoints = read_waypoints(waypoints_m) if isinstance(waypoints_m, str | Path) else _listed(waypoints_m)
     return Trajectory(arm, planned(arm, waypoints, speed_m_s, q_near_rad=near_rad))
+
+
+def _listed(waypoints_m: ArrayLike) -> list[list[float]]:
+    """PathError for another shape than (m, 3)."""
+    try:
+        array = np.asarray(waypoints_m, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise PathError("way-points: expected numbers of shape (m, 3)") from None
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise PathError(f"way-points: expected shape (m, 3), got {array.shape}")
+    listed: list[list[float]] = array.tolist()
+    return listed
 
 
 def _stacked(rows: Sequence[Sequence[float]], width: int) -> Array:

@@ -103,3 +103,23 @@ def test_every_error_is_an_armwright_error() -> None:
     ]
     assert len(errors) >= 10
     assert all(issubclass(error, armwright.ArmwrightError) for error in errors)
+
+
+def test_wrong_input_is_one_error_of_the_family_that_says_the_shape() -> None:
+    arm = armwright.load_arm("right")
+    two_joints = armwright.make_points([[1.0, 2.0]], [[1.0, 2.0, 3.0]])
+    with pytest.raises(armwright.BadTarget, match=r"expected shape \(..., 3\), got \(2,\)"):
+        armwright.Kinematics(arm).forward([1.0, 2.0])
+    with pytest.raises(armwright.PathError, match=r"expected shape \(m, 3\), got \(2, 2\)"):
+        armwright.plan_path(arm, [[1.0, 2.0], [3.0, 4.0]])
+    with pytest.raises(armwright.CalibrationError, match=r"tip_m: expected shape \(1, 3\), got \(1, 2\)"):
+        armwright.make_points([[1.0, 2.0, 3.0]], [[1.0, 2.0]])
+    for look in (
+        armwright.calibrate,
+        armwright.find_gap,
+        lambda arm, points: armwright.verify(arm, arm, points),
+    ):
+        with pytest.raises(armwright.CalibrationError, match="points: 2 joints, but arm right has 3"):
+            look(arm, two_joints)
+    with pytest.raises(armwright.RuntimeGone, match="start one with `armwright serve`"):
+        armwright.connect(arm, "/nowhere.sock")
