@@ -7,7 +7,6 @@ signal during that changes nothing; the emergency stop is a switch, not a signal
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from control.server.periodic import PeriodicTimer
 from control.server.scheduling import request_punctuality
 from control.server.server import Server, require_free
 from firmware_iface.clock import Clock, MonotonicClock
+from firmware_iface.installation import command
 
 PIPE_bytes = 1 << 20  # some seconds of rows: how long a disk may stall
 
@@ -100,7 +100,7 @@ def _start_writer(arm: Arm, options: ServeOptions) -> tuple[Path, "subprocess.Po
     read_fd, write_fd = os.pipe()
     _enlarge(write_fd)
     writer = subprocess.Popen(
-        [sys.executable, "-m", "control.recording.writer", str(path)], stdin=read_fd, start_new_session=True
+        command("control.recording.writer", str(path)), stdin=read_fd, start_new_session=True
     )
     os.close(read_fd)
     header = Layout.of(arm.joint_count, has_joint_side(arm)).header(
