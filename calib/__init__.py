@@ -1,1 +1,5 @@
 """Measured against modelled: table sessions, identification of DH deviations, verification, report."""
+
+from firmware_iface.installation import claim
+
+claim()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from firmware_iface.errors import ArmwrightError
 
-class CalibrationError(Exception):
+
+class CalibrationError(ArmwrightError):
     """Base of everything that calib refuses."""
 
 

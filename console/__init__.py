@@ -1,0 +1,5 @@
+"""The operator's commands and screen."""
+
+from firmware_iface.installation import claim
+
+claim()

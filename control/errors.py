@@ -2,8 +2,13 @@
 
 from pathlib import Path
 
+from firmware_iface.errors import ArmwrightError
+from firmware_iface.installation import claim
 
-class ArmError(Exception):
+claim()  # here too: python-control's __init__.py may stand in the place of ours
+
+
+class ArmError(ArmwrightError):
     """Base of everything that the package `control` raises on purpose; `str()` is the message to show."""
 
 

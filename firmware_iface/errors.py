@@ -11,7 +11,11 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-class LinkError(Exception):
+class ArmwrightError(Exception):
+    """Base of everything that armwright raises on purpose; `str()` is the message to show."""
+
+
+class LinkError(ArmwrightError):
     """Base of everything that the devices raise."""
 
 

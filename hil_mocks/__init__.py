@@ -1,0 +1,5 @@
+"""A robot without the robot: plant, boards and camera."""
+
+from firmware_iface.installation import claim
+
+claim()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from firmware_iface.errors import ArmwrightError
 
-class MockError(Exception):
+
+class MockError(ArmwrightError):
     """Base of all errors of hil_mocks."""
 
 

@@ -6,7 +6,6 @@ import json
 import select
 import socket
 import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +14,7 @@ from typing import Any, Self
 import msgspec
 
 from firmware_iface.clock import Clock, MonotonicClock
+from firmware_iface.installation import command
 from hil_mocks.errors import RigError
 from hil_mocks.plant.hand import Point
 from hil_mocks.rig import MockArm, MockHand, SteppedRig
@@ -53,9 +53,11 @@ class RealTimeRig:
     """A mock arm in a process of its own. Ends with `close`, and by itself when this process dies."""
 
     def __init__(self, arm: str | Path, scenario: str | Path = "ideal") -> None:
-        command = [sys.executable, "-m", "hil_mocks.serve", "--arm", str(arm), "--scenario", str(scenario)]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            command("hil_mocks.serve", "--arm", str(arm), "--scenario", str(scenario)),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
         )
         try:
             said = self._announcement()

@@ -1,1 +1,5 @@
 """What takes an operator through a job step by step: bring-up, tuning, sessions, recordings, verification, demos."""
+
+from firmware_iface.installation import claim
+
+claim()

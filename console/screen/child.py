@@ -10,6 +10,8 @@ import signal
 import sys
 from collections.abc import Sequence
 
+from firmware_iface.installation import command
+
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
@@ -25,10 +27,7 @@ async def subcommand(words: Sequence[str], takes_answers: bool = False) -> async
             os.kill(os.getpid(), signal.SIGINT)
 
     return await asyncio.create_subprocess_exec(
-        sys.executable,
-        "-m",
-        "console.main",
-        *words,
+        *command("console.main", *words),
         stdin=asyncio.subprocess.PIPE if takes_answers else asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.STDOUT,

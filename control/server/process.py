@@ -8,7 +8,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ from control.server.periodic import PeriodicTimer
 from control.server.scheduling import request_punctuality
 from control.server.server import Server, require_free
 from firmware_iface.clock import Clock, MonotonicClock
+from firmware_iface.installation import command
 
 PIPE_bytes = 1 << 20  # some seconds of rows: how long a disk may stall
 
@@ -126,13 +126,11 @@ def _start_writer(arm: Arm, recording: Path) -> tuple["subprocess.Popen[bytes]",
     reports.setblocking(False)
     kept = arm.recording
     writer = subprocess.Popen(
-        [
-            sys.executable, "-m", "control.recording.writer", str(recording), str(kept.rotate_bytes), str(kept.keep_bytes),
-        ],
+        command("control.recording.writer", str(recording), str(kept.rotate_bytes), str(kept.keep_bytes)),
         stdin=read_fd,
         stdout=of_writer.fileno(),
         start_new_session=True,
-    )  # fmt: skip
+    )
     os.close(read_fd)
     of_writer.close()
     return writer, PipeSink(write_fd, reports, str(recording))

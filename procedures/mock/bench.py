@@ -2,7 +2,6 @@
 
 import contextlib
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -17,6 +16,7 @@ from control.recording.record import FileSink, Layout
 from control.server.assemble import assemble
 from control.server.client import ArmClient, RuntimeGone, SocketChannel
 from control.server.in_process import InProcessChannel
+from firmware_iface.installation import command
 from hil_mocks.realtime import RealTimeRig
 from hil_mocks.rig import MockArm, SteppedRig
 from procedures.mock.arm import wired_to
@@ -83,6 +83,7 @@ class SteppedBench:
             self._connection.camera,
             self._sink,
             self.rig.clock.now_s,
+            {"recording": str(path)},
         )
         self._recordings.append(path)
         self._channel = InProcessChannel(assembly, self.rig.clock)
@@ -136,10 +137,9 @@ class RealTimeBench:
         arm_file, socket_path = folder / f"arm-{self._starts}.toml", folder / f"{self._starts}.sock"
         save_arm(wired_to(arm, self.rig), arm_file)
         self._runtime = subprocess.Popen(
-            [
-                sys.executable, "-m", "console.main", "serve", "--arm", str(arm_file), "--socket", str(socket_path),
-                "--log", str(self._log_folder),
-            ],
+            command(
+                "console.main", "serve", "--arm", str(arm_file), "--socket", str(socket_path), "--log", str(self._log_folder)
+            ),
             stdout=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C is for the demo, which then ends the runtime in its own way
         )  # fmt: skip

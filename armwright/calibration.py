@@ -1,0 +1,222 @@
+"""Calibration from measured points, and verification of the result on others."""
+
+import datetime
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.arm_problem.assembly import Choice
+from calib.calibration.calibrate import Calibrated, CalibrationPlan, LeaveOut
+from calib.calibration.calibrate import calibrate as calibrated
+from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
+from calib.calibration.report import calibration_report
+from calib.calibration.text import judgement_json, summary_text
+from calib.errors import CalibrationError
+from calib.identify.objective import objective_named
+from calib.points.points import Points
+from calib.points.points import make_points as made_points
+from calib.points.points import read_points as points_of
+from calib.report.report import write_report
+from calib.validation.verify import Comparison
+from calib.validation.verify_recorded import compare_arms
+from control.model.arm import Arm
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+RESULTS = ("arm.toml", "calibration.json", "report.html")
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationResult:
+    """A calibrated arm and what it is worth; `str()` is the summary that `armwright calibrate` prints."""
+
+    calibrated: Calibrated
+
+    @property
+    def arm(self) -> Arm:
+        """The calibrated arm."""
+        return self.calibrated.arm
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the calibrated arm can be used."""
+        return self.calibrated.verdict.is_good
+
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentences: the answer, why, and what to do next."""
+        return self.calibrated.verdict.in_words()
+
+    @property
+    def parameters(self) -> Mapping[str, tuple[float, float]]:
+        """Every identified parameter of the arm: value and standard deviation, in m, rad or its own unit.
+
+        The standard deviation is NaN for a parameter at its bound.
+        """
+        return {one.parameter.name: (one.value, one.sd) for one in self.calibrated.found.estimates}
+
+    @property
+    def error_before_m(self) -> Array:
+        """Error vectors (m, 3) [m] at the points by the nominal arm, measured minus modelled."""
+        return self.calibrated.found.error_before_m
+
+    @property
+    def error_after_m(self) -> Array:
+        """The same by the calibrated arm."""
+        return self.calibrated.found.error_after_m
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about points and result."""
+        return self.calibrated.warnings
+
+    def save(self, folder: str | Path) -> None:
+        """Write arm.toml, calibration.json and report.html. CalibrationError where one is there already; nothing is written."""
+        out = Path(folder)
+        for name in RESULTS:
+            if (out / name).exists():
+                raise CalibrationError(
+                    f"{out / name} exists already and is never overwritten: give another folder"
+                )
+        made, program = self.calibrated, f"armwright {version('armwright')}"
+        date = datetime.datetime.now(datetime.UTC).date().isoformat()
+        nominal, found = made.nominal, made.found
+        write_calibrated_arm(out / "arm.toml", nominal, found, {}, date, program)
+        write_calibration_json(
+            out / "calibration.json", nominal.name, found, {}, date, program, more=judgement_json(made)
+        )
+        write_report(out / "report.html", calibration_report(made, (), date, program))
+
+    def __str__(self) -> str:
+        return summary_text(self.calibrated)
+
+
+def make_points(
+    q_rad: ArrayLike,
+    tip_m: ArrayLike | None = None,
+    *,
+    setup: str | Sequence[str] = "free",
+    point: Sequence[str] | None = None,
+    repeat: Sequence[int] | None = None,
+    direction: ArrayLike | None = None,
+    current_A: ArrayLike | None = None,
+    payload_kg: ArrayLike | None = None,
+) -> Points:
+    """Points of a calibration from arrays: m static poses of an arm with n joints.
+
+    Args:
+        q_rad: (m, n) encoder angles [rad].
+        tip_m: (m, 3) measured tip positions [m] in the base frame, NaN where not measured; None for none.
+        setup: one name for all or one each: "normal", "roll", "pitch" for the calibration board's tilts, any other else.
+        point: (m,) names, those of the board's cavities where the tip sat in one; "1" to "m" by default.
+        repeat: (m,) number of the visit to the point, 1 by default.
+        direction: (m, n) sign of each joint's last motion, 0 unknown; what backlash needs.
+        current_A: (m, n) motor currents [A], NaN unknown.
+        payload_kg: (m,) mass at the tip [kg], NaN unknown.
+
+    Raises:
+        CalibrationError: names the array, its shape and the shape that is expected.
+    """
+    angles = _array(q_rad, "q_rad")
+    if angles.ndim != 2 or not len(angles) or not np.isfinite(angles).all():
+        raise CalibrationError(f"q_rad: expected finite numbers of shape (m, n), got shape {angles.shape}")
+    m, n = angles.shape
+    return made_points(
+        _listed([setup] * m if isinstance(setup, str) else setup, m, "setup"),
+        _listed([str(k) for k in range(1, m + 1)] if point is None else point, m, "point"),
+        _listed([1] * m if repeat is None else repeat, m, "repeat"),
+        angles,
+        np.full((m, 3), np.nan) if tip_m is None else _shaped(tip_m, (m, 3), "tip_m"),
+        None if direction is None else _shaped(direction, (m, n), "direction"),
+        None if current_A is None else _shaped(current_A, (m, n), "current_A"),
+        payload_kg=None if payload_kg is None else _shaped(payload_kg, (m,), "payload_kg"),
+    )
+
+
+def read_points(path: str | Path, joint_count: int | None = None) -> Points:
+    """The points of a points.csv or points.csv.gz; Python warnings for columns that are not known.
+
+    CalibrationError names file, line and column of what is wrong; with `joint_count` also another number of joints is.
+    """
+    points, said = points_of(Path(path), joint_count)
+    for sentence in said:
+        warnings.warn(sentence, stacklevel=2)
+    return points
+
+
+def calibrate(
+    arm: Arm,
+    points: Points,
+    *,
+    effects: Sequence[str] = (),
+    free: Sequence[str] = (),
+    fixed: Sequence[str] = (),
+    objective: str = "e2",
+    accuracy_m: float | None = None,
+    leave_out: LeaveOut = None,
+    seed: int = 0,
+) -> CalibrationResult:
+    """Identify the geometry of `arm` from points, look for outliers, leave points out, and judge. `arm` stays as it is.
+
+    Args:
+        arm: the nominal arm.
+        points: with measured tips, or in cavities of the arm's calibration table.
+        effects: identified too: "backlash:2", "joint_compliance:2", "encoder_scale:1", "belt_coupling" ...
+        free: frames that are identified too, of "base", "table", "tool".
+        fixed: names of parameters that keep their value, as "theta4".
+        objective: "e2" sum of distances, "e1" sum of absolute coordinates, "lsq" least squares, "huber".
+        accuracy_m: the mean distance that is wanted; the verdict says whether it is met.
+        leave_out: "setup", or k for every k-th point, for the held-out error; setups by default, where there are several.
+        seed: of the places where the searches start.
+
+    Raises:
+        CalibrationError: the points or the choice cannot be used; says which and why.
+    """
+    _require_of(arm, points)
+    choice = Choice(fixed=tuple(fixed), freed=tuple(free), effects=tuple(effects))
+    plan = CalibrationPlan(choice, objective_named(objective), accuracy_m, leave_out, seed=seed)
+    return CalibrationResult(calibrated(arm, points, plan))
+
+
+def verify(nominal: Arm, calibrated_arm: Arm, points: Points) -> Comparison:
+    """Errors at points by two models of one arm; take points that the calibration did not use.
+
+    `of("all")` gives mean, RMS, largest and whether the difference is more than chance; `of(setup)` that of one setup.
+    CalibrationError if no point has a tip to compare with.
+    """
+    _require_of(nominal, points)
+    _require_of(calibrated_arm, points)
+    return compare_arms(nominal, calibrated_arm, points)
+
+
+def _require_of(arm: Arm, points: Points) -> None:
+    if points.joint_count != arm.joint_count:
+        raise CalibrationError(
+            f"points: {points.joint_count} joints, but arm {arm.name} has {arm.joint_count}"
+        )
+
+
+def _array(values: ArrayLike, what: str) -> Array:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise CalibrationError(f"{what}: expected an array of numbers") from None
+
+
+def _shaped(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
+    array = _array(values, what)
+    if array.shape != shape:
+        raise CalibrationError(f"{what}: expected shape {shape}, got {array.shape}")
+    return array
+
+
+def _listed(values: Sequence[T], count: int, what: str) -> list[T]:
+    if len(values) != count:
+        raise CalibrationError(f"{what}: expected {count} values, one for each pose, got {len(values)}")
+    return list(values)

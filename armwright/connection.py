@@ -1,0 +1,224 @@
+"""An arm whose control loop runs: a client of `armwright serve` over its local socket."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armwright.motion import Trajectory
+from control.errors import ArmError, BadTarget
+from control.hardware.averaging import Average
+from control.kinematics.inverse import InverseKinematics
+from control.model.arm import Arm
+from control.model.description import load_arm
+from control.server.client import ArmClient, ArmFaulted, SocketChannel, fault_text
+from control.server.server import default_path
+
+Array = NDArray[np.float64]
+APPROACH_SPEED = 0.5  # of the joints' limits, on the way to the start of a path
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The arm at one moment of the loop's clock, `t_s`.
+
+    `mode` is one of docs/state_machine.md. joint_rad, encoder_rad (they differ where the arm's file knows backlash, compliance
+    or encoder errors), speed_rad_s, current_A: (n,). tip_m (3,) in the base frame by the model, None before homing; camera_m
+    (3,) as the camera sees it, None without a fresh frame. `faults` and `warnings` are sentences.
+    """
+
+    mode: str
+    t_s: float
+    is_homed: bool
+    joint_rad: Array
+    encoder_rad: Array
+    speed_rad_s: Array
+    current_A: Array
+    tip_m: Array | None
+    camera_m: Array | None
+    faults: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+class RunningArm:
+    """An arm that a control loop moves. Made by `connect` or `mock_arm`; a context manager that hangs up at its end.
+
+    Methods that move return when the arm is at rest at the target. A motion that this connection started is stopped when the
+    connection ends, for whatever reason. They raise:
+
+        RequestRefused: the loop did not take the request; nothing has moved.
+        ArmFaulted: the arm stopped by itself and is in FAULT; the message says why.
+        MotionStopped: somebody stopped the motion before its end.
+        RuntimeGone: the loop does not answer.
+    """
+
+    def __init__(self, client: ArmClient, arm: Arm) -> None:
+        """`arm`: the description that the loop works with."""
+        self.arm = arm
+        self._client = client
+
+    def status(self) -> Status:
+        """What the arm does now."""
+        now = self._client.status()
+        return Status(
+            now["mode"],
+            now["t_s"],
+            now["is_homed"],
+            _array(now["joint_rad"]),
+            _array(now["q_rad"]),
+            _array(now["speed_rad_s"]),
+            _array(now["current_A"]),
+            None if now["tip_m"] is None else _array(now["tip_m"]),
+            None if now["camera_m"] is None else _array(now["camera_m"]),
+            tuple(f"{fault['where']}: {fault['message']}; {fault['remedy']}" for fault in now["faults"]),
+            tuple(now["warnings"]),
+        )
+
+    @property
+    def joint_rad(self) -> Array:
+        """Joint angles (n,) [rad] now; meaningful once the arm is homed."""
+        return self.status().joint_rad
+
+    @property
+    def tip_m(self) -> Array:
+        """Tip position (3,) [m] in the base frame now, by the model. ArmError before homing."""
+        tip = self.status().tip_m
+        if tip is None:
+            raise ArmError(f"arm {self.arm.name}: the tip position is unknown before homing: call home()")
+        return tip
+
+    @property
+    def recording(self) -> Path:
+        """The file to which the loop records every cycle; relative to the loop's working directory unless absolute."""
+        return Path(self._client.status()["recording"])
+
+    def enable(self) -> None:
+        """Switch the drives on; the arm holds where it stands."""
+        if self._client.status()["mode"] != "HOLDING":
+            self._client.enable()
+
+    def home(self, timeout_s: float = 120.0) -> None:
+        """Find the zero of every joint, one after the other; at once where the boards still know it."""
+        self._client.home(timeout_s)
+
+    def move_joints(
+        self, joint_rad: Sequence[float] | Array, speed: float = 1.0, *, wait: bool = True
+    ) -> None:
+        """Move to joint angles (n,) [rad], all joints arriving together; `speed` is a fraction of the joints' limits.
+
+        With `wait=False` it returns at once; `wait_until_holding` then waits for the end.
+        """
+        self._client.move_joints(_numbers(joint_rad, self.arm.joint_count, "joint_rad"), speed, wait)
+
+    def move_tip(self, tip_m: Sequence[float] | Array, speed: float = 1.0, *, wait: bool = True) -> None:
+        """Move the joints to where the tip is at `tip_m` (3,) [m] in the base frame; the tip's way there is not straight.
+
+        OutOfReach, JointLimitViolated or NearSingular where no pose is there; nothing has moved then.
+        """
+        point = _numbers(tip_m, 3, "tip_m")
+        target = InverseKinematics(self.arm).nearest(point, self._client.status()["joint_rad"])
+        self._client.move_joints(target, speed, wait)
+
+    def run(self, trajectory: Trajectory, *, wait: bool = True) -> None:
+        """Move to the start of a planned path at half speed, then run the path.
+
+        With `wait=False` it returns when the path has begun.
+        """
+        self._client.move_joints(trajectory.start_rad, APPROACH_SPEED)
+        self._client.run_path(trajectory.path.to_message(), wait)
+
+    def jog_joint(self, joint: int, by_rad: float) -> str:
+        """Move one joint (1-based) by an angle; returns what limited it in words, empty for nothing."""
+        return self._client.jog(joint=joint, by_rad=by_rad)
+
+    def jog_tip(self, axis: Literal["x", "y", "z"], by_m: float) -> str:
+        """Move the tip along an axis of the base frame; returns what limited it in words, empty for nothing."""
+        return self._client.jog(axis=axis, by_m=by_m)
+
+    def stop(self) -> None:
+        """Controlled stop of whatever moves; returns when the arm holds. No replacement for an emergency stop."""
+        self._client.stop()
+
+    def pause(self) -> None:
+        """Slow the motion to rest on its path; `resume` goes on."""
+        self._client.pause()
+
+    def resume(self) -> None:
+        """Go on after `pause`."""
+        self._client.resume()
+
+    def wait_until_holding(self, timeout_s: float = 60.0) -> None:
+        """Wait for the end of a motion that was started with `wait=False`. ArmError after `timeout_s`."""
+        self._client.arrive(timeout_s)
+
+    def guide(self) -> None:
+        """Let a hand guide the arm: the drives carry nothing, so somebody must hold it first. `hold` ends it."""
+        self._client.guide()
+
+    def hold(self) -> None:
+        """End hand guiding; the arm holds where it stands."""
+        self._client.hold()
+
+    def measure(self, duration_s: float) -> Average:
+        """Means over `duration_s` at rest: encoder angles, currents and, with a camera, the tip in the base frame."""
+        return self._client.average(duration_s)
+
+    def acknowledge(self) -> None:
+        """Confirm the faults after their cause is gone; the arm may be enabled again."""
+        self._client.acknowledge()
+
+    def off(self) -> None:
+        """Stop, lower the arm to rest with shorted windings, switch the drives off. The loop goes on."""
+        self._client.off()
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass on the loop's clock: on a stepped mock arm nothing happens in between."""
+        self._client.wait(duration_s)
+        status = self._client.status()
+        if status["mode"] == "FAULT":
+            raise ArmFaulted(fault_text(status))
+
+    def close(self) -> None:
+        """Hang up. A motion that this connection started is stopped; the loop goes on."""
+        self._client.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def connect(arm: Arm | str | Path, socket: str | Path | None = None, timeout_s: float = 2.0) -> RunningArm:
+    """Connect to the loop that runs `arm`: the same file or shipped name that `armwright serve --arm` was given.
+
+    Args:
+        arm: an Arm, the path of an arm.toml, or the name of an arm that ships.
+        socket: of the loop, where `armwright serve --socket` set another than that of the arm's name.
+        timeout_s: longest wait for an answer.
+
+    Raises:
+        RuntimeGone: no loop answers.
+        ArmFileError: the file is not usable.
+    """
+    described = arm if isinstance(arm, Arm) else load_arm(arm)
+    path = Path(socket) if socket is not None else default_path(described.name)
+    return RunningArm(ArmClient(SocketChannel(path, timeout_s)), described)
+
+
+def _array(values: Any) -> Array:
+    return np.array(values, dtype=np.float64)
+
+
+def _numbers(values: Sequence[float] | Array, count: int, what: str) -> list[float]:
+    """`values` as plain numbers; BadTarget where they are not `count` finite ones."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise BadTarget(f"{what}: expected {count} finite numbers, got {array.tolist()}")
+    return [float(value) for value in array]

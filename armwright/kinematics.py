@@ -1,0 +1,85 @@
+"""Forward and inverse kinematics and the Jacobian, of one pose or of many at once."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from control.errors import BadTarget
+from control.kinematics.inverse import InverseKinematics, Solution
+from control.model.arm import Arm
+
+Array = NDArray[np.float64]
+
+
+class Kinematics:
+    """The geometry of one arm with n joints: DH table and tool, as the arm's file says.
+
+    Joint angles in rad, tip positions in m in the base frame. Leading axes of an argument are kept: (n,) gives one result,
+    (m, n) gives m of them. Angles are those of the joints; what lies between encoder and joint (backlash, compliance) is no
+    part of it.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        """The functions are compiled for the numbers of `arm` when they are first called, which takes some 10 ms."""
+        self._inverse = InverseKinematics(arm)
+        self._forward = self._inverse.kinematics
+        self._rest_rad = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
+        self.joint_count = arm.joint_count
+
+    def forward(self, joint_rad: ArrayLike) -> Array:
+        """Tip positions (..., 3) [m] of joint angles (..., n). BadTarget for another shape or a number that is not finite."""
+        poses, shape = _rows(joint_rad, self.joint_count, "joint angles")
+        return self._forward.tips(poses).reshape(*shape, 3)
+
+    def jacobian(self, joint_rad: ArrayLike) -> Array:
+        """Derivatives of the tip position by the joint angles, (..., 3, n) [m/rad], of (..., n). BadTarget as `forward`."""
+        poses, shape = _rows(joint_rad, self.joint_count, "joint angles")
+        return self._forward.jacobians(poses).reshape(*shape, 3, self.joint_count)
+
+    def inverse(self, tip_m: ArrayLike, near_rad: ArrayLike | None = None) -> Array:
+        """Joint angles (..., n) within the joint limits for tip positions (..., 3), to 1e-9 m.
+
+        Of several solutions the one with the least largest joint travel from `near_rad` (n,) or (..., n), by default from the
+        arm's rest pose.
+
+        Raises:
+            OutOfReach: `distance_m` says how far outside of the reach the first such position lies.
+            JointLimitViolated: only poses beyond the limits reach it; `joint` and `excess_rad` say by how much.
+            NearSingular: the arm would lose a direction of motion there.
+            BadTarget: another shape, or a number that is not finite.
+        """
+        tips, shape = _rows(tip_m, 3, "tip positions")
+        near = np.asarray(self._rest_rad if near_rad is None else near_rad, dtype=np.float64)
+        try:
+            starts = np.broadcast_to(near, (*shape, self.joint_count)).reshape(-1, self.joint_count)
+        except ValueError:
+            raise BadTarget(
+                f"near_rad: expected shape ({self.joint_count},) or {(*shape, self.joint_count)}, got {near.shape}"
+            ) from None
+        found = [
+            self._inverse.nearest(tip, start)
+            for tip, start in zip(tips.tolist(), starts.tolist(), strict=True)
+        ]
+        return np.array(found, dtype=np.float64).reshape(*shape, self.joint_count)
+
+    def solutions(self, tip_m: ArrayLike) -> tuple[Solution, ...]:
+        """Every pose that reaches one tip position (3,), also beyond the joint limits, each with its branch.
+
+        Raises as `inverse`, and MissingModel for an arm that is not yaw - pitch - pitch and has no named branches.
+        """
+        tips, shape = _rows(tip_m, 3, "tip position")
+        if shape:
+            raise BadTarget(f"tip position: expected shape (3,), got {(*shape, 3)}")
+        return tuple(self._inverse.branches(tips[0].tolist()))
+
+
+def _rows(values: ArrayLike, width: int, what: str) -> tuple[Array, tuple[int, ...]]:
+    """`values` (..., width) as rows (m, width), and the shape of what is before the last axis; BadTarget for another."""
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise BadTarget(f"{what}: expected numbers of shape (..., {width})") from None
+    if array.ndim == 0 or array.shape[-1] != width:
+        raise BadTarget(f"{what}: expected shape (..., {width}), got {array.shape}")
+    if not np.isfinite(array).all():
+        raise BadTarget(f"{what}: expected finite numbers")
+    return array.reshape(-1, width), array.shape[:-1]

@@ -1,0 +1,79 @@
+"""A mock arm to try programs on: boards and physics are simulated, the control loop is the real one."""
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armwright.connection import RunningArm
+from control.model.arm import Arm
+from control.model.description import load_arm, save_arm
+from control.server.client import ArmClient
+from hil_mocks.rig import MockArm as Rig
+from procedures.mock.bench import Bench, RealTimeBench, SteppedBench
+
+Array = NDArray[np.float64]
+
+
+class MockArm(RunningArm):
+    """A running mock arm, which also tells the truth about itself."""
+
+    def __init__(self, client: ArmClient, arm: Arm, rig: Rig) -> None:
+        super().__init__(client, arm)
+        self._rig = rig
+
+    def true_tip_m(self) -> Array:
+        """Where the simulated tip is, (3,) [m] in the base frame."""
+        return np.array(self._rig.tip_m(), dtype=np.float64)
+
+    def true_joint_rad(self) -> Array:
+        """The simulated joint angles (n,) [rad]."""
+        return np.array(self._rig.joint_rad(), dtype=np.float64)
+
+    def set_payload(self, mass_kg: float) -> None:
+        """Hang a mass at the tip; 0 takes it off."""
+        self._rig.set_payload(mass_kg)
+
+
+@contextmanager
+def mock_arm(
+    arm: Arm | str | Path = "right",
+    scenario: str | Path = "ideal",
+    *,
+    realtime: bool = False,
+    folder: str | Path | None = None,
+) -> Iterator[MockArm]:
+    """Start a mock of `arm` with a control loop, connect, and end both afterwards. The drives are off at first.
+
+    Args:
+        arm: an Arm, the path of an arm.toml, or the name of an arm that ships.
+        scenario: what the mock hides from the loop: "ideal", "demo", "paper", or a file (docs/mock_robot.md).
+        realtime: False simulates in this process on a stepped clock, faster than real time; time passes only while a method
+            waits. True starts boards and loop as processes of their own, as with a real arm.
+        folder: for the recordings; without it they are deleted at the end.
+
+    Raises:
+        ArmFileError, MockError: the arm's file or the scenario is not usable.
+        LinkError: the mock boards did not come up.
+    """
+    described = arm if isinstance(arm, Arm) else load_arm(arm)
+    with ExitStack() as stack:
+        work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="armwright-mock-")))
+        log = Path(folder).resolve() if folder is not None else work / "log"
+        bench = _bench(described, Path(scenario), log, work, realtime)
+        stack.callback(bench.close)
+        running = MockArm(bench.start(described), described, bench.rig)
+        stack.callback(running.close)
+        stack.callback(bench.stop)
+        yield running
+
+
+def _bench(arm: Arm, scenario: Path, log: Path, work: Path, realtime: bool) -> Bench:
+    if not realtime:
+        return SteppedBench(arm, scenario, log)
+    file = work / "mock.toml"
+    save_arm(arm, file)
+    return RealTimeBench(file, scenario, log)

@@ -1,0 +1,107 @@
+"""Paths of the tip: planned and checked before anything moves, and sampled as the loop will follow them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from control.errors import BadTarget
+from control.kinematics.inverse import InverseKinematics
+from control.model.arm import Arm
+from control.motion.errors import PathError
+from control.motion.plan import PlannedPath
+from control.motion.plan import plan_path as planned
+from control.motion.waypoints import read_waypoints
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """A trajectory at m times: t_s (m,); joint_rad, speed_rad_s, acceleration_rad_s2 (m, n); tip_m (m, 3), base frame."""
+
+    t_s: Array
+    joint_rad: Array
+    speed_rad_s: Array
+    acceleration_rad_s2: Array
+    tip_m: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """A path that `arm` can run within its limits, from rest to rest; `RunningArm.run` takes it."""
+
+    arm: Arm
+    path: PlannedPath
+
+    @property
+    def duration_s(self) -> float:
+        """Time from start to end."""
+        return self.path.duration_s
+
+    @property
+    def start_rad(self) -> tuple[float, ...]:
+        """Joint angles at the first way-point."""
+        return self.path.q_start_rad
+
+    @property
+    def slowdowns(self) -> tuple[str, ...]:
+        """A sentence for each section that the arm's limits make slower than asked."""
+        return tuple(map(str, self.path.slowdowns))
+
+    def sample(self, t_s: ArrayLike) -> Samples:
+        """Set-points at the times (m,) [s] after the start; times before the start or after the end are clamped to them."""
+        times = np.atleast_1d(np.asarray(t_s, dtype=np.float64))
+        if times.ndim != 1 or not np.isfinite(times).all():
+            raise BadTarget(f"times: expected finite numbers of shape (m,), got shape {times.shape}")
+        inverse = InverseKinematics(self.arm)
+        motion = self.path.motion(inverse, inverse.kinematics)
+        points = [motion.at(t) for t in times.tolist()]
+        joint_rad = _stacked([point.q_rad for point in points], self.arm.joint_count)
+        return Samples(
+            times,
+            joint_rad,
+            _stacked([point.speed_rad_s for point in points], self.arm.joint_count),
+            _stacked([point.acceleration_rad_s2 for point in points], self.arm.joint_count),
+            inverse.kinematics.tips(joint_rad),
+        )
+
+
+def plan_path(
+    arm: Arm,
+    waypoints_m: ArrayLike | str | Path,
+    speed_m_s: float | Sequence[float] | None = None,
+    near_rad: Sequence[float] | None = None,
+) -> Trajectory:
+    """Plan the path of the tip through `waypoints_m` and check all of it against the arm's limits. Nothing moves.
+
+    Args:
+        arm: of three joints; its geometry, limits and calibration table are respected.
+        waypoints_m: (m, 3) in the base frame, or a CSV file with the columns x_m, y_m, z_m and, optionally, speed_m_s.
+        speed_m_s: one speed for all sections or one for each way-point; None takes the file's, else 0.1 m/s.
+        near_rad: (n,) of the postures that can run the whole path, the one nearest to it; the arm's rest pose by default.
+
+    Raises:
+        PathError: names the way-point, what is in the way and by how much.
+        ArmError: the arm has not three joints, or a number is not usable.
+    """
+    waypoints = read_waypoints(waypoints_m) if isinstance(waypoints_m, str | Path) else _listed(waypoints_m)
+    return Trajectory(arm, planned(arm, waypoints, speed_m_s, q_near_rad=near_rad))
+
+
+def _listed(waypoints_m: ArrayLike) -> list[list[float]]:
+    """PathError for another shape than (m, 3)."""
+    try:
+        array = np.asarray(waypoints_m, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise PathError("way-points: expected numbers of shape (m, 3)") from None
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise PathError(f"way-points: expected shape (m, 3), got {array.shape}")
+    listed: list[list[float]] = array.tolist()
+    return listed
+
+
+def _stacked(rows: Sequence[Sequence[float]], width: int) -> Array:
+    return np.array(rows, dtype=np.float64).reshape(-1, width)

@@ -1,0 +1,27 @@
+"""Recordings of the control loop as arrays."""
+
+from pathlib import Path
+
+from console.visualisation.reading import read_series
+from console.visualisation.series import Series
+from control.model.arm import Arm
+from control.model.description import load_arm
+
+
+def read_recording(path: str | Path, arm: Arm | str | Path | None = None) -> Series:
+    """The whole of a recording: `.armlog`, `log.csv`, `log.csv.gz` or MCAP, told apart by their content.
+
+    Args:
+        path: the file.
+        arm: the arm that it is of, an Arm, file or shipped name, where the file does not say.
+
+    Returns:
+        Arrays over m samples, NaN where nothing was measured: `t_s` (m,) from 0 on; `q_rad`, `q_set_rad` of the encoders,
+        `joint_rad`, `joint_set_rad` of the joints, `current_A`, `voltage_V` (m, n); `tip_m` (m, 3) as the camera saw it in the
+        base frame; `mode` (m,) indices into `modes`; `run` (m,) indices into `runs`. `notes` say what is wrong with the file.
+
+    Raises:
+        ArmError: there is no such file, it is none of these, is damaged, or has another number of joints than `arm`.
+        CalibrationError: a log.csv with a wrong column or value; names file, line and column.
+    """
+    return read_series(Path(path), load_arm(arm) if isinstance(arm, str | Path) else arm)

@@ -1,0 +1,125 @@
+"""The public names: documented, typed, light to import, and one family of errors."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import armwright
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "python.md").read_text("utf-8")
+HEAVY = (
+    "numpy",
+    "scipy",
+    "mujoco",
+    "matplotlib",
+    "can",
+    "serial",
+    "msgspec",
+    "rich",
+    "ruckig",
+    "textual",
+    "mcap",
+)
+
+
+def test_importing_it_loads_nothing_heavy_and_none_of_its_own_modules() -> None:
+    program = "import sys, armwright; print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert not set(HEAVY) & set(loaded)
+    assert [name for name in loaded if name.startswith(("armwright.", "control", "calib", "console"))] == []
+
+
+def test_the_page_names_what_is_exported_and_nothing_else() -> None:
+    tables = PAGE[PAGE.index("## Names") :]
+    named = {
+        name for row in re.findall(r"^\| .*", tables, re.M) for name in re.findall(r"`([A-Za-z_]\w*)`", row)
+    }
+    assert named == set(armwright.__all__)
+    assert set(dir(armwright)) == {*armwright.__all__, "__version__"}
+
+
+def test_what_a_type_checker_sees_is_what_is_loaded() -> None:
+    tree = ast.parse((ROOT / "armwright" / "__init__.py").read_text("utf-8"))
+    checked = next(node for node in tree.body if isinstance(node, ast.If))
+    seen = {
+        alias.name: node.module
+        for node in checked.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert list(armwright.__all__) == sorted(seen)
+    for name, module in seen.items():
+        found = getattr(armwright, name)
+        assert found is getattr(sys.modules[str(module)], name)
+
+
+def test_a_name_that_there_is_not_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'load_robot'"):
+        getattr(armwright, "load_robot")  # noqa: B009 - the point is that there is none
+
+
+def functions() -> list[tuple[str, object]]:
+    """Every public function and method."""
+    found: list[tuple[str, object]] = []
+    for name in armwright.__all__:
+        public = getattr(armwright, name)
+        found.append((name, public))
+        if inspect.isclass(public) and public.__module__.startswith("armwright"):
+            found += [
+                (f"{name}.{member}", value.fget if isinstance(value, property) else value)
+                for member, value in vars(public).items()
+                if not member.startswith("_") and (callable(value) or isinstance(value, property))
+            ]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "public"), functions(), ids=lambda value: value if isinstance(value, str) else ""
+)
+def test_every_public_name_is_documented_and_typed(name: str, public: object) -> None:
+    assert inspect.getdoc(public), name
+    if inspect.isfunction(public):
+        signature = inspect.signature(public)
+        assert signature.return_annotation is not inspect.Signature.empty, name
+        for parameter in signature.parameters.values():
+            assert parameter.name == "self" or parameter.annotation is not inspect.Parameter.empty, name
+
+
+def test_every_error_is_an_armwright_error() -> None:
+    errors = [
+        public
+        for name in armwright.__all__
+        if inspect.isclass(public := getattr(armwright, name)) and issubclass(public, Exception)
+    ]
+    assert len(errors) >= 10
+    assert all(issubclass(error, armwright.ArmwrightError) for error in errors)
+
+
+def test_wrong_input_is_one_error_of_the_family_that_says_the_shape() -> None:
+    arm = armwright.load_arm("right")
+    two_joints = armwright.make_points([[1.0, 2.0]], [[1.0, 2.0, 3.0]])
+    with pytest.raises(armwright.BadTarget, match=r"expected shape \(..., 3\), got \(2,\)"):
+        armwright.Kinematics(arm).forward([1.0, 2.0])
+    with pytest.raises(armwright.PathError, match=r"expected shape \(m, 3\), got \(2, 2\)"):
+        armwright.plan_path(arm, [[1.0, 2.0], [3.0, 4.0]])
+    with pytest.raises(armwright.CalibrationError, match=r"tip_m: expected shape \(1, 3\), got \(1, 2\)"):
+        armwright.make_points([[1.0, 2.0, 3.0]], [[1.0, 2.0]])
+    for look in (
+        armwright.calibrate,
+        armwright.find_gap,
+        lambda arm, points: armwright.verify(arm, arm, points),
+    ):
+        with pytest.raises(armwright.CalibrationError, match="points: 2 joints, but arm right has 3"):
+            look(arm, two_joints)
+    with pytest.raises(armwright.RuntimeGone, match="start one with `armwright serve`"):
+        armwright.connect(arm, "/nowhere.sock")
