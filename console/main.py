@@ -7,7 +7,9 @@ when it runs. Exit status: 0 done, 1 the arm or a check failed, 2 wrong input an
 import argparse
 import importlib
 import os
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 
 from console import options
@@ -38,6 +40,13 @@ def _usage_of(top: argparse.ArgumentParser, command: str | None) -> argparse.Arg
     return top
 
 
+def _hear_signals() -> None:
+    """SIGINT and SIGTERM interrupt a command, also where a script's background job or nohup had them ignored."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.default_int_handler)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
     top = parser()
@@ -55,6 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # A robot's matrices are small: OpenBLAS' threads cost an identification three times its time on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
+        _hear_signals()
         module = importlib.import_module(f"console.commands.{given.command.replace('-', '_')}")
     except KeyboardInterrupt:
         return fail("interrupted", 130)
