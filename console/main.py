@@ -28,6 +28,7 @@ def parser() -> argparse.ArgumentParser:
     for command in COMMANDS:
         sub = commands.add_parser(command.name, help=command.summary, description=command.description)
         options.add(sub, command.options)
+        sub.set_defaults(module=command.module_name)
     return top
 
 
@@ -65,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         _hear_signals()
-        module = importlib.import_module(f"console.commands.{given.command.replace('-', '_')}")
+        module = importlib.import_module(f"console.commands.{given.module}")
     except KeyboardInterrupt:
         return fail("interrupted", 130)
     return run(module.run, given)
@@ -75,13 +76,14 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
     """Run a command and turn what the packages raise into one message and an exit status."""
     from calib.errors import CalibrationError
     from control.errors import ArmError
-    from control.loop.client import ArmFaulted, MotionStopped
+    from control.loop.client import ArmFaulted, ArmLate, MotionStopped
     from firmware_iface.errors import LinkError
     from hil_mocks.errors import MockError
 
     try:
+        options.settle_arm(given)
         return command(given)
-    except (ArmFaulted, MotionStopped) as fault:
+    except (ArmFaulted, ArmLate, MotionStopped) as fault:
         return fail(str(fault), 1)
     except (ArmError, CalibrationError, LinkError, MockError) as error:
         return fail(str(error), 2)

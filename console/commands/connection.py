@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from control.loop.client import ArmClient, SocketChannel
-from control.loop.server import default_path
+from control.loop.sockets import default_path
 from control.model.arm import Arm
 from control.model.description import load_arm
 

@@ -83,7 +83,8 @@ class Watch:
         """The host itself has missed deadlines until now: silence meanwhile says nothing of the boards."""
         self._resumed_s = now_s
 
-    def _age_limit_s(self, now_s: float) -> float:
+    def age_limit_s(self, now_s: float) -> float:
+        """How old what a board last said may be now."""
         has_just_resumed = now_s - self._resumed_s < self._limits.stale_s
         return self._limits.silent_s if has_just_resumed else self._limits.stale_s
 
@@ -110,7 +111,7 @@ class Watch:
         if is_in_order:
             return []
         faults: list[Fault] = []
-        limit_s = self._age_limit_s(now_s)
+        limit_s = self.age_limit_s(now_s)
         if is_stale(now_s, feedback.encoder_at_s, limit_s):
             faults.append(_silent_encoder(now_s - feedback.encoder_at_s, limit_s))
         for joint in range(feedback.joint_count):
@@ -132,7 +133,7 @@ class Watch:
         return faults
 
     def _are_boards_well(self, now_s: float, feedback: Feedback, expected: Expectation) -> bool:
-        oldest_s = now_s - self._age_limit_s(now_s)
+        oldest_s = now_s - self.age_limit_s(now_s)
         wanted_flags = ZERO_SET if expected.is_homed else 0
         flags_mask = SIGNAL_LOST | (ZERO_SET | QUADRATURE_ERROR if expected.is_homed else 0)
         if not feedback.encoder_at_s >= oldest_s:
@@ -169,7 +170,7 @@ class Watch:
         return True
 
     def _drive(self, joint: int, now_s: float, feedback: Feedback, expected: Expectation) -> Iterator[Fault]:
-        age_s, limit_s = now_s - feedback.reply_at_s[joint], self._age_limit_s(now_s)
+        age_s, limit_s = now_s - feedback.reply_at_s[joint], self.age_limit_s(now_s)
         if is_stale(now_s, feedback.reply_at_s[joint], limit_s):
             yield Fault(
                 "drive_silent",
