@@ -53,10 +53,9 @@ def _stopped(path: Path) -> tuple[bool, str] | None:
     try:
         client = ArmClient(SocketChannel(path))
         try:
-            client.ask("stop")  # before anything else is asked
-            name = client.status()["arm"]
             client.stop()
-            return True, f"arm {name!r} at {path}: stopped, {client.status()['mode']}"
+            status = client.status()
+            return True, f"arm {status['arm']!r} at {path}: stopped, {status['mode']}"
         finally:
             client.close()
     except NoRuntime:

@@ -25,7 +25,7 @@ BEGUN = {
     Mode.STOPPING: "stopping",
     Mode.PAUSED: "paused",
 }
-ENDED = {Mode.JOGGING: "jog ended", Mode.STOPPING: "stopped", Mode.HOMING: "homed"}
+ENDED = {Mode.JOGGING: "jog ended", Mode.STOPPING: "stopped", Mode.HOMING: "homing ended"}
 
 
 class Events:
@@ -77,7 +77,7 @@ class Events:
             return f"hand-guiding: {carried}"
         if mode is Mode.FAULT:
             return "FAULT: stopping" if self._runtime.monitor.is_held_fault else "FAULT: windings shorted"
-        if mode is Mode.HOLDING and before in TRAVELLING_MODES:
+        if mode is Mode.HOLDING and (before in TRAVELLING_MODES or before in ENDED):
             return f"{ENDED.get(before, f'motion {self._run} ended')}: holding"
         is_braked_late = mode is Mode.BRAKED and before in CONTROLLED_MODES
         return "windings shorted: the arm may sink" if is_braked_late else BEGUN[mode]

@@ -110,13 +110,7 @@ class Watch:
         )
         if is_in_order:
             return []
-        faults: list[Fault] = []
-        limit_s = self.age_limit_s(now_s)
-        if is_stale(now_s, feedback.encoder_at_s, limit_s):
-            faults.append(_silent_encoder(now_s - feedback.encoder_at_s, limit_s))
-        for joint in range(feedback.joint_count):
-            faults += self._drive(joint, now_s, feedback, expected)
-            faults += self._channel(joint, feedback, expected)
+        faults = self._boards(now_s, feedback, expected)
         if expected.is_servoing and not faults:
             for joint, limit in enumerate(self._limits.joints):
                 faults += self._motion(
@@ -168,6 +162,17 @@ class Watch:
             ):
                 return False
         return True
+
+    def _boards(self, now_s: float, feedback: Feedback, expected: Expectation) -> list[Fault]:
+        """What is wrong with boards and encoders."""
+        faults: list[Fault] = []
+        limit_s = self.age_limit_s(now_s)
+        if is_stale(now_s, feedback.encoder_at_s, limit_s):
+            faults.append(_silent_encoder(now_s - feedback.encoder_at_s, limit_s))
+        for joint in range(feedback.joint_count):
+            faults += self._drive(joint, now_s, feedback, expected)
+            faults += self._channel(joint, feedback, expected)
+        return faults
 
     def _drive(self, joint: int, now_s: float, feedback: Feedback, expected: Expectation) -> Iterator[Fault]:
         age_s, limit_s = now_s - feedback.reply_at_s[joint], self.age_limit_s(now_s)
