@@ -171,9 +171,7 @@ def test_a_way_point_file_that_is_wrong_is_one_message(
     assert "points.csv" in said_by(capsys, "run", str(file), "--plan-only")
 
 
-@pytest.mark.parametrize(
-    "command", ["status", "enable", "home", "stop", "off", "acknowledge", "guide", "hold"]
-)
+@pytest.mark.parametrize("command", ["status", "enable", "home", "off", "acknowledge", "guide", "hold"])
 def test_without_a_runtime_every_client_command_says_how_to_start_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
