@@ -1,7 +1,6 @@
 """`armwright serve`: the loop, in this process, until it is told to end."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from console.commands.connection import socket_path
@@ -22,7 +21,7 @@ def run(given: argparse.Namespace) -> int:
     options = ServeOptions(
         socket_path(given, arm), Path(given.log), 1.0 / given.rate, camera_port(given, arm)
     )
-    serve(arm, options, announce)
+    serve(arm, options)
     return 0
 
 
@@ -44,9 +43,3 @@ def _option(text: str) -> tuple[str, int | str]:
     if not (key and equals and value):
         raise ArmError(f"--can-option: expected KEY=VALUE, got {text!r}")
     return key, int(value) if value.lstrip("-").isdigit() else value
-
-
-def announce(text: str) -> None:
-    """Say it at once."""
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
