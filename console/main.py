@@ -7,7 +7,9 @@ when it runs. Exit status: 0 done, 1 the arm or a check failed, 2 wrong input an
 import argparse
 import importlib
 import os
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 
 from console import options
@@ -27,6 +29,7 @@ def parser() -> argparse.ArgumentParser:
     for command in COMMANDS:
         sub = commands.add_parser(command.name, help=command.summary, description=command.description)
         options.add(sub, command.options)
+        sub.set_defaults(module=command.module_name)
     return top
 
 
@@ -37,6 +40,13 @@ def _usage_of(top: argparse.ArgumentParser, command: str | None) -> argparse.Arg
             found: argparse.ArgumentParser = action.choices[command]
             return found
     return top
+
+
+def _hear_signals() -> None:
+    """SIGINT and SIGTERM interrupt a command, also where a script's background job or nohup had them ignored."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.default_int_handler)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -57,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # A robot's matrices are small: OpenBLAS' threads cost an identification three times its time on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        module = importlib.import_module(f"console.commands.{given.command.replace('-', '_')}")
+        _hear_signals()
+        module = importlib.import_module(f"console.commands.{given.module}")
     except KeyboardInterrupt:
         return fail("interrupted", 130)
     return run(module.run, given)
@@ -68,13 +79,14 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
     from calib.errors import CalibrationError
     from control.errors import ArmError
     from control.files import NO_ROOM, NotWritten
-    from control.server.client import ArmFaulted, MotionStopped
+    from control.server.client import ArmFaulted, ArmLate, MotionStopped
     from firmware_iface.errors import LinkError
     from hil_mocks.errors import MockError
 
     try:
+        options.settle_arm(given)
         return command(given)
-    except (ArmFaulted, MotionStopped) as fault:
+    except (ArmFaulted, ArmLate, MotionStopped) as fault:
         return fail(str(fault), 1)
     except (ArmError, CalibrationError, LinkError, MockError) as error:
         return fail(str(error), 2)

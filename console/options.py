@@ -19,12 +19,18 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class CommandSpec:
-    """One subcommand: its module in console.commands has the same name and a `run(given) -> int`."""
+    """One subcommand; `module` where it shares one with others, which then tell it by `given.command`."""
 
     name: str
     summary: str
     options: tuple[Option, ...] = ()
     more: str = ""
+    module: str = ""
+
+    @property
+    def module_name(self) -> str:
+        """Name of the module in console.commands whose `run(given) -> int` runs it."""
+        return self.module or self.name.replace("-", "_")
 
     @property
     def description(self) -> str:
@@ -48,17 +54,27 @@ def option(*flags: str, **details: Any) -> Option:
     return Option(flags, details)
 
 
+def settle_arm(given: argparse.Namespace) -> None:
+    """Put the user's default arm where none was given. ConfigError."""
+    if getattr(given, "arm", None) == USERS_ARM:
+        from console.user_config import default_arm
+
+        given.arm = default_arm()
+
+
 def add(parser: argparse.ArgumentParser, options: Sequence[Option]) -> None:
     """Add the options to an argparse parser."""
     for one in options:
         parser.add_argument(*one.flags, **one.details)
 
 
+USERS_ARM = ""  # default of --arm: the user's own (console.user_config)
 ARM = option(
     "--arm",
-    default="right",
+    default=USERS_ARM,
     metavar="A",
-    help="an arm.toml, or the name of an arm that ships (default: right)",
+    help="an arm.toml, or the name of an arm that ships (default: $ARMWRIGHT_ARM, `arm` in"
+    " ~/.config/armwright/config.toml, or right)",
 )
 SOCKET = option(
     "--socket", metavar="PATH", help="the runtime's socket (default: the place of the arm's name)"

@@ -1,9 +1,10 @@
-"""`armwright arm`: reads an arm.toml, so that what is wrong with it is seen before it is used."""
+"""`armwright arm` reads an arm.toml, so that errors are found before it is used; `armwright export-arm` writes it for others."""
 
 import argparse
 import json
 import math
 import sys
+from pathlib import Path
 from typing import Any
 
 from control.model.arm import Arm
@@ -11,10 +12,23 @@ from control.model.description import load_arm
 
 
 def run(given: argparse.Namespace) -> int:
-    """Print what the file holds."""
+    """Print what the file holds, or write it in another form."""
     arm = load_arm(given.arm)
+    if given.command == "export-arm":
+        return _export(arm, given.export, Path(given.out))
     text = json.dumps(summary(arm), indent=2) if given.json else described(arm)
     sys.stdout.write(f"{text}\n")
+    return 0
+
+
+def _export(arm: Arm, form: str, path: Path) -> int:
+    """URDF, MJCF or JSON; says what the form cannot hold."""
+    from calib.export import export
+
+    lost = export(arm, form, path)
+    sys.stdout.write(f"{path}: arm {arm.name}, {arm.joint_count} joints, as {form}\n")
+    for sentence in lost:
+        sys.stdout.write(f"  {sentence}\n")
     return 0
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient, SocketChannel
-from control.server.server import default_path
+from control.server.sockets import default_path
 
 
 def socket_path(given: argparse.Namespace, arm: Arm) -> Path:

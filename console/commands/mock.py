@@ -1,7 +1,6 @@
 """`armwright mock`: a mock arm in real time, until Ctrl-C."""
 
 import argparse
-import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -14,8 +13,6 @@ from procedures.mock.arm import wired_to
 def run(given: argparse.Namespace) -> int:
     """Start the mock, write an arm.toml that is wired to it, print how to connect, and wait."""
     arm = load_arm(given.arm)
-    for number in (signal.SIGINT, signal.SIGTERM):  # also where a shell started this with SIGINT ignored
-        signal.signal(number, signal.default_int_handler)
     with (
         RealTimeRig(given.arm, given.scenario) as rig,
         tempfile.TemporaryDirectory(prefix="armwright-") as folder,

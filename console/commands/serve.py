@@ -1,7 +1,6 @@
 """`armwright serve`: the loop, in this process, until it is told to end."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from console.commands.connection import socket_path
@@ -23,7 +22,7 @@ def run(given: argparse.Namespace) -> int:
     options = ServeOptions(
         socket_path(given, arm), Path(given.log), 1.0 / given.rate, camera_port(given, arm)
     )
-    serve(arm, options, announce)
+    serve(arm, options)
     return 0
 
 
@@ -32,9 +31,3 @@ def camera_port(given: argparse.Namespace, arm: Arm) -> int | None:
     if given.camera_port is not None:
         return int(given.camera_port)
     return arm.camera.udp_port if arm.camera else None
-
-
-def announce(text: str) -> None:
-    """Say it at once."""
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()

@@ -9,6 +9,8 @@ from console.commands.connection import connected
 from control.recording.recorder_state import RecorderState
 from control.server.client import Message
 
+STALE = " *"
+
 
 def run(given: argparse.Namespace) -> int:
     """Print the status; exit status 1 when the arm is in FAULT."""
@@ -23,22 +25,29 @@ def described(status: Message) -> str:
     homed = "homed" if status["is_homed"] else "not homed"
     done = f", {100 * status['progress']:.0f} % of run {status['run']}" if status["run"] else ""
     pace = f", at {100 * status['override']:.0f} % of the pace" if status["override"] < 1.0 else ""
+    encoder, drive = status["encoder_stale_s"], status["drive_stale_s"]
+    step = f", {status['step']}" if status["step"] else ""
     lines = [
-        f"arm {status['arm']}: {status['mode']}, {homed}{done}{pace}",
+        f"arm {status['arm']}: {status['mode']}, {homed}{done}{pace}{step}",
         "",
         _row("joint", [f"{joint + 1}" for joint in range(len(status["q_rad"]))]),
-        _row("angle [rad]", _numbers(status["q_rad"], 4)),
+        _row("angle [rad]", _marked(_numbers(status["q_rad"], 4), encoder)),
         _row("set-point [rad]", _numbers(status["q_set_rad"], 4)),
-        _row("following error [mrad]", _numbers([1e3 * e for e in status["following_error_rad"]], 2)),
-        _row("count", [str(count) for count in status["count"]]),
-        _row("current [A]", _numbers(status["current_A"], 2)),
-        _row("supply [V]", _numbers(status["supply_V"], 1)),
-        _row("temperature [°C]", _numbers(status["temperature_C"], 0)),
-        _row("drive", status["drive_state"]),
+        _row(
+            "following error [mrad]",
+            _marked(_numbers([1e3 * e for e in status["following_error_rad"]], 2), encoder),
+        ),
+        _row("count", _marked([str(count) for count in status["count"]], encoder)),
+        _row("current [A]", _marked(_numbers(status["current_A"], 2), drive)),
+        _row("supply [V]", _marked(_numbers(status["supply_V"], 1), drive)),
+        _row("temperature [°C]", _marked(_numbers(status["temperature_C"], 0), drive)),
+        _row("drive", _marked(status["drive_state"], drive)),
         "",
+        *stale_lines(status),
     ]
     if status["tip_m"]:
-        lines.append(f"tip at {', '.join(_numbers(status['tip_m'], 4))} m by the arm's model")
+        mark = STALE if any(age is not None for age in encoder) else ""
+        lines.append(f"tip at {', '.join(_numbers(status['tip_m'], 4))} m{mark} by the arm's model")
     if status["camera_m"]:
         lines.append(f"tip at {', '.join(_numbers(status['camera_m'], 4))} m by the camera")
     lines.append(
@@ -57,6 +66,21 @@ def described(status: Message) -> str:
 def _recording(recorder: RecorderState) -> str:
     is_on = "recording" if recorder.is_on else "NOT recording"
     return f"{is_on}: {recorder.file}, {1e-6 * recorder.written_bytes:.1f} MB written, {recorder.usage()}"
+
+
+def stale_lines(status: Message) -> list[str]:
+    """What a mark beside a value means: which board is silent, and since when."""
+    return [
+        f"{STALE.strip()} joint {joint}: its {board} board has been silent for {age_s:.1f} s; these are its last values"
+        for board, ages_s in (("encoder", status["encoder_stale_s"]), ("motor", status["drive_stale_s"]))
+        for joint, age_s in enumerate(ages_s, 1)
+        if age_s is not None
+    ]
+
+
+def _marked(cells: Sequence[str], ages_s: Sequence[float | None]) -> list[str]:
+    """The cells, with a mark at each that shows a value of a silent board."""
+    return [cell if age_s is None else f"{cell}{STALE}" for cell, age_s in zip(cells, ages_s, strict=True)]
 
 
 def _row(name: str, cells: Sequence[str]) -> str:

@@ -1,11 +1,66 @@
-"""`armwright stop`."""
+"""`armwright stop`: needs no readable file, and reaches every runtime of this user.
+
+A stop must not fail for a reason that has nothing to do with the arm: a line of arm.toml, a configuration, a runtime that hangs.
+"""
 
 import argparse
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
-from console.commands.connection import connected
+from control.errors import ArmError
+from control.server.client import ArmClient, ArmFaulted, NoRuntime, SocketChannel
+from control.server.sockets import find_sockets
 
 
 def run(given: argparse.Namespace) -> int:
-    """Controlled stop, then hold."""
-    connected(given).stop()
-    return 0
+    """Stop; exit status 1 where a runtime did not answer, its arm is in FAULT, or none runs."""
+    if (connect := getattr(given, "connect", None)) is not None:  # a line of a script: its runtime alone
+        connect().stop()
+        return 0
+    return stop_all(_wanted(given))
+
+
+def _wanted(given: argparse.Namespace) -> Sequence[Path]:
+    """The sockets that are meant."""
+    if given.socket:
+        return [Path(given.socket)]
+    if not given.arm:
+        return find_sockets()
+    from control.model.description import load_arm
+
+    try:
+        return find_sockets(load_arm(given.arm).name)
+    except (ArmError, OSError) as error:
+        sys.stderr.write(f"armwright: {error}\narmwright: stopping every runtime of this user instead\n")
+        return find_sockets()
+
+
+def stop_all(paths: Sequence[Path]) -> int:
+    """Ask all runtimes at once, so that one that hangs delays no other; a line for each."""
+    with ThreadPoolExecutor(max(1, len(paths))) as pool:
+        found = [end for end in pool.map(_stopped, paths) if end is not None]
+    for is_good, text in found:
+        (sys.stdout if is_good else sys.stderr).write(f"{text}\n")
+    if not found:
+        sys.stderr.write("armwright: stop: no runtime is running (`armwright serve` starts one)\n")
+    return 0 if found and all(is_good for is_good, _ in found) else 1
+
+
+def _stopped(path: Path) -> tuple[bool, str] | None:
+    """Whether the runtime at a socket stopped its arm, in words; None where nothing listens."""
+    try:
+        client = ArmClient(SocketChannel(path))
+        try:
+            client.stop()
+            status = client.status()
+            return True, f"arm {status['arm']!r} at {path}: stopped, {status['mode']}"
+        finally:
+            client.close()
+    except NoRuntime:
+        return None
+    except ArmFaulted as fault:
+        return False, f"armwright: {path}: {fault}"
+    except ArmError as error:
+        return False, f"armwright: {error}"

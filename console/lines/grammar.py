@@ -71,7 +71,7 @@ class Grammar:
             raise LineError(f"{name}: `&` begins a motion and goes on; it is for {', '.join(IN_BACKGROUND)}")
         given = self._parser(name).parse_args(rest)
         self._check_arm(name, given)
-        given.command, given.waits = name, not in_background
+        given.command, given.module, given.waits = name, self._specs[name].module_name, not in_background
         text = shlex.join([name, *rest]) + (f" {BACKGROUND}" if in_background else "")
         return Line(text, name, given)
 

@@ -89,7 +89,7 @@ def _run(number: int, line: Line, connect: Callable[[], ArmClient]) -> Outcome:
     said, output = io.StringIO(), io.StringIO()
     begun_s = time.monotonic()
     with contextlib.redirect_stdout(_Both(said, output)), contextlib.redirect_stderr(_Both(said, sys.stderr)):
-        module = importlib.import_module(f"console.commands.{line.command.replace('-', '_')}")
+        module = importlib.import_module(f"console.commands.{line.given.module}")
         status = run(module.run, line.given)
     return Outcome(number, line.text, status, said.getvalue(), output.getvalue(), time.monotonic() - begun_s)
 

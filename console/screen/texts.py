@@ -87,11 +87,11 @@ def bus_load(arm: Arm, period_s: float) -> float:
 
 
 def joint_lines(status: Message, arm: Arm, selected: str) -> list[str]:
-    """A heading and a line a joint; values near their limits in yellow."""
+    """A heading and a line a joint; values near their limits in yellow, `*` where a board is silent and they are its last."""
     lines = ["    angle rad e mrad  rad/s  current supply  temp      count drive"]
     for j, drive in enumerate(arm.drives):
         q, error = status["q_rad"][j], 1e3 * status["following_error_rad"][j]
-        mark = "[reverse]" if selected == f"J{j + 1}" else "[none]"
+        mark, age_s = "[reverse]" if selected == f"J{j + 1}" else "[none]", stale_s(status, j)
         temperature = status["temperature_C"][j]
         warm = f"{temperature:3.0f} C" if temperature is not None and math.isfinite(temperature) else "  -  "
         cells = (
@@ -105,10 +105,16 @@ def joint_lines(status: Message, arm: Arm, selected: str) -> list[str]:
             f"{status['supply_V'][j]:4.1f} V",
             warm,
             f"{status['count'][j]:+10d}",
-            escaped(str(status["drive_state"][j])),
+            escaped(str(status["drive_state"][j])) if age_s is None else f"[red]silent {age_s:.0f} s[/]",
         )
-        lines.append(f"{mark}J{j + 1}[/] {' '.join(cells)}")
+        lines.append(f"{mark}J{j + 1}[/]{' ' if age_s is None else '*'}{' '.join(cells)}")
     return lines
+
+
+def stale_s(status: Message, joint: int) -> float | None:
+    """Age in s of what is shown of a joint (0-based) where one of its boards is silent; None where all is live."""
+    ages_s = (status["encoder_stale_s"][joint], status["drive_stale_s"][joint])
+    return max((age_s for age_s in ages_s if age_s is not None), default=None)
 
 
 def tip_line(status: Message, selected: str) -> str:

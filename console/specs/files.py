@@ -1,6 +1,6 @@
 """Commands that read and turn files."""
 
-from console.options import ARM, JSON, OUT, CommandSpec, option
+from console.options import ARM, JSON, OUT, USERS_ARM, CommandSpec, option
 
 FILES = (
     CommandSpec(
@@ -32,10 +32,11 @@ FILES = (
             option("--out", metavar="FILE", required=True, help="a new file; none is overwritten"),
         ),
         "Says what the form cannot hold. A joint angle of the exported model is the arm's own.",
+        module="arm",
     ),
     CommandSpec(
         "arm",
         "read an arm.toml and say what it holds",
-        (option("arm", nargs="?", default="right", metavar="A"), JSON),
+        (option("arm", nargs="?", default=USERS_ARM, metavar="A"), JSON),
     ),
 )

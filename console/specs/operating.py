@@ -48,8 +48,18 @@ OPERATING = (
         "Space stops the arm, always. `?` shows the keys. It is a client: `armwright serve` runs the arm.",
     ),
     CommandSpec("status", "what the arm does now, and what is wrong", (ARM, SOCKET, JSON)),
-    CommandSpec("enable", "drives on, holding where the arm stands", (ARM, SOCKET)),
-    CommandSpec("home", "find every joint's zero", (ARM, SOCKET)),
+    CommandSpec("enable", "drives on, holding where the arm stands", (ARM, SOCKET), module="requests"),
+    CommandSpec(
+        "home",
+        "find every joint's zero",
+        (
+            ARM,
+            SOCKET,
+            option("--again", action="store_true", help="search also where the boards know their zeros"),
+        ),
+        "Nothing moves where all encoder boards still know their zeros.",
+        module="requests",
+    ),
     CommandSpec(
         "move",
         "move to joint angles or to a tip position",
@@ -67,6 +77,7 @@ OPERATING = (
             MOVE_SPEED,
         ),
         "Give one of --joints and --tip.",
+        module="moving",
     ),
     CommandSpec(
         "run",
@@ -81,17 +92,20 @@ OPERATING = (
             ),
         ),
         "Everything is checked before anything moves: reach, joint limits, speed, acceleration, table.",
+        module="moving",
     ),
     CommandSpec(
         "go",
         "move to a named place",
         (ARM, SOCKET, PLACES, option("name", metavar="NAME", help="as in the places file"), MOVE_SPEED),
         "The file is TOML: [NAME] with q_rad (one a joint) or tip_m (3).",
+        module="moving",
     ),
     CommandSpec(
         "mark",
         "keep where the arm stands as a named place",
         (ARM, SOCKET, PLACES, option("name", metavar="NAME", help="letters, digits, - and _")),
+        module="moving",
     ),
     CommandSpec(
         "teach",
@@ -102,6 +116,7 @@ OPERATING = (
             option("file", metavar="FILE", help="CSV that `armwright run` takes; begun if it is not there"),
         ),
         "Guide the arm by hand (`armwright guide`), teach, go on; `hold` when done. `run` moves to the first point gently.",
+        module="moving",
     ),
     CommandSpec(
         "jog",
@@ -117,13 +132,17 @@ OPERATING = (
             option("--speed", type=finite, metavar="V", help="rad/s or m/s (default: the limit for jogging)"),
         ),
         "The arm stops at once when the command is interrupted. Exit status 1 when something was in the way.",
+        module="moving",
     ),
-    CommandSpec("pause", "slow to rest along the motion that runs, and hold on it", (ARM, SOCKET)),
-    CommandSpec("resume", "go on along the motion", (ARM, SOCKET)),
+    CommandSpec(
+        "pause", "slow to rest along the motion that runs, and hold on it", (ARM, SOCKET), module="requests"
+    ),
+    CommandSpec("resume", "go on along the motion", (ARM, SOCKET), module="requests"),
     CommandSpec(
         "override",
         "pace of motions, of the one that runs and of those to come",
         (ARM, SOCKET, option("fraction", type=finite, metavar="F", help="0.01 to 1 of what was planned")),
+        module="requests",
     ),
     CommandSpec(
         "wait",
@@ -133,6 +152,7 @@ OPERATING = (
             SOCKET,
             option("seconds", type=finite, nargs="?", metavar="S", help="without it: until the arm rests"),
         ),
+        module="requests",
     ),
     CommandSpec(
         "script",
@@ -147,7 +167,13 @@ OPERATING = (
         "Every line is understood before the first is run; it ends at the first that fails. A line that ends with & begins a"
         " motion and goes on; # begins a remark.",
     ),
-    CommandSpec("stop", "controlled stop, then hold", (ARM, SOCKET)),
+    CommandSpec(
+        "stop",
+        "controlled stop, then hold: every runtime of this user, or one",
+        (option("--arm", metavar="A", help="only this arm (default: all that run)"), SOCKET),
+        "Needs no readable file: where --arm cannot be read, all are stopped. Exit status 1 when one did not answer or none"
+        " runs.",
+    ),
     CommandSpec(
         "guide",
         "drives off, to guide the arm by hand: somebody must hold it",
@@ -159,13 +185,17 @@ OPERATING = (
                 action="store_true",
                 help="the drives carry the arm's weight; only as good as its masses and payload are known",
             ),
+            option("--yes", action="store_true", help="somebody holds the arm: do not ask"),
         ),
+        "Asks before it lets the arm go.",
+        module="requests",
     ),
-    CommandSpec("hold", "end hand-guiding and hold", (ARM, SOCKET)),
-    CommandSpec("acknowledge", "a human has seen the fault", (ARM, SOCKET)),
+    CommandSpec("hold", "end hand-guiding and hold", (ARM, SOCKET), module="requests"),
+    CommandSpec("acknowledge", "a human has seen the fault", (ARM, SOCKET), module="requests"),
     CommandSpec(
         "off",
         "stop, hold, lower on shorted windings, drives off",
         (ARM, SOCKET, option("--quit", action="store_true", help="end the runtime too")),
+        module="requests",
     ),
 )

@@ -77,7 +77,8 @@ class BoardHardware:
                     feedback.count[joint] = report.counts[wired.channel]
                     feedback.counted_at_s[joint] = wired.encoder.board_time_s
                     feedback.channel_flags[joint] = report.flags[wired.channel]
-                oldest_s = min(oldest_s, wired.encoder.latest_at_s)
+                feedback.reported_at_s[joint] = reported_s = wired.encoder.latest_at_s
+                oldest_s = min(oldest_s, reported_s)
                 self._take_reply(joint, wired.motor)
             feedback.encoder_at_s = oldest_s
         return feedback

@@ -29,6 +29,7 @@ class Feedback:
     counted_at_s: list[float] = field(
         default_factory=list
     )  # when `count` was latched, on its board's own clock
+    reported_at_s: list[float] = field(default_factory=list)  # the last report of the joint's encoder board
     reply_at_s: list[float] = field(default_factory=list)
     count: list[int] = field(default_factory=list)
     shift_count: list[int] = field(
@@ -43,7 +44,7 @@ class Feedback:
 
     def __post_init__(self) -> None:
         n = self.joint_count
-        self.reply_at_s = [float("-inf")] * n
+        self.reported_at_s, self.reply_at_s = [float("-inf")] * n, [float("-inf")] * n
         for name in ("count", "shift_count", "channel_flags", "statusword", "drive_faults"):
             setattr(self, name, [0] * n)
         for name in ("counted_at_s", "current_A", "supply_V", "temperature_C"):

@@ -41,6 +41,16 @@ class Phase(Enum):
     DONE = "done"
 
 
+STEPS = {
+    Phase.RELEASE: "backing off its home switch",
+    Phase.SEEK: "seeking its home switch",
+    Phase.INDEX: "seeking its index pulse",
+    Phase.SETTLE: "coming to rest on its zero",
+    Phase.SHIFTED: "zero set",
+    Phase.DONE: "zero set",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class JointHome:
     """How a joint homes, in rad at the joint: its switch becomes active at `switch_rad`, the next index comes at `index_rad`."""
@@ -81,6 +91,7 @@ class JointHoming:
 
     def __init__(self, home: JointHome, joint: int, counter: Counter) -> None:
         self.phase = Phase.RELEASE
+        self.name = home.name
         self.speed_set_rad_s = 0.0
         self.acceleration_set_rad_s2 = 0.0
         self._home = home
@@ -189,8 +200,17 @@ class HomingSequence:
 
     def __init__(self, homes: Sequence[tuple[int, JointHome]], counter: Counter) -> None:
         self._waiting = list(homes)
+        self._count = len(self._waiting)
         self._counter = counter
         self._present: tuple[int, JointHoming] | None = None
+
+    @property
+    def step_text(self) -> str:
+        """Which joint homes now, and what it does; empty between two joints."""
+        if self._present is None:
+            return ""
+        _, homing = self._present
+        return f"{homing.name} ({self._count - len(self._waiting)} of {self._count}): {STEPS[homing.phase]}"
 
     @property
     def is_done(self) -> bool:

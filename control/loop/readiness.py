@@ -18,6 +18,11 @@ class DriveReadiness:
         self._names = joint_names
         self._expected_from_s = math.inf
 
+    @property
+    def is_awaited(self) -> bool:
+        """Whether drives are still on their way, and not too late."""
+        return not self.is_ready and self._expected_from_s != math.inf
+
     def expect(self, now_s: float) -> None:
         """The drives have been asked to OPERATION ENABLED just now."""
         self.is_ready = False

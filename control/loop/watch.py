@@ -83,7 +83,8 @@ class Watch:
         """The host itself has missed deadlines until now: silence meanwhile says nothing of the boards."""
         self._resumed_s = now_s
 
-    def _age_limit_s(self, now_s: float) -> float:
+    def age_limit_s(self, now_s: float) -> float:
+        """How old what a board last said may be now."""
         has_just_resumed = now_s - self._resumed_s < self._limits.stale_s
         return self._limits.silent_s if has_just_resumed else self._limits.stale_s
 
@@ -109,13 +110,7 @@ class Watch:
         )
         if is_in_order:
             return []
-        faults: list[Fault] = []
-        limit_s = self._age_limit_s(now_s)
-        if is_stale(now_s, feedback.encoder_at_s, limit_s):
-            faults.append(_silent_encoder(now_s - feedback.encoder_at_s, limit_s))
-        for joint in range(feedback.joint_count):
-            faults += self._drive(joint, now_s, feedback, expected)
-            faults += self._channel(joint, feedback, expected)
+        faults = self._boards(now_s, feedback, expected)
         if expected.is_servoing and not faults:
             for joint, limit in enumerate(self._limits.joints):
                 faults += self._motion(
@@ -132,7 +127,7 @@ class Watch:
         return faults
 
     def _are_boards_well(self, now_s: float, feedback: Feedback, expected: Expectation) -> bool:
-        oldest_s = now_s - self._age_limit_s(now_s)
+        oldest_s = now_s - self.age_limit_s(now_s)
         wanted_flags = ZERO_SET if expected.is_homed else 0
         flags_mask = SIGNAL_LOST | (ZERO_SET | QUADRATURE_ERROR if expected.is_homed else 0)
         if not feedback.encoder_at_s >= oldest_s:
@@ -168,8 +163,19 @@ class Watch:
                 return False
         return True
 
+    def _boards(self, now_s: float, feedback: Feedback, expected: Expectation) -> list[Fault]:
+        """What is wrong with boards and encoders."""
+        faults: list[Fault] = []
+        limit_s = self.age_limit_s(now_s)
+        if is_stale(now_s, feedback.encoder_at_s, limit_s):
+            faults.append(_silent_encoder(now_s - feedback.encoder_at_s, limit_s))
+        for joint in range(feedback.joint_count):
+            faults += self._drive(joint, now_s, feedback, expected)
+            faults += self._channel(joint, feedback, expected)
+        return faults
+
     def _drive(self, joint: int, now_s: float, feedback: Feedback, expected: Expectation) -> Iterator[Fault]:
-        age_s, limit_s = now_s - feedback.reply_at_s[joint], self._age_limit_s(now_s)
+        age_s, limit_s = now_s - feedback.reply_at_s[joint], self.age_limit_s(now_s)
         if is_stale(now_s, feedback.reply_at_s[joint], limit_s):
             yield Fault(
                 "drive_silent",

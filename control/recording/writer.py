@@ -1,9 +1,9 @@
 """The writer process: copies recorded rows from its standard input to files, so that the loop never waits for a disk.
 
 Started by the loop as `python -m control.recording.writer FILE ROTATE_BYTES KEEP_BYTES`; FILE has its header. The writer ends
-when the pipe closes, however the loop died. By then it has written all that was sent. It reports the recording's state on its standard
-output, a JSON object a message (control.recording.recorder_state). It ignores SIGINT: Ctrl-C reaches the whole process group, and
-the loop still has a controlled stop to record.
+when the pipe closes, however the loop died. By then it has written all that was sent. It reports the recording's state on its
+standard output, a JSON object a message (control.recording.recorder_state). It ignores SIGINT: Ctrl-C reaches the whole process
+group, and the loop still has a controlled stop to record.
 """
 
 import contextlib

@@ -6,7 +6,7 @@ docs/socket.md lists every request.
 """
 
 import socket
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,6 +16,8 @@ from control.errors import ArmError
 from control.hardware.averaging import Average
 
 Message = dict[str, Any]
+RELAPSE_S = 0.1  # a fault whose cause lasts is found again within some cycles
+SETTLE_LIMIT_S = 2.0  # drives that do not come are a fault after half of it
 POLL_S = 0.02  # how often a waiting client looks; an operator sees no difference, the loop hardly notices
 
 
@@ -31,8 +33,16 @@ class MotionStopped(ArmError):
     """Somebody stopped the motion before its end: what was to follow it must not."""
 
 
+class ArmLate(ArmError):
+    """The arm did not get where it was told to within the time that it should take."""
+
+
 class RuntimeGone(ArmError):
     """No runtime answers on the socket."""
+
+
+class NoRuntime(RuntimeGone):
+    """Nothing listens at the socket."""
 
 
 class Channel(Protocol):
@@ -58,7 +68,8 @@ class SocketChannel:
             self._socket.connect(str(path))
         except OSError as error:
             self._socket.close()
-            raise RuntimeGone(
+            is_none = isinstance(error, FileNotFoundError | ConnectionRefusedError)
+            raise (NoRuntime if is_none else RuntimeGone)(
                 f"no runtime answers at {path} ({error.strerror or error}): start one with `armwright serve`"
             ) from error
         self._lines = self._socket.makefile("rb")
@@ -103,7 +114,9 @@ class ArmClient:
     """The arm, from outside the loop. Methods that move return when the arm has done it or raise what stopped it."""
 
     def __init__(self, channel: Channel) -> None:
+        """`on_wait`, set from outside, is called with every look at an arm that is waited for (docs/socket.md, `mode`)."""
         self._channel = channel
+        self.on_wait: Callable[[Message], None] | None = None
 
     def ask(self, do: str, **arguments: Any) -> Message:
         """One request. RequestRefused with the runtime's own words when it says no."""
@@ -119,7 +132,7 @@ class ArmClient:
     def until(self, modes: Sequence[str], timeout_s: float, is_fault_known: bool = False) -> Message:
         """Wait until the arm is in one of `modes`; returns the status then.
 
-        ArmFaulted when it goes to FAULT instead, unless that `is_fault_known`; ArmError on time-out. A motion that runs at a
+        ArmFaulted when it goes to FAULT instead, unless that `is_fault_known`; ArmLate on time-out. A motion that runs at a
         slower pace, or is paused, has as much more time.
         """
         waited_s = 0.0
@@ -127,22 +140,29 @@ class ArmClient:
             if mode == "FAULT" and not is_fault_known:
                 raise ArmFaulted(fault_text(self.status()))
             if waited_s > timeout_s:
-                raise ArmError(
-                    f"the arm is still {mode} after {waited_s:.1f} s; expected {' or '.join(modes)}"
+                step = f" ({answer['step']})" if answer["step"] else ""
+                raise ArmLate(
+                    f"the arm is still {mode} after {waited_s:.1f} s{step}; expected {' or '.join(modes)}"
                 )
+            if self.on_wait is not None:
+                self.on_wait(answer)
             self._channel.wait(POLL_S)
             waited_s += POLL_S * answer["pace"]
         return self.status()
 
-    def enable(self) -> None:
-        """Drives on, holding where the arm stands."""
-        self.ask("enable")
+    def enable(self) -> bool:
+        """Drives on, holding where the arm stands; False where they were on already, and nothing has changed."""
+        if self.ask("enable")["was_enabled"]:
+            return False
         self.until(["HOLDING"], 3.0)
+        return True
 
-    def home(self, timeout_s: float = 120.0) -> None:
-        """Find every joint's zero; nothing to do for joints whose board still knows it."""
-        if self.ask("home")["homing"]:
-            self.arrive(timeout_s)
+    def home(self, timeout_s: float = 120.0, again: bool = False) -> bool:
+        """Find every joint's zero; False where all boards knew theirs and nothing moved. `again`: search all the same."""
+        if not self.ask("home", again=again)["homing"]:
+            return False
+        self.arrive(timeout_s)
+        return True
 
     def move_joints(
         self, q_rad: Sequence[float], speed: float = 1.0, waits: bool = True, as_encoders: bool = False
@@ -224,8 +244,21 @@ class ArmClient:
                 return msgspec.convert(result, Average)
 
     def acknowledge(self) -> None:
-        """A human has seen the fault; the arm may be enabled again."""
-        self.ask("acknowledge")
+        """A human has seen the fault; the arm may be enabled again. ArmFaulted where its cause lasts."""
+        try:
+            self.ask("acknowledge")
+        except RequestRefused as error:
+            status = self.status()
+            if status["mode"] != "FAULT":
+                raise
+            raise ArmFaulted(f"not acknowledged: {error}\n{fault_text(status)}") from None
+        waited_s, answer = 0.0, self.ask("mode")
+        while waited_s < RELAPSE_S or (waited_s < SETTLE_LIMIT_S and not answer["is_settled"]):
+            self._channel.wait(POLL_S)
+            waited_s += POLL_S
+            answer = self.ask("mode")
+            if answer["mode"] == "FAULT":
+                raise ArmFaulted(f"acknowledged, but the cause lasts: {fault_text(self.status())}")
 
     def off(self, quit_runtime: bool = False, timeout_s: float = 60.0) -> None:
         """Stop, hold, brake until the arm has sunk to rest, drives off; then the runtime ends if it shall."""

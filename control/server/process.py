@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -22,9 +21,12 @@ from control.recording.record import Layout, PipeSink
 from control.recording.recorder_state import RecorderState, hours_left
 from control.recording.rotation import begin
 from control.server.assemble import Assembly, assemble
+from control.server.events import Events, with_time
 from control.server.periodic import PeriodicTimer
+from control.server.printer import Printer
 from control.server.scheduling import request_punctuality
 from control.server.server import Server, require_free
+from control.server.sockets import linked
 from firmware_iface.clock import Clock, MonotonicClock
 from firmware_iface.installation import command
 
@@ -41,36 +43,53 @@ class ServeOptions:
     camera_port: int | None
 
 
-def serve(arm: Arm, options: ServeOptions, announce: Callable[[str], None]) -> None:
-    """Connect, then run the loop until it is told to end. Raises what connecting raises; nothing has moved then."""
+def serve(arm: Arm, options: ServeOptions) -> None:
+    """Connect, then run the loop until it is told to end. Raises what connecting raises; nothing has moved then.
+
+    What happens is printed as lines with local times.
+    """
     require_free(options.socket_path)  # before its boards hear anything from a second host
     clock = MonotonicClock()
     connection = connect(arm, clock, options.period_s, options.camera_port)
     recording = _begun_recording(arm, options)
     writer, sink = _start_writer(arm, recording)
+    printer = Printer()
     remedy = request_punctuality()
     about = {"rights": remedy or "granted"}
     try:
         assembly = assemble(arm, connection.hardware, options.period_s, connection.camera, sink, about=about)
         server = Server(options.socket_path, assembly.requests.handle, assembly.requests.on_gone)
-        announce(
-            f"serving arm {arm.name!r} at {options.socket_path}, recording to {recording} ({_usage(arm, options)})"
+        usage = _usage(arm, options)
+        printer.say(
+            with_time(
+                f"serving arm {arm.name!r} at {options.socket_path}, recording to {recording} ({usage})"
+            )
         )
         if remedy:
-            announce(remedy)
+            printer.say(with_time(remedy))
         try:
-            run(assembly, server, clock, options.period_s)
+            with linked(options.socket_path, arm.name):
+                run(
+                    assembly,
+                    server,
+                    clock,
+                    options.period_s,
+                    Events(assembly.runtime, lambda text: printer.say(with_time(text))),
+                )
         finally:
             server.close()
+            printer.say(with_time("the runtime has ended"))
     finally:
         _leave_safely(connection)
         sink.close()
         writer.wait()
+        printer.close()
 
 
-def run(assembly: Assembly, server: Server, clock: Clock, period_s: float) -> None:
+def run(assembly: Assembly, server: Server, clock: Clock, period_s: float, events: Events) -> None:
     """Cycle after cycle, requests in between, until the runtime ends."""
     runtime = assembly.runtime
+    assembly.requests.events = events
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: runtime.go_off(quits=True))
     beat = PeriodicTimer(clock, period_s)
@@ -84,6 +103,7 @@ def run(assembly: Assembly, server: Server, clock: Clock, period_s: float) -> No
         except Exception as error:  # the arm is brought to rest first, then it is said what broke
             failure = failure or error
             runtime.go_off(quits=True)
+        events.look()
         if runtime.has_waited:
             runtime.has_waited = False
             beat.restart()

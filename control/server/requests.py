@@ -6,7 +6,7 @@ rebuilt and checked against where the arm stands.
 
 import base64
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 from control.errors import ArmError
 from control.hardware.averaging import Averaging
@@ -18,10 +18,10 @@ from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath
 from control.motion.setpoint import Motion, SetPoint
 from control.safety.monitor import IllegalTransition
-from control.safety.table import TRAVELLING_MODES, Event, Mode
+from control.safety.table import CONTROLLED_MODES, TRAVELLING_MODES, Event, Mode
 from control.server.jog_requests import jog_request
 from control.server.request_values import flag, number, numbers
-from control.server.status import status_of
+from control.server.status import status_of, step_of
 from firmware_iface.errors import LinkError
 
 Message = dict[str, Any]
@@ -42,6 +42,14 @@ ADVICE = {
 }
 
 
+class Listener(Protocol):
+    """Told what clients do."""
+
+    def requested(self, do: str, client: int) -> None: ...
+
+    def hung_up(self, client: int) -> None: ...
+
+
 class Requests:
     """Serves the requests of all clients on one runtime, and knows whose motion runs."""
 
@@ -51,6 +59,7 @@ class Requests:
         self._kinematics = kinematics
         self._about = about
         self._owner: int | None = None
+        self.events: Listener | None = None
         self._serve: Mapping[str, Callable[[Message, int], Message]] = {
             "status": self._status,
             "mode": self._mode,
@@ -86,7 +95,10 @@ class Requests:
                 "error": f"unknown request {request.get('do')!r}: expected `do` to be one of {known}",
             }
         try:
-            return {"ok": True, **serve(request, client)}
+            answer = {"ok": True, **serve(request, client)}
+            if self.events is not None:
+                self.events.requested(request["do"], client)
+            return answer
         except IllegalTransition as error:
             return {
                 "ok": False,
@@ -102,6 +114,8 @@ class Requests:
         """A client hung up: stop the motion that it started."""
         if client == self._owner and self._runtime.monitor.mode in TRAVELLING_MODES:
             self._runtime.stop()
+            if self.events is not None:
+                self.events.hung_up(client)
 
     def _own(self, request: Message, client: int) -> None:
         self._owner = None if request.get("detached") else client
@@ -116,11 +130,15 @@ class Requests:
             "progress": runtime.progress(),
             "pace": runtime.pace(),
             "was_stopped": runtime.was_stopped,
+            "step": step_of(runtime),
+            "is_settled": not runtime.drives.is_awaited,
         }
 
     def _enable(self, request: Message, client: int) -> Message:
+        if self._runtime.monitor.mode in CONTROLLED_MODES:
+            return {"was_enabled": True}
         self._runtime.want_hold()
-        return {}
+        return {"was_enabled": False}
 
     def _home(self, request: Message, client: int) -> Message:
         runtime = self._runtime
@@ -211,7 +229,8 @@ class Requests:
         return {}
 
     def _hold(self, request: Message, client: int) -> Message:
-        self._runtime.want_hold()
+        if self._runtime.monitor.mode is not Mode.HOLDING:
+            self._runtime.want_hold()
         return {}
 
     def _average(self, request: Message, client: int) -> Message:

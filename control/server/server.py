@@ -7,7 +7,6 @@ closes, for whatever reason, the motion is stopped (a dead operator's terminal m
 
 import contextlib
 import json
-import os
 import selectors
 import socket
 from collections.abc import Callable
@@ -18,6 +17,7 @@ import msgspec
 
 from control.errors import ArmError
 from control.files import utf_8
+from control.server.sockets import default_path as default_path
 
 Message = dict[str, Any]
 Handle = Callable[[Message, int], Message]
@@ -145,13 +145,6 @@ class Server:
         self._selector.unregister(client.connection)
         client.connection.close()
         self._on_gone(client.number)
-
-
-def default_path(arm_name: str) -> Path:
-    """Where the runtime of an arm listens: in the user's runtime folder, else in a private folder under /tmp."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(runtime) / "armwright" if runtime else Path(f"/tmp/armwright-{os.getuid()}")
-    return folder / f"{arm_name}.sock"
 
 
 def listen(path: Path) -> socket.socket:

@@ -1,6 +1,7 @@
 """The runtime's state as a JSON object: what `status` answers (docs/socket.md)."""
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from control.kinematics.kinematics import Kinematics
@@ -11,43 +12,33 @@ from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD
 
 CAMERA_FRESH_S = 0.5
 FEW_HOURS = 1.0  # of recording left: time to make room
+NEVER_HEARD_S = 1e6  # JSON has no infinity
+SHUTDOWN_STEPS = {
+    Mode.STOPPING: "stopping",
+    Mode.HOLDING: "holding until the arm is at rest",
+    Mode.BRAKED: "lowering: windings shorted until the arm is at rest",
+    Mode.FAULT: "in FAULT, waiting for the arm to come to rest",
+    Mode.OFF: "waiting for the drives to switch off",
+}
 NEAR = 0.9  # of a limit: worth a warning
 
 
 def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
     """Everything that an operator or a program wants to know of the arm now."""
-    parts, monitor = runtime.parts, runtime.monitor
-    feedback, measured, aim = parts.hardware.feedback, parts.measurement, runtime.aim
-    q_rad = measured.q_rad
-    joint_rad, joint_set_rad = runtime.joint_rad()
-    recorder = parts.recorder.state()
-    sees_tip = runtime.now_s - runtime.camera_at_s < CAMERA_FRESH_S
+    monitor = runtime.monitor
+    recorder = runtime.parts.recorder.state()
     return {
         "mode": monitor.mode.name,
         "run": runtime.run_number,
         "is_homed": monitor.is_homed,
         "t_s": runtime.now_s,
         "cycle": runtime.cycles,
-        "q_rad": q_rad,
-        "q_set_rad": aim.q_rad,
-        "joint_rad": joint_rad,
-        "joint_set_rad": joint_set_rad,
-        "speed_rad_s": measured.speed_rad_s,
-        "following_error_rad": [s - m for s, m in zip(aim.q_rad, q_rad, strict=True)],
-        "direction": measured.direction,
-        "count": feedback.count,
-        "current_A": feedback.current_A,
-        "supply_V": feedback.supply_V,
-        "temperature_C": feedback.temperature_C,
-        "output": parts.servo.output,
-        "output_mode": parts.servo.mode.name,
-        "drive_state": [_state_name(word) for word in feedback.statusword],
-        "tip_m": kinematics.tip(*joint_rad) if monitor.is_homed else None,
-        "tip_set_m": kinematics.tip(*joint_set_rad) if monitor.is_homed else None,
-        "camera_m": runtime.camera_m if sees_tip else None,
+        **_angles(runtime, kinematics),
+        **_boards(runtime),
         "progress": runtime.progress(),
         "pace": runtime.pace(),
         "was_stopped": runtime.was_stopped,
+        "step": step_of(runtime),
         "is_weightless": runtime.is_weightless and monitor.mode is Mode.GUIDING,
         "override": runtime.override,
         "faults": [
@@ -55,13 +46,72 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
             for f in monitor.faults
         ],
         "warnings": [*_warnings(runtime), *_recorder_warnings(recorder)],
-        "period_s": parts.period_s,
-        "missed_cycles": runtime.punctuality.missed,
-        "late_p99_s": runtime.punctuality.late_s(0.99),
-        "busy_p50_s": runtime.punctuality.busy_s(0.5),
+        **_cycles(runtime),
         "lost_rows": recorder.lost_rows,
         "recording": recorder.file,
         "recorder": recorder.content(),
+    }
+
+
+def step_of(runtime: Runtime) -> str:
+    """What homing or the shutdown does now, in words; empty while neither runs."""
+    if runtime.homing is not None:
+        return runtime.homing.step_text
+    return SHUTDOWN_STEPS.get(runtime.monitor.mode, "") if runtime.is_going_off else ""
+
+
+def _angles(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
+    """Where the arm is and where it is to be, at the encoders, the joints and the tip."""
+    measured, aim = runtime.parts.measurement, runtime.aim
+    joint_rad, joint_set_rad = runtime.joint_rad()
+    is_homed = runtime.monitor.is_homed
+    sees_tip = runtime.now_s - runtime.camera_at_s < CAMERA_FRESH_S
+    return {
+        "q_rad": measured.q_rad,
+        "q_set_rad": aim.q_rad,
+        "joint_rad": joint_rad,
+        "joint_set_rad": joint_set_rad,
+        "speed_rad_s": measured.speed_rad_s,
+        "following_error_rad": [s - m for s, m in zip(aim.q_rad, measured.q_rad, strict=True)],
+        "direction": measured.direction,
+        "tip_m": kinematics.tip(*joint_rad) if is_homed else None,
+        "tip_set_m": kinematics.tip(*joint_set_rad) if is_homed else None,
+        "camera_m": runtime.camera_m if sees_tip else None,
+    }
+
+
+def _boards(runtime: Runtime) -> dict[str, Any]:
+    """What the boards said last, and for how long a silent one has said nothing."""
+    parts = runtime.parts
+    feedback = parts.hardware.feedback
+    return {
+        "count": feedback.count,
+        "current_A": feedback.current_A,
+        "supply_V": feedback.supply_V,
+        "temperature_C": feedback.temperature_C,
+        "output": parts.servo.output,
+        "output_mode": parts.servo.mode.name,
+        "drive_state": [_state_name(word) for word in feedback.statusword],
+        "encoder_stale_s": _stale_s(runtime, feedback.reported_at_s),
+        "drive_stale_s": _stale_s(runtime, feedback.reply_at_s),
+    }
+
+
+def _stale_s(runtime: Runtime, heard_at_s: Sequence[float]) -> list[float | None]:
+    """Per joint, age of its last values in s where its board is silent; None where they are live."""
+    limit_s = runtime.parts.watch.age_limit_s(runtime.now_s)
+    ages_s = [min(runtime.now_s - at_s, NEVER_HEARD_S) for at_s in heard_at_s]
+    return [None if age_s <= limit_s else age_s for age_s in ages_s]
+
+
+def _cycles(runtime: Runtime) -> dict[str, Any]:
+    """How punctual the loop is."""
+    punctuality = runtime.punctuality
+    return {
+        "period_s": runtime.parts.period_s,
+        "missed_cycles": punctuality.missed,
+        "late_p99_s": punctuality.late_s(0.99),
+        "busy_p50_s": punctuality.busy_s(0.5),
     }
 
 

@@ -134,15 +134,7 @@ class Servo:
         `current_fraction` scales the current limit, so that homing runs with little force. `set_point` is the encoders'; `joints`
         is that of the joints where the model knows that the two are not the same.
         """
-        if not knows_pose:
-            torque_Nm: Sequence[float] = self._no_torque
-        elif joints is None:
-            torque_Nm = self.torque_model(*set_point)
-        else:
-            torque_Nm = self.torque_model(*joints, set_point)
-        if self._share < 1.0:
-            self._share = min(1.0, self._share + self._fade_step)
-            torque_Nm = [self._share * torque for torque in torque_Nm]
+        torque_Nm = self._torque_Nm(set_point, joints) if knows_pose else self._no_torque
         shares = self._shares(q_rad, knows_pose)
         for joint, motor in enumerate(self._motors):
             amperes = torque_Nm[joint] * motor.amperes_per_Nm
@@ -166,6 +158,15 @@ class Servo:
             self.output[joint] = self.volts[joint] = self._pids[joint].update(
                 error, error_rate, volts, lower, upper
             )
+
+    def _torque_Nm(self, set_point: SetPoint, joints: SetPoint | None) -> Sequence[float]:
+        """What the model asks for, faded in where the integrals on the boards carried the weight before."""
+        model = self.torque_model
+        torque_Nm = model(*set_point) if joints is None else model(*joints, set_point)
+        if self._share < 1.0:
+            self._share = min(1.0, self._share + self._fade_step)
+            torque_Nm = [self._share * torque for torque in torque_Nm]
+        return torque_Nm
 
     def _shares(self, q_rad: Sequence[float], knows_pose: bool) -> Sequence[float]:
         if self._gain_shares is None:

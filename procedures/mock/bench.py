@@ -1,6 +1,7 @@
 """A mock arm on the bench, and the runtime that is connected to it: stepped in this process, or in real time in others."""
 
 import contextlib
+import signal
 import subprocess
 import tempfile
 import time
@@ -19,6 +20,7 @@ from control.server.in_process import InProcessChannel
 from firmware_iface.installation import command
 from hil_mocks.realtime import RealTimeRig
 from hil_mocks.rig import MockArm, SteppedRig
+from procedures.child_process import ends_with_parent
 from procedures.mock.arm import wired_to
 
 PERIOD_S = 0.002
@@ -142,6 +144,7 @@ class RealTimeBench:
             ),
             stdout=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C is for the demo, which then ends the runtime in its own way
+            preexec_fn=ends_with_parent(signal.SIGTERM),  # noqa: PLW1509  it makes system calls only, so threads do no harm
         )  # fmt: skip
         self._client = ArmClient(self._connected(socket_path))
         self._recording = Path(self._client.status()["recording"])

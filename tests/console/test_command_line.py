@@ -12,6 +12,7 @@ import pytest
 
 from console.commands.table import COMMANDS
 from console.main import main
+from console.options import CommandSpec
 from control.model.description import load_arm, save_arm
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
@@ -58,16 +59,23 @@ assert not heavy, heavy
     assert ended.returncode == 0, ended.stderr
 
 
-@pytest.mark.parametrize("name", [command.name for command in COMMANDS])
-def test_every_command_has_a_module_that_runs_it(name: str) -> None:
-    module = importlib.import_module(f"console.commands.{name.replace('-', '_')}")
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: str(command.name))
+def test_every_command_has_a_module_that_runs_it(command: CommandSpec) -> None:
+    module = importlib.import_module(f"console.commands.{command.module_name}")
     assert callable(module.run)
 
 
 def test_every_module_of_a_command_is_in_the_table() -> None:
     folder = Path(__file__).parents[2] / "console" / "commands"
     modules = {path.stem for path in folder.glob("*.py") if "def run(given" in path.read_text("utf-8")}
-    assert modules == {command.name.replace("-", "_") for command in COMMANDS}
+    assert modules == {command.module_name for command in COMMANDS}
+
+
+@pytest.mark.parametrize("name", ["requests", "moving"])
+def test_a_module_of_several_commands_has_a_line_for_each(name: str) -> None:
+    module = importlib.import_module(f"console.commands.{name}")
+    table = module.REQUESTS if name == "requests" else module.MOTIONS
+    assert set(table) == {command.name for command in COMMANDS if command.module_name == name}
 
 
 def test_without_a_command_the_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -163,9 +171,7 @@ def test_a_way_point_file_that_is_wrong_is_one_message(
     assert "points.csv" in said_by(capsys, "run", str(file), "--plan-only")
 
 
-@pytest.mark.parametrize(
-    "command", ["status", "enable", "home", "stop", "off", "acknowledge", "guide", "hold"]
-)
+@pytest.mark.parametrize("command", ["status", "enable", "home", "off", "acknowledge", "guide", "hold"])
 def test_without_a_runtime_every_client_command_says_how_to_start_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:

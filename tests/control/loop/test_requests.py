@@ -60,7 +60,7 @@ BAD: list[dict[str, Any]] = [
     {"do": "run_joints"},
     *({"do": "run_joints", "path": path} for path in [None, 1, "x", [], {}, {"times_s": [0.0, 1.0], "q_rad": 5}]),
     *({"do": "run_joints", "path": resting_at(pose)} for pose in [STRETCHED[:2], (0.0, 0.9, 0.0), (0.5, -0.5, 0.0)]),
-    {"do": "acknowledge"}, {"do": "enable"}, {"do": "hold"}, {"do": "pause"}, {"do": "resume"}, {"do": "jog_on"},
+    {"do": "acknowledge"}, {"do": "pause"}, {"do": "resume"}, {"do": "jog_on"},
     *({"do": "override", "fraction": number} for number in [*NUMBERS, 0.0, 1.01]),
     {"do": "jog"}, {"do": "jog", "axis": "z"}, {"do": "jog", "joint": 1}, {"do": "jog", "joint": 1, "axis": "x", "by_m": 0.01},
     *({"do": "jog", "joint_speed_rad_s": pose} for pose in POSES[:12]),

@@ -1,0 +1,77 @@
+"""Commands that are one request to the runtime: each a line of `REQUESTS`."""
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+
+from console.commands.connection import connected
+from console.waiting import shown
+from control.errors import ArmError
+from control.server.client import ArmClient
+
+# Sends the request and waits until it is done; returns what there is to say of it.
+Request = Callable[[ArmClient, argparse.Namespace], str | None]
+LONGEST_WAIT_S = 24 * 3600.0
+RESTING = ("HOLDING", "BRAKED", "OFF", "GUIDING")
+
+
+def run(given: argparse.Namespace) -> int:
+    """Do what the command's line in the table says. ArmError, or what stopped the arm."""
+    client = connected(given)
+    if given.command == "guide":
+        _require_consent(given)
+    with shown(client, given):
+        said = REQUESTS[given.command](client, given)
+    if said:
+        sys.stdout.write(f"{said}\n")
+    return 0
+
+
+def _enable(client: ArmClient, given: argparse.Namespace) -> str | None:
+    return None if client.enable() else "the drives are on already; nothing was changed"
+
+
+def _home(client: ArmClient, given: argparse.Namespace) -> str | None:
+    if client.home(again=given.again):
+        return None
+    return "already homed: the boards know their zeros; `armwright home --again` searches for them again"
+
+
+def _wait(client: ArmClient, given: argparse.Namespace) -> None:
+    if given.seconds is None:
+        client.arrive(LONGEST_WAIT_S, RESTING)
+        return
+    if not 0.0 <= given.seconds <= LONGEST_WAIT_S:
+        raise ArmError(f"wait: expected 0 to {LONGEST_WAIT_S:g} s, got {given.seconds:g}")
+    client.wait(given.seconds)
+
+
+REQUESTS: Mapping[str, Request] = {
+    "acknowledge": lambda client, given: client.acknowledge(),
+    "enable": _enable,
+    "guide": lambda client, given: client.guide(given.weightless),
+    "hold": lambda client, given: client.hold(),
+    "home": _home,
+    "off": lambda client, given: client.off(quit_runtime=given.quit),
+    "override": lambda client, given: client.override(given.fraction),
+    "pause": lambda client, given: client.pause(),
+    "resume": lambda client, given: client.resume(),
+    "wait": _wait,
+}
+
+
+def _require_consent(given: argparse.Namespace) -> None:
+    """ArmError unless --yes or somebody at the terminal says that the arm may be let go; nothing has moved then."""
+    if given.yes:
+        return
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise ArmError("guide: it lets the arm go, and no terminal is there to confirm it: give --yes")
+    what = (
+        "The drives will carry the arm's weight only as well as its masses are known."
+        if given.weightless
+        else "The drives will go off and the arm will drop."
+    )
+    sys.stderr.write(f"{what} Does somebody hold it? [y/N] ")
+    sys.stderr.flush()
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise ArmError("guide: not confirmed; nothing was changed")

@@ -1,0 +1,60 @@
+"""The arm that is meant where a command line does not say: $ARMWRIGHT_ARM, else `arm` in the user's config.toml, else "right"."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+from control.errors import ArmError
+
+VARIABLE = "ARMWRIGHT_ARM"
+BUILT_IN = "right"
+
+
+class ConfigError(ArmError):
+    """A config.toml that cannot be used; says file and cause."""
+
+
+def config_file() -> Path:
+    """Where the user's configuration is (XDG base directory specification)."""
+    return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "armwright" / "config.toml"
+
+
+def default_arm() -> str:
+    """A path to an arm.toml or the name of an arm that ships. ConfigError."""
+    if named := os.environ.get(VARIABLE):
+        return _existing(named, Path(), VARIABLE)
+    file = config_file()
+    table = _read(file)
+    if not table:
+        return BUILT_IN
+    unknown = set(table) - {"arm"}
+    if unknown:
+        raise ConfigError(f"{file}: unknown key {sorted(unknown)[0]!r}; the only key is `arm`")
+    if not isinstance(table["arm"], str) or not table["arm"]:
+        raise ConfigError(
+            f"{file}: arm: expected the path of an arm.toml or the name of an arm, got {table['arm']!r}"
+        )
+    return _existing(table["arm"], file.parent, f"{file}: arm")
+
+
+def _existing(text: str, folder: Path, where: str) -> str:
+    """A path as seen from `folder`, or a name as it is. ConfigError where a path leads nowhere."""
+    path = folder / Path(text).expanduser()
+    if path.suffix != ".toml" and len(path.parts) <= len(folder.parts) + 1:
+        return text
+    if not path.is_file():
+        raise ConfigError(f"{where}: there is no file {path}")
+    return str(path)
+
+
+def _read(file: Path) -> dict[str, Any]:
+    import tomllib
+
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: not TOML: {error}") from None
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot be read: {error.strerror}") from None

@@ -1,0 +1,58 @@
+"""Shows on standard error that a command works while it waits for the arm: one line, redrawn on a terminal."""
+
+import argparse
+import contextlib
+import sys
+import time
+from collections.abc import Iterator
+
+from control.server.client import ArmClient, Message
+
+QUIET_S = 1.0  # most commands are done by then
+QUARTERS = 4  # of a motion, where there is no terminal
+
+
+class Progress:
+    """Called with every `mode` answer; says what the arm does, or how much of its motion is done."""
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._is_terminal = sys.stderr.isatty()
+        self._begun_s = time.monotonic()
+        self._said: object = None
+        self._is_drawn = False
+
+    def __call__(self, answer: Message) -> None:
+        passed_s = time.monotonic() - self._begun_s
+        if passed_s < QUIET_S:
+            return
+        percent = f"{100.0 * answer['progress']:.0f} %" if answer["mode"] in ("MOVING", "PAUSED") else ""
+        step = answer["step"] or percent or str(answer["mode"]).lower()
+        if self._is_terminal:
+            sys.stderr.write(f"\r\x1b[K{self._title}: {step}, {passed_s:.0f} s")
+            self._is_drawn = True
+        elif (mark := (answer["step"], answer["mode"], int(QUARTERS * answer["progress"]))) != self._said:
+            self._said = mark
+            sys.stderr.write(f"{self._title}: {step}\n")
+        sys.stderr.flush()
+
+    def close(self) -> None:
+        """Take the line away."""
+        if self._is_drawn:
+            sys.stderr.write("\r\x1b[K")
+            sys.stderr.flush()
+
+
+@contextlib.contextmanager
+def shown(client: ArmClient, given: argparse.Namespace, title: str = "") -> Iterator[None]:
+    """While it is open, waiting shows; not in a script, whose lines say themselves what they have done."""
+    if getattr(given, "connect", None) is not None:
+        yield
+        return
+    progress = Progress(title or given.command)
+    client.on_wait = progress
+    try:
+        yield
+    finally:
+        client.on_wait = None
+        progress.close()

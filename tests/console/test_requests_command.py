@@ -1,0 +1,123 @@
+"""Client commands: what they ask of the operator, and what they say of an arm that they wait for."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+from typing import Any
+
+import pytest
+
+from console import waiting
+from console.commands import requests
+from console.main import main
+from control.errors import ArmError
+from control.server.client import ArmClient
+from tests.cell import Cell
+
+
+class Typed(io.StringIO):
+    """A terminal at which somebody types."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def client(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> ArmClient:
+    """The client that every command gets."""
+    monkeypatch.setattr(requests, "connected", lambda given: cell.client)
+    return cell.client
+
+
+def test_guide_without_a_terminal_and_without_yes_is_refused(
+    client: ArmClient, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    assert main(["guide"]) == 2
+    assert "give --yes" in capsys.readouterr().err
+    assert client.status()["mode"] == "HOLDING"
+
+
+@pytest.mark.parametrize(
+    ("answer", "mode"), [("y\n", "GUIDING"), ("\n", "HOLDING"), ("no\n", "HOLDING"), ("", "HOLDING")]
+)
+def test_guide_lets_the_arm_go_only_where_it_is_confirmed(
+    client: ArmClient, monkeypatch: pytest.MonkeyPatch, answer: str, mode: str
+) -> None:
+    monkeypatch.setattr(sys, "stdin", Typed(answer))
+    monkeypatch.setattr(sys, "stderr", Typed())
+    assert main(["guide"]) == (0 if mode == "GUIDING" else 2)
+    assert client.status()["mode"] == mode
+
+
+def test_guide_with_yes_does_not_ask(client: ArmClient) -> None:
+    assert main(["guide", "--yes"]) == 0
+    assert client.status()["mode"] == "GUIDING"
+
+
+def test_enable_and_home_say_that_there_was_nothing_to_do(
+    client: ArmClient, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["enable"]) == 0
+    assert "on already" in capsys.readouterr().out
+    assert main(["home"]) == 0
+    assert "already homed" in capsys.readouterr().out
+
+
+def test_acknowledge_has_status_1_while_the_cause_lasts(
+    client: ArmClient, cell: Cell, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell.inject("silent", "motor3")
+    cell.until_fault(0.5)
+    assert main(["acknowledge"]) == 1
+    assert "joint 3" in capsys.readouterr().err
+
+
+def answers() -> list[dict[str, Any]]:
+    homing = [{"mode": "HOMING", "progress": 1.0, "step": f"joint {joint}"} for joint in (1, 1, 2)]
+    return [*homing, *({"mode": "MOVING", "progress": done, "step": ""} for done in (0.1, 0.2, 0.5))]
+
+
+def test_waiting_shows_each_step_once_where_there_is_no_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(waiting, "QUIET_S", 0.0)
+    progress = waiting.Progress("home")
+    for answer in answers():
+        progress(answer)
+    progress.close()
+    assert capsys.readouterr().err.splitlines() == [
+        "home: joint 1",
+        "home: joint 2",
+        "home: 10 %",
+        "home: 50 %",
+    ]
+
+
+def test_waiting_redraws_one_line_on_a_terminal_and_takes_it_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = Typed()
+    monkeypatch.setattr(waiting, "QUIET_S", 0.0)
+    monkeypatch.setattr(sys, "stderr", terminal)
+    progress = waiting.Progress("home")
+    for answer in answers():
+        progress(answer)
+    progress.close()
+    drawn = terminal.getvalue()
+    assert "\n" not in drawn
+    assert drawn.count("\r\x1b[K") == len(answers()) + 1
+    assert drawn.endswith("\r\x1b[K")
+
+
+def test_a_script_s_line_shows_no_progress(cell: Cell) -> None:
+    with waiting.shown(cell.client, argparse.Namespace(command="home", connect=lambda: cell.client)):
+        assert cell.client.on_wait is None
+    with waiting.shown(cell.client, argparse.Namespace(command="home")):
+        assert cell.client.on_wait is not None
+    assert cell.client.on_wait is None
+
+
+def test_a_wait_beyond_a_day_is_refused(cell: Cell) -> None:
+    with pytest.raises(ArmError, match="0 to 86400 s"):
+        requests.REQUESTS["wait"](cell.client, argparse.Namespace(seconds=1e6))

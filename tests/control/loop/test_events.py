@@ -1,0 +1,105 @@
+"""What serve says: each event once, in order; and a terminal that stopped reading stops nothing."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+import time
+
+from control.server.events import Events
+from control.server.printer import Printer
+from tests.cell import Cell, holding_cell
+
+
+def heard_by(cell: Cell) -> list[str]:
+    """Grows while cycles run."""
+    said: list[str] = []
+    events = Events(cell.runtime, said.append)
+    cell.assembly.requests.events = events
+    cell.watchers.append(events.look)
+    return said
+
+
+def test_a_move_that_is_stopped_and_a_shutdown_are_told_in_order(cell: Cell) -> None:
+    said = heard_by(cell)
+    cell.start_move((0.2, -0.4, 0.3))
+    cell.run(0.2)
+    cell.client.stop()
+    cell.client.off()
+    run = cell.runtime.run_number
+    assert [line.split(",")[0] for line in said] == [
+        "client 0: move_joints",
+        f"motion {run} begun",
+        "client 0: stop",
+        "stopping",
+        "stopped: holding",
+        "client 0: off",
+        "shutdown: holding until the arm is at rest",
+        "windings shorted: the arm may sink",
+        "shutdown: lowering: windings shorted until the arm is at rest",
+        *said[9:-1],
+        "drives off",
+    ]
+    assert all(line.startswith("shutdown: ") for line in said[9:-1])
+
+
+def test_a_fault_is_told_with_its_remedy_and_its_acknowledgement(cell: Cell) -> None:
+    said = heard_by(cell)
+    cell.inject("over_temperature", "motor3")
+    cell.until_fault(0.5)
+    cell.run(0.1)
+    assert said[0] == "FAULT: windings shorted"
+    assert said[1].startswith("FAULT joint 3: its drive reports a fault: over-temperature; let it cool")
+    assert len(said) == 2
+    cell.rig.clear_faults()
+    cell.run(0.1)
+    cell.client.acknowledge()
+    assert said[2:] == ["client 0: acknowledge", "windings shorted", "faults acknowledged"]
+
+
+def test_homing_is_told_and_polling_is_not() -> None:
+    with holding_cell() as cell:
+        said = heard_by(cell)
+        cell.client.status()
+        cell.client.home(again=True)
+        assert said == ["client 0: home", "homing begun", *said[2:]]
+        assert {"homing ended: holding", "every joint knows its zero"} <= set(said)
+        assert len(said) <= 6
+
+
+def test_a_client_that_hangs_up_is_told_where_its_motion_ran(cell: Cell) -> None:
+    said = heard_by(cell)
+    cell.start_move((0.2, -0.4, 0.3))
+    cell.run(0.1)
+    cell.client.close()
+    assert said[-1] == "client 0 hung up: its motion is stopped"
+
+
+def test_what_is_said_is_printed_before_the_printer_ends() -> None:
+    program = "from control.server.printer import Printer; p = Printer(); p.say('one\\n'); p.say('two\\n'); p.close()"
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert ended.stdout == "one\ntwo\n"
+
+
+def test_a_terminal_that_nobody_reads_keeps_neither_the_loop_nor_its_end_waiting() -> None:
+    screen, terminal = pty.openpty()
+    kept = os.dup(1)
+    os.dup2(terminal, 1)
+    try:
+        printer = Printer()
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+    try:
+        busy_s = time.process_time()
+        for _ in range(5000):  # far more than a terminal and a pipe take
+            printer.say("x" * 200 + "\n")
+        printer.close()
+        assert time.process_time() - busy_s < 30.0
+    finally:
+        os.close(terminal)
+        os.close(screen)

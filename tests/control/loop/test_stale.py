@@ -1,0 +1,77 @@
+"""A silent board: its last values are marked with their age, and its fault cannot be acknowledged away."""
+
+from __future__ import annotations
+
+import pytest
+
+from console.commands.status import described
+from console.screen.texts import joint_lines
+from control.safety.table import Mode
+from control.server.client import ArmFaulted, RequestRefused
+from tests.cell import RIGHT, Cell, holding_cell, open_cell
+
+
+def test_values_of_boards_that_speak_are_not_marked(cell: Cell) -> None:
+    status = cell.client.status()
+    assert status["encoder_stale_s"] == status["drive_stale_s"] == [None] * 3
+    assert "*" not in described({**status, "arm": "right"})
+    assert not any("*" in line for line in joint_lines(status, RIGHT, "J1"))
+
+
+def test_a_silent_motor_board_marks_the_values_of_its_joint_alone_with_their_age(cell: Cell) -> None:
+    cell.inject("silent", "motor2")
+    cell.run(1.0)
+    status = cell.client.status()
+    assert status["encoder_stale_s"] == [None] * 3
+    assert [age is None for age in status["drive_stale_s"]] == [True, False, True]
+    assert status["drive_stale_s"][1] == pytest.approx(1.0, abs=0.05)
+    page = described({**status, "arm": "right"})
+    assert "* joint 2: its motor board has been silent for 1.0 s; these are its last values" in page
+    marked = [line for line in joint_lines(status, RIGHT, "J1") if "*" in line]
+    assert len(marked) == 1
+    assert "J2[/]*" in marked[0]
+    assert "silent 1 s" in marked[0]
+
+
+def test_a_silent_encoder_board_marks_the_angles_also_while_the_drives_are_off() -> None:
+    with open_cell() as cell:
+        cell.inject("silent", "encoder")
+        cell.run(0.5)
+        status = cell.client.status()
+        assert status["mode"] == "OFF"
+        assert status["encoder_stale_s"] == pytest.approx([0.5] * 3, abs=0.05)
+
+
+@pytest.mark.parametrize("board", ["encoder", "motor1"])
+def test_acknowledge_fails_and_names_the_cause_while_it_lasts(cell: Cell, board: str) -> None:
+    cell.inject("silent", board)
+    cell.until_fault(0.5)
+    cell.run(1.0)
+    with pytest.raises(ArmFaulted, match=r"encoder board: no report|joint 1"):
+        cell.client.acknowledge()
+    cell.rig.clear_faults()
+    cell.run(0.2)
+    cell.client.acknowledge()
+    assert cell.mode is not Mode.FAULT
+
+
+def test_without_a_fault_there_is_nothing_to_acknowledge(cell: Cell) -> None:
+    with pytest.raises(RequestRefused, match="there is no fault"):
+        cell.client.acknowledge()
+
+
+def test_enabling_an_arm_that_holds_or_moves_changes_nothing(cell: Cell) -> None:
+    assert cell.client.enable() is False
+    cell.start_move((0.2, -0.4, 0.3))
+    cell.run(0.1)
+    assert cell.client.enable() is False
+    assert cell.mode is Mode.MOVING
+
+
+def test_homing_says_whether_it_moved_and_can_be_asked_for_again() -> None:
+    with holding_cell() as cell:
+        assert cell.client.home() is False
+        steps = set()
+        cell.client.on_wait = lambda answer: steps.add(answer["step"])
+        assert cell.client.home(again=True) is True
+    assert "joint 2 (2 of 3): seeking its index pulse" in steps
