@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -23,9 +23,8 @@ from calib.points import Points
 from calib.verdict import NoiseFloor, Verdict, noise_floor, verdict
 from control.model.arm import Arm
 from control.model.table import board_cavities
+from control.progress import Advance, silent
 
-Advance = Callable[[str, float], None]
-"""Called with what is being done and how much of the whole is done, 0 to 1."""
 LeaveOut = Literal["setup"] | int | None
 
 
@@ -63,9 +62,7 @@ class Calibrated:
     warnings: tuple[str, ...] = ()
 
 
-def calibrate(
-    arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance = lambda *_: None
-) -> Calibrated:
+def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance = silent) -> Calibrated:
     """Identify, look for outliers, leave points out, judge. UnusablePointsError if no calibration can be made of them."""
     advance("checking the points", 0.0)
     problem = problem_of(arm, points, plan.choice)

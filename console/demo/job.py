@@ -4,7 +4,7 @@ The arm that is told to move is never told what is hidden in it: what comes out 
 """
 
 import datetime
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -31,9 +31,7 @@ from control.errors import ArmError
 from control.loop.client import ArmClient
 from control.model import table as tables
 from control.model.arm import Arm, Table
-
-Advance = Callable[[str, float], None]
-"""Called with what is being done and how much of the whole is done, 0 to 1."""
+from control.progress import Advance
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,10 @@
 from pathlib import Path
 
 from calib.gap.plan.plan import RecordingPlan
-from console.gap.recording import Advance, Bench, note_plan, record
+from console.gap.recording import Bench, note_plan, record
 from console.kept_mock import kept_mock
 from control.model.arm import Arm
+from control.progress import Advance
 
 
 def record_on_mock(

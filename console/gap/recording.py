@@ -20,12 +20,11 @@ from console.ports import RuntimePort
 from control.errors import ArmError
 from control.loop.client import ArmClient, Average
 from control.model.arm import Arm
+from control.progress import Advance
 
 REST_s = 0.1  # of a run after its motion
 CAMERA_PATIENCE = 10  # averages: a marker may be hidden for a moment
 FLUSH_s = 0.3  # after a run, until its rows are on the disk: two writes of the recorder
-
-Advance = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-from console.iso9283.recording import Advance, Bench, Planned, record
+from console.iso9283.recording import Bench, Planned, record
 from console.kept_mock import kept_mock
 from control.model.arm import Arm
+from control.progress import Advance
 
 
 def record_on_mock(

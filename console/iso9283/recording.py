@@ -24,6 +24,7 @@ from control.model.arm import Arm
 from control.model.inverse import InverseKinematics
 from control.model.kinematics import Kinematics
 from control.motion.plan import PlannedPath, plan_path
+from control.progress import Advance
 
 DWELL_S = 0.2  # after a move, before the average: the arm comes to rest
 AVERAGE_S = 0.2  # 20 camera frames
@@ -31,8 +32,6 @@ FLUSH_S = 0.3  # after a run, until its rows are on the disk: two writes of the 
 KEEP_EVERY = 5  # cycles of a path without a camera
 _SPEED_ROUNDS = 6
 _BOX = 4  # samples along each joint between two poses
-
-Advance = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)

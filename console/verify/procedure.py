@@ -1,7 +1,7 @@
 """A verification from end to end, on an arm over its runtime or on recorded points."""
 
 import datetime
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -25,9 +25,7 @@ from control.model import table as tables
 from control.model.arm import Arm, Effect
 from control.model.feedforward import FED_FORWARD
 from control.model.joint_side import SIDE_EFFECTS
-
-Advance = Callable[[str, float], None]
-"""Called with what is being done and how much of the whole is done, 0 to 1."""
+from control.progress import Advance
 
 
 @dataclass(slots=True)

@@ -25,6 +25,7 @@ from calib.gap.dynamic.verdict import Verdict, judge
 from calib.gap.finding import GapFinding, NamedEffect
 from calib.gap.log import Log
 from control.model.arm import Arm
+from control.progress import Advance, silent
 
 FAR_OFF = 20.0  # floors
 
@@ -48,7 +49,7 @@ class DynamicOutcome:
 def find(
     arm: Arm,
     log: Log,
-    advance: Callable[[str, float], None] | None = None,
+    advance: Advance | None = None,
     candidates: Collection[str] | None = None,
 ) -> GapFinding:
     """What is hidden in a log of this arm; `candidates`: only these effects of the list, by name.
@@ -61,11 +62,11 @@ def find(
 def examine(
     arm: Arm,
     log: Log,
-    advance: Callable[[str, float], None] | None = None,
+    advance: Advance | None = None,
     candidates: Collection[str] | None = None,
 ) -> DynamicOutcome:
     """`find`, with what a report shows beside the finding."""
-    told = _rising(advance or _silent)
+    told = _rising(advance or silent)
     told("reading the runs", 0.0)
     recording = plausible(arm, prepare(arm, log))
     known = known_terms(arm)
@@ -180,7 +181,7 @@ def gap(residual: Array, table: RowTable, picked: Picked) -> float:
     return float(np.sqrt(np.mean(squares))) if squares else float("nan")
 
 
-def _rising(advance: Callable[[str, float], None]) -> Callable[[str, float], None]:
+def _rising(advance: Advance) -> Advance:
     """Progress that does not go back where a search begins again."""
     most = 0.0
 
@@ -190,10 +191,6 @@ def _rising(advance: Callable[[str, float], None]) -> Callable[[str, float], Non
         advance(what, most)
 
     return told
-
-
-def _silent(what: str, share: float) -> None:
-    """No progress is shown."""
 
 
 def _floors(table: RowTable, arm: Arm) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,10 +27,9 @@ from calib.gap.static.search import Search, working_noise_m
 from calib.gap.static.split import Split, split
 from calib.points import Points
 from control.model.arm import Arm
+from control.progress import Advance, silent
 
 FREEDOM_LEAST = 60  # values beyond all parameters that a noise from the richest model needs
-
-Advance = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +54,7 @@ class StaticGap:
 def find(
     arm: Arm,
     points: Points,
-    advance: Advance = lambda *_: None,
+    advance: Advance = silent,
     without: Collection[str] = (),
     source: str = "points.csv",
 ) -> StaticGap:
