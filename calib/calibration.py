@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -65,8 +65,13 @@ class Calibrated:
 def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance = silent) -> Calibrated:
     """Identify, look for outliers, leave points out, judge. UnusablePointsError if no calibration can be made of them."""
     advance("checking the points", 0.0)
+    asked, plan = plan, replace(plan, choice=plan.choice.for_points(arm, points))
     problem = problem_of(arm, points, plan.choice)
-    warnings = [*require_usable(arm, points, problem), *unclear_flanks(arm, points, plan.choice.effects)]
+    warnings = [
+        *([_about_frame(arm)] if plan.choice != asked.choice else []),
+        *require_usable(arm, points, problem, plan.choice),
+        *unclear_flanks(arm, points, plan.choice.effects),
+    ]
     advance("identifying", 0.1)
     found = identify(
         problem,
@@ -93,6 +98,13 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
         floor,
         judged,
         (*warnings, *said),
+    )
+
+
+def _about_frame(arm: Arm) -> str:
+    return (
+        f"the tips were measured in a frame that arm {arm.name}'s file does not tie to the arm's base (no base_frame, no table"
+        " of known place): where that frame is was identified too; --fix base takes it for the arm's own"
     )
 
 

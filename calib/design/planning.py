@@ -26,6 +26,7 @@ from calib.design.plan import Alternative, Plan, PlannedPose, Request
 from calib.design.reach import Rows
 from calib.errors import CalibrationError
 from calib.identify.assembly import Choice
+from calib.identify.checks import require_of_arm
 from calib.points import Points
 from control.model.arm import Arm
 from control.model.table import SETUPS
@@ -51,6 +52,8 @@ def plan_poses(arm: Arm, taken: Points | None, request: Request, choice: Choice 
     a request that cannot be met.
     """
     wanted = choice or Choice()
+    if taken is not None:
+        require_of_arm(arm, taken, wanted)
     criterion_of(request.criterion)  # an unknown one is said before anything takes time
     noise_m = _noise_m(arm, request)
     setups = _setups(arm, taken, request, wanted)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+from calib.arm_points import points_for
 from calib.errors import CalibrationError
 from calib.gap.both import brought_together
 from calib.gap.dynamic.find import DynamicOutcome, examine
@@ -17,7 +18,7 @@ from calib.gap.log import Log, joined_logs, read_log
 from calib.gap.model_update import updated_arm
 from calib.gap.report import GapReport, gap_page
 from calib.gap.static.find import StaticGap, find
-from calib.points import Points, joined, read_points
+from calib.points import Points
 from calib.report_data import input_file
 from control.errors import ArmError
 from control.model.arm import Arm, Calibration
@@ -58,10 +59,10 @@ def read_recordings(arm: Arm, points: Sequence[str | Path], logs: Sequence[str |
             "gap: give --points for static poses, --log for time series, or both; --record records them"
         )
     point_files, log_files = tuple(map(Path, points)), tuple(map(Path, logs))
-    poses = [read_points(path, arm.joint_count) for path in point_files]
+    poses = [points_for(arm, point_files)] if point_files else []
     runs = [read_log(path, arm.joint_count) for path in log_files]
     return Recordings(
-        joined([part for part, _ in poses]) if poses else None,
+        poses[0][0] if poses else None,
         joined_logs(tuple(log for log, _ in runs)) if runs else None,
         point_files,
         log_files,

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array, frozen
+from calib.identify.checks import require_of_arm
 from calib.iso9283.checks import Iso9283Error
 from calib.iso9283.files import SET, TIP
 from calib.points import Points
@@ -96,8 +97,12 @@ class Run:
 
 
 def pose_groups(points: Points, arm: Arm, path: str) -> tuple[list[PoseGroup], tuple[str, ...]]:
-    """Poses by setup and point, in order, and in words where the commanded positions come from."""
+    """Poses by setup and point, in order, and in words where the commanded positions come from.
+
+    UnusablePointsError for points in other units or of another arm.
+    """
     commanded, source = _commanded(points, arm, path)
+    said = require_of_arm(arm, points) if points.joint_count == arm.joint_count else ()
     force = _columns(points, FORCE, path)
     if force is None:
         force = np.outer(np.nan_to_num(points.payload_kg), arm.gravity_m_s2)
@@ -119,7 +124,7 @@ def pose_groups(points: Points, arm: Arm, path: str) -> tuple[list[PoseGroup], t
                 *(turned or (None, None)),
             )
         )
-    return groups, (source,)
+    return groups, (source, *said)
 
 
 def _commanded(points: Points, arm: Arm, path: str) -> tuple[Array, str]:

@@ -6,6 +6,7 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
+from calib.arm_points import points_for
 from calib.boards import read_boards
 from calib.calibration import Calibrated, CalibrationPlan, LeaveOut, calibrate
 from calib.calibration_report import calibration_report
@@ -17,7 +18,7 @@ from calib.identify.frames import Frame
 from calib.identify.objective import objective_named
 from calib.identify.parameters import Bounds
 from calib.outcome import write_calibrated_arm, write_calibration_json
-from calib.points import Points, joined, read_points
+from calib.points import Points
 from calib.report import write_report
 from calib.report_data import InputFile, input_file
 from console.commands.progress import Bar
@@ -65,15 +66,9 @@ def _require_no_results(out: Path, forms: list[str]) -> None:
             raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
 
 
-def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, list[str]]:
+def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, tuple[str, ...]]:
     """The points of every file, without those that the operator leaves out."""
-    parts: list[Points] = []
-    warnings: list[str] = []
-    for name in given.points:
-        part, said = read_points(Path(name), arm.joint_count)
-        parts.append(part)
-        warnings += said
-    points = joined(parts)
+    points, warnings = points_for(arm, [Path(name) for name in given.points])
     left_out = _rows_of(points, given.without or [])
     return points.chosen([k for k in range(len(points)) if k not in left_out]), warnings
 

@@ -5,6 +5,7 @@ import json
 import sys
 from pathlib import Path
 
+from calib.arm_points import points_for
 from calib.boards import read_boards
 from calib.design import Plan, Request, Standing, View, in_words, plan_json, plan_poses, write_plan
 from calib.design.observability import NAMES
@@ -12,7 +13,7 @@ from calib.design.words import known_to
 from calib.errors import CalibrationError
 from calib.identify.assembly import Choice
 from calib.identify.frames import Frame
-from calib.points import Points, read_points
+from calib.points import Points
 from control.model.arm import Arm
 from control.model.description import load_arm
 
@@ -76,7 +77,7 @@ def _view(corners_m: list[float] | None) -> View | None:
 def _points(given: argparse.Namespace, arm: Arm) -> Points | None:
     if given.points is None:
         return None
-    points, warnings = read_points(Path(given.points), arm.joint_count)
+    points, warnings = points_for(arm, [Path(given.points)])
     for warning in warnings:
         sys.stderr.write(f"armwright: warning: {warning}\n")
     return points

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+from calib.arm_points import require_recorded_of
 from calib.iso9283.checks import Iso9283Error
 from calib.iso9283.evaluation import evaluate
 from calib.iso9283.page import write_page
@@ -26,6 +27,7 @@ def evaluate_files(
     notes: Sequence[str] = (),
 ) -> tuple[Evaluation, tuple[str, ...]]:
     """Evaluate, write iso9283.json and iso9283.html into `out`; returns the evaluation and warnings about the files."""
+    require_recorded_of(arm, points)
     groups, said, warnings = _poses(points, arm)
     for log in logs:
         if log.suffix == ".armlog":

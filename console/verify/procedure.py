@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.arm_points import points_for
 from calib.identify.joint_laws import LAWS
-from calib.points import Points, read_points
+from calib.points import Points
 from calib.points_writer import write_points
 from calib.report_data import InputFile, input_file
 from calib.table import with_reference_tips
@@ -103,7 +104,7 @@ def driven(
 def on_recorded(pair: Pair, file: Path) -> Verification:
     """The verification on static poses with measured tips: what either model predicts from the encoders."""
     nominal, calibrated = pair.nominal.arm, pair.calibrated.arm
-    points, warnings = read_points(file, calibrated.joint_count)
+    points, warnings = points_for(calibrated, [file])
     comparison = compare_arms(nominal, calibrated, _with_tips(calibrated, points))
     used_file = input_file(file, "recorded poses and measured tips")
     how = (

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.dynamic import forms
-from calib.gap.dynamic.borne_out import borne_out
+from calib.gap.dynamic.borne_out import BorneOut, borne_out
 from calib.gap.dynamic.catalogue import candidates as all_candidates
 from calib.gap.dynamic.choose import CAMERA_TIME, SAMPLING_TIME, Choice, Step
 from calib.gap.dynamic.fit import Fitted
@@ -20,9 +20,9 @@ from calib.gap.dynamic.plausible import plausible
 from calib.gap.dynamic.recording import Recording, prepare
 from calib.gap.dynamic.rows import Cell, Rows, RowTable
 from calib.gap.dynamic.split import Picked, Split, split
-from calib.gap.dynamic.terms import Term, known_terms
+from calib.gap.dynamic.terms import Term
 from calib.gap.dynamic.verdict import Verdict, judge
-from calib.gap.finding import GapFinding, NamedEffect
+from calib.gap.finding import GapFinding, Nameable, NamedEffect
 from calib.gap.log import Log
 from control.model.arm import Arm
 from control.progress import Advance, silent
@@ -69,7 +69,7 @@ def examine(
     told = _rising(advance or silent)
     told("reading the runs", 0.0)
     recording = plausible(arm, prepare(arm, log))
-    known = known_terms(arm)
+    known = forms.known_terms(arm)
     rows = Rows(Physics(arm, recording), known)
     parts = split(recording, rows.table)
     pool = all_candidates(arm, recording, candidates)
@@ -80,36 +80,51 @@ def examine(
     told("the gap on runs used for nothing else", 0.95)
     before = rows.residual(known)
     last = borne_out(choice, steps, judge(choice, steps, arm))
-    verdict, accepted = last.verdict, last.accepted
+    finding = _finding(arm, log.sources, recording, choice, steps, last, before, possible)
+    told("done", 1.0)
+    warnings = (
+        *recording.warnings,
+        *_doubts(before, rows.table),
+        *_flying(rows, known, last.accepted),
+        *_corrected(last.accepted, recording.has_voltage),
+        *last.warnings,
+        *_grown(finding),
+    )
+    names = tuple(run.name for run in recording.runs)
+    ratios = tuple(drive.gear_ratio for drive in arm.drives)
+    return DynamicOutcome(
+        finding, warnings, rows.table, before, last.accepted.residual, choice.split, names, ratios
+    )
+
+
+def _finding(
+    arm: Arm,
+    sources: tuple[str, ...],
+    recording: Recording,
+    choice: Choice,
+    steps: Sequence[Step],
+    last: BorneOut,
+    before: Array,
+    possible: tuple[Nameable, ...],
+) -> GapFinding:
+    """What was decided, with the gap on the runs that were used for nothing else."""
+    rows, known, parts, accepted = choice.rows, choice.known, choice.split, last.accepted
     after = accepted.residual
-    parts = choice.split
     moved = motion_gaps(rows.physics, known, (*known, *accepted.terms), parts.report_runs)
-    finding = GapFinding(
+    return GapFinding(
         arm=arm.name,
-        data=log.sources,
+        data=sources,
         noise_floor={**_floors(rows.table, arm), **_in_rad(moved, "floor_rad")},
         gap_before=gap(before, rows.table, parts.reporting),
         gap_after=gap(after, rows.table, parts.reporting),
         before_si={**_in_si(before, rows.table, parts.reporting, arm), **_in_rad(moved, "before_rad")},
         after_si={**_in_si(after, rows.table, parts.reporting, arm), **_in_rad(moved, "after_rad")},
-        effects=_named(steps, verdict, accepted, rows, known, parts),
-        ambiguous=verdict.ambiguous,
-        unknown=verdict.unknown,
+        effects=_named(steps, last.verdict, accepted, rows, known, parts),
+        ambiguous=last.verdict.ambiguous,
+        unknown=last.verdict.unknown,
         nameable=possible,
-        next_experiment=_next(recording, verdict),
+        next_experiment=_next(recording, last.verdict),
     )
-    told("done", 1.0)
-    names = tuple(run.name for run in recording.runs)
-    warnings = (
-        *recording.warnings,
-        *_doubts(before, rows.table),
-        *_flying(rows, known, accepted),
-        *_corrected(accepted, recording.has_voltage),
-        *last.warnings,
-        *_grown(finding),
-    )
-    ratios = tuple(drive.gear_ratio for drive in arm.drives)
-    return DynamicOutcome(finding, warnings, rows.table, before, after, parts, names, ratios)
 
 
 def _in_rad(moved: Mapping[str, MotionGap], which: str) -> dict[str, float]:

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.gap.dynamic.forms import known_terms
 from calib.gap.dynamic.forward import Forward, State
 from calib.gap.dynamic.motion import CLOSED, OPEN, motion_gaps
 from calib.gap.dynamic.physics import Physics
 from calib.gap.dynamic.recording import prepare
-from calib.gap.dynamic.terms import Term, known_terms
+from calib.gap.dynamic.terms import Term
 from calib.gap.finding import EffectName
 from calib.gap.log import Log
 from control.model.dynamics import Dynamics
