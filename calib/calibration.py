@@ -82,9 +82,9 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
     )
     warnings += unphysical(found.solution.corrections)
     advance("looking for outliers", 0.4)
-    suspects = find_suspects(problem, found.x, _cavities(arm))
-    held, said = _held_out(arm, points, plan, advance)
     floor = noise_floor(arm, points, problem, found.x)
+    suspects = find_suspects(problem, found.x, _cavities(arm), floor.axis_m if floor is not None else 0.0)
+    held, said = _held_out(arm, points, plan, advance)
     judged = verdict(found, held, floor, suspects, points.setup)
     advance("done", 1.0)
     return Calibrated(

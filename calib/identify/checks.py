@@ -31,15 +31,22 @@ def require_of_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tu
     Everything that takes points checks them here: numbers that are none, copies, degrees, counts, millimetres, swapped or turned
     columns, another arm. Rows are named as poses, counted from 1, with the file's line in brackets (the header is line 1).
     """
-    require_finite(points.q_rad, np.zeros((0, 3)))
     warnings = _copies(points)
     wanted = (choice or Choice()).for_points(arm, points)
-    told = referenced(arm, points, wanted)
+    told = require_columns_meant(arm, points, wanted)
     if len(told) >= POINTS_MINIMUM_COUNT:
-        require_read_as_meant(arm, problem_of(arm, told, wanted))
         require_own_arm(arm, told, wanted)
-    _require_radians(points.q_rad)
     return warnings
+
+
+def require_columns_meant(arm: Arm, points: Points, choice: Choice) -> Points:
+    """The poses that say where the tip was; UnusablePointsError for columns in other units, swapped, turned, or no numbers."""
+    require_finite(points.q_rad, np.zeros((0, 3)))
+    told = referenced(arm, points, choice)
+    if len(told) >= POINTS_MINIMUM_COUNT:
+        require_read_as_meant(arm, problem_of(arm, told, choice))
+    _require_radians(points.q_rad)
+    return told
 
 
 def require_usable(

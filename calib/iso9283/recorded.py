@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array, frozen
-from calib.identify.checks import require_of_arm
+from calib.identify.assembly import Choice
+from calib.identify.checks import require_columns_meant, require_of_arm
 from calib.iso9283.checks import Iso9283Error
 from calib.iso9283.files import SET, TIP
-from calib.points import Points
+from calib.points import Points, make_points, require_commas
 from control.model.arm import Arm
 from control.model.kinematics import Kinematics
 
@@ -190,6 +191,8 @@ def read_runs(path: Path, arm: Arm) -> list[Run]:
             runs[row["run"]] = _Rows(path, row, names, n)
         runs[row["run"]].add(row)
     whole = [rows.run(kinematics) for rows in runs.values() if rows.count > 1]
+    for rows in list(runs.values())[:1]:
+        rows.require_meant(arm)
     if not whole:
         raise Iso9283Error(f"{path}: expected recorded runs of two rows or more with set-points, got none")
     return whole
@@ -217,6 +220,15 @@ class _Rows:
                 raise Iso9283Error(f'{where}: got "{row[name].strip()}", expected a finite number')
         if all(map(math.isfinite, numbers[self._required : self._required + self._n])):
             self._numbers.extend(numbers)
+
+    def require_meant(self, arm: Arm) -> None:
+        """UnusablePointsError where the angles are no radians or the tips no metres."""
+        n, table = self._n, np.array(self._numbers).reshape(-1, len(self._names))
+        q, tip = table[:, 1 : 1 + n], table[:, 1 + 2 * n :]
+        m = len(table)
+        tip = tip if tip.shape[1] else np.full((m, 3), np.nan)
+        points = make_points(["run"] * m, [""] * m, [1] * m, q, tip)
+        require_columns_meant(arm, points, Choice().for_points(arm, points))
 
     def run(self, kinematics: Kinematics) -> Run:
         """The run, in the order of time."""
@@ -248,6 +260,7 @@ def _rows(path: Path, required: Sequence[str]) -> Iterator[dict[str, str]]:
         with _opened(path) as file:
             reader = csv.reader(file)
             header = [name.strip() for name in next(reader, [])]
+            require_commas(path, header)
             for name in required:
                 if name not in header:
                     raise Iso9283Error(f"{path}, line 1: required column {name} is missing")
