@@ -179,8 +179,8 @@ def _answer(grade: Grade, found: Identification) -> str:
     if grade == "good" and bound:
         rest = "rests on its bound" if len(bound) == 1 else "rest on their bounds"
         return (
-            f"On points not used the result is good, what is left is about the noise; but {', '.join(bound)} {rest}, so"
-            " that the arm's geometry is not known to be right elsewhere."
+            f"The result is good on points not used: what is left is about the noise. But {', '.join(bound)} {rest}:"
+            " elsewhere the geometry may be wrong."
         )
     return {
         "noise not known": "The result is better than nominal; whether it is good is not known, as nothing tells the noise.",

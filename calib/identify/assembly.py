@@ -127,11 +127,11 @@ def referenced(arm: Arm, points: Points, choice: Choice) -> Points:
     table = arm.table
     cavities = board_cavities(table) if table is not None else {}
     setups = set(points.setup) if table is not None and not table.known_pose else {*choice.boards, *SETUPS}
-    is_measured = np.isfinite(points.tip_m).all(axis=1).tolist()
+    measured = set(np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)).tolist())
     rows = [
         k
         for k in range(len(points))
-        if is_measured[k] or (points.point[k] in cavities and points.setup[k] in setups)
+        if k in measured or (points.point[k] in cavities and points.setup[k] in setups)
     ]
     return points.chosen(rows)
 

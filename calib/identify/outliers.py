@@ -35,8 +35,8 @@ SEED = 0
 class Outlier:
     """A point that the others contradict. `row` counts from 0 in the order of the points.
 
-    `distance_m`: between its reference and where a fit to the others puts the tip; `score`: that in standard deviations of one
-    axis of the noise, `noise_m`.
+    `distance_m`: between its reference and where a fit to the others puts the tip; `score`: that over `noise_m`, the
+    standard deviation of one axis: the known noise, or the scatter of the other points where that is larger.
     `off_m` (3,): that as a vector, base frame. `story`: what it looks like, if the numbers fit one story and no other.
     """
 
@@ -55,7 +55,7 @@ class Outlier:
         where = f'point {self.point} of setup "{self.setup}"' if self.setup else f"point {self.point}"
         return (
             f"{where} (pose {self.row + 1}) is {1e3 * self.distance_m:.2f} mm from where the other points put it,"
-            f" {self.score:.1f} times the noise of one axis ({1e3 * self.noise_m:.3f} mm){self.story.words}"
+            f" {self.score:.1f} times the scatter of one axis ({1e3 * self.noise_m:.3f} mm){self.story.words}"
         )
 
 
