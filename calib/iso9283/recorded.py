@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import itertools
 import json
 import math
 from array import array
@@ -103,7 +104,9 @@ def pose_groups(points: Points, arm: Arm, path: str) -> tuple[list[PoseGroup], t
     UnusablePointsError for points in other units or of another arm.
     """
     commanded, source = _commanded(points, arm, path)
-    said = require_of_arm(arm, points) if points.joint_count == arm.joint_count else ()
+    measured = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1))
+    is_checked = len(measured) > 0 and points.joint_count == arm.joint_count
+    said = require_of_arm(arm, points.chosen(measured)) if is_checked else ()
     force = _columns(points, FORCE, path)
     if force is None:
         force = np.outer(np.nan_to_num(points.payload_kg), arm.gravity_m_s2)
@@ -191,7 +194,8 @@ def read_runs(path: Path, arm: Arm) -> list[Run]:
             runs[row["run"]] = _Rows(path, row, names, n)
         runs[row["run"]].add(row)
     whole = [rows.run(kinematics) for rows in runs.values() if rows.count > 1]
-    for rows in list(runs.values())[:1]:
+    recorded = (rows for rows in runs.values() if rows.count > 1)
+    for rows in itertools.islice(recorded, 1):  # the columns of one run are those of all
         rows.require_meant(arm)
     if not whole:
         raise Iso9283Error(f"{path}: expected recorded runs of two rows or more with set-points, got none")
