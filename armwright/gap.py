@@ -1,5 +1,6 @@
 """The gap workflow: where a model and measurements disagree, and which effect is missing in the model."""
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,9 +8,9 @@ from pathlib import Path
 from calib.errors import CalibrationError
 from calib.gap.finding import GapFinding
 from calib.gap.words import in_words
+from calib.gap.workflow import GapOutcome, Recordings, find_gap_in, read_recordings, write_gap
 from calib.points.points import Points
 from control.model.arm import Arm
-from procedures.gap.workflow import Inputs, Outcome, known_effects, look, read_inputs, write
 
 Files = str | Path | Sequence[str | Path]
 
@@ -19,8 +20,8 @@ class Gap:
     """What was found; `str()` gives it in sentences, the answer first."""
 
     arm: Arm
-    inputs: Inputs
-    outcome: Outcome
+    recordings: Recordings
+    outcome: GapOutcome
 
     @property
     def finding(self) -> GapFinding:
@@ -42,7 +43,7 @@ class Gap:
 
         ArmError where one of them is there already; nothing is written then.
         """
-        return write(self.outcome, self.arm, self.inputs, Path(folder))
+        return write_gap(self.outcome, self.arm, self.recordings, Path(folder))
 
     def __str__(self) -> str:
         return "\n".join(in_words(self.finding))
@@ -62,28 +63,24 @@ def find_gap(
     Raises:
         CalibrationError: a file names its line and column; or the measurements are too few.
     """
-    inputs = _inputs(arm, points, log)
-    return Gap(arm, inputs, look(arm, inputs, known_effects(without), _unheard))
+    recordings = _recordings(arm, points, log)
+    outcome = find_gap_in(arm, recordings, without=without)
+    return Gap(arm, recordings, outcome)
 
 
-def _inputs(arm: Arm, points: Points | Files | None, log: Files | None) -> Inputs:
+def _recordings(arm: Arm, points: Points | Files | None, log: Files | None) -> Recordings:
     if not isinstance(points, Points):
-        return read_inputs(arm, _files(points), _files(log))
+        return read_recordings(arm, _files(points), _files(log))
     if points.joint_count != arm.joint_count:
         raise CalibrationError(
             f"points: {points.joint_count} joints, but arm {arm.name} has {arm.joint_count}"
         )
     if log is None:
-        return Inputs(points, None, (), (), ())
-    series = read_inputs(arm, (), _files(log))
-    return Inputs(points, series.log, (), series.log_files, series.warnings)
+        return Recordings(points, None, (), (), ())
+    return dataclasses.replace(read_recordings(arm, (), _files(log)), points=points)
 
 
 def _files(files: Files | None) -> Sequence[str | Path]:
     if files is None:
         return ()
     return (files,) if isinstance(files, str | Path) else files
-
-
-def _unheard(what: str, done: float) -> None:
-    """Progress that nobody watches."""

@@ -13,10 +13,12 @@ import os
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+from control.progress import Advance
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: more threads only wait
 
@@ -225,7 +227,7 @@ def scores(
         yield one
 
 
-def answers(cases: int, advance: Callable[[str, float], None]) -> list[Answer]:
+def answers(cases: int, advance: Advance) -> list[Answer]:
     """So many fresh cases, of every group its share, as `gap_matrix` prints them."""
     everything = _interleaved([[(group, one) for one in plan(group, FIRST_SEED)] for group in GROUPS])
     # A camera that is late is said and corrected: no answer of the matrix is the right one.

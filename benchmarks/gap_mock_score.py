@@ -10,10 +10,12 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+
+from control.progress import Advance
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: more threads only wait
 
@@ -90,7 +92,7 @@ def plan(level: Level, arm: Arm, count: int, first_seed: int = FIRST_SEED) -> li
 def answers(
     cases: Sequence[MockCase],
     arm: Arm,
-    advance: Callable[[str, float], None],
+    advance: Advance,
     save: Path | None = None,
     both: bool = True,
     processes: int = 2,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from calib.points.points import Points
 from control.model.arm import Arm
 from control.model.table import SETUPS, board_cavities, board_origin, board_rotation, table_of
 
-FREEABLE = ("base", "table", "tool")
+BASE = "base"
+FREEABLE = (BASE, "table", "tool")
 BASE_FRAME = (
     "x_m",
     "y_m",
@@ -34,7 +35,7 @@ BASE_FRAME = (
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What is identified, beside the DH parameters: `freed` of base, table, tool; `fixed` single parameters by name.
+    """What is identified, beside the DH parameters: `freed` of base, table, tool; `fixed` single parameters by name, or base.
 
     `boards` says where a setup's board stands, as measured; they go before what the arm's [table] says. `effects`: static ones
     behind the encoders that are identified too, as "backlash:2"; `corrections`: any others.
@@ -47,6 +48,20 @@ class Choice:
     effects: tuple[str, ...] = ()
     corrections: tuple[Correction, ...] = ()
 
+    def for_points(self, arm: Arm, points: Points) -> Choice:
+        """The same, the base frame freed where tips were measured in a frame that nothing ties to the arm's base.
+
+        Nothing does where the arm's file has neither a `base_frame` nor a table of known place; "base" among `fixed` holds it.
+        """
+        is_tied = _has_base_frame(arm) or _is_tied_by_table(arm)
+        is_measured = bool(np.isfinite(points.tip_m).all(axis=1).any())
+        is_asked_for = BASE in self.freed or BASE in self.fixed
+        return (
+            replace(self, freed=(*self.freed, BASE))
+            if is_measured and not (is_tied or is_asked_for)
+            else self
+        )
+
     def __post_init__(self) -> None:
         """CalibrationError for something that cannot be freed."""
         wrong = sorted(set(self.freed) - set(FREEABLE))
@@ -55,6 +70,8 @@ class Choice:
                 f'free: expected some of {", ".join(FREEABLE)}, got "{wrong[0]}"; single DH parameters are free'
                 " unless they are fixed"
             )
+        if BASE in self.freed and BASE in self.fixed:
+            raise CalibrationError("the base frame cannot be fixed and free: leave one of the two out")
 
 
 def problem_of(arm: Arm, points: Points, choice: Choice | None = None) -> ArmProblem:
@@ -68,7 +85,7 @@ def problem_of(arm: Arm, points: Points, choice: Choice | None = None) -> ArmPro
         model,
         with_started_frames(model, observed, tool_m),
         bounds=wanted.bounds,
-        fixed=wanted.fixed,
+        fixed=[name for name in wanted.fixed if name != BASE],
         is_tool_free=is_tool_free,
         tool_m=tool_m,
     )
@@ -79,7 +96,8 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
 
     Joint angles are the encoders' with the static effects that the arm has already.
     """
-    frames = [base_frame_of(arm, "base" in choice.freed)]
+    base = base_frame_of(arm, BASE in choice.freed)
+    frames = [replace(base, is_placed=not base.is_free or _has_base_frame(arm) or _is_tied_by_table(arm))]
     position, which = np.array(points.tip_m), np.zeros(len(points), dtype=np.intp)
     unmeasured = np.flatnonzero(np.isnan(points.tip_m).any(axis=1)).tolist()
     for setup in dict.fromkeys(points.setup[k] for k in unmeasured):
@@ -104,6 +122,20 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
     )
 
 
+def referenced(arm: Arm, points: Points, choice: Choice) -> Points:
+    """The poses that say where the tip was: measured, or in a cavity of a board that `choice` or the arm's file places."""
+    table = arm.table
+    cavities = board_cavities(table) if table is not None else {}
+    setups = set(points.setup) if table is not None and not table.known_pose else {*choice.boards, *SETUPS}
+    measured = set(np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)).tolist())
+    rows = [
+        k
+        for k in range(len(points))
+        if k in measured or (points.point[k] in cavities and points.setup[k] in setups)
+    ]
+    return points.chosen(rows)
+
+
 def base_frame_of(arm: Arm, is_free: bool = False) -> Frame:
     """What the camera and the table call base, in the arm's base frame: the arm's `base_frame` effect, if it has one."""
     for effect in arm.effects:
@@ -117,7 +149,7 @@ def _board(arm: Arm, setup: str, choice: Choice) -> Frame | None:
     """The frame of a setup's board; None if it moves with the base frame."""
     if setup not in choice.boards and not table_of(arm).known_pose:
         return Frame.unplaced(f"board_{setup}")
-    if "table" not in choice.freed and ("base" in choice.freed or _has_base_frame(arm)):
+    if "table" not in choice.freed and (BASE in choice.freed or _has_base_frame(arm)):
         return None
     known = _known_frame(arm, setup, choice)
     return Frame(known.name, known.rotation, known.origin_m, "table" in choice.freed)
@@ -125,6 +157,11 @@ def _board(arm: Arm, setup: str, choice: Choice) -> Frame | None:
 
 def _has_base_frame(arm: Arm) -> bool:
     return any(effect.effect == "base_frame" for effect in arm.effects)
+
+
+def _is_tied_by_table(arm: Arm) -> bool:
+    """Whether a table of known place ties what is measured to the arm's base."""
+    return arm.table is not None and arm.table.known_pose
 
 
 def _known_frame(arm: Arm, setup: str, choice: Choice) -> Frame:

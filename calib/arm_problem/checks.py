@@ -7,7 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.arm_problem.assembly import Choice, problem_of, referenced
 from calib.arm_problem.misread import require_read_as_meant
+from calib.arm_problem.other_arm import require_own_arm
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.errors import UnusablePointsError
@@ -23,15 +25,37 @@ COPIES_SHARE = 0.5  # of points that are copies of others: not a session any mor
 STILL_rad = 1e-4
 
 
-def require_usable(arm: Arm, points: Points, problem: ArmProblem) -> tuple[str, ...]:
-    """Warnings about points of which a calibration can be made; UnusablePointsError where none can.
+def require_of_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tuple[str, ...]:
+    """Warnings about points that are what their columns say, and of this arm; UnusablePointsError for others.
 
-    Rows are named as poses, counted from 1, with the file's line in brackets (the header is line 1).
+    Everything that takes points checks them here: numbers that are none, copies, degrees, counts, millimetres, swapped or turned
+    columns, another arm. Rows are named as poses, counted from 1, with the file's line in brackets (the header is line 1).
     """
+    warnings = _copies(points)
+    wanted = (choice or Choice()).for_points(arm, points)
+    told = require_columns_meant(arm, points, wanted)
+    if len(told) >= POINTS_MINIMUM_COUNT:
+        require_own_arm(arm, told, wanted)
+    return warnings
+
+
+def require_columns_meant(arm: Arm, points: Points, choice: Choice) -> Points:
+    """The poses that say where the tip was; UnusablePointsError for columns in other units, swapped, turned, or no numbers."""
+    require_finite(points.q_rad, np.zeros((0, 3)))
+    told = referenced(arm, points, choice)
+    if len(told) >= POINTS_MINIMUM_COUNT:
+        require_read_as_meant(arm, problem_of(arm, told, choice))
+    _require_radians(points.q_rad)
+    return told
+
+
+def require_usable(
+    arm: Arm, points: Points, problem: ArmProblem, choice: Choice | None = None
+) -> tuple[str, ...]:
+    """`require_of_arm`, and points enough for a calibration: not too few places, nor all on a line."""
     require_finite(problem.observed.q_rad, problem.observed.position_m)
     _require_count(problem.observed.q_rad, problem.references_m)
-    warnings = _copies(points)
-    require_read_as_meant(arm, problem)
+    warnings = require_of_arm(arm, points, choice)
     require_sound(problem)
     return (*warnings, *_still_joints(points.q_rad))
 

@@ -157,6 +157,12 @@ class ArmProblem:
             frozen(dh), frozen(tool), tuple(frames), dict(zip(names, values.tolist(), strict=True))
         )
 
+    def tips(self, solution: Solution) -> Array:
+        """Where the tip of a solution is at these poses, (m, 3), base frame: by joints, corrections and links that bend."""
+        values = np.array([solution.corrections[one.name] for one in self.observed.corrections])
+        joint_rad = self._joint_rad(values, ALL)
+        return self._bent(self.model.tips(solution.dh, joint_rad, solution.tool_m), values, ALL)
+
     def _parts(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """DH table, tool, moves of the free frames (f, 6), values of the corrections, at unknowns x."""
         whole = np.zeros(self._whole_size)

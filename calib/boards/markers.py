@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.arrays import Array, frozen
 from calib.errors import PointsFileError
-from calib.points.points import opened_text
+from calib.points.points import opened_text, require_commas
 
 REQUIRED = ("setup", "marker", "x_m", "y_m", "z_m")
 
@@ -49,6 +49,7 @@ def read_markers(path: Path) -> Markers:
     with opened_text(path) as file:
         reader = csv.reader(file)
         header = [name.strip() for name in next(reader, [])]
+        require_commas(path, header)
         places = _places(path, header)
         rows = [_row(path, reader.line_num, header, places, row) for row in reader if row]
     if not rows:

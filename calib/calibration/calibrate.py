@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -23,9 +23,8 @@ from calib.validation.holdout import HeldOut, held_out
 from calib.validation.verdict import NoiseFloor, Verdict, noise_floor, verdict
 from control.model.arm import Arm
 from control.model.table import board_cavities
+from control.progress import Advance, silent
 
-Advance = Callable[[str, float], None]
-"""Called with what is being done and how much of the whole is done, 0 to 1."""
 LeaveOut = Literal["setup"] | int | None
 
 
@@ -63,13 +62,16 @@ class Calibrated:
     warnings: tuple[str, ...] = ()
 
 
-def calibrate(
-    arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance = lambda *_: None
-) -> Calibrated:
+def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance = silent) -> Calibrated:
     """Identify, look for outliers, leave points out, judge. UnusablePointsError if no calibration can be made of them."""
     advance("checking the points", 0.0)
+    asked, plan = plan, replace(plan, choice=plan.choice.for_points(arm, points))
     problem = problem_of(arm, points, plan.choice)
-    warnings = [*require_usable(arm, points, problem), *unclear_flanks(arm, points, plan.choice.effects)]
+    warnings = [
+        *([_about_frame(arm)] if plan.choice != asked.choice else []),
+        *require_usable(arm, points, problem, plan.choice),
+        *unclear_flanks(arm, points, plan.choice.effects),
+    ]
     advance("identifying", 0.1)
     found = identify(
         problem,
@@ -80,9 +82,9 @@ def calibrate(
     )
     warnings += unphysical(found.solution.corrections)
     advance("looking for outliers", 0.4)
-    suspects = find_suspects(problem, found.x, _cavities(arm))
-    held, said = _held_out(arm, points, plan, advance)
     floor = noise_floor(arm, points, problem, found.x)
+    suspects = find_suspects(problem, found.x, _cavities(arm), floor.axis_m if floor is not None else 0.0)
+    held, said = _held_out(arm, points, plan, advance)
     judged = verdict(found, held, floor, suspects, points.setup)
     advance("done", 1.0)
     return Calibrated(
@@ -96,6 +98,13 @@ def calibrate(
         floor,
         judged,
         (*warnings, *said),
+    )
+
+
+def _about_frame(arm: Arm) -> str:
+    return (
+        f"the tips were measured in a frame that arm {arm.name}'s file does not tie to the arm's base (no base_frame, no table"
+        " of known place): where that frame is was identified too; --fix base takes it for the arm's own"
     )
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arm_problem.assembly import Choice
+from calib.arm_problem.checks import require_of_arm
 from calib.design.boards import OTHER_TILTS, PlacedBoard, boards_in_the_way, placed_boards, usual_setups
 from calib.design.candidates import (
     FREE,
@@ -51,6 +52,8 @@ def plan_poses(arm: Arm, taken: Points | None, request: Request, choice: Choice 
     a request that cannot be met.
     """
     wanted = choice or Choice()
+    if taken is not None:
+        require_of_arm(arm, taken, wanted)
     criterion_of(request.criterion)  # an unknown one is said before anything takes time
     noise_m = _noise_m(arm, request)
     setups = _setups(arm, taken, request, wanted)

@@ -21,7 +21,7 @@ import numpy as np
 
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError, PointsFileError
-from calib.points.points import opened_text
+from calib.points.points import opened_text, require_commas
 
 REQUIRED = ("run", "t_s")
 TIP = ("x_m", "y_m", "z_m")
@@ -139,6 +139,7 @@ class _Table:
 
     def _checked_header(self, joint_count: int | None) -> int:
         names = self._header
+        require_commas(self._path, names)
         for k, name in enumerate(names):
             if name in names[:k]:
                 raise LogFileError(f"{self._path}, line 1: column {name} appears twice")

@@ -89,7 +89,7 @@ def fit(
     problem: ArmProblem, objective: Objective | None = None, starts_count: int = 4, seed: int = 0
 ) -> tuple[Minimum, Objective]:
     """The optimum alone, and the objective that was minimised: Huber's without a threshold takes it from the noise."""
-    best = minimise(problem, objective or SumOfDistances(), starts_count, seed)
+    best = minimise(problem, objective or SumOfDistances(), starts_count, seed, equal="by noise")
     return best, best.objective
 
 
@@ -107,7 +107,7 @@ def identify(
     UnusablePointsError if no calibration can be made of the points. Same inputs and seed, same result.
     """
     require_sound(problem)
-    best = minimise(problem, objective or SumOfDistances(), starts_count, seed, accuracy_limit_m)
+    best = minimise(problem, objective or SumOfDistances(), starts_count, seed, accuracy_limit_m, "by noise")
     wanted = best.objective
     before = problem.residuals(np.zeros(len(best.x)))
     after, sensitivity = problem.residuals(best.x), problem.sensitivity(best.x)

@@ -35,7 +35,8 @@ SEED = 0
 class Outlier:
     """A point that the others contradict. `row` counts from 0 in the order of the points.
 
-    `distance_m`: between its reference and where a fit to the others puts the tip; `score`: that in standard deviations.
+    `distance_m`: between its reference and where a fit to the others puts the tip; `score`: that over `noise_m`, the
+    standard deviation of one axis: the known noise, or the scatter of the other points where that is larger.
     `off_m` (3,): that as a vector, base frame. `story`: what it looks like, if the numbers fit one story and no other.
     """
 
@@ -44,6 +45,7 @@ class Outlier:
     point: str
     distance_m: float
     score: float
+    noise_m: float
     off_m: Array
     story: Story
 
@@ -53,7 +55,7 @@ class Outlier:
         where = f'point {self.point} of setup "{self.setup}"' if self.setup else f"point {self.point}"
         return (
             f"{where} (pose {self.row + 1}) is {1e3 * self.distance_m:.2f} mm from where the other points put it,"
-            f" {self.score:.0f} times the noise{self.story.words}"
+            f" {self.score:.1f} times the scatter of one axis ({1e3 * self.noise_m:.3f} mm){self.story.words}"
         )
 
 
@@ -68,21 +70,26 @@ class Sorted:
 
 
 def find_outliers(
-    problem: ArmProblem, x: Array, cavities: Mapping[str, Array] | None = None, extra: Array | None = None
+    problem: ArmProblem,
+    x: Array,
+    cavities: Mapping[str, Array] | None = None,
+    extra: Array | None = None,
+    noise_m: float = RESOLUTION_m,
 ) -> tuple[Outlier, ...]:
     """The outliers of a problem around its solution x (k,), the worst first.
 
     `cavities`: where all cavities are in the board's frame, for a guess at what happened; else those of the points.
-    `extra` (m, 3, e): columns of further unknowns, such as a board that is not where the table says.
+    `extra` (m, 3, e): columns of further unknowns, such as a board that is not where the table says. `noise_m`: of one axis,
+    as far as it is known: where the points show less, that counts.
     """
-    found = sort_points(LinearFit.around(problem, x, extra))
+    found = sort_points(LinearFit.around(problem, x, extra), noise_m)
     rows = np.flatnonzero(~found.agrees)
     named = [_outlier(problem, x, int(row), found, cavities or {}) for row in rows]
     return tuple(sorted(named, key=lambda outlier: -outlier.score))
 
 
-def sort_points(fit: LinearFit) -> Sorted:
-    """Which points agree with each other; all, where there are too few to tell."""
+def sort_points(fit: LinearFit, noise_m: float = RESOLUTION_m) -> Sorted:
+    """Which points agree with each other, given noise of one axis that is at least noise_m; all, where too few tell."""
     m = len(fit)
     if 3 * m - fit.rank < 6:
         return Sorted(np.ones(m, dtype=bool), fit.residuals, np.zeros(m), math.nan)
@@ -90,14 +97,14 @@ def sort_points(fit: LinearFit) -> Sorted:
     seen: list[bytes] = []
     for _ in range(ROUNDS_LIMIT):
         seen.append(kept.tobytes())
-        found = _tested(fit, kept)
+        found = _tested(fit, kept, max(noise_m, RESOLUTION_m))
         kept = found.agrees
         if kept.tobytes() in seen:
             break
     return found
 
 
-def _tested(fit: LinearFit, kept: Mask) -> Sorted:
+def _tested(fit: LinearFit, kept: Mask, noise_m: float) -> Sorted:
     """Every point against those of `kept`, without itself."""
     from scipy.special import fdtri
 
@@ -111,11 +118,11 @@ def _tested(fit: LinearFit, kept: Mask) -> Sorted:
     squares = np.einsum("mi,mij,mj->m", residuals, inverse, residuals)
     total = float(np.sum(residuals[kept] ** 2))
     others = np.where(kept, freedom - 3, freedom)
-    variance = np.maximum((total - np.where(kept, squares, 0.0)) / np.maximum(others, 1), RESOLUTION_m**2)
+    variance = np.maximum((total - np.where(kept, squares, 0.0)) / np.maximum(others, 1), noise_m**2)
     ratio = np.where(is_testable, squares / 3.0 / variance, 0.0)
     agrees = ratio <= fdtri(3, np.maximum(others, 1), 1.0 - FALSE_ALARM / len(fit))
     deleted = np.where(kept[:, None], np.einsum("mij,mj->mi", inverse, residuals), residuals)
-    return Sorted(agrees, deleted, np.sqrt(3.0 * ratio), math.sqrt(max(total / freedom, RESOLUTION_m**2)))
+    return Sorted(agrees, deleted, np.sqrt(3.0 * ratio), math.sqrt(max(total / freedom, noise_m**2)))
 
 
 def _most_alike(fit: LinearFit) -> Array:
@@ -174,6 +181,7 @@ def _outlier(
         point,
         float(np.linalg.norm(found.deleted_m[row])),
         float(found.score[row]),
+        found.noise_m,
         frozen(found.deleted_m[row]),
         story_of(problem, x, row, found.deleted_m[row], found.noise_m, cavities),
     )

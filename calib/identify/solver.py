@@ -1,15 +1,17 @@
 """The minimum of an objective in the box of the bounds: several searches, the best of them, and of all that fit as well the
 nearest to nominal.
 
-What the data cannot determine stays at nominal: of all parameter sets that fit as well as the best (to
-COST_OF_NEARNESS), the one nearest to nominal is wanted. Once the best is known, the null space of its
-Jacobian is held at nominal and the rest refitted; if that costs more, a narrower null space is.
+What the data cannot determine stays at nominal: of all parameter sets that fit as well as the best, the one nearest to
+nominal is wanted. Once the best is known, the null space of its Jacobian is held at nominal and the rest refitted; if that
+costs more than COST_OF_NEARNESS, a narrower null space is held. An identification allows more (`Equal` "by noise"): what the
+held unknowns would gain by following noise alone, so that no combination that the points leave open ends at a bound for it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Literal
 
 import numpy as np
 
@@ -40,6 +42,9 @@ FINE = Goal(1e-2, 1e-7, 1e-9)
 BISECTIONS, LIMIT_REACHED = 60, 1e-7  # of lambda; share of the wanted accuracy that may be left unused
 NULL_POSES = 5000
 REACH = 0.7  # of the box, from where starts are drawn
+Equal = Literal[
+    "exactly", "by noise"
+]  # how nearly two fits must agree so that the nearer one to nominal is taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +74,7 @@ def minimise(
     starts_count: int = 4,
     seed: int = 0,
     accuracy_limit_m: float | None = None,
+    equal: Equal = "exactly",
 ) -> Minimum:
     """The best of several searches: from nominal, then from random points of the box.
 
@@ -80,7 +86,8 @@ def minimise(
     if accuracy_limit_m is not None and not 0.0 < accuracy_limit_m < np.inf:
         raise CalibrationError(f"average accuracy: expected a positive length in m, got {accuracy_limit_m}")
     wanted = settled(problem, objective, seed)
-    found = _nearest_to_nominal(problem, wanted, best_of_starts(problem, wanted, starts_count, seed))
+    best = best_of_starts(problem, wanted, starts_count, seed)
+    found = _nearest_to_nominal(problem, wanted, best, equal)
     if accuracy_limit_m is None:
         return found
     return _constrained(problem, found, accuracy_limit_m, starts_count, seed)
@@ -236,8 +243,8 @@ def _fine(sample: Sample) -> Goal:
     return replace(FINE, last_smoothing=FINE.last_smoothing * max(1.0, share))
 
 
-def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum) -> Minimum:
-    """The same fit with what the data do not determine back at nominal, as far as COST_OF_NEARNESS allows."""
+def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, equal: Equal) -> Minimum:
+    """The same fit with what the data do not determine back at nominal, as far as the allowed cost lets it."""
     # Of very many poses some tell the null space; what they overlook shows in the cost, which is that on all.
     stride = max(1, len(problem) // NULL_POSES)
     residuals, jacobian = problem.residuals_and_jacobian(best.x, slice(None, None, stride))
@@ -254,9 +261,19 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum) -
         tried = null.shape[1]
         end = descend(sample, best.x, replace(goal, anchor=stiffness * null @ null.T))
         value = sample.value(end.x)
-        if value <= max(best.value * (1.0 + COST_OF_NEARNESS), nothing):
+        cost = COST_OF_NEARNESS if equal == "exactly" else _gain_by_noise(problem, tried)
+        if value <= max(best.value * (1.0 + cost), nothing):
             return Minimum(end.x, value, best.steps_count + end.steps_count, end.is_converged, objective)
     return best
+
+
+def _gain_by_noise(problem: Problem, unknowns_count: int) -> float:
+    """Share of the objective that so many unknowns take off it in the mean by following noise.
+
+    Each takes 1 / freedom off a sum of squares, and half of that off a sum of distances: the lesser counts.
+    """
+    freedom = 3 * len(problem) - len(problem.parameters)
+    return max(COST_OF_NEARNESS, unknowns_count / (2.0 * freedom)) if freedom > 0 else COST_OF_NEARNESS
 
 
 def _stiffness(objective: Objective, residuals: Array, jacobian: Array) -> float:

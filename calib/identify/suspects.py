@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
-from calib.identify.outliers import Outlier, find_outliers
+from calib.identify.outliers import Outlier, RESOLUTION_m, find_outliers
 from calib.identify.shifted import ShiftedSetup, moved_columns, shifted_setups
 
 TOLD_LIMIT = 10  # points told one by one
@@ -70,12 +70,20 @@ class Suspects:
         return [one for one in self.outliers if one.row not in rows]
 
 
-def find_suspects(problem: ArmProblem, x: Array, cavities: Mapping[str, Array] | None = None) -> Suspects:
-    """Around the solution x (k,) of a problem: the points of a setup that is off are held against each other only."""
+def find_suspects(
+    problem: ArmProblem,
+    x: Array,
+    cavities: Mapping[str, Array] | None = None,
+    noise_m: float = RESOLUTION_m,
+) -> Suspects:
+    """Around the solution x (k,) of a problem: the points of a setup that is off are held against each other only.
+
+    `noise_m`: of one axis, where it is known; what it explains is not suspicious, however well the other points agree.
+    """
     setups = shifted_setups(problem, x)
     moved = [moved_columns(problem, one.setup) for one in setups]
     extra = np.concatenate(moved, axis=2) if moved else None
-    outliers = find_outliers(problem, x, cavities, extra)
+    outliers = find_outliers(problem, x, cavities, extra, noise_m)
     return Suspects(setups, outliers, len(problem), _slip(problem, x, outliers))
 
 

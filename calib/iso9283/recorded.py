@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import itertools
 import json
 import math
 from array import array
@@ -15,10 +16,12 @@ from typing import TextIO
 import numpy as np
 import numpy.typing as npt
 
+from calib.arm_problem.assembly import Choice
+from calib.arm_problem.checks import require_columns_meant, require_of_arm
 from calib.arrays import Array, frozen
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.files import SET, TIP
-from calib.points.points import Points
+from calib.points.points import Points, make_points, require_commas
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 
@@ -96,8 +99,14 @@ class Run:
 
 
 def pose_groups(points: Points, arm: Arm, path: str) -> tuple[list[PoseGroup], tuple[str, ...]]:
-    """Poses by setup and point, in order, and in words where the commanded positions come from."""
+    """Poses by setup and point, in order, and in words where the commanded positions come from.
+
+    UnusablePointsError for points in other units or of another arm.
+    """
     commanded, source = _commanded(points, arm, path)
+    measured = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1))
+    is_checked = len(measured) > 0 and points.joint_count == arm.joint_count
+    said = require_of_arm(arm, points.chosen(measured)) if is_checked else ()
     force = _columns(points, FORCE, path)
     if force is None:
         force = np.outer(np.nan_to_num(points.payload_kg), arm.gravity_m_s2)
@@ -119,7 +128,7 @@ def pose_groups(points: Points, arm: Arm, path: str) -> tuple[list[PoseGroup], t
                 *(turned or (None, None)),
             )
         )
-    return groups, (source,)
+    return groups, (source, *said)
 
 
 def _commanded(points: Points, arm: Arm, path: str) -> tuple[Array, str]:
@@ -185,6 +194,9 @@ def read_runs(path: Path, arm: Arm) -> list[Run]:
             runs[row["run"]] = _Rows(path, row, names, n)
         runs[row["run"]].add(row)
     whole = [rows.run(kinematics) for rows in runs.values() if rows.count > 1]
+    recorded = (rows for rows in runs.values() if rows.count > 1)
+    for rows in itertools.islice(recorded, 1):  # the columns of one run are those of all
+        rows.require_meant(arm)
     if not whole:
         raise Iso9283Error(f"{path}: expected recorded runs of two rows or more with set-points, got none")
     return whole
@@ -212,6 +224,15 @@ class _Rows:
                 raise Iso9283Error(f'{where}: got "{row[name].strip()}", expected a finite number')
         if all(map(math.isfinite, numbers[self._required : self._required + self._n])):
             self._numbers.extend(numbers)
+
+    def require_meant(self, arm: Arm) -> None:
+        """UnusablePointsError where the angles are no radians or the tips no metres."""
+        n, table = self._n, np.array(self._numbers).reshape(-1, len(self._names))
+        q, tip = table[:, 1 : 1 + n], table[:, 1 + 2 * n :]
+        m = len(table)
+        tip = tip if tip.shape[1] else np.full((m, 3), np.nan)
+        points = make_points(["run"] * m, [""] * m, [1] * m, q, tip)
+        require_columns_meant(arm, points, Choice().for_points(arm, points))
 
     def run(self, kinematics: Kinematics) -> Run:
         """The run, in the order of time."""
@@ -243,6 +264,7 @@ def _rows(path: Path, required: Sequence[str]) -> Iterator[dict[str, str]]:
         with _opened(path) as file:
             reader = csv.reader(file)
             header = [name.strip() for name in next(reader, [])]
+            require_commas(path, header)
             for name in required:
                 if name not in header:
                     raise Iso9283Error(f"{path}, line 1: required column {name} is missing")

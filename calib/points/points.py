@@ -162,6 +162,16 @@ def opened_text(path: Path) -> Iterator[TextIO]:
         raise PointsFileError(f"{path}: not comma-separated text ({error})") from error
 
 
+def require_commas(path: Path, header: Sequence[str]) -> None:
+    """PointsFileError for a header line whose names something else than commas separates."""
+    for mark, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "vertical bars")):
+        if sum(cell.count(mark) for cell in header) > len(header):
+            raise PointsFileError(
+                f"{path}, line 1: the columns are separated by {name}, expected commas (and decimal points in numbers): save"
+                " the file as comma-separated text"
+            )
+
+
 @dataclass(frozen=True, slots=True)
 class _Columns:
     """Where each column stands in a row."""
@@ -173,6 +183,7 @@ class _Columns:
     def of(cls, path: Path, header: list[str], joint_count: int | None) -> _Columns:
         """From the header line; PointsFileError if it lacks or repeats something."""
         names = tuple(name.strip() for name in header)
+        require_commas(path, names)
         _require_unique(path, names)
         n = sum(re.fullmatch(r"q\d+_rad", name) is not None for name in names)
         wanted = joint_count or n

@@ -223,11 +223,7 @@ def _distances(
     seen: ArmProblem, solution: Solution, is_referred: npt.NDArray[np.bool_], groups: npt.NDArray[np.intp]
 ) -> Array:
     """Distance of each row's tip from its reference, or from the mean of its cavity's tips, (m,)."""
-    observed = seen.observed
-    q = np.array(observed.q_rad)
-    for correction in observed.corrections:
-        q = q + solution.corrections[correction.name] * correction.slope_rad
-    tips = seen.model.tips(solution.dh, q, solution.tool_m)
+    observed, tips = seen.observed, seen.tips(solution)
     wanted = np.array(tips)
     frames = {frame.name: frame for frame in solution.frames}
     for k, frame in enumerate(observed.frames):

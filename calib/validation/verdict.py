@@ -7,8 +7,9 @@ The grades are tried in this order, and the first that fits is given:
 | too few points | fewer than FREEDOM_MINIMUM residual coordinates beyond the parameters, or nothing could be left out |
 | worse | points left out are no nearer than with nominal parameters |
 | over-fitted | points left out are OVER_FITTED times farther off than points of the fit (beyond what noise alone makes) |
+| noise not known | no repeats and no camera's noise in the file tell it, and what the fit leaves is no measure of it |
 | not at the floor | points left out are farther off than GOOD times the noise: something is missing in the model |
-| good | within GOOD times the noise; where the noise is not known, the points of the fit stand for it |
+| good | within GOOD times the noise |
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from calib.points.points import Points
 from calib.validation.holdout import HeldOut
 from control.model.arm import Arm
 
-Grade = Literal["good", "not at the floor", "over-fitted", "worse", "too few points"]
+Grade = Literal["good", "noise not known", "not at the floor", "over-fitted", "worse", "too few points"]
 
 FREEDOM_MINIMUM = (
     20  # the noise is then known to 1 / sqrt(2 * 20) = 16 %; below, no ratio to it means anything
@@ -127,7 +128,7 @@ def verdict(
     slips = _slips(suspects)
     held = held.without(slips) if held is not None else None
     grade = _grade(found, held, floor, slips)
-    said = [_answer(grade)]
+    said = [_answer(grade, found)]
     if held is not None:
         said += _on_held_out(held, floor, len(slips))
     if grade == "over-fitted" and held is not None:
@@ -136,7 +137,7 @@ def verdict(
             f" {1e3 * float(np.mean(held.after_m)):.3f} mm: parameters follow the noise, or the points left out are of a"
             " sort that the others do not tell about."
         )
-    if len(set(setups)) == 1 and grade in ("good", "not at the floor"):
+    if len(set(setups)) == 1 and grade in ("good", "noise not known", "not at the floor"):
         said.append(f'That holds around the setup "{setups[0]}" alone: nothing elsewhere was tested.')
     steps = (*_about_suspects(suspects), *_next(grade, found, floor, sorted(set(setups))))
     return Verdict(grade, tuple(said), steps)
@@ -158,7 +159,9 @@ def _grade(
         return "worse"
     if _over_fit(found, held, slips) > OVER_FITTED:
         return "over-fitted"
-    return "good" if _over_floor(found, held, floor) <= GOOD else "not at the floor"
+    if floor is None:
+        return "noise not known"
+    return "good" if float(np.mean(held.after_m)) <= GOOD * floor.mean_m else "not at the floor"
 
 
 def _over_fit(found: Identification, held: HeldOut, slips: Collection[int] = ()) -> float:
@@ -170,14 +173,17 @@ def _over_fit(found: Identification, held: HeldOut, slips: Collection[int] = ())
     return float(np.sqrt(np.mean(held.after_m**2))) / max(expected, 1e-12)
 
 
-def _over_floor(found: Identification, held: HeldOut, floor: NoiseFloor | None) -> float:
-    """Mean error left out over that of noise; without a floor, over the noise that the fit itself shows."""
-    mean = floor.mean_m if floor is not None else MEAN_OF_NORM * found.noise_m
-    return float(np.mean(held.after_m)) / max(mean, 1e-12)
-
-
-def _answer(grade: Grade) -> str:
+def _answer(grade: Grade, found: Identification) -> str:
+    """The first sentence; a good result with parameters at their bounds says so in it."""
+    bound = [estimate.parameter.name for estimate in found.estimates if estimate.is_at_bound]
+    if grade == "good" and bound:
+        rest = "rests on its bound" if len(bound) == 1 else "rest on their bounds"
+        return (
+            f"The result is good on points not used: what is left is about the noise. But {', '.join(bound)} {rest}:"
+            " elsewhere the geometry may be wrong."
+        )
     return {
+        "noise not known": "The result is better than nominal; whether it is good is not known, as nothing tells the noise.",
         "good": "The result is good: what is left on points not used is about the noise.",
         "not at the floor": "The result is better than nominal, but something other than this geometry is at work.",
         "over-fitted": "The result is over-fitted: it predicts points that it has not seen much worse than those it has.",
@@ -199,13 +205,12 @@ def _on_held_out(held: HeldOut, floor: NoiseFloor | None, slips_count: int = 0) 
     ]
     if floor is not None:
         said.append(
-            f"The noise alone makes {1e3 * floor.mean_m:.3f} mm (from {floor.source}): the error is"
-            f" {after / (1e3 * floor.mean_m):.2f} times that."
+            f"The noise of one axis is {1e3 * floor.axis_m:.3f} mm (from {floor.source}), which alone makes a mean distance of"
+            f" {1e3 * floor.mean_m:.3f} mm: the error is {after / (1e3 * floor.mean_m):.2f} times that."
         )
     else:
         said.append(
-            "How large the noise is is not known (no repeats in one posture, no camera's noise): what the points of the fit"
-            " are off stands for it."
+            "The noise was not measured: there are no repeats in one posture, and the arm's file gives no camera noise."
         )
     return [*said, _against_paper(held)]
 
@@ -273,6 +278,6 @@ def _next(grade: Grade, found: Identification, floor: NoiseFloor | None, setups:
             f"{', '.join(binding)} rest{'s' if len(binding) == 1 else ''} on the bound: measure there, or give a wider bound"
             " if the part can be that far off."
         )
-    if floor is None and grade in ("good", "not at the floor"):
+    if grade == "noise not known":
         said.append("Take three points two or three times each: then the noise is known.")
     return said

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arm_problem.assembly import base_frame_of
+from calib.arm_problem.checks import require_of_arm
 from calib.arm_problem.joint_effects import known_corrections
 from calib.arrays import Array
 from calib.boards.rigid import best_motion
@@ -28,8 +29,9 @@ def compare_arms(nominal: Arm, calibrated: Arm, points: Points) -> Comparison:
     """Errors by two models; rows of the same name and pose are repeats, other poses of the same name points of their own.
 
     Rows are left out whose tip is neither measured nor in a cavity of a board that enough poses place; CalibrationError
-    if none is left.
+    if none is left, UnusablePointsError for points in other units or of another arm.
     """
+    require_of_arm(calibrated, points)
     errors = [errors_of(arm, points) for arm in (nominal, calibrated)]
     rows = np.flatnonzero(np.isfinite(errors[0]).all(axis=1) & np.isfinite(errors[1]).all(axis=1))
     if not len(rows):

@@ -18,7 +18,8 @@ from calib.errors import CalibrationError
 from calib.export import FORMS, export
 from calib.identify.objective import objective_named
 from calib.inputs import InputFile, input_file
-from calib.points.points import Points, joined, read_points
+from calib.points.arm_points import points_for
+from calib.points.points import Points
 from calib.report.report import write_report
 from console.commands.progress import Bar
 from console.quantities import quantity, unit_of
@@ -67,15 +68,9 @@ def _require_no_results(out: Path, forms: list[str]) -> None:
             raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
 
 
-def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, list[str]]:
+def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, tuple[str, ...]]:
     """The points of every file, without those that the operator leaves out."""
-    parts: list[Points] = []
-    warnings: list[str] = []
-    for name in given.points:
-        part, said = read_points(Path(name), arm.joint_count)
-        parts.append(part)
-        warnings += said
-    points = joined(parts)
+    points, warnings = points_for(arm, [Path(name) for name in given.points])
     left_out = _rows_of(points, given.without or [])
     return points.chosen([k for k in range(len(points)) if k not in left_out]), warnings
 

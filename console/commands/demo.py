@@ -10,13 +10,14 @@ from console.commands.progress import Bar
 from control.files import write_whole
 from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
+from control.progress import Advance
 from procedures.demo import job
 from procedures.folders import free_folder, require_writable
 from procedures.mock.bench import Bench, RealTimeBench, SteppedBench
 from procedures.mock.scenario_file import seeded_scenario
 
 GAP_SEED = 1  # of what `demo gap` hides by default
-Conduct = Callable[[Arm, Bench, Path, job.Advance], str]
+Conduct = Callable[[Arm, Bench, Path, Advance], str]
 """Does a demo on the bench's arm; returns what is printed about it."""
 
 
@@ -49,7 +50,7 @@ def run(given: argparse.Namespace) -> int:
     return 0
 
 
-def _job(arm: Arm, bench: Bench, out: Path, advance: job.Advance) -> str:
+def _job(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
     """Home, move, record the table, calibrate, verify, report."""
     from calib.validation.verify import comparison_text
 
@@ -66,7 +67,7 @@ def _job(arm: Arm, bench: Bench, out: Path, advance: job.Advance) -> str:
     )
 
 
-def _paper(arm: Arm, bench: Bench, out: Path, advance: job.Advance) -> str:
+def _paper(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
     """The experiment of SpringerPlus 5:1771, and what goes past it."""
     from procedures.demo import paper
     from procedures.demo.paper_page import findings

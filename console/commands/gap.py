@@ -10,21 +10,20 @@ from typing import TYPE_CHECKING
 from calib.errors import CalibrationError
 from calib.gap.finding import gap_content
 from calib.gap.words import in_words
+from calib.gap.workflow import (
+    GapOutcome,
+    find_gap_in,
+    read_recordings,
+    require_effects,
+    require_free,
+    write_gap,
+)
 from console.commands.connection import connected
 from console.commands.progress import Bar
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_writable
-from procedures.gap.workflow import (
-    Outcome,
-    known_effects,
-    look,
-    read_inputs,
-    require_free,
-    say_warnings,
-    write,
-)
 
 if TYPE_CHECKING:
     from calib.gap.plan.plan import RecordingPlan
@@ -38,7 +37,8 @@ MINUTES_MOST = 600.0
 def run(given: argparse.Namespace) -> int:
     """Record if that is wanted, look, name, write. Nothing is written before everything is read and found usable."""
     arm, out = load_arm(given.arm), Path(given.out)
-    without = known_effects(given.without or [])
+    without = tuple(given.without or ())
+    require_effects(without)
     require_free(out)
     if not given.plan_only:
         require_writable(out)
@@ -68,16 +68,17 @@ def _look(
     without: tuple[str, ...],
     out: Path,
 ) -> int:
-    inputs = read_inputs(arm, points, logs)
+    recordings = read_recordings(arm, points, logs)
     with Bar("gap") as bar:
-        outcome = look(arm, inputs, without, bar.advance)
-    write(outcome, arm, inputs, out)
+        outcome = find_gap_in(arm, recordings, without, bar.advance)
+    write_gap(outcome, arm, recordings, out)
     _say(given, outcome, out)
     return 0
 
 
-def _say(given: argparse.Namespace, outcome: Outcome, out: Path) -> None:
-    say_warnings(outcome)
+def _say(given: argparse.Namespace, outcome: GapOutcome, out: Path) -> None:
+    for sentence in (*outcome.warnings, *outcome.agreement):
+        sys.stderr.write(f"armwright: warning: {sentence}\n")
     if given.json:
         sys.stdout.write(json.dumps(gap_content(outcome.finding), indent=2, allow_nan=False) + "\n")
         return

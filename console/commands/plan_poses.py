@@ -12,7 +12,8 @@ from calib.design import Plan, Request, Standing, View, in_words, plan_json, pla
 from calib.design.observability import NAMES
 from calib.design.words import known_to
 from calib.errors import CalibrationError
-from calib.points.points import Points, read_points
+from calib.points.arm_points import points_for
+from calib.points.points import Points
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_writable
@@ -79,7 +80,7 @@ def _view(corners_m: list[float] | None) -> View | None:
 def _points(given: argparse.Namespace, arm: Arm) -> Points | None:
     if given.points is None:
         return None
-    points, warnings = read_points(Path(given.points), arm.joint_count)
+    points, warnings = points_for(arm, [Path(given.points)])
     for warning in warnings:
         sys.stderr.write(f"armwright: warning: {warning}\n")
     return points

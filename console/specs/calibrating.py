@@ -37,13 +37,13 @@ CALIBRATING = (
                 "--fix",
                 metavar="NAMES",
                 action="append",
-                help="parameters that keep their value: theta4,tool_x",
+                help="parameters that keep their value: theta4,tool_x; base: the tips are in the arm's own base frame",
             ),
             option(
                 "--free",
                 metavar="FRAMES",
                 action="append",
-                help="frames that are identified too: base, table, tool (boards of unknown place always are)",
+                help="frames that are identified too: base, table, tool (boards and trackers of unknown place always are)",
             ),
             option(
                 "--effect",

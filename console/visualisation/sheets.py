@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -11,11 +11,12 @@ from console.visualisation.pictures import Picture
 from console.visualisation.series import Series
 from control.errors import ArmError
 from control.files import make_whole
+from control.progress import Advance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
 
-Report = Callable[[str, float], None]
+Report = Advance
 WIDTH_in: Final = 10.4
 DOTS_PER_in: Final = 110
 WITHOUT_WINDOWS: Final = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")

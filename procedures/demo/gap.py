@@ -17,18 +17,18 @@ from calib.design.reach import spread_poses
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
 from calib.gap.plan.collision_free_box import collision_free_box
 from calib.gap.plan.plan import PlanRequest, RecordingPlan, recording_plan
+from calib.gap.workflow import GapOutcome, find_gap_in, read_recordings, write_gap
 from calib.validation.tracks import TrackPair
 from calib.validation.verify import Comparison
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
 from control.model.arm import Arm
+from control.progress import Advance
 from control.server.client import ArmClient
 from procedures.demo.gap_hidden import Hidden
 from procedures.gap.recording import Bench as RecordingBench
 from procedures.gap.recording import record
-from procedures.gap.workflow import Outcome, look, read_inputs, write
-from procedures.iso9283.recording import Advance
 from procedures.mock.bench import Bench
 from procedures.verify.models import Model
 from procedures.verify.places import Place, ways
@@ -58,7 +58,7 @@ class Circle:
     """The whole circle: what was hidden, found, and how far off the tip was at each stage."""
 
     hidden: Hidden
-    outcome: Outcome
+    outcome: GapOutcome
     model: Arm
     nominal: Arm
     plans: tuple[RecordingPlan, ...]
@@ -96,19 +96,19 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
     first = _newest(out)
     own = RecordingBench(arm, client, first, bench.rig.set_payload, speed=bench.speed)
     record(own, plans["poses"], out / "poses", lambda what, done: advance(what, 0.02 + 0.38 * done))
-    inputs = read_inputs(arm, [out / "poses" / "points.csv"], [])
-    outcome = look(arm, inputs, (), lambda what, done: advance(what, 0.4 + 0.02 * done))
+    recordings = read_recordings(arm, [out / "poses" / "points.csv"], [])
+    outcome = find_gap_in(arm, recordings, (), lambda what, done: advance(what, 0.4 + 0.02 * done))
     has_motions = not named_in(outcome.finding)
     if has_motions:  # poses alone tell nothing: what is missing shows in motion, if anywhere
         record(own, plans["motions"], out / "motions", lambda what, done: advance(what, 0.42 + 0.18 * done))
-        inputs = read_inputs(arm, inputs.point_files, [out / "motions" / "log.csv"])
+        recordings = read_recordings(arm, recordings.point_files, [out / "motions" / "log.csv"])
     advance("driving by the nominal model", 0.6)
     before = _driven("nominal", arm, arm, programme, client, first, bench, out)
     _put_away(arm, client, bench)
 
     if has_motions:
-        outcome = look(arm, inputs, (), lambda what, done: advance(what, 0.65 + 0.15 * done))
-    model = write(outcome, arm, inputs, out / "gap")
+        outcome = find_gap_in(arm, recordings, (), lambda what, done: advance(what, 0.65 + 0.15 * done))
+    model = write_gap(outcome, arm, recordings, out / "gap")
     advance("driving with the correction off", 0.8)
     client = bench.start(model)
     client.enable()

@@ -4,7 +4,7 @@ The arm that is told to move is never told what is hidden in it: what comes out 
 """
 
 import datetime
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -26,15 +26,13 @@ from calib.validation.verify import Comparison, compare
 from control.errors import ArmError
 from control.model import table as tables
 from control.model.arm import Arm, Table
+from control.progress import Advance
 from control.server.client import ArmClient
 from procedures.mock.bench import Bench
 from procedures.ports import HandPort, RuntimePort
 from procedures.verify.models import Model
 from procedures.verify.places import SETUPS, places, ways
 from procedures.verify.survey import Programme, Survey, compared, paired
-
-Advance = Callable[[str, float], None]
-"""Called with what is being done and how much of the whole is done, 0 to 1."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ all tilts together, free poses that the camera sees, and backlash in the model a
 
 import datetime
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -24,6 +24,7 @@ from calib.session.table import board_points
 from control.files import write_whole
 from control.model import table as tables
 from control.model.arm import Arm, Table
+from control.progress import Advance
 from procedures.demo.paper_models import Model, commands, models_of, table_says, with_friction
 from procedures.demo.paper_moves import Mover, Pose
 from procedures.demo.paper_page import paper_page
@@ -31,8 +32,6 @@ from procedures.demo.paper_poses import SETUPS, Target, free_poses, other_trajec
 from procedures.demo.paper_result import Replay, document
 from procedures.mock.bench import Bench
 
-Advance = Callable[[str, float], None]
-"""Called with what is being done and how much of the whole is done, 0 to 1."""
 BEFORE_SHARE, TABLE_SHARE, FREE_SHARE = 0.1, 0.42, 0.54  # of the whole time, at the end of each part
 
 

@@ -4,7 +4,8 @@ from pathlib import Path
 
 from calib.gap.plan.plan import RecordingPlan
 from control.model.arm import Arm
-from procedures.gap.recording import Advance, Bench, note_plan, record
+from control.progress import Advance
+from procedures.gap.recording import Bench, note_plan, record
 from procedures.mock.saved_mock import kept_mock
 
 

@@ -18,6 +18,7 @@ from control.errors import ArmError
 from control.files import write_whole
 from control.hardware.averaging import Average
 from control.model.arm import Arm
+from control.progress import Advance
 from control.server.client import ArmClient
 from procedures.gap.run_file import RunFile, write_log
 from procedures.iso9283.run_rows import RunRows
@@ -26,8 +27,6 @@ from procedures.ports import RuntimePort
 REST_s = 0.1  # of a run after its motion
 CAMERA_PATIENCE = 10  # averages: a marker may be hidden for a moment
 FLUSH_s = 0.3  # after a run, until its rows are on the disk: two writes of the recorder
-
-Advance = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from calib.iso9283.evaluation import evaluate
 from calib.iso9283.page import write_page
 from calib.iso9283.recorded import PoseGroup, Run, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import Evaluation, write_document
+from calib.points.arm_points import require_recorded_of
 from calib.points.points import read_points
 from control.model.arm import Arm
 
@@ -26,6 +27,7 @@ def evaluate_files(
     notes: Sequence[str] = (),
 ) -> tuple[Evaluation, tuple[str, ...]]:
     """Evaluate, write iso9283.json and iso9283.html into `out`; returns the evaluation and warnings about the files."""
+    require_recorded_of(arm, points)
     groups, said, warnings = _poses(points, arm)
     for log in logs:
         if log.suffix == ".armlog":

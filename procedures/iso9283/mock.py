@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from control.model.arm import Arm
-from procedures.iso9283.recording import Advance, Bench, Planned, record
+from control.progress import Advance
+from procedures.iso9283.recording import Bench, Planned, record
 from procedures.mock.saved_mock import kept_mock
 
 

@@ -24,6 +24,7 @@ from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.motion.plan import PlannedPath, plan_path
+from control.progress import Advance
 from control.server.client import ArmClient
 from procedures.iso9283.run_rows import RunRows
 
@@ -33,8 +34,6 @@ FLUSH_S = 0.3  # after a run, until its rows are on the disk: two writes of the 
 KEEP_EVERY = 5  # cycles of a path without a camera
 _SPEED_ROUNDS = 6
 _BOX = 4  # samples along each joint between two poses
-
-Advance = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,6 @@
 """Tuning from end to end: measure each joint, design, try the old gains and the new ones on the arm."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +10,7 @@ from control.dynamics.gains import Gains, gains_of
 from control.dynamics.tuning import Design, Margins, MarginsUnmet, MotorFit, Tuner, fit_motor, margins
 from control.errors import ArmError, MissingModel
 from control.model.arm import Arm, DrivePid
+from control.progress import Advance
 from control.server.client import ArmFaulted
 from firmware_iface.clock import Clock
 from procedures.tuning.multisine import PERIOD_S, Measured, PoorResponse, multisine, usable
@@ -28,7 +28,6 @@ STEP_RAD = 0.005
 MOVE_RAD = 0.2
 ROOM_RAD = 0.08  # from a pass to the joint's limit
 CENTRE_SPEED = 0.3
-Advance = Callable[[str, float], None]
 
 
 class NotTuned(ArmError):

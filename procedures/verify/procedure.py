@@ -1,7 +1,7 @@
 """A verification from end to end, on an arm over its runtime or on recorded points."""
 
 import datetime
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -10,7 +10,8 @@ import numpy as np
 
 from calib.arm_problem.joint_laws import LAWS
 from calib.inputs import InputFile, input_file
-from calib.points.points import Points, read_points
+from calib.points.arm_points import points_for
+from calib.points.points import Points
 from calib.points.writer import write_points
 from calib.report.verification import Verification, write_verification_json, write_verification_report
 from calib.session.table import with_reference_tips
@@ -22,12 +23,10 @@ from control.dynamics.feedforward import FED_FORWARD
 from control.dynamics.joint_side import SIDE_EFFECTS
 from control.model import table as tables
 from control.model.arm import Arm, Effect
+from control.progress import Advance
 from control.server.client import ArmClient
 from procedures.verify.models import Model, Pair
 from procedures.verify.survey import Programme, Survey, compared, paired, raw_points
-
-Advance = Callable[[str, float], None]
-"""Called with what is being done and how much of the whole is done, 0 to 1."""
 
 
 @dataclass(slots=True)
@@ -105,7 +104,7 @@ def driven(
 def on_recorded(pair: Pair, file: Path) -> Verification:
     """The verification on static poses with measured tips: what either model predicts from the encoders."""
     nominal, calibrated = pair.nominal.arm, pair.calibrated.arm
-    points, warnings = read_points(file, calibrated.joint_count)
+    points, warnings = points_for(calibrated, [file])
     comparison = compare_arms(nominal, calibrated, _with_tips(calibrated, points))
     used_file = input_file(file, "recorded poses and measured tips")
     how = (

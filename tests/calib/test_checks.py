@@ -6,7 +6,7 @@ from worth import RIGHT, board_points, seated, true_dh, with_rows
 
 from calib.arm_problem.checks import require_sound, require_usable
 from calib.errors import CalibrationError, UnusablePointsError
-from calib.identify import ArmModel, ArmProblem, Observations, problem_of
+from calib.identify import ArmModel, ArmProblem, Choice, LeastSquares, Observations, identify, problem_of
 from calib.points.points import make_points
 from control.model.arm import Arm, Link, Table, Tool
 
@@ -158,3 +158,42 @@ def test_shapes_that_do_not_fit_and_angles_beyond_three_turns_are_refused() -> N
     problem = ArmProblem(ArmModel(RIGHT), Observations.of_tips(np.degrees(POINTS.q_rad), POINTS.tip_m))
     with pytest.raises(UnusablePointsError, match="more than three turns"):
         require_sound(problem)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_arm_with_small_offsets_and_deviations_up_to_the_bounds_is_not_taken_for_its_mirror_image(
+    seed,
+) -> None:
+    rng = np.random.default_rng(seed)
+    offsets = rng.choice([0.003, 0.02, -0.05], 4 + 2 * (seed % 2))
+    links = tuple(
+        Link("revolute", float(d), 0.0, 0.2, float(rng.choice([np.pi / 2, -np.pi / 2]))) for d in offsets
+    )
+    arm = Arm("own", links, tool=Tool((0.05, 0.0, 0.1)))
+    bounds = np.array([0.005, np.radians(2.0)] * 2)
+    q = rng.uniform(-1.5, 1.5, (40, len(links)))
+    tips = ArmModel(arm).tips(arm.dh + bounds * rng.choice([-1.0, 1.0], arm.dh.shape), q)
+    names = [str(k) for k in range(40)]
+    points = make_points(["free"] * 40, names, [1] * 40, q, tips + rng.normal(0.0, 0.0002, (40, 3)))
+    assert checked(points, arm) == ()
+
+
+def test_the_frame_of_a_tracker_is_free_unless_something_ties_it_to_the_base() -> None:
+    arm = arm_with(6)
+    tips = np.ones((5, 3))
+    points = make_points(["free"] * 5, ["a"] * 5, [1] * 5, np.zeros((5, 6)), tips)
+    assert Choice().for_points(arm, points).freed == ("base",)
+    assert Choice(fixed=["base"]).for_points(arm, points) == Choice(fixed=["base"])
+    assert Choice().for_points(RIGHT, points) == Choice()
+    assert Choice().for_points(arm, with_rows(points, tip_m=np.full((5, 3), np.nan))) == Choice()
+
+
+def test_a_tracker_that_stands_anywhere_is_found_by_what_it_measured() -> None:
+    arm, rng = arm_with(6), np.random.default_rng(5)
+    model, q = ArmModel(arm), rng.uniform(-1.5, 1.5, (60, 6))
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    tips = model.tips(true_dh(rng, arm), q) @ turned.T + [2.0, -1.0, 0.5] + rng.normal(0.0, 1e-4, (60, 3))
+    points = make_points(["free"] * 60, [str(k) for k in range(60)], [1] * 60, q, tips)
+    problem = problem_of(arm, points, Choice().for_points(arm, points))
+    found = identify(problem, objective=LeastSquares(), starts_count=1)
+    assert found.noise_m == pytest.approx(1e-4, rel=0.2)

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from worth import RIGHT, NOISE_m, board_points, true_dh, with_rows
 
+from calib.arm_problem.link_bending import known_bending_m
 from calib.arrays import norms
 from calib.errors import CalibrationError
 from calib.identify import ArmModel, LeastSquares, problem_of
 from calib.points.points import joined, make_points
 from calib.validation.holdout import held_out
+from control.model.arm import Effect
 
 LSQ = LeastSquares()
 UNPLACED = dataclasses.replace(RIGHT, table=dataclasses.replace(RIGHT.table, known_pose=False))
@@ -106,3 +108,14 @@ def test_free_poses_are_left_out_part_by_part() -> None:
     assert [fold.name for fold in found.folds[3:]] == [f'part {k} of 4 of setup "free"' for k in (1, 2, 3, 4)]
     assert [len(fold.rows) for fold in found.folds[3:]] == [3, 3, 3, 3]
     assert found.after_m.mean() < 1.3 * 1.6 * NOISE_m
+
+
+def test_a_flexure_that_the_arms_file_has_bends_what_is_left_out_too() -> None:
+    rng = np.random.default_rng(9)
+    arm = dataclasses.replace(RIGHT, effects=(Effect("link_flexure", 2, {"EI_Nm2": 60.0}),))
+    points = board_points(rng, true_dh(rng))
+    bent = known_bending_m(arm, points.q_rad, points.payload_kg)
+    assert norms(bent).min() > 10 * NOISE_m
+    points = with_rows(points, tip_m=points.tip_m + bent)
+    found = held_out(lambda some: problem_of(arm, some), points, 3, LSQ)
+    assert np.mean(found.after_m) < 2 * NOISE_m

@@ -164,3 +164,13 @@ def test_points_that_an_effect_has_in_common_are_told_as_such_and_no_encoder_is_
     assert found.is_systematic
     assert found.slip is None
     assert len(found.in_words()) == 4
+
+
+def test_what_the_known_noise_explains_is_not_suspicious_however_well_the_others_agree() -> None:
+    rng = np.random.default_rng(12)
+    points = board_points(rng, true_dh(rng), noise_m=0.3 * NOISE_m)
+    tips = np.array(points.tip_m)
+    tips[20] += [0.0, 0.0, 2.0 * NOISE_m]
+    problem, x = solved(with_rows(points, tip_m=tips))
+    assert rows_of(find_outliers(problem, x)) == {20}
+    assert find_outliers(problem, x, noise_m=NOISE_m) == ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from calib.gap.dynamic.sizes import is_worth_a_name
 from calib.gap.dynamic.split import Split
 from calib.gap.finding import EffectName
 from calib.gap.signals.terms import Term
+from control.progress import Advance
 
 # Fixed on seeds that no reported figure uses; docs/gap.md says how.
 MATERIAL = (
@@ -42,8 +43,6 @@ FIRST_LAWS = ("coulomb_friction", "viscous_friction")
 CAMERA_TIME, SAMPLING_TIME = "camera time", "sampling time"
 OF_SENSORS = (CAMERA_TIME, SAMPLING_TIME)
 ELASTIC = ("joint_compliance", "backlash")
-
-Advance = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,16 +15,17 @@ from calib.gap.dynamic.nameable import nameable
 from calib.gap.dynamic.plausible import plausible
 from calib.gap.dynamic.rows import Cell, Rows, RowTable
 from calib.gap.dynamic.split import Picked, Split, split
-from calib.gap.dynamic.validation import validate
+from calib.gap.dynamic.validation import Validated, validate
 from calib.gap.dynamic.verdict import Verdict, judge
-from calib.gap.finding import GapFinding, NamedEffect
+from calib.gap.finding import GapFinding, Nameable, NamedEffect
 from calib.gap.log import Log
 from calib.gap.signals import forms
 from calib.gap.signals.motion import MotionGap, motion_gaps
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import Recording, prepare
-from calib.gap.signals.terms import Term, known_terms
+from calib.gap.signals.terms import Term
 from control.model.arm import Arm
+from control.progress import Advance, silent
 
 FAR_OFF = 20.0  # floors
 
@@ -48,7 +49,7 @@ class DynamicOutcome:
 def find(
     arm: Arm,
     log: Log,
-    advance: Callable[[str, float], None] | None = None,
+    advance: Advance | None = None,
     candidates: Collection[str] | None = None,
 ) -> GapFinding:
     """What is hidden in a log of this arm; `candidates`: only these effects of the list, by name.
@@ -61,14 +62,14 @@ def find(
 def examine(
     arm: Arm,
     log: Log,
-    advance: Callable[[str, float], None] | None = None,
+    advance: Advance | None = None,
     candidates: Collection[str] | None = None,
 ) -> DynamicOutcome:
     """`find`, with what a report shows beside the finding."""
-    told = _rising(advance or _silent)
+    told = _rising(advance or silent)
     told("reading the runs", 0.0)
     recording = plausible(arm, prepare(arm, log))
-    known = known_terms(arm)
+    known = forms.known_terms(arm)
     rows = Rows(Physics(arm, recording), known)
     parts = split(recording, rows.table)
     pool = all_candidates(arm, recording, candidates)
@@ -79,36 +80,51 @@ def examine(
     told("the gap on runs used for nothing else", 0.95)
     before = rows.residual(known)
     last = validate(choice, steps, judge(choice, steps, arm))
-    verdict, accepted = last.verdict, last.accepted
+    finding = _finding(arm, log.sources, recording, choice, steps, last, before, possible)
+    told("done", 1.0)
+    warnings = (
+        *recording.warnings,
+        *_doubts(before, rows.table),
+        *_flying(rows, known, last.accepted),
+        *_corrected(last.accepted, recording.has_voltage),
+        *last.warnings,
+        *_grown(finding),
+    )
+    names = tuple(run.name for run in recording.runs)
+    ratios = tuple(drive.gear_ratio for drive in arm.drives)
+    return DynamicOutcome(
+        finding, warnings, rows.table, before, last.accepted.residual, choice.split, names, ratios
+    )
+
+
+def _finding(
+    arm: Arm,
+    sources: tuple[str, ...],
+    recording: Recording,
+    choice: Choice,
+    steps: Sequence[Step],
+    last: Validated,
+    before: Array,
+    possible: tuple[Nameable, ...],
+) -> GapFinding:
+    """What was decided, with the gap on the runs that were used for nothing else."""
+    rows, known, parts, accepted = choice.rows, choice.known, choice.split, last.accepted
     after = accepted.residual
-    parts = choice.split
     moved = motion_gaps(rows.physics, known, (*known, *accepted.terms), parts.report_runs)
-    finding = GapFinding(
+    return GapFinding(
         arm=arm.name,
-        data=log.sources,
+        data=sources,
         noise_floor={**_floors(rows.table, arm), **_in_rad(moved, "floor_rad")},
         gap_before=gap(before, rows.table, parts.reporting),
         gap_after=gap(after, rows.table, parts.reporting),
         before_si={**_in_si(before, rows.table, parts.reporting, arm), **_in_rad(moved, "before_rad")},
         after_si={**_in_si(after, rows.table, parts.reporting, arm), **_in_rad(moved, "after_rad")},
-        effects=_named(steps, verdict, accepted, rows, known, parts),
-        ambiguous=verdict.ambiguous,
-        unknown=verdict.unknown,
+        effects=_named(steps, last.verdict, accepted, rows, known, parts),
+        ambiguous=last.verdict.ambiguous,
+        unknown=last.verdict.unknown,
         nameable=possible,
-        next_experiment=_next(recording, verdict),
+        next_experiment=_next(recording, last.verdict),
     )
-    told("done", 1.0)
-    names = tuple(run.name for run in recording.runs)
-    warnings = (
-        *recording.warnings,
-        *_doubts(before, rows.table),
-        *_flying(rows, known, accepted),
-        *_corrected(accepted, recording.has_voltage),
-        *last.warnings,
-        *_grown(finding),
-    )
-    ratios = tuple(drive.gear_ratio for drive in arm.drives)
-    return DynamicOutcome(finding, warnings, rows.table, before, after, parts, names, ratios)
 
 
 def _in_rad(moved: Mapping[str, MotionGap], which: str) -> dict[str, float]:
@@ -180,7 +196,7 @@ def gap(residual: Array, table: RowTable, picked: Picked) -> float:
     return float(np.sqrt(np.mean(squares))) if squares else float("nan")
 
 
-def _rising(advance: Callable[[str, float], None]) -> Callable[[str, float], None]:
+def _rising(advance: Advance) -> Advance:
     """Progress that does not go back where a search begins again."""
     most = 0.0
 
@@ -190,10 +206,6 @@ def _rising(advance: Callable[[str, float], None]) -> Callable[[str, float], Non
         advance(what, most)
 
     return told
-
-
-def _silent(what: str, share: float) -> None:
-    """No progress is shown."""
 
 
 def _floors(table: RowTable, arm: Arm) -> dict[str, float]:

@@ -5,6 +5,7 @@ What is wrong is said and its channel left out, so that the others still give an
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from control.model.arm import Arm
 
 TOGETHER = 0.6  # correlation from which the factor between two signals means something
 WITHIN = 2.5  # factor that no effect of the list reaches
+AS_TORQUE = 1.4  # factor within which torques are those that the motion needs: friction adds to them
 THOUSAND = (200.0, 5000.0)
 SLOWEST_s, FASTEST_s = 0.1, 2e-5  # between samples
 MOVES_rad = 1e-3
@@ -86,6 +88,37 @@ def _is_silent(recording: Recording, column: str, said: list[str]) -> bool:
 
 def _wrong_current(arm: Arm, recording: Recording) -> str:
     """Currents beside those that the motion needs."""
+    fits = _current_fits(arm, recording)
+    if _are_torques(arm, fits):
+        return (
+            "i1_A ... look like torques of the joints in N m, not currents: divide each by its drive's torque constant and gear"
+            " ratio; the currents are not used"
+        )
+    for joint, fit in fits.items():
+        sentence = _factor_in_words(f"i{joint}_A", "the motion needs", fit)
+        if sentence:
+            return f"{sentence}: the currents are not used"
+    return ""
+
+
+def _are_torques(arm: Arm, fits: Mapping[int, _Fit]) -> bool:
+    """Whether the joints' torques explain the columns, and currents do not."""
+    known = {joint: fit.factor for joint, fit in fits.items() if fit.correlation > TOGETHER}
+    if not known:
+        return False
+    as_current = np.log(list(known.values()))
+    drives = [arm.drive(joint) for joint in known]
+    as_torque = as_current - np.log([drive.torque_constant_Nm_A * drive.gear_ratio for drive in drives])
+    return bool(
+        np.abs(as_torque).max() < np.log(AS_TORQUE)
+        and np.abs(as_current).min() > 2.0 * np.abs(as_torque).max()
+        and np.abs(as_current).min() > np.log(AS_TORQUE)
+    )
+
+
+def _current_fits(arm: Arm, recording: Recording) -> dict[int, _Fit]:
+    """Measured currents as factors of those that the motion needs, by joint (1-based)."""
+    fits = {}
     body = Body(arm, recording)
     torques = body.link_torques(Load())
     for drive in arm.drives:
@@ -99,10 +132,8 @@ def _wrong_current(arm: Arm, recording: Recording) -> str:
             whole = torque[:, j] + body.rotor_kg_m2[j] * run.acceleration[:, j] + dry * np.sign(v) + wet * v
             expected.append(whole[keep] / (drive.torque_constant_Nm_A * drive.gear_ratio))
             measured.append(run.current_A[keep, j])
-        sentence = _factor_in_words(f"i{drive.joint}_A", "the motion needs", _fit(expected, measured))
-        if sentence:
-            return f"{sentence}: the currents are not used"
-    return ""
+        fits[drive.joint] = _fit(expected, measured)
+    return fits
 
 
 def _wrong_voltage(arm: Arm, recording: Recording) -> str:

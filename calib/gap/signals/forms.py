@@ -10,6 +10,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.finding import EffectName
 from calib.gap.signals.terms import Term
+from control.model.arm import Arm
 
 PLAIN = {
     "coulomb_friction": "torque_Nm",
@@ -23,6 +24,12 @@ PLAIN = {
     "encoder_scale": "scale",
     "belt_coupling": "ratio",
 }
+
+
+def known_terms(arm: Arm) -> tuple[Term, ...]:
+    """What the arm's file already has and what shows in time series."""
+    terms = (from_file(EffectName(e.effect, e.joint), e.parameters) for e in arm.effects)
+    return tuple(term for term in terms if term is not None)
 
 
 def from_file(name: EffectName, given: Mapping[str, float]) -> Term | None:

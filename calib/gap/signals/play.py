@@ -126,18 +126,31 @@ def loose(of: Follower, width_rad: float, share: float = 0.0) -> Followed:
 def looses(of: Follower, plays: Sequence[tuple[float, float]]) -> list[Followed]:
     """`loose` for several pairs of width and the friction's share on the link."""
     steps = max(SUBSTEPS, round(of.period_s / SUBSTEP_s))
+    width, share = (np.array(column)[:, None] for column in zip(*plays, strict=True))
+    result = _between_flanks(of, 0.5 * width, _LinkFriction(of, share, steps), steps)
+    found = []
+    for place in range(len(plays)):
+        one = _at_samples(of, result[:, :, place], steps)
+        rubbed = _LinkFriction(of, share[place], 1)
+        if rubbed.is_on:
+            one = replace(
+                one, transmitted_Nm=one.transmitted_Nm + rubbed.at(rubbed.speeds + one.speed_rad_s)[0]
+            )
+        found.append(one)
+    return found
+
+
+def _between_flanks(of: Follower, half_rad: Array, link_friction: _LinkFriction, steps: int) -> Array:
+    """Delta, speed and acceleration after each of `steps` per sample, (3, steps x samples, plays, runs)."""
     h = of.period_s / steps
     torque, inertia, slope = (
         _fine(part, steps) for part in (of.torque_Nm, of.inertia_kg_m2, of.slope_Nm_rad)
     )
-    width, share = (np.array(column)[:, None] for column in zip(*plays, strict=True))
-    half = 0.5 * width
     falls, tilts = h * torque / inertia, h * slope / inertia
-    delta = -half * np.sign(torque[0])
+    delta = -half_rad * np.sign(torque[0])
     speed = np.zeros_like(delta)
     result = np.empty((3, len(torque), *delta.shape))
-    link_friction = _LinkFriction(of, share, steps)
-    low, fall, lightness = -half, np.empty_like(delta), h / inertia
+    low, fall, lightness = -half_rad, np.empty_like(delta), h / inertia
     rows = zip(falls, tilts, lightness, link_friction.speeds, result[0], result[1], strict=True)
     for drop, tilt, light, motor, x, v in rows:
         np.multiply(tilt, delta, out=fall)
@@ -150,22 +163,13 @@ def looses(of: Follower, plays: Sequence[tuple[float, float]]) -> list[Followed]
         wanted = v * h
         wanted += delta
         np.maximum(wanted, low, out=x)
-        np.minimum(x, half, out=x)
+        np.minimum(x, half_rad, out=x)
         v *= x == wanted
         delta, speed = x, v
     result[2, 0] = result[1, 0]
     np.subtract(result[1, 1:], result[1, :-1], out=result[2, 1:])
     result[2] /= h
-    found = []
-    for place in range(len(plays)):
-        one = _at_samples(of, result[:, :, place], steps)
-        rubbed = _LinkFriction(of, share[place], 1)
-        if rubbed.is_on:
-            one = replace(
-                one, transmitted_Nm=one.transmitted_Nm + rubbed.at(rubbed.speeds + one.speed_rad_s)[0]
-            )
-        found.append(one)
-    return found
+    return result
 
 
 def _at_samples(of: Follower, result: Array, steps: int) -> Followed:

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from calib.gap.finding import EffectName
-from control.model.arm import Arm
 
 # Steps of finite differences, by form: what changes rows by a good part of their floor and is still linear.
 STEP = {
@@ -52,11 +51,3 @@ class Term:
             values = list(self.values)
             values[place] += step
             yield self.at(tuple(values)), step
-
-
-def known_terms(arm: Arm) -> tuple[Term, ...]:
-    """What the arm's file already has and what shows in time series."""
-    from calib.gap.signals.forms import from_file
-
-    terms = (from_file(EffectName(e.effect, e.joint), e.parameters) for e in arm.effects)
-    return tuple(term for term in terms if term is not None)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Array, Mask
 from calib.errors import UnusablePointsError
-from calib.gap.finding import GapFinding
+from calib.gap.finding import GapFinding, Nameable, Unknown
 from calib.gap.poses.candidate import Candidate
 from calib.gap.poses.candidates import candidates
 from calib.gap.poses.currents import holding_currents
@@ -18,6 +18,7 @@ from calib.gap.poses.floor import Floor, noise_floor
 from calib.gap.poses.generic import load_of
 from calib.gap.poses.model import Fitted, fitted
 from calib.gap.static.cautions import about_data, about_fit, about_outliers, cleaned, require_posed
+from calib.gap.static.decision import Decision
 from calib.gap.static.experiments import next_experiment
 from calib.gap.static.linearised import Linearised
 from calib.gap.static.nameable import nameable
@@ -27,10 +28,9 @@ from calib.gap.static.search import Search, working_noise_m
 from calib.gap.static.split import Split, split
 from calib.points.points import Points
 from control.model.arm import Arm
+from control.progress import Advance, silent
 
 FREEDOM_LEAST = 60  # values beyond all parameters that a noise from the richest model needs
-
-Advance = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class StaticGap:
 def find(
     arm: Arm,
     points: Points,
-    advance: Advance = lambda *_: None,
+    advance: Advance = silent,
     without: Collection[str] = (),
     source: str = "points.csv",
 ) -> StaticGap:
@@ -75,31 +75,46 @@ def find(
     advance("looking for what is left", 0.6)
     verdict = search.judged(decision, fit)
     advance("reporting", 0.85)
-    parts, floor, bare = search.parts, search.floor, search.bare
-    fits = stages(arm, points, parts, bare, verdict.kept)
-    could = nameable(search.around(fit.geometry_x), search.tried, parts.known)
-    nominal = bare.problem.residuals(np.zeros(len(bare.x)))
+    fits = stages(arm, points, search.parts, search.bare, verdict.kept)
+    nominal = search.bare.problem.residuals(np.zeros(len(search.bare.x)))
     final = fits[-1][1]
-    warnings += about_fit(arm, parts, floor, final, search.noise_m)
-    before, after = (rms(residual, final.sure(parts.report)) for residual in (nominal, final.residual_m))
-    ambiguous = decision.ambiguous if verdict.unknown is None else ()
-    finding = GapFinding(
-        arm=arm.name,
+    warnings += about_fit(arm, search.parts, search.floor, final, search.noise_m)
+    could = nameable(search.around(fit.geometry_x), search.tried, search.parts.known)
+    finding = _finding(search, decision, verdict.unknown, fits, nominal, could, source)
+    drawn = (("as it is", nominal), *((name, one.residual_m) for name, one in fits))
+    return StaticGap(
+        finding, points, search.parts, search.floor, drawn, final, tuple(warnings), out, load_of(arm, points)
+    )
+
+
+def _finding(
+    search: Search,
+    decision: Decision,
+    unknown: Unknown | None,
+    fits: Sequence[tuple[str, Fitted]],
+    nominal_m: Array,
+    could: tuple[Nameable, ...],
+    source: str,
+) -> GapFinding:
+    """What was decided, with the gap on the poses that were used for nothing else."""
+    parts, floor, final = search.parts, search.floor, fits[-1][1]
+    before, after = (rms(residual, final.sure(parts.report)) for residual in (nominal_m, final.residual_m))
+    ambiguous = decision.ambiguous if unknown is None else ()
+    return GapFinding(
+        arm=search.arm.name,
         data=(source,),
         noise_floor={"tip_m": floor.tip_m},
         gap_before=before / floor.tip_m,
         gap_after=after / floor.tip_m,
         before_si={"tip_m": before},
         after_si={"tip_m": after},
-        effects=named(fits, parts, floor, decision.margin, nominal, search.currents),
+        effects=named(fits, parts, floor, decision.margin, nominal_m, search.currents),
         ambiguous=ambiguous,
-        unknown=verdict.unknown,
+        unknown=unknown,
         nameable=could,
-        next_experiment=next_experiment(ambiguous, verdict.unknown, could, "free" in points.setup),
+        next_experiment=next_experiment(ambiguous, unknown, could, "free" in search.points.setup),
         is_held_out=parts.is_divided,
     )
-    drawn = (("as it is", nominal), *((name, one.residual_m) for name, one in fits))
-    return StaticGap(finding, points, parts, floor, drawn, final, tuple(warnings), out, load_of(arm, points))
 
 
 def _prepared(arm: Arm, points: Points, tried: tuple[Candidate, ...]) -> tuple[Search, Mask]:

@@ -9,11 +9,12 @@ import pytest
 
 from calib.gap.finding import EffectName
 from calib.gap.log import Log
+from calib.gap.signals.forms import known_terms
 from calib.gap.signals.forward import Forward, State
 from calib.gap.signals.motion import CLOSED, OPEN, motion_gaps
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import prepare
-from calib.gap.signals.terms import Term, known_terms
+from calib.gap.signals.terms import Term
 from control.dynamics.dynamics import Dynamics
 from tests.calib.gap.prescribed import arm_with_friction, log_of
 

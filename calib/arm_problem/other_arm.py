@@ -1,0 +1,152 @@
+"""Points of another arm, such as the left one of a pair: found by comparing arms, as no single residual tells.
+
+Deviations within their bounds bend one arm a good way towards another, so that a small residual proves nothing. What tells
+is how large deviations an arm needs. Each candidate (this arm, those that ship, this arm with offsets of the other sign) is
+fitted with the same prior, and the one with the least cost is what the points are of:
+
+    cost = sum over poses of (nu + 3) log(1 + |r|^2 / (nu s^2)) + sum over deviations of (x / p)^2,
+
+twice the negative logarithm of a posterior with Student's errors (no single pose decides). The scale s of the errors and the
+size p of the deviations are those that the best candidates show (the evidence framework: MacKay, Neural Computation 4 (1992)
+415); candidates have the same unknowns, so that the volumes of their posteriors cancel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain, combinations
+
+import numpy as np
+
+from calib.arm_problem.assembly import Choice, problem_of
+from calib.arrays import Array, norms
+from calib.errors import UnusablePointsError
+from calib.points.points import Points
+from control.model.arm import Arm
+from control.model.description import arm_names, load_arm
+
+LARGEST, SMALLEST = 0.5, 0.02  # size of the deviations in their bounds: the spread of uniform ones is 0.58
+NU = 4.0  # degrees of freedom of Student's errors: outliers and effects that no candidate has are usual
+SCALE_m = 2e-4  # the smallest scale of errors that is believed: better points come from no camera
+MEDIAN_LENGTH = 1.54  # of a normal vector of three coordinates, standard deviation 1
+UNBOUNDED = 1e-6  # precision of an unknown that has no bound: any place of a board is as likely
+STILL = 1e-4  # a step that moves no deviation by more is the last
+STEPS = 12  # of the search; its quadratic is good for half a bound
+SURE = 20.0  # twice the logarithm of the odds: 1 to 20,000 against a mistake; points of the arm itself stayed below 6
+ROWS_LIMIT = 300  # as many tell
+FEWEST = 8  # poses; with fewer, deviations make up for anything
+MIRRORED_LIMIT = 4  # offsets of which every combination of signs is tried
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """An arm that the points may be of, and what to call it."""
+
+    arm: Arm
+    name: str
+    advice: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """How well a candidate explains the points: residual lengths (m,), and the deviations that it takes for that.
+
+    `nominal_m`: median distance before any; `square`: sum of the squared deviations in their bounds; `size`: their standard
+    deviation, of those that the points show.
+    """
+
+    nominal_m: float
+    distance_m: Array
+    square: float
+    size: float
+
+    def cost(self, scale_m: float, size: float) -> float:
+        """At errors and deviations of these sizes."""
+        errors = np.log1p(self.distance_m**2 / (NU * scale_m**2))
+        return (NU + 3.0) * float(np.sum(errors)) + self.square / size**2
+
+
+def require_own_arm(arm: Arm, points: Points, choice: Choice | None = None) -> None:
+    """UnusablePointsError that names the arm which the points fit far better than `arm`."""
+    if len(points) < FEWEST:
+        return
+    some = points.chosen(range(0, len(points), -(-len(points) // ROWS_LIMIT)))
+    candidates = [_Candidate(arm, "", ""), *_alternatives(arm)]
+    size = min(_fitted(one.arm, some, choice, LARGEST).size for one in candidates)
+    own, *others = [_fitted(one.arm, some, choice, size) for one in candidates]
+    if not others:
+        return
+    scale_m = max(SCALE_m, min(_scale_m(fit) for fit in (own, *others)))
+    costs = [fit.cost(scale_m, size) for fit in others]
+    best = int(np.argmin(costs))
+    if own.cost(scale_m, size) - costs[best] > SURE:
+        other, fit = candidates[1 + best], others[best]
+        raise UnusablePointsError(
+            f"these points fit {other.name} far better than arm {arm.name}: it needs far smaller deviations from nominal (it"
+            f" starts {1e3 * fit.nominal_m:.1f} mm from the points, arm {arm.name} {1e3 * own.nominal_m:.1f} mm); {other.advice}"
+        )
+
+
+def _alternatives(arm: Arm) -> Iterator[_Candidate]:
+    """Arms of the same kind with another geometry: those that ship, and this one with offsets of the other sign."""
+    for name in arm_names():
+        other = load_arm(name)
+        if _is_of_kind(other, arm) and not np.allclose(other.dh, arm.dh):
+            yield _Candidate(
+                arm.with_dh(other.dh),
+                f"the arm {name}",
+                f"give that arm's file with --arm, if they are of {name}",
+            )
+    for links in _subsets([k for k in range(len(arm.dh)) if arm.dh[k, 0] != 0.0]):
+        dh = arm.dh.copy()
+        dh[list(links), 0] *= -1.0
+        wrong = " and ".join(f"d{k + 1} = {1e3 * dh[k, 0]:+.4g} mm" for k in links)
+        yield _Candidate(
+            arm.with_dh(dh),
+            f"an arm with {wrong}",
+            "is that the sign in your arm, or are these points of its mirror image?",
+        )
+
+
+def _is_of_kind(other: Arm, arm: Arm) -> bool:
+    """Whether one arm's geometry can stand in for the other's."""
+    kinds = [[link.joint for link in one.links] for one in (other, arm)]
+    return kinds[0] == kinds[1] and other.dh_convention == arm.dh_convention
+
+
+def _subsets(links: list[int]) -> Iterator[tuple[int, ...]]:
+    """Which offsets change their sign: every combination of a few, else one at a time and all of them."""
+    if len(links) <= MIRRORED_LIMIT:
+        return chain.from_iterable(combinations(links, count + 1) for count in range(len(links)))
+    return chain(((k,) for k in links), (tuple(links),))
+
+
+def _fitted(arm: Arm, points: Points, choice: Choice | None, size: float) -> _Fit:
+    """The most probable deviations of this arm: Gauss-Newton's steps with Student's weights."""
+    own = problem_of(arm, points, choice)
+    has_bound = np.array([one.has_bound for one in own.parameters])
+    prior = np.diag(np.where(has_bound, size**-2, UNBOUNDED))
+    x, scale_m, normal = np.zeros(len(prior)), np.inf, prior
+    for _ in range(STEPS):
+        residual, jacobian = own.residuals_and_jacobian(x)
+        distance = norms(residual)
+        scale_m = max(SCALE_m, min(scale_m, float(np.median(distance)) / MEDIAN_LENGTH))
+        weight = (NU + 3.0) / (NU * scale_m**2 + distance**2)
+        normal = np.einsum("mik,m,mil->kl", jacobian, weight, jacobian) + prior
+        step = -np.linalg.solve(normal, np.einsum("mik,m,mi->k", jacobian, weight, residual) + prior @ x)
+        x = x + step
+        if float(np.abs(step).max()) < STILL:
+            break
+    shown = float(np.sum(has_bound) - np.trace((prior @ np.linalg.inv(normal))[np.ix_(has_bound, has_bound)]))
+    square = float(np.sum(x[has_bound] ** 2))
+    return _Fit(
+        float(np.median(norms(own.residuals(np.zeros(len(x)))))),
+        norms(own.residuals(x)),
+        square,
+        float(np.clip(np.sqrt(square / max(shown, 1.0)), SMALLEST, LARGEST)),
+    )
+
+
+def _scale_m(fit: _Fit) -> float:
+    return float(np.median(fit.distance_m)) / MEDIAN_LENGTH

@@ -1,0 +1,153 @@
+"""The gap workflow as one entry: look at poses, at time series or at both, bring the answers together, write the result."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from calib.errors import CalibrationError
+from calib.gap.both import brought_together
+from calib.gap.dynamic.find import DynamicOutcome, examine
+from calib.gap.finding import GapFinding, write_gap_json
+from calib.gap.log import Log, joined_logs, read_log
+from calib.gap.model_update import updated_arm
+from calib.gap.report import GapReport, gap_page
+from calib.gap.static.find import StaticGap, find
+from calib.inputs import input_file
+from calib.points.arm_points import points_for
+from calib.points.points import Points
+from control.errors import ArmError
+from control.files import write_whole
+from control.model.arm import Arm, Calibration
+from control.model.description import save_arm
+from control.model.effects import EFFECTS
+from control.progress import Advance, silent
+
+RESULTS = ("gap.json", "arm.toml", "report.html")
+POSES_SHARE = 0.3  # of the time, where there are both
+
+
+@dataclass(frozen=True, slots=True)
+class Recordings:
+    """What was measured, and the files that it stands in; `warnings` are sentences about them."""
+
+    points: Points | None
+    log: Log | None
+    point_files: tuple[Path, ...]
+    log_files: tuple[Path, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class GapOutcome:
+    """The finding of both levels together, each level's own, and what was said about how they agree."""
+
+    finding: GapFinding
+    static: StaticGap | None
+    dynamic: DynamicOutcome | None
+    agreement: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def read_recordings(arm: Arm, points: Sequence[str | Path], logs: Sequence[str | Path]) -> Recordings:
+    """All files, read strictly; CalibrationError where one cannot be used, or where there is none."""
+    if not points and not logs:
+        raise CalibrationError(
+            "gap: give --points for static poses, --log for time series, or both; --record records them"
+        )
+    point_files, log_files = tuple(map(Path, points)), tuple(map(Path, logs))
+    poses = [points_for(arm, point_files)] if point_files else []
+    runs = [read_log(path, arm.joint_count) for path in log_files]
+    return Recordings(
+        poses[0][0] if poses else None,
+        joined_logs(tuple(log for log, _ in runs)) if runs else None,
+        point_files,
+        log_files,
+        tuple(sentence for _, said in (*poses, *runs) for sentence in said),
+    )
+
+
+def find_gap(
+    arm: Arm,
+    points: Points | None = None,
+    log: Log | None = None,
+    *,
+    without: Collection[str] = (),
+    advance: Advance = silent,
+) -> GapOutcome:
+    """What the model of `arm` lacks, by static poses (`points`), by time series (`log`), or by both.
+
+    `finding` of the result is what gap.json holds. Time series are looked at with the geometry that the poses gave.
+    `without`: effects that are not tried, by name. `advance` hears what is being done and the share that is done, 0 to 1.
+    UnusablePointsError, UnusableLogError where the recordings cannot be used; CalibrationError for an unknown name in
+    `without`, or where there are neither points nor a log.
+    """
+    require_effects(without)
+    split = POSES_SHARE if points is not None and log is not None else None
+    static = dynamic = None
+    if points is not None:
+        upto = split or 1.0
+        static = find(arm, points, lambda what, done: advance(what, upto * done), without)
+    if log is not None:
+        base = split or 0.0
+        tried = [name for name in EFFECTS if name not in without] if without else None
+        shaped = arm if static is None else arm.with_dh(static.fit.solution.dh)
+        dynamic = examine(shaped, log, lambda what, done: advance(what, base + (1.0 - base) * done), tried)
+    if static is None and dynamic is None:
+        raise CalibrationError("gap: expected static poses, time series, or both; got neither")
+    finding, agreement = brought_together(
+        None if static is None else static.finding, None if dynamic is None else dynamic.finding
+    )
+    warnings = [sentence for one in (static, dynamic) if one is not None for sentence in one.warnings]
+    return GapOutcome(finding, static, dynamic, agreement, tuple(warnings))
+
+
+def find_gap_in(
+    arm: Arm, recordings: Recordings, without: Collection[str] = (), advance: Advance = silent
+) -> GapOutcome:
+    """`find_gap` of recordings that were read from files: the finding names the files."""
+    found = find_gap(arm, recordings.points, recordings.log, without=without, advance=advance)
+    files = (*recordings.point_files, *recordings.log_files)
+    return dataclasses.replace(
+        found,
+        finding=dataclasses.replace(found.finding, data=tuple(path.name for path in files)),
+        warnings=(*recordings.warnings, *found.warnings),
+    )
+
+
+def require_effects(names: Collection[str]) -> None:
+    """CalibrationError for a name that is not in the list of effects."""
+    for name in names:
+        if name not in EFFECTS:
+            raise CalibrationError(f'--without: expected some of {", ".join(EFFECTS)}, got "{name}"')
+
+
+def require_free(out: Path) -> None:
+    """ArmError where a result is there already: nothing is ever overwritten."""
+    for name in RESULTS:
+        if (out / name).exists():
+            raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
+
+
+def write_gap(outcome: GapOutcome, arm: Arm, recordings: Recordings, out: Path) -> Arm:
+    """gap.json, arm.toml with what was named, report.html; returns the new model. ArmError where one of them exists."""
+    require_free(out)
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    program = f"armwright {version('armwright')}"
+    files = (*recordings.point_files, *recordings.log_files)
+    hashes = {path.name: input_file(path, "").sha256 for path in files}
+    source = arm.path.name if arm.path is not None else arm.name
+    made = Calibration(source, hashes, date, "gap workflow", program)
+    out.mkdir(parents=True, exist_ok=True)
+    write_gap_json(out / "gap.json", outcome.finding)
+    dh = outcome.static.fit.solution.dh if outcome.static is not None else None
+    model = updated_arm(arm, outcome.finding, dh, made)
+    save_arm(model, out / "arm.toml")
+    notes = (*outcome.agreement, *outcome.warnings)
+    report = GapReport(outcome.finding, outcome.static, outcome.dynamic, notes, date, program)
+    write_whole(out / "report.html", gap_page(report))
+    return model

@@ -1,0 +1,46 @@
+"""The reader of points for an arm: the files of one arm as one, and not those that a session recorded of another."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from calib.errors import UnusablePointsError
+from calib.points.points import Points, joined, read_points
+from control.model.arm import Arm
+
+RECORDS = ("session.json", "plan.json", "programme.json")  # what our own recordings keep beside points.csv
+
+
+def points_for(arm: Arm, files: Sequence[Path]) -> tuple[Points, tuple[str, ...]]:
+    """The points of all files, one after the other, and warnings about them.
+
+    PointsFileError names file, line and column; UnusablePointsError for a file that was recorded of another arm. What the
+    columns hold is checked by what uses the points (`calib.arm_problem.checks.require_of_arm`).
+    """
+    for file in files:
+        require_recorded_of(arm, file)
+    read = [read_points(file, arm.joint_count) for file in files]
+    return joined([part for part, _ in read]), tuple(sentence for _, said in read for sentence in said)
+
+
+def require_recorded_of(arm: Arm, file: Path) -> None:
+    """UnusablePointsError where what was kept beside a recording says that it is of an arm of another name."""
+    for name in RECORDS:
+        recorded = _arm_in(file.parent / name)
+        if recorded is not None and recorded != arm.name:
+            raise UnusablePointsError(
+                f'{file}: recorded of arm "{recorded}" by {name} beside it, expected arm "{arm.name}": give the file of arm'
+                f' "{recorded}" with --arm, or points of "{arm.name}"'
+            )
+
+
+def _arm_in(file: Path) -> str | None:
+    """The arm's name in a file of ours; None where there is none to be read."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    name = content.get("arm") if isinstance(content, dict) else None
+    return name if isinstance(name, str) else None
