@@ -1,13 +1,11 @@
 """Camera frames: golden bytes, what is dropped, and the receiver on a real port."""
 
-from pathlib import Path
-
 import pytest
 
 from firmware_iface.camera import CameraFrame, CameraReceiver, CameraSender, unpack
 from firmware_iface.errors import LinkLost, MisuseError, PortMissing
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 FRAME = CameraFrame(7, 12.5, (0.5, -0.25, 0.125))
 
 
