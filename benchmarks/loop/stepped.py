@@ -59,8 +59,8 @@ class Shares:
         for name, part, method in (
             ("physics", rig.robot.plant, "step"),
             ("mock boards", rig.robot, "tick"),
-            ("wires from the host", rig._wires, "from_host"),
-            ("wires to the host", rig._wires, "to_host"),
+            ("wires from the host", rig.wires, "from_host"),
+            ("wires to the host", rig.wires, "to_host"),
         ):
             setattr(part, method, self.counted(name, getattr(part, method)))
 

@@ -11,7 +11,7 @@ import gzip
 import json
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -112,22 +112,10 @@ def _side_by_side(
     drafts: Sequence[_Draft], arm: Mapping[str, Any], under: Conditions
 ) -> tuple[Plant, Array, Array]:
     """One plant of all cases' runs, set-points and feed-forward voltages (samples, n, B)."""
-    links = arm["link"]
-    dh = np.array([[link[key] for key in ("d_m", "theta_rad", "L_m", "alpha_rad")] for link in links])
-    n, wide = len(arm["drive"]), RUNS * len(drafts)
-    gravity = np.array(arm["gravity_m_s2"])
-    com = np.array([link["com_m"] for link in links[:n]])
-    mass = np.repeat(np.array([[link["mass_kg"]] for link in links[:n]]), wide, axis=1)
-    inertia = np.repeat(np.array([link["inertia_kg_m2"] for link in links[:n]])[:, :, None], wide, axis=2)
+    chain = _chain(arm, RUNS * len(drafts))
     load = np.array([PAYLOAD_kg if k in LOADED else 0.0 for _ in drafts for k in range(RUNS)])
     sets = np.stack([run for draft in drafts for run in draft.sets], axis=2)
-    forward = _forward(Chain(dh, com, mass, inertia, gravity), sets, drafts, load, under.rate_Hz)
-    for k, draft in enumerate(drafts):
-        places = slice(k * RUNS, (k + 1) * RUNS)
-        for j, value in draft.hidden.mass_kg.items():
-            mass[j, places] += value
-        for j, value in draft.hidden.inertia_kg_m2.items():
-            inertia[j, :, places] += value
+    forward = _forward(chain, sets, drafts, load, under.rate_Hz)
     whole = {
         name: np.repeat([draft.hidden.whole.get(name, 0.0) for draft in drafts], RUNS)
         for name in ("payload", "delay", "sag")
@@ -138,18 +126,32 @@ def _side_by_side(
     }
     drive = arm["drive"][0]
     plant = Plant(
-        Chain(dh, com, mass, inertia, gravity),
-        joints,
-        load + whole["payload"],
-        whole["delay"],
-        whole["sag"],
-        drive["supply_V"],
-        drive["current_limit_A"],
-        GAINS,
-        under.rate_Hz,
-        under.sampled_late,
-    )
+        _loaded(chain, drafts), joints, load + whole["payload"], whole["delay"], whole["sag"],
+        drive["supply_V"], drive["current_limit_A"], GAINS, under.rate_Hz, under.sampled_late,
+    )  # fmt: skip
     return plant, sets, forward
+
+
+def _chain(arm: Mapping[str, Any], wide: int) -> Chain:
+    """The arm as arm.toml has it, `wide` times side by side."""
+    links, n = arm["link"], len(arm["drive"])
+    dh = np.array([[link[key] for key in ("d_m", "theta_rad", "L_m", "alpha_rad")] for link in links])
+    mass = np.repeat(np.array([[link["mass_kg"]] for link in links[:n]]), wide, axis=1)
+    inertia = np.repeat(np.array([link["inertia_kg_m2"] for link in links[:n]])[:, :, None], wide, axis=2)
+    com = np.array([link["com_m"] for link in links[:n]])
+    return Chain(dh, com, mass, inertia, np.array(arm["gravity_m_s2"]))
+
+
+def _loaded(chain: Chain, drafts: Sequence[_Draft]) -> Chain:
+    """The chain with the masses and inertias that the cases hide."""
+    mass, inertia = chain.mass.copy(), chain.inertia.copy()
+    for k, draft in enumerate(drafts):
+        places = slice(k * RUNS, (k + 1) * RUNS)
+        for j, value in draft.hidden.mass_kg.items():
+            mass[j, places] += value
+        for j, value in draft.hidden.inertia_kg_m2.items():
+            inertia[j, :, places] += value
+    return replace(chain, mass=mass, inertia=inertia)
 
 
 def _forward(chain: Chain, sets: Array, drafts: Sequence[_Draft], load: Array, rate_Hz: int) -> Array:
@@ -179,41 +181,26 @@ def _case(
     arm: Mapping[str, Any],
     under: Conditions,
 ) -> Case:
-    runs = []
-    period = 1.0 / under.rate_Hz
-    every = max(1, round(under.rate_Hz / CAMERA_Hz))
-    for k in range(RUNS):
-        at = places.start + k
-        encoder, joint, speed, current, voltage = (
-            part[:, :, at].copy()
-            for part in (
-                recorded.encoder_rad,
-                recorded.joint_rad,
-                recorded.speed_rad_s,
-                recorded.current_A,
-                recorded.voltage_V,
-            )
-        )
-        t = np.asarray(period * np.arange(len(encoder)), dtype=np.float64)
-        _sensed(draft, t, encoder, joint, speed, current)
-        current += draft.rng.normal(0.0, under.current_noise_A, current.shape)
-        tip = _tips(draft, joint, arm) + draft.rng.normal(0.0, CAMERA_NOISE_m, (len(t), 3))
-        tip[np.arange(len(t)) % every != 0] = np.nan
-        load = np.full(len(t), PAYLOAD_kg if k in LOADED else 0.0)
-        runs.append(
-            np.column_stack(
-                [
-                    t,
-                    load,
-                    sets[:, :, k].round(6),
-                    encoder.round(7),
-                    current.round(4),
-                    voltage.round(4),
-                    tip.round(6),
-                ]
-            )
-        )
-    return Case(draft.asked, text + _frictions(draft), tuple(runs), draft.truth)
+    runs = tuple(_run(draft, k, recorded, places.start + k, sets, arm, under) for k in range(RUNS))
+    return Case(draft.asked, text + _frictions(draft), runs, draft.truth)
+
+
+def _run(
+    draft: _Draft, k: int, recorded: Recorded, at: int, sets: Array, arm: Mapping[str, Any], under: Conditions
+) -> Array:
+    """Run `k` of a case, which is run `at` of the plant, as log.csv has it: a row a sample."""
+    encoder, joint, speed = (
+        part[:, :, at].copy() for part in (recorded.encoder_rad, recorded.joint_rad, recorded.speed_rad_s)
+    )
+    current, voltage = recorded.current_A[:, :, at].copy(), recorded.voltage_V[:, :, at]
+    t = np.asarray((1.0 / under.rate_Hz) * np.arange(len(encoder)), dtype=np.float64)
+    _sensed(draft, t, encoder, joint, speed, current)
+    current += draft.rng.normal(0.0, under.current_noise_A, current.shape)
+    tip = _tips(draft, joint, arm) + draft.rng.normal(0.0, CAMERA_NOISE_m, (len(t), 3))
+    tip[np.arange(len(t)) % max(1, round(under.rate_Hz / CAMERA_Hz)) != 0] = np.nan
+    load = np.full(len(t), PAYLOAD_kg if k in LOADED else 0.0)
+    columns = [t, load, sets[:, :, k].round(6), encoder.round(7), current.round(4), voltage.round(4)]
+    return np.column_stack([*columns, tip.round(6)])
 
 
 def _sensed(draft: _Draft, t: Array, encoder: Array, joint: Array, speed: Array, current: Array) -> None:

@@ -36,13 +36,13 @@ class ScriptedArm:
     def __init__(self, settle_s: float = 0.2) -> None:
         self.log: list[str] = []
         self.tips: list[np.ndarray] = []
-        self.t_s, self.q_rad, self._settle_s, self._moved_s = 0.0, (0.0, -0.3, 0.3), settle_s, -10.0
+        self.t_s, self.q_rad, self.settle_s, self.moved_s = 0.0, (0.0, -0.3, 0.3), settle_s, -10.0
 
     def now_s(self) -> float:
         return self.t_s
 
     def move_to_q(self, q_rad) -> None:
-        self.q_rad, self._moved_s = tuple(q_rad), self.t_s + 1.0
+        self.q_rad, self.moved_s = tuple(q_rad), self.t_s + 1.0
         self.t_s += 1.0
         self.log.append("move")
         self.tips.append(REFERENCE.tips(REFERENCE_DH, np.array([q_rad]))[0])
@@ -61,7 +61,7 @@ class ScriptedArm:
         self.log.append("grip")
 
     def seat(self, point_m) -> None:
-        self._moved_s = self.t_s
+        self.moved_s = self.t_s
         self.q_rad = GEOMETRY.nearest(point_m, self.q_rad)
         self.log.append("seat")
 
@@ -70,7 +70,7 @@ class ScriptedArm:
 
     def average(self, duration_s: float) -> Sample:
         self.t_s += duration_s
-        shake = 1e-3 * math.cos(300.0 * self.t_s) if self.t_s - self._moved_s < self._settle_s else 0.0
+        shake = 1e-3 * math.cos(300.0 * self.t_s) if self.t_s - self.moved_s < self.settle_s else 0.0
         q_rad = tuple(q + shake for q in self.q_rad)
         return Sample(q_rad, (1e-5,) * 3, (0.3, 1.5, 0.5), (1, -1, 1), (31.0, 40.5, 29.0))
 

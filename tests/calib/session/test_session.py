@@ -142,7 +142,7 @@ def test_still_stand_needs_its_whole_time_below_the_limit() -> None:
 
 def test_waiting_for_rest_gives_up_after_its_patience() -> None:
     arm = ScriptedArm(settle_s=1e9)
-    arm._moved_s = 0.0
+    arm.moved_s = 0.0
     with pytest.raises(SessionError, match="after 2 s"):
         wait_for_rest(arm, 1e-4, 0.1, 2.0, 0.02)
     assert arm.t_s < 2.1

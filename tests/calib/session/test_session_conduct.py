@@ -202,7 +202,7 @@ def test_a_point_out_of_reach_is_skipped_with_the_reason(tmp_path: Path) -> None
 
 def test_jogging_takes_the_tip_down_with_the_drives_on(tmp_path: Path) -> None:
     session = bench(tmp_path, points=("1",), has_hand=False, seat="jog")
-    session.arm._settle_s = 0.0
+    session.arm.settle_s = 0.0
     down = Command(Do.JOG, jog=Jog("z", -0.02))
     too_far = [
         Command(Do.JOG, jog=Jog("z", -0.2)),
@@ -311,7 +311,7 @@ def test_a_board_that_is_measured_is_placed_by_spread_cavities_and_then_visited(
 
 def test_an_exception_in_the_middle_lets_go_and_holds(tmp_path: Path) -> None:
     session = bench(tmp_path)
-    session.arm._settle_s = 1e9
+    session.arm.settle_s = 1e9
     with pytest.raises(Exception, match="does not come to rest"):
         session.run([GO] * 5)
     assert session.arm.log[-3:] == ["hold", "hold", "let go"]

@@ -111,7 +111,7 @@ def test_keys_jog_a_real_time_arm_space_stops_it_and_a_killed_console_leaves_it_
     client = bench.start(RIGHT)
     try:
         client.enable()
-        terminal = Terminal(str(Path(bench._folder.name) / "1.sock"), tmp_path)
+        terminal = Terminal(str(bench.socket_path), tmp_path)
         terminal.until(lambda: b"HOLDING" in terminal.drawn)
         start_rad = client.status()["q_rad"][0]
         terminal.hold(RIGHT_ARROW, lambda: client.status()["q_rad"][0] > start_rad + 0.03)

@@ -211,7 +211,7 @@ def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
     def none(arm: Any) -> Any:
         raise RuntimeError("no OpenGL")
 
-    monkeypatch.setattr(render, "_MujocoPainter", none)
+    monkeypatch.setattr(render, "MujocoPainter", none)
 
 
 @pytest.mark.usefixtures("no_gl")

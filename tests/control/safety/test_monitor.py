@@ -52,7 +52,7 @@ def _monitor(mode):
 
 
 def _state(monitor):
-    return monitor.mode, monitor.faults, monitor.reaction, monitor.is_homed, monitor._is_at_rest
+    return monitor.mode, monitor.faults, monitor.reaction, monitor.is_homed, monitor.is_at_rest
 
 
 @pytest.mark.parametrize(

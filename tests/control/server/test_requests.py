@@ -240,7 +240,7 @@ def documented(heading: str) -> dict[str, str]:
 
 def test_every_request_is_documented_and_every_documented_one_exists(held: Cell) -> None:
     requests: Requests = held.assembly.requests
-    assert {name.strip("`") for name in documented("| `do` | arguments |")} == set(requests._serve)
+    assert {name.strip("`") for name in documented("| `do` | arguments |")} == set(requests.names)
 
 
 def test_every_key_of_the_status_is_documented_and_every_documented_one_is_there(held: Cell) -> None:

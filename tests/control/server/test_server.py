@@ -16,7 +16,15 @@ from typing import Any
 import pytest
 
 from control.loop.client import RuntimeGone, SocketChannel
-from control.loop.server import QUEUE_LIMIT, CHUNK_bytes, LINE_LIMIT_bytes, Server, SocketTaken, default_path
+from control.loop.server import (
+    QUEUE_LIMIT,
+    CHUNK_bytes,
+    Handle,
+    LINE_LIMIT_bytes,
+    Server,
+    SocketTaken,
+    default_path,
+)
 from control.safety.table import Mode
 from tests.cell import Cell
 
@@ -24,17 +32,19 @@ from tests.cell import Cell
 class Bench:
     """A server whose handler notes what it is asked, and plain sockets to it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(
+        self, path: Path, serve: Handle | None = None, on_gone: Callable[[int], None] | None = None
+    ) -> None:
         self.asked: list[tuple[dict[str, Any], int]] = []
         self.gone: list[int] = []
         self.handle: Callable[[dict[str, Any]], dict[str, Any]] = lambda request: {
             "ok": True,
             "do": request.get("do"),
         }
-        self.server = Server(path, self._handle, self.gone.append)
+        self.server = Server(path, serve or self.serve, on_gone or self.gone.append)
         self.sockets: list[socket.socket] = []
 
-    def _handle(self, request: dict[str, Any], client: int) -> dict[str, Any]:
+    def serve(self, request: dict[str, Any], client: int) -> dict[str, Any]:
         self.asked.append((request, client))
         return self.handle(request)
 
@@ -165,7 +175,7 @@ def test_a_client_that_floods_is_served_one_request_a_cycle_and_the_others_take_
     bench.poll(4)
     assert len(bench.asked) == served + 4
     assert "other" in [request["do"] for request, _ in bench.asked[served:]]
-    waiting = max(len(client.lines) for client in bench.server._clients)
+    waiting = max(len(client.lines) for client in bench.server.clients)
     assert waiting < QUEUE_LIMIT + CHUNK_bytes // 16 + 1
 
 
@@ -228,7 +238,7 @@ def test_hundreds_of_connections_do_not_exhaust_the_loops_files(bench: Bench) ->
         with contextlib.suppress(OSError):
             crowd.append(bench.client())
         bench.poll(1)
-    assert len(bench.server._clients) <= 32
+    assert len(bench.server.clients) <= 32
     for one in crowd:
         one.close()
     bench.poll(50)
@@ -237,7 +247,7 @@ def test_hundreds_of_connections_do_not_exhaust_the_loops_files(bench: Bench) ->
 
 def test_a_second_runtime_on_the_same_socket_is_refused(bench: Bench) -> None:
     with pytest.raises(SocketTaken, match=r"already serves at .*arm.sock"):
-        Server(bench.server.path, bench._handle, bench.gone.append)
+        Server(bench.server.path, bench.serve, bench.gone.append)
     assert is_alive(bench)
 
 
@@ -281,9 +291,8 @@ def test_only_the_user_who_started_the_runtime_can_open_its_socket(
 @pytest.fixture
 def served(cell: Cell, tmp_path: Path) -> Iterator[Bench]:
     """The runtime of a stepped cell behind a real socket; `poll` runs a cycle, then the server, as the loop does."""
-    made = Bench(tmp_path / "right.sock")
-    made.server._handle = cell.assembly.requests.handle
-    made.server._on_gone = cell.assembly.requests.on_gone
+    requests = cell.assembly.requests
+    made = Bench(tmp_path / "right.sock", requests.handle, requests.on_gone)
 
     def poll(times: int = 3) -> None:
         for _ in range(times):

@@ -376,7 +376,7 @@ class Sinking:
 
 def test_an_index_pulse_that_is_met_twice_is_no_turn() -> None:
     found = Measured()
-    measuring._spacing(Sinking(), found)  # type: ignore[arg-type]
+    measuring.measure_index_spacing(Sinking(), found)  # type: ignore[arg-type]
     assert found.spacings_count == [2048, 2049]
 
 
@@ -419,7 +419,7 @@ def test_after_a_repair_only_what_had_not_passed_is_measured(
     assert [joint for joint, entry in journal["joints"].items() if entry["passed"]] == ["1"]
     measured: list[int] = []
     monkeypatch.setattr(
-        "console.bringup.procedure._measure_joint", lambda *given: measured.append(given[6].joint)
+        "console.bringup.procedure.measure_joint", lambda *given: measured.append(given[6].joint)
     )
     assert run_command(tmp_path) == 0
     assert measured == [2, 3]

@@ -15,7 +15,7 @@ from console.main import main
 from console.verify.places import places, ways
 from console.verify.survey import Programme
 from control.loop import stillness
-from control.model.arm import Table
+from control.model.arm import Arm, Table
 from control.model.description import load_arm
 from control.model.kinematics import Kinematics
 from tests.places import RIGHT_TOML
@@ -43,6 +43,27 @@ def small_programme(table: Table, has_paths: bool) -> Programme:
     return Programme(chosen, ways(table, ("normal",)) if has_paths else (), path_speed_m_s=0.4)
 
 
+@pytest.fixture
+def outcomes(monkeypatch: pytest.MonkeyPatch) -> list[Outcome]:
+    """What demos come to; each measures two tilts, and tunes on a mock that nobody stands below."""
+    seen: list[Outcome] = []
+
+    def kept(*arguments: object) -> Outcome:
+        seen.append(run(*arguments))  # type: ignore[arg-type]  # as the command calls it
+        return seen[-1]
+
+    monkeypatch.setattr(demo_command.job, "run", kept)
+    monkeypatch.setattr(demo_command.job, "SETUPS", ("normal", "roll"))
+    monkeypatch.setattr(stillness, "SINK_LIMIT_S", 0.6)
+    return seen
+
+
+def is_corrected(outcome: Outcome) -> bool:
+    before_m = float(norms(outcome.verification.before_m).mean())
+    after_m = float(norms(outcome.verification.after_m).mean())
+    return before_m > 5e-3 and after_m < min(0.6e-3, 0.1 * before_m)
+
+
 @pytest.mark.parametrize(("seed", "is_drawn"), [(1, True), (12, False)])
 def test_what_is_hidden_is_found_and_corrected(
     arm_file: Path,
@@ -50,48 +71,35 @@ def test_what_is_hidden_is_found_and_corrected(
     seed: int,
     is_drawn: bool,
     monkeypatch: pytest.MonkeyPatch,
+    outcomes: list[Outcome],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    outcomes: list[Outcome] = []
-
-    def kept(*arguments: object) -> Outcome:
-        outcomes.append(run(*arguments))  # type: ignore[arg-type]
-        return outcomes[-1]
-
-    monkeypatch.setattr(demo_command.job, "run", kept)
+    monkeypatch.setattr(demo_command.job, "programme_of", lambda table: small_programme(table, is_drawn))
     if not is_drawn:  # paths and pictures take seconds, and the first seed has had them
         monkeypatch.setattr(
             demo_command.job, "write_report", lambda path, shown: path.write_text("", "utf-8")
         )
-    monkeypatch.setattr(demo_command.job, "SETUPS", ("normal", "roll"))
-    monkeypatch.setattr(demo_command.job, "programme_of", lambda table: small_programme(table, is_drawn))
-    monkeypatch.setattr(stillness, "SINK_LIMIT_S", 0.6)  # nobody stands below the mock
     out = tmp_path / "demo"
     assert main(["demo", "--arm", str(arm_file), "--seed", str(seed), "--out", str(out)]) == 0
-    said = capsys.readouterr().out
-    found = outcomes[0].verification
-    before_m, after_m = float(norms(found.before_m).mean()), float(norms(found.after_m).mean())
-    assert before_m > 5e-3
-    assert after_m < 0.6e-3
-    assert after_m < 0.1 * before_m
-    assert str(out / "report.html") in said
-
-    assert {path.name for path in out.iterdir()} >= {
-        "points.csv", "arm_calibrated.toml", "calibration.json", "report.html", "scenario.toml", "verification.txt",
-    }  # fmt: skip
+    assert str(out / "report.html") in capsys.readouterr().out
+    assert is_corrected(outcomes[0])
+    assert_results_are_complete(out, load_arm(arm_file))
     html = (out / "report.html").read_text("utf-8")
     if is_drawn:
         assert is_self_contained(html)
         assert "<svg" in html or "data:image" in html
 
-    nominal, calibrated = load_arm(arm_file), load_arm(out / "arm_calibrated.toml")
+
+def assert_results_are_complete(out: Path, nominal: Arm) -> None:
+    """Every file is there; the calibrated arm says where it is from and puts its tip elsewhere; ten points of two tilts."""
+    assert {path.name for path in out.iterdir()} >= {
+        "points.csv", "arm_calibrated.toml", "calibration.json", "report.html", "scenario.toml", "verification.txt",
+    }  # fmt: skip
+    calibrated = load_arm(out / "arm_calibrated.toml")
     assert calibrated.calibration is not None
     assert calibrated.calibration.source
-    moved_m = norms(
-        Kinematics(calibrated).tips([[0.0, -0.5, 0.3]]) - Kinematics(nominal).tips([[0.0, -0.5, 0.3]])
-    )
-    assert 1e-3 < float(moved_m[0]) < 0.1
-
+    tip_m, nominal_tip_m = (Kinematics(arm).tips([[0.0, -0.5, 0.3]]) for arm in (calibrated, nominal))
+    assert 1e-3 < float(norms(tip_m - nominal_tip_m)[0]) < 0.1
     with (out / "points.csv").open(newline="") as file:
         points = list(csv.DictReader(file))
     assert len(points) == 10

@@ -130,8 +130,8 @@ def test_a_fault_ends_it_and_the_drives_are_off() -> None:
 
 def test_a_board_that_runs_the_pid_is_measured_in_voltage_mode_and_keeps_its_own() -> None:
     arm = with_drives(RIGHT, pid=DrivePid("position"))
-    assert {d.pid.mode for d in procedure._in_voltage_mode(arm).drives} == {"voltage"}
-    gains = procedure._with_gains(arm, {1: procedure.gains_of(RIGHT, 1)})
+    assert {d.pid.mode for d in procedure.in_voltage_mode(arm).drives} == {"voltage"}
+    gains = procedure.with_gains(arm, {1: procedure.gains_of(RIGHT, 1)})
     assert [d.pid.mode for d in gains.drives] == ["position"] * 3
     assert gains.drive(1).pid.kp is not None
     assert gains.drive(2).pid.kp is None

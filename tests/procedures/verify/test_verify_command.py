@@ -20,7 +20,7 @@ from console.verify.driving import Run, handed_over, planned, poses_at
 from console.verify.driving import run as run_way
 from console.verify.models import Model, Pair, believed_by, nominal_of
 from console.verify.places import places, ways
-from console.verify.tracks import MOVING, _planned_m, recorded, track_of, wait_until_recorded
+from console.verify.tracks import MOVING, planned_tips_m, recorded, track_of, wait_until_recorded
 from control.errors import ArmError
 from control.loop import stillness
 from control.loop.record import FileSink, Layout
@@ -258,7 +258,7 @@ def test_where_recorded_set_points_are_encoders_the_path_says_what_was_planned(t
     path = planned(ways(TABLE, ("normal",))[1], GEARED, 0.15, NEAR)
     rows = np.zeros(50, dtype=[("t_s", "f8")])
     rows["t_s"] = 3.0 + 0.002 * np.arange(50)
-    planned_m = _planned_m(rows, GEARED, Run(1, path, 0.5))
+    planned_m = planned_tips_m(rows, GEARED, Run(1, path, 0.5))
     for k in (0, 20, 49):
         expected = GEARED.seen(np.array([path.spline.at(0.5 * 0.002 * (k + 1))[0]]))[0]
         assert planned_m[k] == pytest.approx(expected, abs=1e-12)

@@ -95,32 +95,37 @@ def _run(
     tones = [(phases.uniform(0.3, 1.2, 3), phases.uniform(0.0, 2 * np.pi, 3)) for _ in range(3)]
     q0, v0, _ = _waves(starts, tones, slow)
     qm, vm, am = _waves(starts + 0.5 * T, tones, slow)
-    rotor = np.array([d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives])
     K = np.array([d.gear_ratio * d.torque_constant_Nm_A for d in arm.drives])
     R = np.array([d.resistance_ohm for d in arm.drives]) * (1.0 + winding_share)
-    link = Dynamics(arm).torques(qm, vm, am, load) - rotor * am
-    torque = link + rotor * am + np.array(COULOMB_Nm) * np.sign(vm) + np.array(VISCOUS) * vm
-    for j in range(3):
-        torque[:, j] += hidden(j, qm[:, j], vm[:, j], link[:, j])
-    level = R * torque / K + K * vm  # over the sample that begins at `starts`
+    level = R * _torque(arm, qm, vm, am, load, hidden) / K + K * vm  # over the sample that begins at `starts`
     q = q0[1 : count + 1]
     current = (level[:count] - K * v0[1 : count + 1]) / R
     voltage = level[1 + delay : 1 + delay + count]
     step = np.array([2 * np.pi / (d.encoder_counts_per_rev * d.gear_ratio) for d in arm.drives])
-    seen = np.arange(count) % 5 == 0
-    tip = np.full((count, 3), np.nan)
     joints = q if turned is None else q + turned(q, Dynamics(arm).torques(q, 0 * q, 0 * q, load))
-    tip[seen] = Kinematics(arm).tips(joints[seen]) + rng.normal(0.0, 0.00014, (int(seen.sum()), 3))
+    tip = _seen(arm, joints, rng)
     return Run(
-        name,
-        T * np.arange(count),
-        np.round(q / step) * step,
-        q,
-        current + rng.normal(0.0, 0.01, current.shape),
-        voltage,
-        np.full(count, load),
-        tip,
-    )
+        name, T * np.arange(count), np.round(q / step) * step, q, current + rng.normal(0.0, 0.01, current.shape),
+        voltage, np.full(count, load), tip,
+    )  # fmt: skip
+
+
+def _torque(arm: Arm, q: Array, v: Array, a: Array, load: float, hidden: Hidden) -> Array:
+    """What the drives give (m, 3): links, rotors, the friction of the model, and what is hidden."""
+    rotor = np.array([d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives])
+    link = Dynamics(arm).torques(q, v, a, load) - rotor * a
+    torque = link + rotor * a + np.array(COULOMB_Nm) * np.sign(v) + np.array(VISCOUS) * v
+    for j in range(3):
+        torque[:, j] += hidden(j, q[:, j], v[:, j], link[:, j])
+    return torque
+
+
+def _seen(arm: Arm, joints: Array, rng: np.random.Generator) -> Array:
+    """Tips (m, 3) as the camera measures them: in every fifth sample, the others are not a number."""
+    seen = np.arange(len(joints)) % 5 == 0
+    tip = np.full((len(joints), 3), np.nan)
+    tip[seen] = Kinematics(arm).tips(joints[seen]) + rng.normal(0.0, 0.00014, (int(seen.sum()), 3))
+    return tip
 
 
 def _waves(
