@@ -28,9 +28,6 @@ FASTER = {33: 25.0, 300: 100.0, 3000: 200.0}  # than pybotics, at least
 DEVIATION = np.array([0.003, 0.02, 0.003, 0.02])
 NOISE_m = 0.00014
 ROUNDS = 5
-EXAMPLE_LIMIT = (
-    40  # evaluations of the Jacobian: with lengths as residuals it does not come to an end by itself
-)
 NO_WORSE = 1.0 + 1e-9
 NAMES = {"e2": "E2", "e1": "E1", "lsq": "LSQ", "huber": "Huber"}
 HUBER_m = 0.0003
@@ -81,42 +78,38 @@ def own(count: int, objective: Objective) -> tuple[float, float]:
     return statistics.median(times), value
 
 
-def _beside_pybotics(count: int) -> list[BenchRow]:
+def _beside_pybotics(count: int) -> Iterator[BenchRow]:
     """Least squares; with the example's residuals too, where that takes no hour."""
     target = f"at least {FASTER[count]:.0f} times faster"
     label = f"least squares, {count} points, 16 parameters"
     took_s, value = own(count, LeastSquares())
     try:
-        dh = load_arm("right").dh
-        with Peer("identification_peer.py", {"dh": dh.tolist()}, "identification") as peer:
+        with Peer("identification_peer.py", {"dh": load_arm("right").dh.tolist()}, "identification") as peer:
             _require_same_arm(peer.answers)
-            q, tips = points(count)
-            ask = {
-                "q_rad": np.column_stack((q, np.zeros(count))).tolist(),
-                "tip_m": tips.tolist(),
-                "limit": None,
-            }
-            name = f"pybotics {peer.answers['version']}, least_squares"
-            theirs = peer.ask({**ask, "kind": "coordinates"})
-            peer_ms = 1e3 * theirs["took_s"]
-            name += f", {theirs['evaluations']} evaluations{', stopped' if theirs['status'] == 0 else ''}"
-            lengths = peer.ask({**ask, "kind": "lengths"}) if count == min(FASTER) else None
+            theirs, name = _identified(peer, count, "coordinates", "least_squares")
+            again_s, _ = own(count, LeastSquares())  # before and after the peer: a change of load meets both
+            own_ms = 1e3 * statistics.mean((took_s, again_s))
+            yield compared(label, own_ms, "ms", name, 1e3 * theirs["took_s"], target, 1.0 / FASTER[count])
+            yield _objectives(f"{label}: objective (theirs knows no bounds)", value, name, theirs)
+            if count == min(FASTER):
+                theirs, name = _identified(peer, count, "lengths", "as its example (lengths)")
+                yield compared(label, own_ms, "ms", name, 1e3 * theirs["took_s"], "", None)
+                yield _objectives(f"{label}: objective", value, name, theirs)
     except PeerMissing as error:
-        return [compared(label, 1e3 * took_s, "ms", f"pybotics {error}", None, target, None)]
-    again_s, _ = own(count, LeastSquares())  # before and after the peer: a change of load meets both
-    own_ms = 1e3 * statistics.mean((took_s, again_s))
-    found = [
-        compared(label, own_ms, "ms", name, peer_ms, target, 1.0 / FASTER[count]),
-        compared(f"{label}: objective (theirs knows no bounds)", 1e6 * value, "mm^2", name, 1e6 * theirs["objective"],
-                 "", None),
-    ]  # fmt: skip
-    if lengths is not None:
-        name = f"pybotics as its example (lengths), {lengths['evaluations']} evaluations"
-        found.append(compared(label, own_ms, "ms", name, 1e3 * lengths["took_s"], "", None))
-        found.append(
-            compared(f"{label}: objective", 1e6 * value, "mm^2", name, 1e6 * lengths["objective"], "", None)
-        )
-    return found
+        yield compared(label, 1e3 * took_s, "ms", f"pybotics {error}", None, target, None)
+
+
+def _identified(peer: Peer, count: int, kind: str, how: str) -> tuple[dict[str, float], str]:
+    """What pybotics makes of the points, and its name in the table."""
+    q, tips = points(count)
+    asked = {"q_rad": np.column_stack((q, np.zeros(count))).tolist(), "tip_m": tips.tolist()}
+    found = peer.ask({**asked, "kind": kind})
+    end = ", stopped" if found["status"] == 0 else ""
+    return found, f"pybotics {peer.answers['version']}, {how}, {found['evaluations']} evaluations{end}"
+
+
+def _objectives(label: str, value: float, name: str, theirs: dict[str, float]) -> BenchRow:
+    return compared(label, 1e6 * value, "mm^2", name, 1e6 * theirs["objective"], "", None)
 
 
 def _require_same_arm(answers: dict[str, list[list[float]]]) -> None:

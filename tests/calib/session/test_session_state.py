@@ -240,7 +240,7 @@ def test_a_kill_before_any_line_of_the_writing_code_loses_nothing_that_was_ackno
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=600,
     )
     assert ended.returncode == 0, ended.stderr
     assert int(ended.stdout) > 30  # sessions that were killed

@@ -53,7 +53,7 @@ heavy = [name for name in {HEAVY} if name in sys.modules]
 assert not heavy, heavy
 """
     ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=30
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120
     )
     assert ended.returncode == 0, ended.stderr
 

@@ -149,6 +149,6 @@ def test_the_writer_has_all_that_was_sent_when_its_pipe_ends(tmp_path: Path) -> 
     path = tmp_path / "a.armlog"
     sent = LAYOUT.header({}) + b"".join(LAYOUT.packing.pack(*row(number)) for number in range(300))
     subprocess.run(
-        [sys.executable, "-m", "control.loop.writer", str(path)], input=sent, check=True, timeout=20
+        [sys.executable, "-m", "control.loop.writer", str(path)], input=sent, check=True, timeout=120
     )
     assert path.read_bytes() == sent
