@@ -16,6 +16,7 @@ from calib.iso9283.workspace import CLEARANCE_m, largest_cube, solver_of
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.kinematics import Kinematics
+from tests.places import ARMS
 
 CUBE = TestCube((0.4, 0.1, 0.3), 0.2)
 SMALL = Extent(repeats=2, path_cycles=2, speed_shares=(0.5,), drift_s=10.0, drift_sets=2, rated_load_kg=1.0)
@@ -144,4 +145,4 @@ def test_a_cube_that_the_arm_does_not_reach_or_that_goes_through_the_floor_is_sa
 
 def test_an_arm_with_one_joint_has_no_cube() -> None:
     with pytest.raises(Iso9283Error, match="no test cube"):
-        largest_cube(load_arm("tests/control/model/arms/pendulum.toml"))
+        largest_cube(load_arm(ARMS / "pendulum.toml"))

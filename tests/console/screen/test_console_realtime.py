@@ -25,6 +25,7 @@ pytestmark = pytest.mark.realtime
 LIMIT_s = 90.0  # a busy machine is slow, a broken program never ends
 RIGHT_ARROW = b"\x1b[C"
 REPEAT_s = 0.03
+SLOWLY = 0.02  # of the joints' speed: the move outlasts a console that a busy machine keeps waiting
 SCENARIO = """
 [start]
 homed = true
@@ -117,7 +118,7 @@ def test_keys_jog_a_real_time_arm_space_stops_it_and_a_killed_console_leaves_it_
         terminal.hold(RIGHT_ARROW, lambda: client.status()["q_rad"][0] > start_rad + 0.03)
         terminal.until(lambda: mode(client) == "HOLDING")  # nobody repeats the key any more
 
-        client.move_joints((1.2, -0.2, 0.9), 0.2, waits=False)
+        client.move_joints((1.2, -0.2, 0.9), SLOWLY, waits=False)
         terminal.until(lambda: b"MOVING" in terminal.drawn)
         os.write(terminal.screen, b" ")
         terminal.until(lambda: mode(client) == "HOLDING")
@@ -129,7 +130,7 @@ def test_keys_jog_a_real_time_arm_space_stops_it_and_a_killed_console_leaves_it_
         terminal.until(
             lambda: b"HOLDING" in terminal.drawn[seen:]
         )  # the console knows: spaces are letters again
-        os.write(terminal.screen, b":move --joints 0.1 -0.9 0.2 --speed 0.1\r")
+        os.write(terminal.screen, f":move --joints 1.0 -0.9 0.2 --speed {SLOWLY}\r".encode())
         terminal.until(lambda: mode(client) == "MOVING")  # by a process of the console's
         os.kill(terminal.process.pid, signal.SIGKILL)
         terminal.process.wait()
