@@ -133,7 +133,7 @@ def test_keys_jog_a_real_time_arm_space_stops_it_and_a_killed_console_leaves_it_
         terminal.until(lambda: b"MOVING" in terminal.drawn)
         os.write(terminal.screen, b" ")
         terminal.until(lambda: mode(client) == "HOLDING")
-        assert client.status()["was_stopped"]
+        assert client.status()["was_stopped"], client.status()
 
         seen = len(terminal.drawn)
         terminal.hold(RIGHT_ARROW, lambda: b"JOGGING" in terminal.drawn[seen:])
@@ -145,7 +145,7 @@ def test_keys_jog_a_real_time_arm_space_stops_it_and_a_killed_console_leaves_it_
         terminal.process.wait()
         terminal.until(lambda: mode(client) == "HOLDING")
         status = client.status()
-        assert status["was_stopped"]
+        assert status["was_stopped"], status
         assert status["faults"] == []
     finally:
         if terminal is not None and terminal.process.poll() is None:
