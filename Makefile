@@ -35,17 +35,17 @@ format: install  ## let ruff write the format
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: install  ## the table of measured claims, beside peers in their own environment
-	$(BIN)/python -m benchmarks
+bench: install  ## the table of measured claims, beside peers in their own environments; SECTIONS="wire kinematics" for some
+	$(BIN)/python -m benchmarks $(SECTIONS)
 
 coverage-study: install  ## do 95 % intervals of the calibration cover the truth? 400 simulated sessions of each sort (an hour)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.coverage
 
 solver-study: install  ## is the optimum of an identification a real one? 200 fresh cases an objective, some 40 minutes
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.solver_study
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.solver_study
 
 gap-score: install  ## how often the gap workflow is right on poses, time series and the mock arm: fresh cases, six minutes; CASES=60 of each sort
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap_score $(if $(CASES),--cases $(CASES))
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap.score $(if $(CASES),--cases $(CASES))
 
 lock: install  ## pin again what pyproject.toml names (needs uv)
 	uv pip compile --universal --generate-hashes --no-emit-index-url --no-header --extra dev -o requirements.lock pyproject.toml

@@ -1,4 +1,4 @@
-"""`make bench`: the measured claims as one table, and as out/bench.json.
+"""`make bench`: the measured claims as one table, row by row as they are measured, and as out/bench.json.
 
 python -m benchmarks [section ...]
 """
@@ -18,39 +18,67 @@ from pathlib import Path
 from benchmarks.table import BenchRow
 
 OUT = Path("out/bench.json")
-SECTIONS = {
-    "kinematics": "Kinematics and dynamics",
-    "control_cycle": "One control cycle without waiting",
-    "wire": "Frames",
-    "identification": "Identification: 16 parameters of the reference arm",
-    "tracking": "Tip tracking: circle of 0.09 m at 0.15 m/s",
-    "stepped": "Stepped simulation of the whole loop",
-    "realtime": "Real time, over the mock boards",
-    "console_load": "The console beside the loop",
+SECTIONS = {  # name: title, module
+    "kinematics": ("Kinematics and dynamics", "benchmarks.loop.kinematics"),
+    "control_cycle": ("One control cycle without waiting", "benchmarks.loop.control_cycle"),
+    "wire": ("Frames", "benchmarks.loop.wire"),
+    "identification": (
+        "Identification: 16 parameters of the reference arm",
+        "benchmarks.calibration.identification",
+    ),
+    "tracking": ("Tip tracking: circle of 0.09 m at 0.15 m/s", "benchmarks.loop.tracking"),
+    "stepped": ("Stepped simulation of the whole loop", "benchmarks.loop.stepped"),
+    "realtime": ("Real time, over the mock boards", "benchmarks.loop.realtime"),
+    "console_load": ("The console beside the loop", "benchmarks.loop.console_load"),
 }
 NAME_WIDTH, PEER_WIDTH = 82, 48
+INTERRUPTED = 130
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure the sections named, or all. A target that is missed is said, but is no error: the machine may have been busy."""
+    """Measure the sections named, or all; 1 where one failed. A missed target is no failure: the machine may have been busy."""
     unknown = [name for name in arguments if name not in SECTIONS]
     if unknown:
         print(f"unknown section {unknown[0]!r}: expected some of {', '.join(SECTIONS)}", file=sys.stderr)
         return 2
     found: dict[str, list[BenchRow]] = {}
-    for name in arguments or SECTIONS:
-        print(f"\n{SECTIONS[name]}\n{_heading()}", flush=True)
-        start_s = time.monotonic()
-        found[name] = importlib.import_module(f"benchmarks.{name}").rows()
-        print("\n".join(_line(row) for row in found[name]))
-        print(f"({time.monotonic() - start_s:.0f} s)", flush=True)
-    _save(found)
+    failed: list[str] = []
+    try:
+        for name in arguments or SECTIONS:
+            found[name] = []
+            failed += _measured(name, found[name])
+            _save(found, failed)
+    except KeyboardInterrupt:
+        print(f"\ninterrupted; what was measured is in {OUT}")
+        return INTERRUPTED
+    _sum_up(found, failed)
+    return 1 if failed else 0
+
+
+def _measured(name: str, rows: list[BenchRow]) -> list[str]:
+    """Print and collect a section's rows as they come. Where it fails, one line that says why."""
+    title, module = SECTIONS[name]
+    print(f"\n{title}\n{_heading()}", flush=True)
+    start_s = time.monotonic()
+    failures: list[str] = []
+    try:
+        for row in importlib.import_module(module).rows():
+            rows.append(row)
+            print(_line(row), flush=True)
+    except Exception as error:  # whatever a section raises, the others are measured
+        reason = " ".join(str(error).split())
+        failures.append(f"{name} failed: {type(error).__name__}: {reason}")
+        print(failures[0])
+    print(f"({time.monotonic() - start_s:.0f} s)", flush=True)
+    return failures
+
+
+def _sum_up(found: dict[str, list[BenchRow]], failed: Sequence[str]) -> None:
     rows = [row for section in found.values() for row in section if row.passed is not None]
     short = [row.name for row in rows if not row.passed]
     print(f"\n{len(rows) - len(short)} of {len(rows)} targets met; all figures in {OUT}")
-    for name in short:
-        print(f"short: {name}")
-    return 0
+    for line in [*(f"short: {name}" for name in short), *failed]:
+        print(line)
 
 
 def _heading() -> str:
@@ -67,7 +95,7 @@ def _line(row: BenchRow) -> str:
     ).rstrip()
 
 
-def _save(found: dict[str, list[BenchRow]]) -> None:
+def _save(found: dict[str, list[BenchRow]], failed: Sequence[str]) -> None:
     """All rows, with what the numbers depend on; nothing that names the machine."""
     about = {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
@@ -79,7 +107,9 @@ def _save(found: dict[str, list[BenchRow]]) -> None:
     }
     rows = {name: [asdict(row) for row in section] for name, section in found.items()}
     OUT.parent.mkdir(parents=True, exist_ok=True)
-    OUT.write_text(json.dumps(_finite({**about, "rows": rows}), indent=1) + "\n", encoding="utf-8")
+    OUT.write_text(
+        json.dumps(_finite({**about, "failed": failed, "rows": rows}), indent=1) + "\n", encoding="utf-8"
+    )
 
 
 def _finite(value: object) -> object:

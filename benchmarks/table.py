@@ -32,11 +32,11 @@ def compared(
     target: str,
     largest_ratio: float | None,
 ) -> BenchRow:
-    """Return a row beside a peer; without the peer's value there is no ratio and no verdict."""
+    """Return a row beside a peer; without the peer's value there is no verdict, and beside zero there is no ratio."""
     if peer_value is None:
         return BenchRow(name, value, unit, peer, target=target)
-    ratio = value / peer_value
-    passed = None if largest_ratio is None else ratio <= largest_ratio
+    ratio = value / peer_value if peer_value > 0.0 else None
+    passed = None if largest_ratio is None else value <= largest_ratio * peer_value
     return BenchRow(name, value, unit, peer, peer_value, ratio, target, passed)
 
 

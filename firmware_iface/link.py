@@ -25,7 +25,7 @@ from firmware_iface.errors import LinkLost, MisuseError, PortMissing
 _READ_BYTES = 65536  # more than a serial driver buffers
 _INT = Struct("i")
 _NO_BYTES = _INT.pack(0)
-_WRITE_TIMEOUT_ms = 200  # requests are a dozen bytes: a line that does not take them in this time is dead
+WRITE_TIMEOUT_ms = 200  # requests are a dozen bytes: a line that does not take them in this time is dead
 _SOCKETCAN_BUS_OFF = 0x40  # CAN_ERR_BUSOFF of linux/can/error.h, in the id of an error frame
 _ADAPTERS = ("socketcan", "pcan")  # python-can can ask these without waiting, and they say nothing of others
 _ECHO_MEMORY = 64  # frames of ours that may be on their way back at once
@@ -87,7 +87,7 @@ def open_serial(url: str, baud: int) -> ByteLink:
         raise MisuseError(f"serial port {url}: baud must be positive, got {baud}")
     try:
         port = serial.serial_for_url(
-            url, baudrate=baud, timeout=0, write_timeout=_WRITE_TIMEOUT_ms * 1e-3, exclusive=True
+            url, baudrate=baud, timeout=0, write_timeout=WRITE_TIMEOUT_ms * 1e-3, exclusive=True
         )
     except (serial.SerialException, OSError, ValueError, ImportError) as problem:
         raise PortMissing(f"serial port {url}: cannot open it: {problem}; {_ports_here()}") from None
@@ -158,8 +158,8 @@ class _PosixByteLink:
             try:
                 left = left[os.write(self._fd, left) :]
             except BlockingIOError:
-                if not self._writable.poll(_WRITE_TIMEOUT_ms):
-                    raise self._lost(f"it takes no bytes for {_WRITE_TIMEOUT_ms} ms") from None
+                if not self._writable.poll(WRITE_TIMEOUT_ms):
+                    raise self._lost(f"it takes no bytes for {WRITE_TIMEOUT_ms} ms") from None
             except OSError as problem:
                 raise self._lost(problem) from None
 

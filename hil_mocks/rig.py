@@ -108,11 +108,11 @@ class SteppedRig:
         self.robot = MockRobot(as_built, self.scenario)
         self.can_interface = "virtual"
         self.can_channel = f"armwright-{os.getpid()}-{next(_channels)}"
-        self._wires = Wires(len(self.robot.encoder_boards), self.can_interface, self.can_channel)
-        self.can_options = self._wires.can_options
-        self.camera_port = self._wires.camera_port
-        self.encoder_urls = [pty.path for pty in self._wires.ptys]
-        self.clock: Clock = SteppedClock(self.robot, self._wires)
+        self.wires = Wires(len(self.robot.encoder_boards), self.can_interface, self.can_channel)
+        self.can_options = self.wires.can_options
+        self.camera_port = self.wires.camera_port
+        self.encoder_urls = [pty.path for pty in self.wires.ptys]
+        self.clock: Clock = SteppedClock(self.robot, self.wires)
 
     @property
     def encoder_url(self) -> str:
@@ -146,7 +146,7 @@ class SteppedRig:
 
     def close(self) -> None:
         """Pull all plugs."""
-        self._wires.close()
+        self.wires.close()
 
     def __enter__(self) -> Self:
         return self

@@ -66,7 +66,6 @@ def identified(dh: Any, question: dict[str, Any]) -> dict[str, Any]:
         residuals,
         handler.generate_optimization_vector(),
         args=(handler, qs, positions),
-        max_nfev=question["limit"],
     )
     took_s = perf_counter() - start
     return {

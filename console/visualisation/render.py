@@ -36,7 +36,7 @@ def painter_of(arm: Arm, warn: Callable[[str], None]) -> Painter:
     """Whatever can draw here: MuJoCo's renderer, else lines by matplotlib, and then `warn` is told why."""
     prefer_headless_gl()
     try:
-        return _MujocoPainter(arm)
+        return MujocoPainter(arm)
     except Exception as error:  # every OpenGL platform has errors of its own, down to missing libraries
         reason = str(error).strip().splitlines()
         warn(
@@ -46,7 +46,7 @@ def painter_of(arm: Arm, warn: Callable[[str], None]) -> Painter:
         return _LinePainter(arm)
 
 
-class _MujocoPainter:
+class MujocoPainter:
     """Draws by MuJoCo into memory."""
 
     def __init__(self, arm: Arm) -> None:

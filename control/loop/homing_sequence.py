@@ -217,6 +217,11 @@ class HomingSequence:
         """Whether every joint knows its zero."""
         return not self._waiting and self._present is None
 
+    @property
+    def phase(self) -> Phase | None:
+        """Where the joint is that is being homed; None while there is none."""
+        return None if self._present is None else self._present[1].phase
+
     def step(self, set_point: SetPoint, feedback: Feedback, elapsed_s: float) -> SetPoint:
         """The set-point of this cycle from that of the last. HomingFailed names the joint that did not find its zero."""
         if self._present is None:

@@ -53,6 +53,11 @@ class Monitor:
         return self._reaction
 
     @property
+    def is_at_rest(self) -> bool:
+        """Whether the stop of a fault has ended: until then it cannot be acknowledged."""
+        return self._is_at_rest
+
+    @property
     def is_homed(self) -> bool:
         """Whether every joint knows its zero."""
         return self._is_homed

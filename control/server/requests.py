@@ -85,11 +85,16 @@ class Requests:
             "off": self._off,
         }
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What `do` of a request may be."""
+        return tuple(self._serve)
+
     def handle(self, request: Message, client: int) -> Message:
         """Serve one request of a client; never raises for what a client sent."""
         serve = self._serve.get(str(request.get("do")))
         if serve is None:
-            known = ", ".join(self._serve)
+            known = ", ".join(self.names)
             return {
                 "ok": False,
                 "error": f"unknown request {request.get('do')!r}: expected `do` to be one of {known}",

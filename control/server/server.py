@@ -92,6 +92,11 @@ class Server:
         for client in [c for c in self._clients if c.is_over and not c.lines]:
             self._drop(client)
 
+    @property
+    def clients(self) -> tuple[Client, ...]:
+        """The connections that are open."""
+        return tuple(self._clients)
+
     def close(self) -> None:
         """Close every connection and remove the socket."""
         for client in list(self._clients):

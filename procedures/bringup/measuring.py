@@ -70,7 +70,7 @@ def measure(
         _allow(
             operator, joint, "turns by a few motor turns for its index, then to and fro for its friction", 0.5
         )
-        _spacing(driver, found)
+        measure_index_spacing(driver, found)
         _friction(driver, found)
         if with_stops:
             _allow(operator, joint, "creeps to both of its end stops, so its whole way must be free", None)
@@ -114,7 +114,7 @@ def _note_flags(run: Run, found: Measured) -> None:
         found.flags |= flags & (QUADRATURE_ERROR | SIGNAL_LOST)
 
 
-def _spacing(driver: JointDriver, found: Measured) -> None:
+def measure_index_spacing(driver: JointDriver, found: Measured) -> None:
     """Index pulses forth; where the joint cannot go forth, back."""
     start_rad = driver.where_rad()
     longest_rad = INDEX_TURNS * 2.0 * math.pi / driver.drive.gear_ratio

@@ -69,11 +69,11 @@ def bring_up(
                 f"joint {joint}: no motor board is known to move it, so nothing else was measured of it"
             )
             continue
-        _measure_joint(arm, bench, operator, journal, options, outcome, wiring, currents[joint], say)
+        measure_joint(arm, bench, operator, journal, options, outcome, wiring, currents[joint], say)
     return outcome
 
 
-def _measure_joint(
+def measure_joint(
     arm: Arm, bench: Bench, operator: Operator, journal: Journal, options: Options, outcome: Outcome,
     wiring: JointWiring, caution: Caution, say: Callable[[str], None],
 ) -> None:  # fmt: skip

@@ -82,7 +82,7 @@ def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
     The gains belong to the runtimes that are started here: whatever ends them, the arm's own file is as it was.
     """
     pose = _pose(arm, options)
-    measuring = _in_voltage_mode(arm)
+    measuring = in_voltage_mode(arm)
     advance("homing", 0.0)
     designs: dict[int, tuple[MotorFit, Design, tuple[float, ...], tuple[str, ...]]] = {}
     before: dict[int, Trial] = {}
@@ -93,13 +93,13 @@ def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
             advance(f"joint {joint}: its response, and the gains that it has", (number + 0.5) / total)
             before[joint], fitted = _try(session, measuring, joint, options)
             designs[joint] = _designed(measuring, joint, before[joint], fitted, options, pose)
-    tuned = _with_gains(arm, {joint: design.gains for joint, (_, design, _, _) in designs.items()})
+    tuned = with_gains(arm, {joint: design.gains for joint, (_, design, _, _) in designs.items()})
     after: dict[int, Trial] = {}
-    with Session(_in_voltage_mode(tuned), clock) as session:
+    with Session(in_voltage_mode(tuned), clock) as session:
         session.client.move_joints(pose, CENTRE_SPEED)
         for number, joint in enumerate(options.joints):
             advance(f"joint {joint}: the new gains", (number + 0.5 + len(options.joints)) / total)
-            after[joint], _ = _try(session, _in_voltage_mode(tuned), joint, options)
+            after[joint], _ = _try(session, in_voltage_mode(tuned), joint, options)
     joints = []
     for joint in options.joints:
         fit, design, ratios, cautions = designs[joint]
@@ -108,7 +108,7 @@ def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
     return Result(tuned, tuple(joints))
 
 
-def _in_voltage_mode(arm: Arm) -> Arm:
+def in_voltage_mode(arm: Arm) -> Arm:
     """Where the board runs the PID, the loop does it meanwhile: same gains, same units, and its output can be heard."""
     drives = tuple(
         replace(drive, pid=replace(drive.pid, mode="voltage")) if drive.pid.mode == "position" else drive
@@ -217,7 +217,7 @@ def _cautions(joint: int, fit: MotorFit, measured: Measured) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _with_gains(arm: Arm, gains: dict[int, Gains]) -> Arm:
+def with_gains(arm: Arm, gains: dict[int, Gains]) -> Arm:
     drives = []
     for drive in arm.drives:
         chosen = gains.get(drive.joint)

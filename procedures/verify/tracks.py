@@ -33,7 +33,7 @@ def track_of(recording: Path, model: Model, ran: Run, name: str) -> Track:
     if not len(rows):
         raise ArmError(f"{recording}: holds no run {ran.number}")
     time_s = np.asarray(rows["t_s"])
-    planned_m = _planned_m(rows, model, ran)
+    planned_m = planned_tips_m(rows, model, ran)
     seen_m = np.column_stack([rows[name] for name in ("x_m", "y_m", "z_m")])
     seen = ~np.isnan(seen_m).any(axis=1)
     if not seen.any():
@@ -45,7 +45,7 @@ def track_of(recording: Path, model: Model, ran: Run, name: str) -> Track:
     return Track(name, frozen(at_s - time_s[0]), frozen(planned_at_m), frozen(seen_m[seen][within]))
 
 
-def _planned_m(rows: np.ndarray, model: Model, ran: Run) -> np.ndarray:
+def planned_tips_m(rows: np.ndarray, model: Model, ran: Run) -> np.ndarray:
     """Planned tips (m, 3) at the rows' times. The first row of a run is one cycle into it."""
     if ran.path is None:
         joints = range(1, model.arm.joint_count + 1)

@@ -1,13 +1,13 @@
 """Camera frames: golden bytes, what is dropped, and the receiver on a real port."""
 
-from pathlib import Path
+import socket
 
 import pytest
 
 from firmware_iface.camera import CameraFrame, CameraReceiver, CameraSender, unpack
 from firmware_iface.errors import LinkLost, MisuseError, PortMissing
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 FRAME = CameraFrame(7, 12.5, (0.5, -0.25, 0.125))
 
 
@@ -58,7 +58,8 @@ def test_the_receiver_gives_all_frames_and_counts_noise() -> None:
     sender = CameraSender(receiver.port)
     assert receiver.receive() == []
     sender.send_frame(FRAME)
-    sender._socket.sendto(b"noise", ("127.0.0.1", receiver.port))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.sendto(b"noise", ("127.0.0.1", receiver.port))
     sender.send_frame(FRAME)
     frames: list[CameraFrame] = []
     for _ in range(100_000):

@@ -1,7 +1,6 @@
 """The whole transition table of CiA 402 (IEC 61800-7-201), written out, against the host's and the document's."""
 
 from itertools import product
-from pathlib import Path
 
 import pytest
 
@@ -13,6 +12,7 @@ from firmware_iface.motor.cia402 import (
     after,
     next_command,
 )
+from tests.places import ROOT
 
 # Rows: states. Columns: shutdown, switch on, enable operation, disable voltage, quick stop, fault reset.
 # "." stays. NR, SD, RS, SO, OE, QS, FR, FT are the states in the order of State.
@@ -39,7 +39,7 @@ def test_every_command_in_every_state_does_what_the_table_says(short: str, colum
 
 
 def test_the_document_has_the_same_table() -> None:
-    document = (Path(__file__).parents[2] / "docs/motor_board.md").read_text()
+    document = (ROOT / "docs/motor_board.md").read_text()
     table = document.split("| from \\ command |")[1].split("\n\n")[0].splitlines()[2:]
     found = {}
     for line in table:

@@ -1,13 +1,11 @@
 """The encoder board's frames against golden bytes, and what noise does to the decoder."""
 
-from pathlib import Path
-
 import pytest
 
 from firmware_iface.encoder import cobs, wire
 from firmware_iface.errors import MisuseError
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 FRAMES = {
     "POLL": wire.Poll(1),
     "STREAM": wire.Stream(2, 2000),

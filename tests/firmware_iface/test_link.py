@@ -50,7 +50,7 @@ def test_bus_off_is_a_lost_link_that_says_where_to_look(ends: tuple[FrameLink, c
 
 
 def test_a_port_that_takes_no_more_bytes_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("firmware_iface.link._WRITE_TIMEOUT_ms", 1)
+    monkeypatch.setattr("firmware_iface.link.WRITE_TIMEOUT_ms", 1)
     master, slave = pty.openpty()
     tty.setraw(master)
     link = open_serial(os.ttyname(slave), 1_000_000)

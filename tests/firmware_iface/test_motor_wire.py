@@ -1,7 +1,6 @@
 """The motor board's frames: struct against the DBC and against golden bytes, both ways, at the boundaries."""
 
 import struct
-from pathlib import Path
 from typing import Any
 
 import cantools
@@ -9,8 +8,8 @@ import pytest
 
 from firmware_iface.motor import wire
 from firmware_iface.motor.wire import Command, Mode, ParameterAnswer, ParameterRequest, Reply, unpack_reply
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 I32 = (-(2**31), -100_000, -1, 0, 1, 2**31 - 1)
 SETPOINTS = {Mode.OFF: "SetpointIgnored", Mode.VOLTAGE: "SetpointVoltage"}
 SETPOINTS |= {Mode.CURRENT: "SetpointCurrent", Mode.POSITION: "SetpointPosition"}

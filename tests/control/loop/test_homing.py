@@ -94,8 +94,8 @@ def home(joint: Joint, how: JointHome = HOME, limit_s: float = 60.0) -> list[Pha
         set_point = following
         if sequence.is_done:
             return phases
-        if sequence._present is not None and sequence._present[1].phase is not phases[-1]:
-            phases.append(sequence._present[1].phase)
+        if sequence.phase is not None and sequence.phase is not phases[-1]:
+            phases.append(sequence.phase)
     pytest.fail("homing does not end")
 
 

@@ -54,7 +54,7 @@ def resting_errors_m(cell: Cell) -> float:
     return max(errors)
 
 
-# Level of the arm without the effect: 0.13 mm at most at these stops (benchmarks.corrections: 0.05 mm RMS).
+# Level of the arm without the effect: 0.13 mm at most at these stops (benchmarks.calibration.corrections: 0.05 mm RMS).
 LEVEL_m = 0.00025
 
 

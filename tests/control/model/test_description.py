@@ -14,8 +14,8 @@ import control
 from control.errors import ArmError, ArmFileError, MissingModel
 from control.model.arm import Calibration, Drive, Effect
 from control.model.description import arm_names, load_arm, parse_arm, save_arm
+from tests.places import ARMS, ROOT
 
-ARMS = Path(__file__).parent / "arms"
 RIGHT = resources.files("control.arms").joinpath("right.toml").read_text(encoding="utf-8")
 FILE = Path("my_arm.toml")
 
@@ -32,7 +32,7 @@ def _edited(old: str, new: str, count: int = 1) -> str:
 
 
 def test_the_package_control_is_ours() -> None:
-    assert Path(control.__file__).parent == Path(__file__).parents[3] / "control"
+    assert Path(control.__file__).parent == ROOT / "control"
 
 
 def test_both_arms_ship_and_differ_only_in_the_mirrored_offset() -> None:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -14,9 +13,10 @@ from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Drive, Link
 from control.model.description import load_arm
 from tests.control.model.mujoco_arm import model_of
+from tests.places import ARMS
 
 RIGHT = load_arm("right")
-PENDULUM = load_arm(Path(__file__).parent / "arms" / "pendulum.toml")
+PENDULUM = load_arm(ARMS / "pendulum.toml")
 SMALL = 1e-8  # MuJoCo's least masses and inertias, and rounding over torques of some 100 N m
 
 
@@ -132,7 +132,7 @@ def test_a_payload_can_differ_from_row_to_row() -> None:
 
 
 def test_missing_masses_are_named_and_only_when_dynamics_is_asked_for() -> None:
-    panda = load_arm(Path(__file__).parent / "arms" / "panda.toml")
+    panda = load_arm(ARMS / "panda.toml")
     with pytest.raises(
         MissingModel, match=r"mass_kg, com_m, inertia_kg_m2 of \[\[link\]\] 1 in .*panda\.toml"
     ):

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +12,8 @@ from control.kinematics.joint_range import JointRange, travel_rad, turned_toward
 from control.kinematics.numeric_inverse import descend
 from control.model.arm import Arm, Link
 from control.model.description import load_arm
+from tests.places import ARMS
 
-ARMS = Path(__file__).parent / "arms"
 BOUNDS = np.array([5e-3, np.radians(2.0), 5e-3, np.radians(2.0)])  # of a calibration, field notes
 FRONT_UP = Branch("front", "up")
 RIGHT = load_arm("right")

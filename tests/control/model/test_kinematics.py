@@ -1,7 +1,6 @@
 """Forward kinematics and its derivatives, against 4x4 chains and differences, for any arm."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +11,9 @@ from control.kinematics import chain
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Convention
 from control.model.description import load_arm
+from tests.places import ARMS
 
 Array = NDArray[np.float64]
-ARMS = Path(__file__).parent / "arms"
 ROUNDING_M = 1e-14  # some ten operations on lengths of a metre
 
 

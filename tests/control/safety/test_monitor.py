@@ -1,13 +1,13 @@
 """The whole table of modes and events, and what the monitor holds beyond it."""
 
 import itertools
-from pathlib import Path
 
 import pytest
 
 from control.safety.fault import Fault, Reaction
 from control.safety.monitor import IllegalTransition, Monitor
 from control.safety.table import TRANSITIONS, Event, Mode, as_markdown, legal_events, next_towards_off
+from tests.places import ROOT
 
 CONTROLLED = Fault(
     "following_error", "joint 2", "0.2 rad behind its set-point", "free the arm", Reaction.CONTROLLED
@@ -52,7 +52,7 @@ def _monitor(mode):
 
 
 def _state(monitor):
-    return monitor.mode, monitor.faults, monitor.reaction, monitor.is_homed, monitor._is_at_rest
+    return monitor.mode, monitor.faults, monitor.reaction, monitor.is_homed, monitor.is_at_rest
 
 
 @pytest.mark.parametrize(
@@ -284,7 +284,7 @@ def test_a_fault_reads_as_place_what_happened_and_remedy():
 
 
 def test_the_document_is_the_table():
-    document = Path(__file__).parents[3] / "docs" / "state_machine.md"
+    document = ROOT / "docs" / "state_machine.md"
     assert document.read_text(encoding="utf-8") == as_markdown()
 
 

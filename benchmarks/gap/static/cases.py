@@ -1,0 +1,177 @@
+"""Static recordings in which an effect is hidden, made without control's kinematics or dynamics: three arms, many designs."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from benchmarks.calibration.chains import REFERENCE, TILTS, ChainModel, angles_for, board_points, deviations
+from benchmarks.gap.static.physics import (
+    Hidden,
+    Poses,
+    Rig,
+    ahead_rad,
+    camera_m,
+    gravity_torques,
+    known_wrong,
+    shifted_m,
+)
+from calib.arrays import Array
+from calib.points.points import Points, make_points
+from control.model.arm import Arm, Camera, Drive, Link
+from control.model.description import load_arm
+
+ARM = load_arm("right")
+NOISE_m, NOISE_A = 0.00014, 0.02
+FRICTION_Nm = np.array([0.9, 0.8, 1.0])  # in the gear, on the motor's side for the most part
+LINK_SHARE = 0.3
+SEEDS_rad = np.array([0.0, -1.0, 0.0])
+PI = np.pi
+Row = tuple[str, str, int, np.ndarray, np.ndarray, float]  # setup, point, repeat, angles, approach, payload
+DESIGNS = {"full": (True, 25, 1), "thin": (True, 25, 4), "level": (False, 0, 1)}
+__all__ = ["ARM", "DESIGNS", "FRICTION_Nm", "NOISE_m", "Design", "Hidden", "case", "designed", "gravity_Nm"]
+
+
+@dataclass(frozen=True)
+class Design:
+    """What was recorded: `free` poses and every `step`-th cavity of `tilts`, in `visits` ((approach, payload) each)."""
+
+    rig: str = "reference"
+    tilts: tuple[str, ...] = ("normal", "roll", "pitch")
+    step: int = 4
+    free: int = 25
+    visits: int = 7
+    noise_m: float = NOISE_m
+    has_currents: bool = True
+    has_directions: bool = True
+    has_payload: bool = True
+    has_time: bool = True
+    is_noise_told: bool = True
+
+
+def _six() -> Arm:
+    """Six joints in modified DH, about the size of a Panda, with masses and drives."""
+    rows = [(0.333, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -PI / 2), (0.316, 0.0, 0.0, PI / 2), (0.0, 0.0, 0.0825, PI / 2),
+            (0.384, 0.0, -0.0825, -PI / 2), (0.1, 0.0, 0.088, PI / 2)]  # fmt: skip
+    masses = (4.0, 3.0, 2.5, 2.0, 1.2, 0.6)
+    centres = (
+        (0.0, 0.02, -0.05), (0.0, -0.05, 0.02), (0.03, 0.02, -0.06),
+        (-0.04, 0.06, 0.02), (0.0, 0.03, -0.1), (0.02, 0.0, -0.02),
+    )  # fmt: skip
+    links = tuple(
+        Link("revolute", *row, mass_kg=m, com_m=c, inertia_kg_m2=(0.01, 0.01, 0.01))
+        for row, m, c in zip(rows, masses, centres, strict=True)
+    )
+    drives = tuple(Drive(j, 100.0, 4096, 0.06, 0.3, 48.0, current_limit_A=20.0) for j in range(1, 7))
+    return Arm("six", links, dh_convention="modified", drives=drives, camera=Camera(NOISE_m))
+
+
+def _planar() -> Arm:
+    """Two joints in a vertical plane: both axes along z, gravity along -y."""
+    links = (
+        Link("revolute", 0.0, 0.0, 0.35, 0.0, 1.5, (-0.17, 0.0, 0.0), (0.01, 0.01, 0.01)),
+        Link("revolute", 0.02, 0.0, 0.3, 0.0, 0.8, (-0.15, 0.0, 0.0), (0.01, 0.01, 0.01)),
+    )
+    drives = tuple(Drive(j, 80.0, 4096, 0.05, 0.3, 24.0, current_limit_A=12.0) for j in (1, 2))
+    return Arm("planar", links, (0.0, -9.81, 0.0), drives=drives, camera=Camera(NOISE_m))
+
+
+RIGS = {
+    "reference": Rig(ARM, REFERENCE, np.array([-1.0, -1.6, -1.0]), np.array([1.0, 0.6, 1.2]), FRICTION_Nm),
+    "six": Rig(
+        _six(),
+        ChainModel((True,) * 6, modified=True),
+        np.array([-1.5, -1.2, -1.2, -2.4, -1.5, 0.3]),
+        np.array([1.5, 1.2, 1.2, -0.4, 1.5, 2.6]),
+        np.array([1.5, 1.5, 1.0, 1.0, 0.5, 0.4]),
+    ),
+    "planar": Rig(
+        _planar(), ChainModel((True, True)), np.array([-1.5, -2.0]), np.array([1.5, 2.0]), np.array([0.6, 0.4])
+    ),
+}  # fmt: skip
+
+
+@cache
+def case(seed: int, hidden: tuple[Hidden, ...] = (), design: str = "thin") -> Points:
+    """Three tilts from four approaches, with and without 0.5 kg, and free poses; `thin` visits every fourth cavity."""
+    has_tilts, free, step = DESIGNS[design]
+    tilts = tuple(TILTS) if has_tilts else ("normal",)
+    return designed(seed, hidden, Design(tilts=tilts, step=step, free=free, visits=7 if has_tilts else 1))[1]
+
+
+def designed(seed: int, hidden: tuple[Hidden, ...], design: Design) -> tuple[Arm, Points]:
+    """The arm as it is known, and what was recorded of the real one."""
+    rng, rig = np.random.default_rng(seed), RIGS[design.rig]
+    true_dh = rig.arm.dh + deviations(rng, len(rig.arm.links))
+    rows: list[Row] = []
+    for setup in design.tilts if rig.arm is ARM else ():
+        q = angles_for(REFERENCE, true_dh, board_points(*TILTS[setup])[:: design.step], SEEDS_rad)
+        rows += _visited(rig, setup, q, design)
+    for part in range(1 if rig.arm is ARM else len(design.tilts)):
+        count = design.free if rig.arm is ARM else design.free // len(design.tilts)
+        free = rng.uniform(rig.lower, rig.upper, (count, len(rig.lower)))
+        rows += _visited(rig, "free" if rig.arm is ARM else f"view{part + 1}", free, design)
+    arm = rig.arm
+    if not design.is_noise_told:
+        arm = dataclasses.replace(arm, camera=None)
+    elif design.noise_m != NOISE_m:
+        arm = dataclasses.replace(arm, camera=Camera(design.noise_m))
+    return arm, _measured(rng, rig, true_dh, rows, hidden, design)
+
+
+def _visited(rig: Rig, setup: str, q: np.ndarray, design: Design) -> list[Row]:
+    """Rows of one setup: visit after visit, all poses each."""
+    up, n = np.ones(len(rig.lower)), len(rig.lower)
+    mixed = np.array([1.0 if j % 2 == 0 else -1.0 for j in range(n)])
+    loaded = [(up, 0.5), (-up, 0.5)] if design.has_payload and setup != "pitch" else []
+    visits = [(up, 0.0), (-up, 0.0), (mixed, 0.0), (-mixed, 0.0), (up, 0.0), *loaded]
+    if setup == "pitch" and design.visits >= 7:
+        visits = visits[:4]
+    return [
+        (setup, f"{setup[0]}{k + 1}", repeat, angles, approach, payload)
+        for repeat, (approach, payload) in enumerate(visits[: design.visits], start=1)
+        for k, angles in enumerate(q)
+    ]
+
+
+def _measured(
+    rng: np.random.Generator,
+    rig: Rig,
+    true_dh: np.ndarray,
+    rows: list[Row],
+    hidden: tuple[Hidden, ...],
+    design: Design,
+) -> Points:
+    m, n = len(rows), len(rig.lower)
+    joint_rad = np.array([row[3] for row in rows]) + rng.normal(0.0, 1e-3, (m, n))
+    last, stated = np.array([row[4] for row in rows]), np.array([row[5] for row in rows])
+    t_s: Array = np.arange(0.0, 8.0 * m, 8.0)
+    loads, masses, constants = known_wrong(rig, hidden)
+    gravity = gravity_torques(rig, rig.arm.dh, joint_rad, stated + loads, masses)
+    held = gravity + rig.friction_Nm * last * rng.uniform(0.7, 1.0, (m, n))
+    transmitted = gravity + LINK_SHARE * (held - gravity)
+    poses = Poses(
+        joint_rad, last, stated + loads, t_s, gravity, transmitted, tuple(row[0] for row in rows), rng
+    )
+    encoder = joint_rad - sum(ahead_rad(one, poses, rig) for one in hidden)
+    tip = rig.chain.tips(true_dh, joint_rad)
+    tip = tip + sum(shifted_m(one, poses, rig, true_dh, tip) for one in hidden)
+    tip = tip + rng.normal(0.0, design.noise_m, tip.shape)
+    for one in hidden:
+        tip = camera_m(one, poses, tip)
+    per_A = np.array([d.gear_ratio * d.torque_constant_Nm_A for d in rig.arm.drives]) * constants
+    current = held / per_A + rng.normal(0.0, NOISE_A, held.shape)
+    return make_points(
+        poses.setup, [row[1] for row in rows], [row[2] for row in rows], encoder, tip,
+        last if design.has_directions else None, current if design.has_currents else None,
+        t_s if design.has_time else None, stated if design.has_payload else None,
+    )  # fmt: skip
+
+
+def gravity_Nm(q: np.ndarray, payload_kg: float) -> np.ndarray:
+    """Holding torques (3,) of one pose of the reference arm."""
+    rig = RIGS["reference"]
+    return np.asarray(gravity_torques(rig, ARM.dh, q[None], np.array([payload_kg]), {})[0])

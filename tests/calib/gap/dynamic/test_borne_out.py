@@ -1,0 +1,48 @@
+"""Names that the held-out runs contradict are taken back, and said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.gap.dynamic.find import DynamicOutcome, examine
+from calib.gap.finding import EffectName
+from calib.gap.log import Log, Run
+from tests.calib.gap.dynamic.prescribed import arm_with_friction, log_of
+
+ARM = arm_with_friction()
+LOAD_2 = EffectName("load_friction", 2)
+
+
+def link_friction(joint: int, q: Array, speed: Array, link: Array) -> Array:
+    return 0.2 * np.abs(link) * np.sign(speed) if joint == 1 else np.zeros_like(q)
+
+
+def with_reported(change: float) -> DynamicOutcome:
+    """Load friction in all runs; in those that only report, `change` times as much."""
+    plain, rubbed = log_of(ARM), log_of(ARM, link_friction)
+    reported = examine(ARM, plain, candidates=("load_friction",)).split.report_runs
+
+    def mixed(run: Run, other: Run) -> Run:
+        share = change if run.name in reported else 1.0
+        current = run.current_A + share * (other.current_A - run.current_A)
+        voltage = run.voltage_V + share * (other.voltage_V - run.voltage_V)
+        return replace(run, current_A=current, voltage_V=voltage)
+
+    runs = tuple(mixed(run, other) for run, other in zip(plain.runs, rubbed.runs, strict=True))
+    return examine(ARM, Log(runs), candidates=("load_friction", "coulomb_friction"))
+
+
+def test_a_name_that_the_runs_kept_apart_contradict_is_unknown_with_a_sentence() -> None:
+    outcome = with_reported(-1.0)
+    assert outcome.finding.effects == ()
+    assert outcome.finding.unknown is not None
+    assert outcome.finding.gap_after == outcome.finding.gap_before
+    assert outcome.finding.unknown.nearest == LOAD_2
+    assert any("not those held out" in text for text in outcome.warnings)
+
+
+def test_a_name_that_they_bear_out_stays() -> None:
+    assert [effect.name for effect in with_reported(1.0).finding.effects] == [LOAD_2]

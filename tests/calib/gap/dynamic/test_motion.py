@@ -1,0 +1,83 @@
+"""The model run forward from voltages: what its motion must be without looking at any measurement."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.gap.finding import EffectName
+from calib.gap.log import Log
+from calib.gap.signals.forms import known_terms
+from calib.gap.signals.forward import Forward, State
+from calib.gap.signals.motion import CLOSED, OPEN, motion_gaps
+from calib.gap.signals.physics import Physics
+from calib.gap.signals.recording import prepare
+from calib.gap.signals.terms import Term
+from control.dynamics.dynamics import Dynamics
+from tests.calib.gap.dynamic.prescribed import arm_with_friction, log_of
+
+ARM = arm_with_friction()
+LOG = log_of(ARM)
+PHYSICS = Physics(ARM, prepare(ARM, LOG))
+POSE = np.array([[0.3, -0.7, 0.4]])
+
+
+def resting() -> State:
+    still = np.zeros((1, 3))
+    current = Dynamics(ARM).torques(POSE, still, still) / PHYSICS.torque_per_A
+    return State(POSE.copy(), still, still.copy(), POSE.copy(), still.copy(), current, np.zeros(1))
+
+
+def run(model: list[Term], samples: int, push_V: float = 0.0) -> State:
+    state = resting()
+    held = state.current_A * PHYSICS.resistance_ohm + push_V
+    forward = Forward(PHYSICS, model, np.zeros(1))
+    for _ in range(samples):
+        forward.advance(state, held, held, np.zeros((1, 3), dtype=bool))
+    return state
+
+
+def gear(effect: str, *values: float) -> list[Term]:
+    return [Term(EffectName(effect, 2), effect, values)]
+
+
+def test_voltages_that_hold_the_arm_keep_it_where_it_is() -> None:
+    state = run([], 100)
+    np.testing.assert_allclose(state.q, POSE, atol=1e-6)
+
+
+def test_a_spring_hangs_through_by_gravity_over_its_stiffness() -> None:
+    state = run(gear("joint_compliance", 1 / 400.0, 8.0, 0.0), 600)
+    gravity = Dynamics(ARM).torques(state.q, 0 * POSE, 0 * POSE)[0, 1]
+    assert state.q[0, 1] - state.motor[0, 1] == pytest.approx(-gravity / 400.0, rel=0.02)
+
+
+def test_a_loose_link_lies_on_the_flank_that_gravity_presses_it_to() -> None:
+    state = run(gear("backlash", 0.01, 0.0), 600)
+    gravity = Dynamics(ARM).torques(state.q, 0 * POSE, 0 * POSE)[0, 1]
+    assert state.q[0, 1] - state.motor[0, 1] == pytest.approx(-0.005 * np.sign(gravity), rel=0.1)
+
+
+@pytest.mark.parametrize("model", [gear("joint_compliance", 1e-7, 1.0, 0.0), gear("backlash", 0.0, 0.0)])
+def test_a_gear_without_play_that_hardly_gives_moves_as_a_rigid_one(model: list[Term]) -> None:
+    rigid, other = run([], 60, push_V=1.5), run(model, 60, push_V=1.5)
+    assert np.abs(rigid.q - POSE).max() > 0.01
+    np.testing.assert_allclose(other.q, rigid.q, atol=5e-4)
+
+
+def test_without_voltages_there_is_no_motion_to_compare() -> None:
+    runs = tuple(replace(one, voltage_V=np.full_like(one.voltage_V, np.nan)) for one in LOG.runs)
+    physics = Physics(ARM, prepare(ARM, Log(runs)))
+    assert not motion_gaps(physics, (), (), ("2", "7"))
+
+
+def test_where_a_driver_is_off_only_windows_are_compared() -> None:
+    voltage = LOG.runs[1].voltage_V.copy()
+    voltage[900:1000] = np.nan
+    runs = (LOG.runs[0], replace(LOG.runs[1], voltage_V=voltage), *LOG.runs[2:])
+    physics = Physics(ARM, prepare(ARM, Log(runs)))
+    known = known_terms(ARM)
+    assert set(motion_gaps(physics, known, known, ("2", "7"))) == {OPEN}
+    assert set(motion_gaps(physics, known, known, ("7",))) == {OPEN, CLOSED}

@@ -1,0 +1,124 @@
+"""Two models on recorded poses: tips measured by a camera, or seated in a board that stood nobody knows where."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.calibration.chains import board_session
+from calib.errors import CalibrationError
+from calib.points.points import Points, make_points
+from calib.validation.verify_recorded import LEAST_POSES, compare_arms
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm, Effect, Table, Tool
+from control.model.description import load_arm
+from tests.places import ARMS
+
+RIGHT = load_arm("right")
+PANDA = load_arm(ARMS / "panda.toml")
+
+
+def seen_session() -> tuple[Arm, Points]:
+    """The true arm, and the rolled board's cavities seen by a camera without noise."""
+    true, q, tips, setups = board_session(np.random.default_rng(4), ("roll",), noise_m=0.0)
+    return RIGHT.with_dh(true), make_points(setups, [str(k) for k in range(33)], [1] * 33, q, tips)
+
+
+def test_predictions_are_compared_where_the_tip_was_seen() -> None:
+    true, points = seen_session()
+    tips = points.tip_m.copy()
+    tips[3] = np.nan  # point "3" is a cavity, too, but one pose places no board
+    found = compare_arms(RIGHT, true, replace(points, tip_m=tips))
+    assert len(found.point) == 32
+    assert "3" not in found.point
+    assert found.of("roll").before.mean_m > 0.005
+    assert found.of("roll").after.max_m < 1e-9
+
+
+def test_tips_are_taken_in_the_frame_that_the_arm_says() -> None:
+    true, points = seen_session()
+    frame = Effect("base_frame", None, {"x_m": 0.1, "y_m": -0.2, "rz_rad": 0.5})
+    c, s = np.cos(0.5), np.sin(0.5)
+    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    in_camera = (points.tip_m - [0.1, -0.2, 0.0]) @ rotation
+    found = compare_arms(RIGHT, replace(true, effects=(frame,)), replace(points, tip_m=in_camera))
+    assert found.of("roll").after.max_m < 1e-9
+    assert found.of("roll").before.mean_m > 0.05  # as wrong as the frame is far
+
+
+def test_static_effects_of_a_model_are_part_of_its_prediction() -> None:
+    """An encoder that says too little by 1 %: the model that has it agrees, the one that has not is off by millimetres."""
+    true, points = seen_session()
+    said_too_little = replace(points, q_rad=points.q_rad / [1.0, 1.01, 1.0])
+    scaled = replace(true, effects=(Effect("encoder_scale", 2, {"scale": 0.01}),))
+    found = compare_arms(true, scaled, said_too_little)
+    assert found.of("roll").after.max_m < 1e-9
+    assert found.of("roll").before.mean_m > 0.003
+
+
+def seated(arm: Arm, setups: int, poses: int) -> Points:
+    """A tip seated in two sockets of a board that stands elsewhere in each setup, in several poses; no camera."""
+    rng = np.random.default_rng(9)
+    sockets = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0]])
+    names, places = [], []
+    for setup in range(setups):
+        turn = rng.uniform(-0.5, 0.5)
+        c, s = np.cos(turn), np.sin(turn)
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        board = sockets @ rotation.T + rng.uniform([0.4, -0.2, 0.1], [0.6, 0.2, 0.4])
+        names += [(f"s{setup}", f"hole_{k % 2}") for k in range(poses)]
+        places += [board[k % 2] for k in range(poses)]
+    m = len(names)
+    seeds = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.5]) + rng.uniform(-0.4, 0.4, (m, 7))
+    q = reaching(arm, np.array(places), seeds)
+    unseen = np.full((m, 3), np.nan)
+    return make_points([a for a, _ in names], [b for _, b in names], list(range(m)), q, unseen)
+
+
+def reaching(arm: Arm, tips: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Joint angles (m, n) near q that take the tips there, by Newton."""
+    kinematics = Kinematics(arm)
+    for _ in range(30):
+        step = np.einsum("mnk,mk->mn", np.linalg.pinv(kinematics.jacobians(q)), tips - kinematics.tips(q))
+        q = q + step * np.minimum(1.0, 0.4 / np.maximum(1e-12, np.abs(step).max(axis=1, keepdims=True)))
+    return q
+
+
+def test_a_board_nobody_measured_tells_models_apart_by_their_consistency() -> None:
+    """The real Panda's case: the true model agrees with itself, the nominal one does not; poses of a socket are no repeats."""
+    rows = np.random.default_rng(3).uniform(-1, 1, PANDA.dh.shape) * [0.002, 0.01, 0.002, 0.01]
+    true = replace(PANDA.with_dh(PANDA.dh + rows), tool=Tool((0.02, 0.0, 0.12)))
+    points = seated(true, 2, 8)
+    found = compare_arms(replace(PANDA, tool=true.tool), true, points)
+    assert len(found.point) == 16
+    assert "hole_0, pose 4" in found.point
+    assert found.of("all").after.max_m < 1e-8
+    assert found.of("all").before.mean_m > 0.001
+    assert np.isnan(found.after_half_width_m).all()
+
+
+def test_too_few_poses_place_no_board() -> None:
+    points = seated(replace(PANDA, tool=Tool((0.02, 0.0, 0.12))), 1, LEAST_POSES - 1)
+    with pytest.raises(CalibrationError, match="no pose has a tip to compare with"):
+        compare_arms(PANDA, PANDA, points)
+    with pytest.raises(CalibrationError, match="no pose has a tip to compare with"):
+        compare_arms(replace(PANDA, table=None), PANDA, seated(PANDA, 1, 6))
+
+
+def test_rows_of_one_name_and_pose_are_repeats() -> None:
+    true, points = seen_session()
+    twice = points.chosen([0, 0, 1, 1])
+    scatter = np.outer([1e-4, -1e-4, 0.0, 0.0], [1.0, 0.0, 0.0])
+    shaken = replace(twice, tip_m=twice.tip_m + scatter)
+    found = compare_arms(RIGHT, true, shaken)
+    assert found.point == ("0", "1")
+    assert found.before_half_width_m[0] > 0.0
+
+
+def test_a_table_without_cavities_of_these_names_is_no_reference() -> None:
+    arm = replace(RIGHT, table=Table(cavities_m={"a": (0.0, 0.0, 0.0)}, known_pose=False))
+    _, points = seen_session()
+    with pytest.raises(CalibrationError, match="named cavities"):
+        compare_arms(arm, arm, replace(points, tip_m=np.full((33, 3), np.nan)))

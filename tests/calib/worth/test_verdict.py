@@ -1,0 +1,136 @@
+"""Is my result good? Each answer is given where it is due, with a reason and a next step."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from calib.identify import LeastSquares, identify, problem_of
+from calib.identify.suspects import find_suspects
+from calib.points.points import make_points
+from calib.validation.holdout import Fold, HeldOut, held_out
+from calib.validation.verdict import NoiseFloor, noise_floor, verdict
+from tests.calib.simulated import RIGHT, NOISE_m, board_points, true_dh, with_rows
+
+FLOOR = NoiseFloor(NOISE_m, "the camera's noise in the arm's file")
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a verdict reads of an identification."""
+
+    error_after_m: np.ndarray
+    rank: int = 10
+    condition_number: float = 20.0
+    estimates: tuple = ()
+
+    @property
+    def rms_after_m(self) -> float:
+        return float(np.sqrt(np.mean(np.sum(self.error_after_m**2, axis=1))))
+
+    @property
+    def mean_after_m(self) -> float:
+        return float(np.mean(np.linalg.norm(self.error_after_m, axis=1)))
+
+    @property
+    def noise_m(self) -> float:
+        return float(np.sqrt(np.sum(self.error_after_m**2) / (self.error_after_m.size - self.rank)))
+
+
+def fitted(m: int = 99, noise_m: float = NOISE_m, **more) -> Fitted:
+    return Fitted(noise_m * np.random.default_rng(0).normal(size=(m, 3)), **more)
+
+
+def left_out(before_m: float, after_m: float, name: str = 'setup "roll"', m: int = 33) -> HeldOut:
+    spread = np.linspace(0.5, 1.5, m)
+    return HeldOut("setup", (Fold(name, tuple(range(m)), "error", before_m * spread, after_m * spread),))
+
+
+@pytest.mark.parametrize(
+    ("found", "held", "floor", "grade"),
+    [
+        (fitted(), left_out(0.02, 0.00025), FLOOR, "good"),
+        (fitted(), left_out(0.02, 0.00025), None, "noise not known"),
+        (fitted(noise_m=0.0008), left_out(0.02, 0.0015), FLOOR, "not at the floor"),
+        (fitted(), left_out(0.02, 0.0015), FLOOR, "over-fitted"),
+        (fitted(), left_out(0.002, 0.0021), FLOOR, "worse"),
+        (fitted(m=8), left_out(0.02, 0.0003), FLOOR, "too few points"),
+        (fitted(), None, FLOOR, "too few points"),
+    ],
+)
+def test_each_case_gets_its_grade(found, held, floor, grade) -> None:
+    said = verdict(found, held, floor)
+    assert said.grade == grade
+    assert said.is_good == (grade == "good")
+    assert all(sentence.endswith(".") for sentence in said.in_words())
+
+
+def test_an_effect_that_is_missing_sends_to_the_gap_and_names_the_ratio() -> None:
+    said = verdict(fitted(noise_m=0.0008), left_out(0.02, 0.0015), FLOOR)
+    assert any("armwright gap" in step for step in said.next_steps)
+    assert any("6.71 times that" in sentence for sentence in said.sentences)
+
+
+def test_the_paper_stands_beside_the_setup_of_the_same_name() -> None:
+    said = " ".join(verdict(fitted(), left_out(0.02, 0.00025), FLOOR).sentences)
+    assert "roll 98.8 % (paper 28.9 %)" in said
+    said = " ".join(verdict(fitted(), left_out(0.02, 0.00025, "part 1 of 5"), FLOOR).sentences)
+    assert "38.8 % (normal), 28.9 % (roll), 17.3 % (pitch); here 98.8 %" in said
+
+
+def test_a_weak_design_asks_for_free_poses_and_one_board_for_tilts() -> None:
+    said = verdict(fitted(condition_number=950.0), left_out(0.02, 0.00025), FLOOR, setups=["normal"] * 99)
+    assert any("more tilts of the board and a dozen poses away" in step for step in said.next_steps)
+    assert any('around the setup "normal" alone' in sentence for sentence in said.sentences)
+    assert verdict(fitted(), left_out(0.02, 0.00025), FLOOR, setups=["a", "b"]).next_steps == ()
+
+
+def test_a_real_session_from_end_to_end_is_good_and_with_play_it_is_not() -> None:
+    rng = np.random.default_rng(1)
+    points = board_points(rng, true_dh(rng))
+    assert graded(points) == "good"
+    q = np.array(points.q_rad) + 0.004 * np.sign(rng.normal(size=(99, 3)))  # either flank of play
+    assert graded(with_rows(points, q_rad=q)) == "not at the floor"
+
+
+def graded(points) -> str:
+    problem = problem_of(RIGHT, points)
+    found = identify(problem, objective=LeastSquares(), starts_count=1)
+    held = held_out(lambda some: problem_of(RIGHT, some), points, objective=LeastSquares())
+    floor = noise_floor(RIGHT, points, problem, found.x)
+    return verdict(found, held, floor, find_suspects(problem, found.x), points.setup).grade
+
+
+def repeated(points, direction, extra_q) -> "np.ndarray":
+    """Three times the first ten points, other directions and angles the second time."""
+    rows = [*range(10)] * 3
+    rng = np.random.default_rng(5)
+    q = points.q_rad[rows] + np.repeat([0.0, extra_q, 0.0], 10)[:, None]
+    tips = np.asarray(points.tip_m)[rows] + rng.normal(0, NOISE_m, (30, 3))
+    names = [points.point[k] for k in rows]
+    return make_points(["normal"] * 30, names, np.repeat([1, 2, 3], 10), q, tips, direction=direction)
+
+
+def test_the_noise_floor_is_the_scatter_of_repeats_or_the_camera_s() -> None:
+    rng = np.random.default_rng(2)
+    exact = board_points(rng, true_dh(rng), noise_m=0.0)
+    problem = problem_of(RIGHT, exact)
+    blind = dataclasses.replace(RIGHT, camera=None)
+    assert noise_floor(blind, exact, problem, np.zeros(16)) is None
+    assert noise_floor(RIGHT, exact, problem, np.zeros(16)).axis_m == RIGHT.camera.position_noise_m
+    same = repeated(exact, None, 0.0)
+    floor = noise_floor(blind, same, problem_of(RIGHT, same), np.zeros(16))
+    assert floor.axis_m == pytest.approx(NOISE_m, rel=0.3)  # 60 degrees of freedom: 9 %
+    assert "repeats (60" in floor.source
+
+
+def test_approaches_from_two_sides_are_no_repeats() -> None:
+    rng = np.random.default_rng(3)
+    exact = board_points(rng, true_dh(rng), noise_m=0.0)
+    sides = np.repeat([[1, 1, 1], [-1, -1, -1], [1, 1, 1]], 10, axis=0).astype(float)
+    points = repeated(exact, sides, 0.005)  # play shows as another angle in the same cavity
+    floor = noise_floor(
+        dataclasses.replace(RIGHT, camera=None), points, problem_of(RIGHT, points), np.zeros(16)
+    )
+    assert floor.axis_m == pytest.approx(NOISE_m, rel=0.4)

@@ -1,0 +1,198 @@
+"""`armwright serve` as a process of its own, against the mock boards in real time: signals, killed processes, lost rows."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from control.model.arm import Arm
+from control.model.description import save_arm
+from control.recording.record import Recording
+from control.safety.table import Mode
+from control.server.client import ArmClient, RuntimeGone, SocketChannel
+from hil_mocks.realtime import RealTimeRig
+from procedures.mock.arm import wired_to
+from tests.cell import RIGHT
+
+pytestmark = pytest.mark.realtime
+LIMIT_s = 90.0  # of anything here; a busy machine is slow, a broken program never ends
+SCENARIO = """
+[start]
+homed = true
+[plant]
+timestep_s = 0.001
+[[effect]]
+effect = "coulomb_friction"
+joint = 1
+parameters = { torque_Nm = 1.0 }
+[[effect]]
+effect = "coulomb_friction"
+joint = 2
+parameters = { torque_Nm = 2.5 }
+[[effect]]
+effect = "coulomb_friction"
+joint = 3
+parameters = { torque_Nm = 1.5 }
+"""
+
+
+@dataclass
+class Served:
+    """A mock arm and a runtime in processes of their own, and a client."""
+
+    rig: RealTimeRig
+    process: subprocess.Popen[str]
+    client: ArmClient
+    recording: Path
+
+    def until(self, is_so: Callable[[], bool]) -> None:
+        end_s = time.monotonic() + LIMIT_s
+        while not is_so():
+            assert time.monotonic() < end_s, "not so within the limit"
+            time.sleep(0.05)
+
+    def begin_to_move(self) -> None:
+        """Start a slow move that outlives its client, and wait until it moves."""
+        self.client.enable()
+        self.client.home()
+        self.client.ask("move_joints", q_rad=[1.0, 0.15, 0.75], speed=0.1, detached=True)
+        begun = self.rig.joint_rad()[0]
+        self.until(lambda: abs(self.rig.joint_rad()[0] - begun) > 0.02)
+
+    def is_still(self) -> bool:
+        """Whether no joint turns within 0.2 s of the mock arm's own time."""
+        before, after_s = self.rig.joint_rad(), self.rig.status()["time_s"] + 0.2
+        self.until(lambda: self.rig.status()["time_s"] >= after_s)
+        return max(abs(a - b) for a, b in zip(before, self.rig.joint_rad(), strict=True)) < 2e-3
+
+
+def patient(arm: Arm) -> Arm:
+    """Limits that a machine which pauses for a fraction of a second does not reach."""
+    return replace(arm, limits=replace(arm.limits, watchdog_s=1.0, stale_s=0.5, following_error_rad=0.2))
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[Served]:
+    scenario = tmp_path / "scenario.toml"
+    scenario.write_text(SCENARIO)
+    with RealTimeRig("right", scenario) as rig:
+        save_arm(patient(wired_to(RIGHT, rig)), tmp_path / "arm.toml")
+        path = tmp_path / "arm.sock"
+        process = started(
+            [sys.executable, "-m", "console.main", "serve", "--arm", str(tmp_path / "arm.toml"), "--socket", str(path),
+             "--log", str(tmp_path / "log"), "--rate", "250"],
+            path,
+        )  # fmt: skip
+        try:
+            client = ArmClient(SocketChannel(path, LIMIT_s))
+            yield Served(rig, process, client, Path(client.status()["recording"]))
+            client.close()
+        finally:
+            process.kill()
+            process.communicate()
+
+
+def started(command: list[str], path: Path) -> subprocess.Popen[str]:
+    """The runtime, serving; again when the machine paused for so long that a mock board could not answer in time."""
+    said = []
+    for _ in range(4):
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+        end_s = time.monotonic() + LIMIT_s
+        while time.monotonic() < end_s and process.poll() is None:
+            if path.is_socket():
+                return process
+            time.sleep(0.05)
+        process.kill()
+        said.append(process.communicate())
+    pytest.fail(f"no runtime: {said}")
+
+
+def rows_of(recording: Path) -> list[dict[str, float]]:
+    opened = Recording.open(recording)
+    return [dict(zip(opened.layout.names, row, strict=True)) for row in opened.rows()]
+
+
+def test_ctrl_c_while_moving_stops_lowers_and_ends_with_status_0(served: Served) -> None:
+    served.begin_to_move()
+    os.killpg(served.process.pid, signal.SIGINT)  # as a terminal does: the writer hears it too
+    out, error = served.process.communicate(timeout=LIMIT_s)
+    assert (served.process.returncode, error) == (0, "")
+    assert "serving arm 'right'" in out
+    assert served.is_still()
+    modes = [Mode(list(Mode)[int(row["mode"])]) for row in rows_of(served.recording)]
+    passed = [mode for k, mode in enumerate(modes) if k == 0 or modes[k - 1] is not mode]
+    assert passed[-5:] == [Mode.MOVING, Mode.STOPPING, Mode.HOLDING, Mode.BRAKED, Mode.OFF]
+    last = rows_of(served.recording)[-1]
+    assert {int(last[f"statusword{j}"]) & 0x6F for j in (1, 2, 3)} == {0x40}  # SWITCH ON DISABLED
+    with pytest.raises(RuntimeGone):
+        served.client.status()
+
+
+def test_a_loop_that_is_killed_leaves_an_arm_that_its_boards_brake_and_a_recording_up_to_then(
+    served: Served,
+) -> None:
+    served.begin_to_move()
+    asked = served.client.status()
+    served.process.kill()
+    served.process.wait(LIMIT_s)
+    served.until(served.is_still)
+    assert abs(served.rig.joint_rad()[0]) < 0.95  # it did not arrive
+    served.until(lambda: rows_of(served.recording)[-1]["t_s"] >= asked["t_s"])
+    rows = rows_of(served.recording)
+    assert [row["cycle"] for row in rows] == list(
+        range(int(rows[0]["cycle"]), int(rows[0]["cycle"]) + len(rows))
+    )
+
+
+def test_without_its_writer_the_loop_goes_on_and_says_that_rows_are_lost(served: Served) -> None:
+    served.begin_to_move()
+    children = Path(f"/proc/{served.process.pid}/task/{served.process.pid}/children").read_text().split()
+    (writer,) = (
+        child
+        for child in children
+        if b"control.recording.writer" in Path(f"/proc/{child}/cmdline").read_bytes()
+    )
+    os.kill(int(writer), signal.SIGKILL)
+    served.until(lambda: served.client.status()["lost_rows"] > 10)
+    status = served.client.status()
+    assert status["mode"] in ("MOVING", "HOLDING")
+    assert any("not recorded" in warning for warning in status["warnings"])
+    served.client.off(quit_runtime=True)
+    assert served.process.wait(LIMIT_s) == 0
+
+
+def test_a_second_serve_of_the_same_arm_is_refused_and_the_first_one_does_not_notice(
+    served: Served, tmp_path: Path
+) -> None:
+    served.client.enable()
+    arguments = [
+        "serve",
+        "--arm",
+        str(tmp_path / "arm.toml"),
+        "--socket",
+        str(tmp_path / "arm.sock"),
+        "--log",
+        str(tmp_path / "two"),
+    ]
+    second = subprocess.run(
+        [sys.executable, "-m", "console.main", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=LIMIT_s,
+    )
+    assert second.returncode == 2
+    assert second.stderr.startswith("armwright: a runtime already serves at")
+    assert second.stderr.count("\n") == 1
+    assert not (tmp_path / "two").exists()
+    assert served.client.status()["mode"] == "HOLDING"

@@ -1,0 +1,251 @@
+"""The doctor: what is wrong is named, each of several faults at once, in words and with a remedy; and nothing is energised."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from console.main import main
+from control.model.arm import Arm
+from firmware_iface.clock import MonotonicClock
+from firmware_iface.motor.cia402 import State
+from hil_mocks.rig import SteppedRig
+from hil_mocks.scenario import FaultTable, Scenario
+from procedures.doctor import host
+from procedures.doctor.boards import Boards, open_boards
+from procedures.doctor.finding import Finding, Level, as_text, graded, percentile, verdict, worst
+from procedures.doctor.host import judge_lateness, lateness, look_at_disk
+from procedures.doctor.judging import clock_drift, judge
+from procedures.doctor.sampling import sample
+from tests.cell import RIGHT, scenario, wired_to, with_drive
+
+QUICK_S = 0.2
+
+
+@contextmanager
+def open_rig(*faults: FaultTable, believed: Arm = RIGHT, **changes: Any) -> Iterator[tuple[SteppedRig, Arm]]:
+    with SteppedRig(RIGHT, scenario(None, homed=False, base="demo", fault=faults, **changes)) as rig:
+        yield rig, wired_to(believed, rig)
+
+
+def examined(rig: SteppedRig, arm: Arm, duration_s: float = QUICK_S) -> list[Finding]:
+    boards = open_boards(arm, rig.clock)
+    try:
+        return boards.findings + list(judge(sample(boards, rig.clock, 0.002, duration_s), arm))
+    finally:
+        boards.close()
+
+
+def found_on(*faults: FaultTable, believed: Arm = RIGHT) -> list[str]:
+    """`level what: measured -> remedy` of everything that is not well."""
+    with open_rig(*faults, believed=believed) as (rig, arm):
+        findings = examined(rig, arm)
+    return [
+        f"{f.level.name} {f.what}: {f.measured} -> {f.remedy}" for f in findings if f.level is not Level.OK
+    ]
+
+
+def test_a_good_arm_is_well_and_every_quantity_was_looked_at() -> None:
+    with open_rig() as (rig, arm):
+        findings = examined(rig, arm)
+    assert worst(findings) is Level.OK, as_text(findings)
+    looked_at = " ".join(finding.what for finding in findings)
+    for quantity in (
+        "report rate", "frames lost", "clock", "jitter", "load of its line", "replies", "latency", "CAN bus load",
+        "encoder", "current", "supply", "power stage",
+    ):  # fmt: skip
+        assert quantity in looked_at
+
+
+def test_nothing_is_energised_and_no_board_leaves_switch_on_disabled() -> None:
+    with open_rig() as (rig, arm):
+        before = rig.joint_rad()
+        seen: set[State] = set()
+        boards = open_boards(arm, rig.clock)
+        sample(boards, rig.clock, 0.002, 0.1)
+        seen = {motor.state for motor in boards.motors.values() if motor.state}
+        boards.close()
+        assert seen == {State.SWITCH_ON_DISABLED}
+        assert rig.joint_rad() == pytest.approx(before, abs=1e-3)  # it settles in its play
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (FaultTable("silent", "encoder"), "no answer to Identify"),
+        (FaultTable("silent", "motor2"), "joint 2 (node 2): does not answer -> check its supply"),
+        (FaultTable("drop_frames", "encoder", probability=0.1), "frames lost or broken"),
+        (FaultTable("corrupt_frames", "encoder", probability=0.1), "with a bad CRC"),
+        (FaultTable("drop_frames", "motor1", probability=0.2, at_s=0.5), "joint 1: replies"),
+        (FaultTable("delay_frames", "motor1", value=0.006, at_s=0.5), "latency of replies"),
+        (FaultTable("lost_wire", "encoder", channel=1), "joint 2: encoder: its signal is lost"),
+        (FaultTable("supply", "motor3", value=15.0), "joint 3: supply: 15.0"),
+        (FaultTable("over_temperature", "motor1"), "joint 1: drive: reports a fault: over-temperature"),
+        (FaultTable("wrong_counts", "encoder", channel=2, value=4096.0), "joint 3, counts a motor turn: 4096"),
+        (FaultTable("wrong_protocol", "encoder", value=7.0), "speaks protocol version 7, expected 1"),
+        (FaultTable("wrong_protocol", "motor1", value=7.0), "speaks protocol version 7, expected 1"),
+        (FaultTable("quadrature_error", "encoder", channel=0, at_s=0.5), "illegal transition"),
+    ],
+)  # fmt: skip
+def test_each_fault_is_named(fault: FaultTable, words: str) -> None:
+    # Listening begins at about 0.25 s of the mock's time; faults "at 0.5 s" come once the boards have been met.
+    with open_rig(fault) as (rig, arm):
+        findings = examined(rig, arm, 1.0 if fault.at_s else QUICK_S)
+    said = [f"{f.what}: {f.measured} -> {f.remedy}" for f in findings if f.level is not Level.OK]
+    assert any(words in line for line in said), said
+    assert all(f.remedy for f in findings if f.level is not Level.OK)
+
+
+def test_two_faults_at_once_are_both_named() -> None:
+    said = found_on(FaultTable("silent", "motor2"), FaultTable("lost_wire", "encoder", channel=0))
+    assert any("joint 2 (node 2): does not answer" in line for line in said)
+    assert any("joint 1: encoder: its signal is lost" in line for line in said)
+    assert len(said) == 2
+
+
+def test_a_board_under_another_node_is_offered_for_the_one_that_is_missing() -> None:
+    said = found_on(believed=with_drive(RIGHT, 2, motor_node=9))
+    assert any("joint 2 (node 9)" in line and "node 2 answers and has no joint" in line for line in said)
+    assert any(line.startswith("WARN node 2:") for line in said)
+
+
+def test_a_joint_that_moves_is_not_judged_for_noise_and_its_current_not_at_all() -> None:
+    with SteppedRig(RIGHT, Scenario()) as rig:  # no friction: the arm sinks on its shorted windings
+        findings = examined(rig, wired_to(RIGHT, rig), 0.5)
+    moved = [f for f in findings if "moved" in f.measured]
+    assert [f.level for f in moved] == [Level.WARN, Level.WARN]
+    assert not any(f.what == "joint 3: current with the drive off" for f in findings)
+
+
+def test_a_bus_that_somebody_else_commands_is_only_listened_to() -> None:
+    with open_rig() as (rig, arm):
+        first, second = open_boards(arm, rig.clock), Boards()
+        try:
+            sending = first.motors[1]
+            original = rig.clock.wait_until_s
+
+            def wait_until_s(t: float) -> None:
+                if not second.motors:
+                    sending.command_off()
+                original(t)
+
+            rig.clock.wait_until_s = wait_until_s  # type: ignore[method-assign]
+            second = open_boards(replace(arm, encoder_boards=()), rig.clock)
+            rig.clock.wait_until_s = original  # type: ignore[method-assign]
+            assert not second.may_command
+            commands = sample(second, rig.clock, 0.002, 0.05).motors
+            assert all(motor.commands == 0 for motor in commands.values())
+            assert any("somebody else commands node 1" in f.measured for f in second.findings)
+        finally:
+            first.close()
+            second.close()
+
+
+def test_an_arm_without_boards_says_what_to_add() -> None:
+    bare = replace(RIGHT, encoder_boards=(), can=None)
+    said = [f.remedy for f in open_boards(bare, MonotonicClock()).findings]
+    assert said == [
+        "add [[encoder_board]], or give --encoder",
+        "add [can], or give --can-interface and --can-channel",
+    ]
+
+
+def test_drift_and_jitter_come_out_of_arrivals() -> None:
+    latched = [0.001 * k for k in range(1000)]
+    arrived = [t / (1.0 + 300e-6) + 5.0 + (0.004 if k % 50 == 7 else 0.0) for k, t in enumerate(latched)]
+    drift_ppm, sd_ppm, late_s = clock_drift(latched, arrived)
+    assert drift_ppm == pytest.approx(300.0, abs=3.0 * sd_ppm)
+    assert percentile(late_s, 0.99) == pytest.approx(0.004, abs=2e-4)
+    assert percentile(late_s, 0.9) < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("value", "level"),
+    [
+        (1.0, Level.OK),
+        (1.0001, Level.WARN),
+        (2.0, Level.WARN),
+        (2.0001, Level.BAD),
+        (float("nan"), Level.BAD),
+    ],
+)
+def test_limits_are_inclusive_and_a_nan_is_bad(value: float, level: Level) -> None:
+    finding = graded("host", "x", value, (1.0, 2.0), ("m", "e", "r"))
+    assert finding.level is level
+    assert finding.remedy == ("" if level is Level.OK else "r")
+
+
+def test_a_host_that_pauses_is_told_apart_from_one_that_is_always_late() -> None:
+    pausing = judge_lateness([0.0001] * 999 + [0.15], 0.002, 0.2)
+    assert [f.level for f in pausing] == [Level.OK, Level.WARN]
+    late = judge_lateness([0.003] * 1000, 0.002, 0.2)
+    assert [f.level for f in late] == [Level.WARN, Level.OK]
+
+
+def test_lateness_is_counted_from_deadlines_of_a_clock() -> None:
+    class Late:
+        t = 0.0
+
+        def now_s(self) -> float:
+            return self.t
+
+        def wait_until_s(self, t: float) -> None:
+            self.t = max(self.t, t) + 2e-4
+
+    late_s = lateness(Late(), 0.1)
+    assert len(late_s) == pytest.approx(100, abs=2)
+    assert max(late_s) == pytest.approx(2e-4, abs=1e-9)
+
+
+def test_a_folder_that_cannot_be_written_to_is_bad(tmp_path: Path) -> None:
+    assert {f.level for f in look_at_disk(tmp_path / "not" / "there", 1e5)} == {Level.OK}
+    (finding,) = look_at_disk(Path("/proc"), 1e5)  # where not even root may write
+    assert finding.level is Level.BAD
+    assert finding.measured.startswith("cannot write there: ")
+
+
+def test_verdicts() -> None:
+    ok, warned, bad = (Finding(level, "host", "x", "y") for level in Level)
+    assert verdict([ok]) == "all is well"
+    assert verdict([ok, warned]).startswith("nothing stands in the way; 1")
+    assert verdict([ok, warned, bad]).startswith("1 to mend")
+
+
+def test_the_command_says_json_and_fails_on_what_is_bad(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(host, "PAUSE_TEST_S", 0.02)
+    monkeypatch.setattr(
+        "console.commands.doctor.look_at_host", lambda *_: []
+    )  # of the machine that tests run on
+    file = tmp_path / "hurt.toml"
+    file.write_text('[[fault]]\nkind = "silent"\nboard = "motor3"\n')
+    options = ["doctor", "--mock", "--seconds", "0.1", "--json"]
+    assert main(options) == 0
+    assert json.loads(capsys.readouterr().out)["worst"] == "ok"
+    assert main([*options, "--scenario", str(file)]) == 1
+    said = json.loads(capsys.readouterr().out)
+    assert (said["format"], said["worst"]) == ("doctor/1", "bad")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--mock", "--encoder", "/dev/x"], "--mock brings its own links"),
+        (["--scenario", "demo"], "--scenario is for a mock arm"),
+        (["--mock", "--rate", "5"], "--rate: expected 20 to 1200 Hz"),
+        (["--mock", "--seconds", "0"], "--seconds: expected 0.1"),
+        (["--mock", "--scenario", "nowhere"], "there is no such file"),
+    ],
+)
+def test_wrong_input_is_one_message(
+    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["doctor", *options]) == 2
+    assert words in capsys.readouterr().err
