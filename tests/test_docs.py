@@ -1,6 +1,8 @@
 """The documents: every link resolves, every command and option that they name exists, every page can be reached."""
 
 import argparse
+import dataclasses
+import functools
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,6 +10,9 @@ from pathlib import Path
 import pytest
 
 from console.main import parser
+from control.loop.record import Layout
+from control.model import arm as arm_data
+from control.model.effects import EFFECTS, parameter_names
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -20,6 +25,7 @@ OPTION = re.compile(r"--[a-z][a-z-]*")
 OF_BENCHMARKS = {"--grid", "--save"}
 
 
+@functools.cache
 def subcommands() -> dict[str, argparse.ArgumentParser]:
     """The parser of each subcommand, by name."""
     (action,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
@@ -114,3 +120,29 @@ def test_the_readme_fits_two_screens() -> None:
     lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
     assert len(lines) <= 92
     assert [line for line in lines if len(line) > 140] == []
+
+
+@functools.cache
+def words_of_the_formats() -> frozenset[str]:
+    """What stands between backticks in docs/formats.md, without braces' and joints' numbers."""
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8").replace("{i}", "<i>")
+    return frozenset(word for span in CODE_SPAN.findall(text) for word in re.split(r"[\s,=]+", span))
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_effect_and_its_parameters_are_in_the_formats(name: str) -> None:
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8").replace("{i}", "<i>")
+    (row,) = [line for line in text.splitlines() if line.startswith(f"| `{name}` |")]
+    assert [parameter for parameter in parameter_names(EFFECTS[name]) if f"`{parameter}`" not in row] == []
+
+
+def test_every_key_of_an_arm_file_is_in_the_formats() -> None:
+    kinds = (kind for kind in vars(arm_data).values() if dataclasses.is_dataclass(kind))
+    sections = [kind for kind in kinds if kind.__module__ == arm_data.__name__]
+    keys = {field.metadata.get("key", field.name) for kind in sections for field in dataclasses.fields(kind)}
+    known = words_of_the_formats() | {word.strip("[]").split(".")[-1] for word in words_of_the_formats()}
+    assert sorted(keys - known - {""}) == []
+
+
+def test_every_column_of_a_recording_is_in_the_formats() -> None:
+    assert sorted(set(Layout.of(1, has_joint_side=True).names) - words_of_the_formats()) == []
