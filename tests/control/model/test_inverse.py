@@ -15,7 +15,7 @@ from control.model.arm import Arm, Link
 from control.model.description import load_arm
 
 ARMS = Path(__file__).parent / "arms"
-BOUNDS = np.array([5e-3, np.radians(2.0), 5e-3, np.radians(2.0)])  # of a calibration, field notes
+BOUNDS = np.array([5e-3, np.radians(2.0), 5e-3, np.radians(2.0)])  # of a calibration (docs/calibrate.md)
 FRONT_UP = Branch("front", "up")
 RIGHT = load_arm("right")
 FREE = dataclasses.replace(RIGHT, drives=(), rest=None)  # the same arm without joint limits
