@@ -1,4 +1,4 @@
-"""Static effects between encoder and joint (formats.md), linear in their parameters: joint = encoder + sum of p * slope.
+"""Static effects between encoder and joint (docs/formats.md), linear in their parameters: joint = encoder + sum of p * slope.
 
 | effect | what is identified | slope |
 | --- | --- | --- |
@@ -68,7 +68,7 @@ def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> A
 
 
 def effects_of(values: Mapping[str, float]) -> tuple[Effect, ...]:
-    """Effects as formats.md has them, of the corrections' values by name; what came out as none (`unphysical`) is left out."""
+    """Effects of docs/formats.md, of the corrections' values by name; what came out as none (`unphysical`) is left out."""
     found = []
     for (name, joint), linear in _gathered(values).items():
         parameters = LAWS[name].parameters(linear)

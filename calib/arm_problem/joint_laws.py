@@ -101,7 +101,7 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """An effect: its linear parameters, and the way from those of formats.md to them and back (None: no such effect)."""
+    """An effect: its linear parameters, and the way from those of docs/formats.md to them and back (None: no such effect)."""
 
     terms: tuple[Term, ...]
     linear: Callable[[Mapping[str, float]], tuple[float, ...]]

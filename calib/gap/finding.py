@@ -15,7 +15,7 @@ ON_LINKS = ("link_flexure", "link_inertia")  # the key is still `joint`, and car
 
 @dataclass(frozen=True, slots=True)
 class EffectName:
-    """An effect on a joint or link (1-based; None where it has none), as formats.md names it."""
+    """An effect on a joint or link (1-based; None where it has none), as docs/formats.md names it."""
 
     effect: str
     joint: int | None = None

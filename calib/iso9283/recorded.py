@@ -1,4 +1,4 @@
-"""Recorded poses and runs as the criteria want them: points.csv and log.csv (formats.md), and programme.json."""
+"""Recorded poses and runs as the criteria want them: points.csv and log.csv (docs/formats.md), and programme.json."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ SEEING = (
             JSON,
         ),
         "Prints following errors, currents, saturation, tip error and punctuality; --json without --out draws nothing."
-        " docs/seeing.md.",
+        " docs/visualisation.md.",
     ),
     CommandSpec(
         "view",
@@ -61,15 +61,15 @@ SEEING = (
                 nargs="?",
                 const="",
                 metavar="FILE.rrd",
-                help="to a Rerun viewer, or into a file; takes the extra `rerun` (docs/seeing.md)",
+                help="to a Rerun viewer, or into a file; takes the extra `rerun` (docs/visualisation.md)",
             ),
         ),
-        "Nothing moves by it: live it only asks the runtime for its status. docs/seeing.md.",
+        "Nothing moves by it: live it only asks the runtime for its status. docs/visualisation.md.",
     ),
     CommandSpec(
         "completion",
         "print a script that completes armwright's commands, options and files in your shell",
         (option("shell", choices=("bash", "zsh", "fish", "tcsh"), help="for which shell"),),
-        "docs/seeing.md says where to put it.",
+        "docs/visualisation.md says where to put it.",
     ),
 )

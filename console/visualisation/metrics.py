@@ -151,7 +151,7 @@ def _saturated(values: Array, limit: Array | float | None) -> float | None:
 
 
 def metrics_json(series: Series, merit: Metrics) -> dict[str, Any]:
-    """What `armwright plot --json` prints; docs/seeing.md says what each key is."""
+    """What `armwright plot --json` prints; docs/visualisation.md says what each key is."""
     from dataclasses import asdict
 
     return {

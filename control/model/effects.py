@@ -1,4 +1,4 @@
-"""The effects that a model can have: their names, where they act, and their parameters (formats.md).
+"""The effects that a model can have: their names, where they act, and their parameters (docs/formats.md).
 
 An `[[effect]]` of an arm.toml is checked against this table. Torques are at the joint, angles are joint
 angles.
@@ -72,7 +72,7 @@ def parameter_names(kind: EffectKind) -> tuple[str, ...]:
 def check_effect(
     name: str, joint: int | None, parameters: Mapping[str, float], joints: int, links: int, fault: Fault
 ) -> None:
-    """Raise `fault(path inside the effect, expected, got)` if an effect is not one that formats.md allows."""
+    """Raise `fault(path inside the effect, expected, got)` if an effect is not one that docs/formats.md allows."""
     kind = EFFECTS.get(name)
     if kind is None:
         raise fault(("effect",), "one of " + ", ".join(EFFECTS), f'"{name}"')

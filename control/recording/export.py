@@ -1,4 +1,4 @@
-"""Turns a recording into what other programs read: log.csv.gz (docs/seeing.md) and MCAP (control.recording.mcap_file).
+"""Turns a recording into what other programs read: log.csv.gz (docs/visualisation.md) and MCAP (control.recording.mcap_file).
 
 Runs after the fact, in the command's own process. The recording itself is never changed.
 """

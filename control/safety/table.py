@@ -14,11 +14,11 @@ class Mode(Enum):
     HOLDING = "position control at a constant set-point"
     MOVING = "position control along a checked motion"
     HOMING = "position control in search of switches and index pulses"
-    GUIDING = "a hand moves the arm: drives open circuit, or gravity compensation and nothing more"
+    GUIDING = "a hand moves the arm: drives open circuit, or gravity compensation only"
     STOPPING = "position control along a jerk-limited stop"
-    FAULT = "reaction of the fault: stop and hold, or 0 V; waits for acknowledgement"
-    JOGGING = "position control as an operator's key or button asks, as long as it keeps asking"
-    PAUSED = "position control along the motion: slowing to rest on it, then holding there until it goes on"
+    FAULT = "stop and hold, or 0 V, by the fault; waits for acknowledgement"
+    JOGGING = "position control by a jog that a client keeps renewing"
+    PAUSED = "position control: slowing to rest along the motion, then holding there"
 
 
 class Event(Enum):
@@ -27,17 +27,17 @@ class Event(Enum):
     CONNECT = "all boards answered, identities are right, drives are at 0 V"
     ENABLE = "operator: hold the present position"
     HOME = "operator: search the reference positions"
-    HOMED = "loop: every joint knows its zero (searched, or kept by the boards)"
+    HOMED = "loop: every joint has its zero (searched, or still known to the boards)"
     MOVE = "operator: start a motion that was checked"
-    JOG = "operator: move as long as I keep asking"
-    PAUSE = "operator: slow to rest along the motion and hold on it"
-    RESUME = "operator: go on along the motion"
-    ARRIVED = "loop: the motion has ended at rest; a jog that nobody renews has come to rest"
+    JOG = "operator: start or renew a jog"
+    PAUSE = "operator: slow to rest along the motion and hold there"
+    RESUME = "operator: continue the motion"
+    ARRIVED = "loop: the motion has ended at rest; a jog that was not renewed has come to rest"
     STOP = "operator, Ctrl-C, lost client: stop now"
     STOPPED = "loop: the jerk-limited stop has ended at rest"
     GUIDE = "operator: let a hand move the arm"
     BRAKE = "operator or shutdown: from position control or hand to 0 V"
-    SWITCH_OFF = "shutdown: the arm is still, so drives may go off"
+    SWITCH_OFF = "shutdown: the arm is at rest, so drives may go off"
     FAULT_CONTROLLED = "a fault while feedback is good"
     FAULT_BRAKE = "a fault that makes feedback doubtful"
     ACKNOWLEDGE_HELD = "operator has read the faults; the arm was held"
@@ -145,8 +145,7 @@ def as_markdown() -> str:
     """The table as docs/state_machine.md: modes, events, and a row per event with the next mode per mode."""
     lines = [
         "# Modes of the arm",
-        "",
-        "Printed by `control.safety.table.as_markdown()`; a test holds this file to the table in the code.",
+        "What the drives do in each mode, and which event leads where. Printed by `control.safety.table.as_markdown()`.",
         "An event without an entry for the present mode raises `IllegalTransition` and changes nothing.",
         "",
         "| mode | drives |",
@@ -175,14 +174,17 @@ def _markdown_row(event: Event) -> str:
 _NOTES: Final = (
     "Beyond the table:",
     "",
-    "- CONNECT is refused while faults are not acknowledged, MOVE while a joint has no zero.",
-    "- JOG is the operator's dead man: a client renews it many times a second. Where it falls silent, the arm slows to rest",
-    "  and ARRIVED follows; where it hangs up, STOP. Joints without a zero may be jogged, slowly, with half of the current;",
-    "  the tip may not.",
-    "- PAUSED begins while the arm still slows down along its motion; a motion that ends meanwhile has ARRIVED.",
-    "- A fault in OFF, BRAKED or GUIDING always brakes: nothing is controlled there that could stop.",
-    "- Of two faults the more severe reaction wins, both stay listed; BRAKE never becomes CONTROLLED.",
-    "- A fault is acknowledged by hand, once the controlled stop has ended: to HOLDING if the arm was held,",
-    "  to BRAKED if it was braked; in OFF it only clears the list.",
-    "- Shutdown (Ctrl-C, an exception) goes stop, hold, 0 V when still, off when still at 0 V.",
+    "| rule | |",
+    "| --- | --- |",
+    "| CONNECT | refused while faults are not acknowledged |",
+    "| MOVE | refused while a joint has no zero |",
+    "| JOG | a client renews it at 10 Hz or faster; without renewal the arm slows to rest (ARRIVED) |",
+    "| JOG, connection closed | STOP |",
+    "| JOG before homing | joints only, slowly, with half of the current |",
+    "| PAUSED | begins while the arm still slows down along its motion; a motion that ends meanwhile has ARRIVED |",
+    "| fault in OFF, BRAKED, GUIDING | always brakes |",
+    "| two faults | both stay listed; the more severe reaction wins: BRAKE never becomes CONTROLLED |",
+    "| acknowledge | by a person, after the controlled stop: to HOLDING if the arm was held, to BRAKED if it was braked;"
+    " in OFF it clears the list |",
+    "| shutdown (Ctrl-C, an error) | stop, hold, 0 V at rest, off when still at rest |",
 )

@@ -63,7 +63,7 @@ PAIRS: dict[Level, tuple[tuple[str, str], ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class MockCase:
-    """One recording to make: what is hidden, in words of formats.md, and the seed of everything else."""
+    """One recording to make: what is hidden, in words of docs/formats.md, and the seed of everything else."""
 
     level: Level
     hidden: tuple[EffectEntry, ...]
@@ -208,7 +208,7 @@ def arm_with_friction(arm: Arm, seed: int) -> Arm:
 
 
 def write_case(folder: Path, case: MockCase, arm: Arm, recording: Points | Log) -> None:
-    """The recording as formats.md has it: arm.toml, truth.json, and points.csv or log.csv.gz."""
+    """The recording as docs/formats.md has it: arm.toml, truth.json, and points.csv or log.csv.gz."""
     folder.mkdir(parents=True, exist_ok=True)
     save_arm(arm, folder / "arm.toml")
     effects = [

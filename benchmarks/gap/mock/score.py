@@ -122,7 +122,7 @@ def main() -> None:
     parser.add_argument(
         "--once", action="store_true", help="do not ask again with the hidden effects off the list"
     )
-    parser.add_argument("--save", type=Path, help="folder for the recordings, as formats.md has them")
+    parser.add_argument("--save", type=Path, help="folder for the recordings, as docs/formats.md has them")
     parser.add_argument("--processes", type=int, default=2)
     given = parser.parse_args()
     arm = load_arm(given.arm)

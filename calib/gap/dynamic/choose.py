@@ -18,7 +18,7 @@ from calib.gap.finding import EffectName
 from calib.gap.signals.terms import Term
 from control.progress import Advance
 
-# Fixed on seeds that no reported figure uses; docs/gap.md says how.
+# Fixed on seeds that no reported figure uses; docs/gap_scores.md lists those.
 MATERIAL = (
     0.10  # of a floor's square: what an effect must take off the mean square of the cells that it claims
 )

@@ -1,4 +1,4 @@
-"""One effect that could explain static poses, and how its coefficients become the parameters of formats.md."""
+"""One effect that could explain static poses, and how its coefficients become the parameters of docs/formats.md."""
 
 from __future__ import annotations
 

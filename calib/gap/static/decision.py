@@ -19,9 +19,7 @@ from calib.gap.poses.candidate import Candidate
 from calib.gap.poses.evidence import Evidence, tail
 from calib.gap.static.linearised import places
 
-MARGIN = (
-    5.0  # odds of 150 to 1; names given with it were right in every case of the study behind gap_notes.md
-)
+MARGIN = 5.0  # odds of 150 to 1; names given with it were right in every case of the study behind docs/gap_scores.md
 FIRST_COST = 7.0  # log prior odds against an effect: some 16 names are tried
 FURTHER_COST = 10.0  # a law of slightly wrong form leaves a remainder that a second name would soak up
 SHAPE_DOUBT = 12.0  # in log evidence: shapes of an effect that are worse by more are wrong

@@ -54,7 +54,7 @@ def named(
 
 
 def _geometry(final: Fitted, parts: Split, floor: Floor) -> dict[str, tuple[float, float]]:
-    """The DH deviations under the names of formats.md, with standard deviations; a prior of their bound included."""
+    """The DH deviations under the names of docs/formats.md, with standard deviations; a prior of their bound included."""
     _, jacobian = final.problem.residuals_and_jacobian(final.x)
     base = jacobian[parts.known].reshape(-1, len(final.x)) / floor.tip_m
     covariance = np.linalg.inv(base.T @ base + np.eye(len(final.x)))

@@ -85,7 +85,7 @@ def test_visits_point_into_the_file_in_visiting_order():
 
 
 def test_roll_tilt_brings_more_than_pitch_and_free_poses_more_than_any_tilt():
-    """As field notes have it: tilts fix alpha1 and d1, and roll conditions far better than pitch."""
+    """Tilts fix alpha1 and d1, and roll conditions far better than pitch."""
     kinds = [one.setup for one in PLAN.alternatives]
     assert kinds[0] == "free"
     assert kinds.index("roll") < kinds.index("pitch")

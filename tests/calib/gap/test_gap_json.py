@@ -1,4 +1,4 @@
-"""gap.json as formats.md has it, held by a strict schema; what the model becomes where it knew a part already."""
+"""gap.json as docs/formats.md has it, held by a strict schema; what the model becomes where it knew a part already."""
 
 from __future__ import annotations
 

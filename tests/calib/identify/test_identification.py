@@ -60,7 +60,7 @@ def test_with_camera_noise_predictions_hold_over_the_workspace(name, seed) -> No
 
 
 def test_a_level_board_determines_nine_of_sixteen_parameters_and_three_tilts_ten() -> None:
-    """../shared field notes: rank 9 with condition near 1000 for 33 level points, rank 10 and some 300 on three tilts."""
+    """Rank 9 with condition near 1000 for 33 level points, rank 10 and some 300 on three tilts."""
     rng = np.random.default_rng(1)
     _, q, tips, _ = board_session(rng, ("normal",))
     level = identified(REFERENCE, REFERENCE_DH, q, tips)

@@ -33,7 +33,7 @@ NAMES = (
     "encoder_scale:1", "encoder_eccentricity:2", "backlash:1", "backlash:2", "backlash:3", "joint_compliance:2",
     "joint_compliance:3", "belt_coupling",
 )  # fmt: skip
-# What is hidden, as formats.md has it, and the largest error of each parameter [its unit] that the camera's noise leaves
+# What is hidden, as docs/formats.md has it, and the largest error of each parameter [its unit] that the camera's noise leaves
 # (four standard deviations or more).
 HIDDEN = {
     "encoder_scale:1": ({"scale": 0.01}, 4e-4),

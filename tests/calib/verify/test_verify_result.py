@@ -124,6 +124,13 @@ def test_a_used_pose_is_recognised_in_another_file(calibrated: Arm) -> None:
     assert already_used(calibrated, poses[1:]) == Used(0, ())
 
 
+def test_an_arm_file_among_the_inputs_has_no_poses_and_is_not_missed(calibrated: Arm) -> None:
+    assert calibrated.calibration is not None
+    inputs = {**calibrated.calibration.inputs, "right.toml": "0" * 64, "boards.json": "1" * 64}
+    named = replace(calibrated, calibration=replace(calibrated.calibration, inputs=inputs))
+    assert already_used(named, np.zeros((2, 3)) + 2.0) == Used(0, ())
+
+
 def test_what_cannot_be_compared_is_said(calibrated: Arm, tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text("changed")
     (warning,) = already_used(calibrated, np.zeros((2, 3))).warnings

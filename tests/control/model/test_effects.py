@@ -1,4 +1,4 @@
-"""The table of effects is that of formats.md; laws and feed-forward have the signs it gives them."""
+"""The table of effects is that of docs/formats.md; laws and feed-forward have the signs it gives them."""
 
 import dataclasses
 import math

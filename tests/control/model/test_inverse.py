@@ -14,7 +14,7 @@ from control.model.arm import Arm, Link
 from control.model.description import load_arm
 from tests.places import ARMS
 
-BOUNDS = np.array([5e-3, np.radians(2.0), 5e-3, np.radians(2.0)])  # of a calibration, field notes
+BOUNDS = np.array([5e-3, np.radians(2.0), 5e-3, np.radians(2.0)])  # of a calibration (docs/calibrate.md)
 FRONT_UP = Branch("front", "up")
 RIGHT = load_arm("right")
 FREE = dataclasses.replace(RIGHT, drives=(), rest=None)  # the same arm without joint limits

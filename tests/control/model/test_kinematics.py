@@ -141,7 +141,7 @@ def test_the_identification_jacobian_is_the_slope_by_every_dh_parameter(k: Kinem
         assert jacobian[:, :, parameter] == pytest.approx((ahead - behind) / (2 * h), abs=1e-8)
 
 
-def test_what_the_field_notes_say_of_the_reference_arm_holds() -> None:
+def test_parameters_of_the_reference_arm_that_no_data_separate_have_equal_or_no_columns() -> None:
     """theta4 and alpha4 move nothing, d2 and d3 move the same, and L3 as L4."""
     q = np.random.default_rng(2).uniform(-1, 1, (30, 3))
     by = Kinematics(load_arm("right")).identification_jacobian(q).reshape(90, 4, 4)

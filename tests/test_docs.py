@@ -1,0 +1,148 @@
+"""The documents: every link resolves, every command and option that they name exists, every page can be reached."""
+
+import argparse
+import dataclasses
+import functools
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from console.main import parser
+from control.model import arm as arm_data
+from control.model.effects import EFFECTS, parameter_names
+from control.recording.record import Layout
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+DOCUMENTS = [*PAGES, ROOT / "README.md", ROOT / "ARCHITECTURE.md", ROOT / "CHANGELOG.md"]
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+FILE_IN_TEXT = re.compile(r"\bdocs/[\w.-]+\.(?:md|png)\b")
+CALL = re.compile(r"(?:^|\s|/)armwright ([a-z][a-z0-9-]*)\b(.*)")
+CODE_SPAN = re.compile(r"`([^`]+)`")
+OPTION = re.compile(r"--[a-z][a-z-]*")
+OF_BENCHMARKS = {"--grid", "--save"}
+
+
+@functools.cache
+def subcommands() -> dict[str, argparse.ArgumentParser]:
+    """The parser of each subcommand, by name."""
+    (action,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
+    return dict(action.choices)
+
+
+def options_of(command: argparse.ArgumentParser) -> set[str]:
+    """All that a subcommand takes, as `--name`."""
+    return {word for action in command._actions for word in action.option_strings}
+
+
+def anchor_of(heading: str) -> str:
+    """The anchor that GitHub gives a heading."""
+    kept = re.sub(r"[^\w\- ]", "", heading.replace("`", "").lower())
+    return kept.strip().replace(" ", "-")
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    return {anchor_of(line.lstrip("#")) for line in lines if re.match(r"#{1,6} ", line)}
+
+
+def links(page: Path) -> Iterator[tuple[str, Path, str]]:
+    """What a page links to inside the repository: as written, the file, the anchor."""
+    for target in LINK.findall(page.read_text(encoding="utf-8")):
+        if not target.startswith(("http:", "https:")):
+            name, _, anchor = target.partition("#")
+            yield target, (page.parent / name).resolve() if name else page, anchor
+
+
+def code_lines(text: str) -> Iterator[str]:
+    """Indented lines, and what stands between backticks."""
+    for line in text.splitlines():
+        if line.startswith("    "):
+            yield line.strip()
+        else:
+            yield from CODE_SPAN.findall(line)
+
+
+def calls(text: str) -> Iterator[tuple[str, str]]:
+    """Every `armwright COMMAND ...` of a text: the command and the rest of its line, without the remark."""
+    for line in code_lines(text):
+        if found := CALL.search(line.partition(" #")[0]):
+            yield found[1], found[2]
+
+
+@pytest.mark.parametrize("page", DOCUMENTS, ids=lambda page: page.name)
+def test_every_link_and_anchor_resolves(page: Path) -> None:
+    for target, file, anchor in links(page):
+        assert file.exists(), f"{page.name}: {target}: no such file"
+        assert not anchor or anchor in anchors(file), f"{page.name}: {target}: no such heading in {file.name}"
+
+
+@pytest.mark.parametrize("page", DOCUMENTS, ids=lambda page: page.name)
+def test_every_command_that_is_named_exists_with_its_options(page: Path) -> None:
+    known = subcommands()
+    for name, rest in calls(page.read_text(encoding="utf-8")):
+        assert name in known, f"{page.name}: armwright {name}: no such command"
+        strange = {word for word in OPTION.findall(rest) if word not in options_of(known[name])}
+        assert not strange, f"{page.name}: armwright {name} has no {', '.join(sorted(strange))}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_option_in_a_page_is_one_of_some_command(page: Path) -> None:
+    known = set.union(*(options_of(command) for command in subcommands().values())) | OF_BENCHMARKS
+    text = "\n".join(code_lines(page.read_text(encoding="utf-8")))
+    elsewhere = "\n".join(line for line in text.splitlines() if "python" not in line and "nc -UN" not in line)
+    assert set(OPTION.findall(elsewhere)) <= known
+
+
+def test_every_page_is_reached_from_the_readme_or_the_commands() -> None:
+    entries = (ROOT / "README.md", ROOT / "docs" / "commands.md")
+    reached = {file for entry in entries for _, file, _ in links(entry)}
+    assert [page.name for page in PAGES if page not in reached] == []
+
+
+def test_every_command_is_in_the_list_of_commands() -> None:
+    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    assert [name for name in subcommands() if not re.search(rf"`(armwright )?{name}\b", text)] == []
+
+
+def test_code_and_documents_name_pages_that_exist() -> None:
+    folders = ("firmware_iface", "control", "calib", "hil_mocks", "console", "benchmarks", "tests")
+    files = [file for folder in folders for file in (ROOT / folder).rglob("*.py")]
+    for file in (*files, *DOCUMENTS):
+        for name in FILE_IN_TEXT.findall(file.read_text(encoding="utf-8")):
+            assert (ROOT / name).exists(), f"{file.relative_to(ROOT)}: {name}: no such file"
+
+
+def test_the_readme_fits_two_screens() -> None:
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 92
+    assert [line for line in lines if len(line) > 140] == []
+
+
+@functools.cache
+def words_of_the_formats() -> frozenset[str]:
+    """What stands between backticks in docs/formats.md, without braces' and joints' numbers."""
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8").replace("{i}", "<i>")
+    return frozenset(word for span in CODE_SPAN.findall(text) for word in re.split(r"[\s,=]+", span))
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_effect_and_its_parameters_are_in_the_formats(name: str) -> None:
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8").replace("{i}", "<i>")
+    (row,) = [line for line in text.splitlines() if line.startswith(f"| `{name}` |")]
+    assert [parameter for parameter in parameter_names(EFFECTS[name]) if f"`{parameter}`" not in row] == []
+
+
+def test_every_key_of_an_arm_file_is_in_the_formats() -> None:
+    kinds = (kind for kind in vars(arm_data).values() if dataclasses.is_dataclass(kind))
+    sections = [kind for kind in kinds if kind.__module__ == arm_data.__name__]
+    keys = {field.metadata.get("key", field.name) for kind in sections for field in dataclasses.fields(kind)}
+    known = words_of_the_formats() | {word.strip("[]").split(".")[-1] for word in words_of_the_formats()}
+    assert sorted(keys - known - {""}) == []
+
+
+def test_every_column_of_a_recording_is_in_the_formats() -> None:
+    assert sorted(set(Layout.of(1, has_joint_side=True).names) - words_of_the_formats()) == []
