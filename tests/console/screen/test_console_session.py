@@ -10,18 +10,21 @@ from typing import Any
 
 import pytest
 from textual.pilot import Pilot
-from textual.widgets import RichLog, Static
+from textual.widgets import RichLog
 
 from console.screen.app import ConsoleApp
-from console.screen.session import SessionScreen, board_lines, kept_line
+from console.screen.panel import Panel
+from console.screen.rows import text_of
+from console.screen.session import SessionScreen
+from console.screen.session_texts import board_rows, legend_rows, record_text
 from tests.cell import Cell, holding_cell
-from tests.console.console_rig import console_on, press, said, until
+from tests.console.screen.console_rig import console_on, press, said, until
 
 LIMIT_s = 120.0  # each waits for processes that share the machine with other tests
 
 
 def shown(app: ConsoleApp, panel: str) -> str:
-    return "".join(str(one.render()) for one in app.screen.query(f"#{panel}").results(Static))
+    return "".join(one.text for one in app.screen.query(f"#{panel}").results(Panel))
 
 
 def records(app: ConsoleApp) -> str:
@@ -91,25 +94,30 @@ def test_the_board_keeps_its_proportions_in_any_room() -> None:
     places = ((0.09, 0.0, "now"), (-0.09, 0.0, "done"), (0.0, 0.09, "left"), (0.0, -0.09, "bad"))
     circle = [{"name": "1", "x_m": x, "y_m": y, "mark": mark} for x, y, mark in places]
     for width, height in ((64, 30), (40, 17), (20, 50), (200, 12)):
-        lines = board_lines(circle, width, height)
-        assert len(lines) <= max(height, 6)
-        plain = [re.sub(r"\[[^]]*\]", "", line) for line in lines]
+        plain = [line.rstrip() for line in text_of(board_rows(circle, width, height)).splitlines()]
+        assert len(plain) <= max(height, 6)
         assert max(map(len, plain)) <= max(width, 9)
         assert plain[0].strip() == "."
         assert plain[-1].strip() == "x"
         assert len(plain) == pytest.approx(max(map(len, plain)) / 2, abs=1.1)
-    assert board_lines([], 40, 20) == ["no cavities in this setup"]
+    assert text_of(board_rows([], 40, 20)) == "no cavities in this setup"
 
 
-def test_a_record_says_how_it_fits_and_one_that_does_not_is_red() -> None:
-    kept = {"kept": "normal 3", "text": "normal 3 recorded; look", "error_mm": 20.0}
-    kept |= {"off_mm": 0.4, "surprise": 2.6, "is_suspect": False}
-    assert kept_line(kept).split() == ["normal", "3", "20.00", "0.40", "mm", "[none]", "2.6", "sd[/]"]
-    assert "[yellow] 3.1 sd" in kept_line({**kept, "surprise": 3.1})
-    assert kept_line({**kept, "is_suspect": True}) == "[b red]normal 3 recorded; look[/]"
-    assert kept_line({**kept, "surprise": None, "off_mm": None}).split() == ["normal", "3", "20.00"]
-    assert kept_line({**kept, "surprise": None, "off_mm": None, "error_mm": None}).split() == [
-        "normal",
-        "3",
-        "-",
-    ]
+def test_the_legend_is_whole_on_any_width() -> None:
+    for width in (32, 40, 64, 120):
+        rows = legend_rows(width)
+        assert " ".join(text_of(rows).split()) == "# done + some repeats O now . left - skipped x bad"
+        assert max(len(line.rstrip()) for line in text_of(rows).splitlines()) <= width
+
+
+def test_a_record_tells_how_it_fits_and_one_that_does_not_is_an_error() -> None:
+    record = {"kept": "normal 3", "text": "normal 3 recorded; look", "error_mm": 20.0}
+    record |= {"off_mm": 0.4, "surprise": 2.6, "is_suspect": False}
+    text, look = record_text(record)
+    assert (text.split(), look) == (["normal", "3", "20.00", "0.40", "2.6"], "plain")
+    text, look = record_text({**record, "surprise": 3.1})
+    assert (text.split()[-2:], look) == (["3.1", "~"], "warning")
+    assert record_text({**record, "is_suspect": True}) == ("normal 3 recorded; look", "error")
+    assert record_text({**record, "surprise": None, "off_mm": None})[0].split() == ["normal", "3", "20.00"]
+    unknown = {**record, "surprise": None, "off_mm": None, "error_mm": None}
+    assert record_text(unknown)[0].split() == ["normal", "3", "-"]

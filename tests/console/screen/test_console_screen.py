@@ -18,7 +18,7 @@ from console.screen.widgets import CommandBox
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
 from tests.cell import STRETCHED, Cell, holding_cell
-from tests.console.console_rig import Served, console_on, hold_key, mouse, press, said, shown, until
+from tests.console.screen.console_rig import Served, console_on, hold_key, mouse, press, said, shown, until
 
 Play = Callable[[ConsoleApp, Pilot[Any], Served], Awaitable[None]]
 
@@ -109,7 +109,7 @@ def test_a_step_ends_where_it_was_to_without_a_held_key(tmp_path: Path) -> None:
 def test_a_button_jogs_while_the_mouse_holds_it_and_a_lost_focus_lets_go(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("console.screen.operating.UNSEEN_S", 1e9)  # it is not the silent mouse that lets go
+    monkeypatch.setattr("console.screen.jogging.UNSEEN_S", 1e9)  # it is not the silent mouse that lets go
 
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
         buttons = list(app.operating.query(".held"))
@@ -133,7 +133,7 @@ def test_a_button_jogs_while_the_mouse_holds_it_and_a_lost_focus_lets_go(
 def test_a_mouse_that_says_nothing_any_more_lets_go_by_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("console.screen.operating.UNSEEN_S", 0.3)
+    monkeypatch.setattr("console.screen.jogging.UNSEEN_S", 0.3)
 
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
         mouse(pilot, list(app.operating.query(".held"))[1], events.MouseDown)
@@ -224,7 +224,7 @@ def test_a_lost_link_is_said_and_the_console_comes_back_by_itself(tmp_path: Path
         assert "HOLDING" in shown(app, "head")
         served.vanish()
         await until(pilot, lambda: "NO LINK" in shown(app, "head"))
-        assert "The link to the runtime is lost" in shown(app, "news")
+        assert "The link to the runtime is lost" in shown(app, "status")
         await press(pilot, "right", "n")  # nothing happens, and it is said
         await until(pilot, lambda: "armwright serve" in said(app) or "closed the connection" in said(app))
         served.return_()
@@ -240,7 +240,7 @@ def test_a_runtime_that_is_there_and_does_not_answer_is_a_lost_link(
 
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
         served.is_frozen = True
-        await until(pilot, lambda: "does not answer" in shown(app, "news"))
+        await until(pilot, lambda: "does not answer" in shown(app, "status"))
         served.is_frozen = False
         await until(pilot, lambda: "HOLDING" in shown(app, "head"))
 
@@ -252,7 +252,7 @@ def test_a_fault_is_said_with_its_remedy_and_acknowledged_by_hand(tmp_path: Path
         fault = Fault("x", "joint 2", "following error 0.2 rad", "look for a collision", Reaction.CONTROLLED)
         served.cell.runtime.fail(fault)
         await until(pilot, lambda: "FAULT" in shown(app, "head"))
-        news = shown(app, "news")
+        news = shown(app, "status")
         assert "joint 2: following error 0.2 rad; look for a collision" in news
         assert "`a` acknowledges" in news
         await press(pilot, "right")
@@ -266,7 +266,7 @@ def test_a_fault_is_said_with_its_remedy_and_acknowledged_by_hand(tmp_path: Path
 @pytest.mark.parametrize("size", [(80, 24), (120, 40), (40, 12)])
 def test_every_panel_is_there_and_says_what_the_arm_does(tmp_path: Path, size: tuple[int, int]) -> None:
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
-        await until(pilot, lambda: "side" in shown(app, "side") or size[1] < 20)
+        await until(pilot, lambda: "x" in shown(app, "side") or size[1] < 20)
         await until(pilot, lambda: "tip" in shown(app, "joints"))
         joints = shown(app, "joints")
         assert joints.count("OPERATION ENABLED") == 3
@@ -275,7 +275,7 @@ def test_every_panel_is_there_and_says_what_the_arm_does(tmp_path: Path, size: t
         head = shown(app, "head")
         assert all(word in head for word in ("HOLDING", "homed", "loop 2 ms", "bus 40 %"))
         if size == (120, 40):
-            await until(pilot, lambda: "mrad" in shown(app, "charts"))
+            await until(pilot, lambda: "now" in shown(app, "error") and "now" in shown(app, "current"))
 
     played(tmp_path, play, size)
 
@@ -357,7 +357,7 @@ def test_another_key_or_a_gap_begins_anew() -> None:
 
 def test_repeats_come_often_enough_for_the_runtimes_dead_man() -> None:
     """Slow terminals repeat 11 times a second; the runtime waits 0.2 s by default."""
-    from console.screen.held import THRIFT_s
+    from console.screen.held import RENEWAL_least_s
     from tests.cell import RIGHT
 
-    assert 1.0 / 11.0 + THRIFT_s < RIGHT.limits.jog_silence_s
+    assert 1.0 / 11.0 + RENEWAL_least_s < RIGHT.limits.jog_silence_s

@@ -15,9 +15,10 @@ from typing import Any
 from textual import events
 from textual.pilot import Pilot
 from textual.widget import Widget
-from textual.widgets import RichLog, Static
+from textual.widgets import RichLog
 
 from console.screen.app import ConsoleApp, Files
+from console.screen.panel import Panel
 from control.loop.server import Server
 from control.model.arm import Arm
 from tests.cell import PERIOD_S, RIGHT, Cell
@@ -135,10 +136,10 @@ def mouse(pilot: Pilot[Any], widget: Widget, kind: type[events.MouseEvent]) -> N
 
 def said(app: Any) -> str:
     """What the log shows, in one line: where it is broken depends on the width, and on how long a folder's name is."""
-    logs = app.operating.query("#said").results(RichLog)
+    logs = app.operating.query("#events").results(RichLog)
     return " ".join(strip.text.strip() for log in logs for strip in log.lines)
 
 
 def shown(app: Any, panel: str) -> str:
     """What a panel shows, without colours."""
-    return str(app.operating.query_one(f"#{panel}", Static).render())
+    return app.operating.query_one(f"#{panel}", Panel).text
