@@ -28,6 +28,11 @@ class EventLog(RichLog, can_focus=False):
         self._entries: deque[tuple[str, str, str]] = deque(maxlen=LONGEST)
         self._width = 0
 
+    @property
+    def text(self) -> str:
+        """Its entries, however they are wrapped."""
+        return "\n".join(f"{at} {text}".strip() for at, text, _ in self._entries)
+
     def add(self, text: str, look: str = "plain", at: str = "") -> None:
         """An entry; `at` stands before it."""
         for one in text.splitlines() or [""]:

@@ -28,6 +28,7 @@ class Jogger:
         self.speed = 0.2
         self.is_stepping = False
         self.has_jogged = False
+        self.unseen_s = UNSEEN_S
         self._step_at = 2
         self._joint_count, self._limits = arm.joint_count, JogLimits.of(arm)
         self._operator, self._say = operator, say
@@ -75,8 +76,8 @@ class Jogger:
         """Go on with the button that is held; False where the mouse has been silent for too long."""
         if self._held is None:
             return True
-        if time.monotonic() - self._seen_s > UNSEEN_S:
-            self._say("the button was let go by itself: the mouse said nothing for 2 s", True)
+        if time.monotonic() - self._seen_s > self.unseen_s:
+            self._say(f"jog button released: no mouse event for {self.unseen_s:g} s", True)
             return False
         await self._jog(*self._held)
         return True

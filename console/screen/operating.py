@@ -175,7 +175,11 @@ class OperatingScreen(Screen[None]):
 
     async def action_override(self, by: int) -> None:
         """Motions slower or faster, the one that runs, too."""
-        await self._operator.line(f"override {neighbour(OVERRIDES, self._dashboard.override, by):g}")
+        override = neighbour(OVERRIDES, self._dashboard.override, by)
+        if await self._operator.line(f"override {override:g}"):
+            self._dashboard.override = (
+                override  # the next press counts from here, also before the next status
+            )
 
     # ---- panels
 

@@ -24,7 +24,7 @@ from tests.console.screen.console_rig import Served, console_on, press, said, sh
 FONT = "DejaVu Sans Mono"  # it has braille
 GOALS = ((0.6, -0.4, 0.6), (-0.3, -0.9, 0.3), (0.5, -0.6, 0.9))
 SESSION = "--mock --setups normal --out"
-RECORDS = 21
+RECORDS = 12
 LIMIT_s = 300.0
 Play = Callable[[ConsoleApp, Pilot[Any], Served], Awaitable[None]]
 
@@ -54,16 +54,18 @@ async def _drawn(cell: Cell, folder: Path, play: Play, size: tuple[int, int]) ->
 
 
 async def _moves_and_pauses(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
-    """Half a minute of motions, the last one paused on its way."""
+    """Three motions, the last one paused on its way."""
     for goal in GOALS:
-        await until(pilot, lambda: _mode(app) == "HOLDING")
-        answer = served.cell.assembly.requests.handle({"do": "move_joints", "q_rad": goal, "speed": 0.12}, 99)
+        await until(pilot, lambda: _mode(app) == "HOLDING", LIMIT_s)
+        answer = served.cell.assembly.requests.handle(
+            {"do": "move_joints", "q_rad": list(goal), "speed": 0.25}, 99
+        )
         if not answer["ok"]:
             raise RuntimeError(answer["error"])
-        await until(pilot, lambda: _mode(app) == "MOVING")
+        await until(pilot, lambda: _mode(app) == "MOVING", LIMIT_s)
     await until(pilot, lambda: _progress(app) > 0.6, LIMIT_s)
     await press(pilot, "2", "p")
-    await until(pilot, lambda: "PAUSED" in shown(app, "head") and "PAUSED" in said(app))
+    await until(pilot, lambda: "PAUSED" in shown(app, "head") and "PAUSED" in said(app), LIMIT_s)
 
 
 def _mode(app: ConsoleApp) -> str:
