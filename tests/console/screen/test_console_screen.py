@@ -13,7 +13,6 @@ from textual.pilot import Pilot
 
 from console.screen.app import ConsoleApp
 from console.screen.dialogs import Choose
-from console.screen.held import HeldKey, REPEAT_s
 from console.screen.widgets import CommandBox
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
@@ -339,33 +338,3 @@ def test_the_command_box_runs_a_subcommand_and_shows_what_it_says(tmp_path: Path
         assert "[here]" in (tmp_path / "places.toml").read_text()
 
     played(tmp_path, play)
-
-
-# ---- the held key alone
-
-
-def test_the_first_press_is_new_and_repeats_renew_at_most_25_times_a_second() -> None:
-    key = HeldKey()
-    assert key.press("J1+", 10.0).is_new
-    assert not key.press("J1+", 10.03).is_new
-    presses = [key.press("J1+", 10.03 + 0.01 * i) for i in range(1, 101)]
-    assert not any(press.is_new for press in presses)
-    assert 20 <= sum(press.is_due for press in presses) <= 25
-
-
-def test_another_key_or_a_gap_begins_anew() -> None:
-    key = HeldKey()
-    key.press("J1+", 0.0)
-    assert key.press("J1-", 0.01).is_new
-    assert not key.press("J1-", 0.01 + REPEAT_s).is_new
-    assert key.press("J1-", 0.02 + 2 * REPEAT_s).is_new
-    key.forget()
-    assert key.press("J1-", 0.03 + 2 * REPEAT_s).is_new
-
-
-def test_repeats_come_often_enough_for_the_runtimes_dead_man() -> None:
-    """Slow terminals repeat 11 times a second; the runtime waits 0.2 s by default."""
-    from console.screen.held import RENEWAL_least_s
-    from tests.cell import RIGHT
-
-    assert 1.0 / 11.0 + RENEWAL_least_s < RIGHT.limits.jog_silence_s

@@ -31,44 +31,50 @@ def records(app: ConsoleApp) -> str:
     return app.screen.query_one("#records", EventLog).text
 
 
+async def record_some_and_leave(app: ConsoleApp, pilot: Pilot[Any], out: Path) -> None:
+    """Record, take back, skip, and escape."""
+    app.open_session(f"--mock --out {out} --setups normal,roll --points 1,5,9,13,17,21,25,33")
+    await until(pilot, lambda: isinstance(app.screen, SessionScreen))
+    await until(pilot, lambda: "Enter when it stands" in shown(app, "question"), LIMIT_s)
+    assert shown(app, "board").count(".") == 7
+    assert shown(app, "board").count("O") == 1
+    await press(pilot, "enter")
+    await until(pilot, lambda: "hands off" in shown(app, "question"), LIMIT_s)
+    await press(pilot, "enter")
+    await until(pilot, lambda: "[2/16]" in shown(app, "question"), LIMIT_s)
+    assert re.search(r"normal 1 +\d+\.\d\d", records(app))
+    assert shown(app, "board").count("#") == 1
+    await press(pilot, *"redo", "enter")
+    await until(pilot, lambda: "[1/16]" in shown(app, "question"), LIMIT_s)
+    assert shown(app, "board").count("#") == 0
+    await press(pilot, *"skip", "enter")
+    await until(pilot, lambda: "-" in shown(app, "board"), LIMIT_s)
+    await press(pilot, "escape")
+    await until(pilot, lambda: app.screen is app.operating, LIMIT_s)
+    await until(pilot, lambda: "resumes it" in said(app), LIMIT_s)
+
+
+async def resume_and_accept(app: ConsoleApp, pilot: Pilot[Any], out: Path) -> None:
+    """Go on to the end, calibrate, and accept."""
+    app.open_session(f"--mock --out {out}")
+    await until(pilot, lambda: "-" in shown(app, "board"), LIMIT_s)
+    await press(pilot, *"auto", "enter")
+    await until(pilot, lambda: "ends the session" in shown(app, "question"), LIMIT_s)
+    await press(pilot, "enter")
+    await until(pilot, lambda: "Enter calibrates" in shown(app, "question"), LIMIT_s)
+    await press(pilot, "enter")
+    await until(pilot, lambda: "Accept" in shown(app, "question"), LIMIT_s)
+    await press(pilot, *"perhaps", "enter", "y", "enter")
+    await until(pilot, lambda: "Accepted" in shown(app, "question"), LIMIT_s)
+
+
 def test_a_session_on_the_screen_is_interrupted_resumed_calibrated_and_accepted(tmp_path: Path) -> None:
     out = tmp_path / "s"
 
-    async def play(app: ConsoleApp, pilot: Pilot[Any]) -> None:
-        app.open_session(f"--mock --out {out} --setups normal,roll --points 1,5,9,13,17,21,25,33")
-        await until(pilot, lambda: isinstance(app.screen, SessionScreen))
-        await until(pilot, lambda: "Enter when it stands" in shown(app, "question"), LIMIT_s)
-        assert shown(app, "board").count(".") == 7
-        assert shown(app, "board").count("O") == 1
-        await press(pilot, "enter")
-        await until(pilot, lambda: "hands off" in shown(app, "question"), LIMIT_s)
-        await press(pilot, "enter")
-        await until(pilot, lambda: "[2/16]" in shown(app, "question"), LIMIT_s)
-        assert re.search(r"normal 1 +\d+\.\d\d", records(app))
-        assert shown(app, "board").count("#") == 1
-        await press(pilot, *"redo", "enter")
-        await until(pilot, lambda: "[1/16]" in shown(app, "question"), LIMIT_s)
-        assert shown(app, "board").count("#") == 0
-        await press(pilot, *"skip", "enter")
-        await until(pilot, lambda: "-" in shown(app, "board"), LIMIT_s)
-        await press(pilot, "escape")
-        await until(pilot, lambda: app.screen is app.operating, LIMIT_s)
-        await until(pilot, lambda: "resumes it" in said(app), LIMIT_s)
-
-        app.open_session(f"--mock --out {out}")
-        await until(pilot, lambda: "-" in shown(app, "board"), LIMIT_s)
-        await press(pilot, *"auto", "enter")
-        await until(pilot, lambda: "ends the session" in shown(app, "question"), LIMIT_s)
-        await press(pilot, "enter")
-        await until(pilot, lambda: "Enter calibrates" in shown(app, "question"), LIMIT_s)
-        await press(pilot, "enter")
-        await until(pilot, lambda: "Accept" in shown(app, "question"), LIMIT_s)
-        await press(pilot, *"perhaps", "enter", "y", "enter")
-        await until(pilot, lambda: "Accepted" in shown(app, "question"), LIMIT_s)
-
     async def run(cell: Cell) -> None:
         async with console_on(cell, tmp_path, (80, 24)) as (app, pilot, _):
-            await play(app, pilot)
+            await record_some_and_leave(app, pilot, out)
+            await resume_and_accept(app, pilot, out)
 
     with holding_cell() as cell:
         asyncio.run(run(cell))
