@@ -125,7 +125,7 @@ def _draw_axes(
 
 def _draw_arm(canvas: Canvas, scene: Scene, place: Callable[[Point], tuple[int, int]]) -> None:
     for start, end in pairwise([place(corner) for corner in scene.board]):
-        canvas.line(*start, *end, "plain")
+        canvas.line(*start, *end, "strong")
     for start, end in pairwise([place(corner) for corner in scene.arm]):
         canvas.stroke(*start, *end, "accent", half=2 if canvas.height >= _TALL_dots else 1)
     for point, sign, look in reversed(scene.joints):

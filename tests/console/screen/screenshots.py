@@ -66,6 +66,7 @@ async def _moves_and_pauses(app: ConsoleApp, pilot: Pilot[Any], served: Served) 
     await until(pilot, lambda: _progress(app) > 0.6, LIMIT_s)
     await press(pilot, "2", "p")
     await until(pilot, lambda: "PAUSED" in shown(app, "head") and "PAUSED" in said(app), LIMIT_s)
+    await asyncio.sleep(1.0)  # each panel has been drawn since
 
 
 def _mode(app: ConsoleApp) -> str:
