@@ -1,4 +1,4 @@
-"""What the main screen's panels show, and how often: text five times a second, the arm four times, plots twice."""
+"""What the main screen's panels show, and how often: text and the arm three times a second, plots once."""
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +16,7 @@ from console.screen.rows import Row, row
 from console.screen.texts import headline, joint_rows, status_rows, tip_row
 from control.model.arm import Arm
 
-TEXT_S, VIEW_S, PLOT_S = 0.2, 0.25, 0.5
+TEXT_S, VIEW_S, PLOT_S = 0.3, 0.3, 0.9  # multiples: what is due together is drawn in one pass
 STILL_rad = 1e-3  # a pose that has changed by less is not drawn anew
 Room = Callable[[str], tuple[int, int]]  # columns and rows inside a panel
 Drawn = tuple[str, Sequence[Row]]  # a panel's name and its rows

@@ -79,6 +79,7 @@ class OperatingScreen(Screen[None]):
         self._dashboard, self._operator, self._jogger = dashboard, operator, jogger
         self._link: RuntimeLink = operator.link
         self._files, self._open_session = files, open_session
+        self._panels: dict[str, Panel] = {}  # by name: a query for each would cost more than drawing them
 
     def compose(self) -> ComposeResult:
         """Panels from top to bottom; style.tcss says which are beside one another."""
@@ -99,6 +100,7 @@ class OperatingScreen(Screen[None]):
     def on_mount(self) -> None:
         """Keys are for jogging until the command box is asked for."""
         self.query_one("#jogging").border_title = "Jog"
+        self._panels = {str(panel.id): panel for panel in self.query(Panel)}
         self.set_focus(None)
         self.set_interval(RENEW_S, self._renew_held)
 
@@ -113,7 +115,8 @@ class OperatingScreen(Screen[None]):
         for text, is_error in self._dashboard.events(status):
             self.say(text, is_error)
         for name, rows in self._dashboard.changed(status, self._room, time.monotonic()):
-            for panel in self.query(f"#{name}").results(Panel):  # none is there while the console closes
+            panel = self._panels.get(name)
+            if panel is not None and panel.is_attached:  # none is there while the console closes
                 panel.show(rows)
 
     def say(self, text: str, is_error: bool = False) -> None:
@@ -123,10 +126,8 @@ class OperatingScreen(Screen[None]):
 
     def _room(self, name: str) -> tuple[int, int]:
         """Columns and rows inside a panel; none where it is not shown."""
-        for panel in self.query(f"#{name}").results(Panel):
-            if panel.display:
-                return panel.size.width, panel.size.height
-        return 0, 0
+        panel = self._panels.get(name)
+        return (panel.size.width, panel.size.height) if panel is not None and panel.display else (0, 0)
 
     # ---- jogging
 
