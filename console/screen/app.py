@@ -16,14 +16,14 @@ from textual.widgets import Input
 from console.commands.table import COMMANDS
 from console.lines.grammar import Grammar
 from console.screen.dashboard import Dashboard
+from console.screen.drawing.plain import AsciiFilter, is_plain
+from console.screen.drawing.theme import THEME
 from console.screen.files import Files
 from console.screen.jogging import Jogger
 from console.screen.link import Message, RuntimeLink
 from console.screen.operating import OperatingScreen
 from console.screen.operator import MOVING, Operator
-from console.screen.plain import AsciiFilter, is_plain
 from console.screen.session import SessionScreen
-from console.screen.theme import THEME
 from control.model.arm import Arm
 
 __all__ = ["ConsoleApp", "Files"]

@@ -3,16 +3,16 @@
 import functools
 from collections.abc import Callable, Iterator, Sequence
 
-from console.screen.event_log import clock
+from console.screen.drawing.event_log import clock
+from console.screen.drawing.history import History, Series
+from console.screen.drawing.panel import Panel
+from console.screen.drawing.picture import Scene, Skeleton, side_view, top_view
+from console.screen.drawing.plot import Plot, plot_rows
+from console.screen.drawing.rows import Row, row
 from console.screen.events import Event, events_between, stale_s
-from console.screen.history import History, Series
 from console.screen.jogging import Jogger
 from console.screen.link import Message, RuntimeLink
 from console.screen.operator import Operator
-from console.screen.panel import Panel
-from console.screen.picture import Scene, Skeleton, side_view, top_view
-from console.screen.plot import Plot, plot_rows
-from console.screen.rows import Row, row
 from console.screen.texts import headline, joint_rows, status_rows, tip_row
 from control.model.arm import Arm
 

@@ -3,9 +3,9 @@
 import time
 from collections.abc import Callable
 
+from console.screen.drawing.rows import Row, row
 from console.screen.held import HeldKey
 from console.screen.operator import Operator, Target
-from console.screen.rows import Row, row
 from control.model.arm import Arm
 from control.motion.jog_limits import JogLimits
 

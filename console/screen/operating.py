@@ -16,13 +16,13 @@ from textual.widgets import Input
 from console.places import PlacesError, read_places
 from console.screen.dashboard import Dashboard
 from console.screen.dialogs import AskText, Choose, Confirm, HelpDialog
-from console.screen.event_log import EventLog, clock
+from console.screen.drawing.event_log import EventLog, clock
+from console.screen.drawing.panel import Panel
+from console.screen.drawing.rows import row
 from console.screen.files import Files
 from console.screen.jogging import RENEW_S, Jogger, neighbour
 from console.screen.link import Message, RuntimeLink
 from console.screen.operator import Operator
-from console.screen.panel import Panel
-from console.screen.rows import row
 from console.screen.widgets import CommandBox, HeldButton, JogPad
 
 OVERRIDES = (0.01, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from console.screen.drawing.rows import Row, Span, row, width_of, wrapped
 from console.screen.events import stale_s
-from console.screen.rows import Row, Span, row, width_of, wrapped
 from control.model.arm import Arm, Drive
 
 Message = dict[str, Any]

@@ -9,8 +9,8 @@ from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import Input, Static
 
+from console.screen.drawing.panel import Panel
 from console.screen.operator import Target
-from console.screen.panel import Panel
 
 
 class HeldButton(Static):

@@ -17,8 +17,8 @@ from textual.pilot import Pilot
 from textual.widget import Widget
 
 from console.screen.app import ConsoleApp, Files
-from console.screen.event_log import EventLog
-from console.screen.panel import Panel
+from console.screen.drawing.event_log import EventLog
+from console.screen.drawing.panel import Panel
 from control.model.arm import Arm
 from control.server.server import Server
 from tests.cell import PERIOD_S, RIGHT, Cell

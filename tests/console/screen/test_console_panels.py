@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 
 from console.screen.app import ConsoleApp, Files
+from console.screen.drawing.history import BINS, BIN_s, History
+from console.screen.drawing.panel import Panel
+from console.screen.drawing.picture import Skeleton, side_view, top_view
+from console.screen.drawing.plain import ascii_of, is_plain
+from console.screen.drawing.plot import Plot, axis_end, plot_rows
+from console.screen.drawing.rows import text_of, width_of
 from console.screen.events import events_between
-from console.screen.history import BINS, BIN_s, History
-from console.screen.panel import Panel
-from console.screen.picture import Skeleton, side_view, top_view
-from console.screen.plain import ascii_of, is_plain
-from console.screen.plot import Plot, axis_end, plot_rows
-from console.screen.rows import text_of, width_of
 from console.screen.texts import joint_rows, status_rows, tip_row
 from control.model.arm import Arm
 from tests.cell import RIGHT

@@ -12,9 +12,9 @@ import pytest
 from textual.pilot import Pilot
 
 from console.screen.app import ConsoleApp
-from console.screen.event_log import EventLog
-from console.screen.panel import Panel
-from console.screen.rows import text_of
+from console.screen.drawing.event_log import EventLog
+from console.screen.drawing.panel import Panel
+from console.screen.drawing.rows import text_of
 from console.screen.session import SessionScreen
 from console.screen.session_texts import board_rows, legend_rows, record_text
 from tests.cell import Cell, holding_cell

@@ -5,7 +5,7 @@ A character has one look: that of the last stroke through it. A letter stands be
 
 from itertools import groupby
 
-from console.screen.rows import Row
+from console.screen.drawing.rows import Row
 
 _BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _EMPTY = 0x2800

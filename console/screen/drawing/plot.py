@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from console.screen.braille import Canvas
-from console.screen.history import BINS, Bin, SPAN_s
-from console.screen.rows import Row, row
+from console.screen.drawing.braille import Canvas
+from console.screen.drawing.history import BINS, Bin, SPAN_s
+from console.screen.drawing.rows import Row, row
 
 GUTTER = 6  # columns for the numbers of the value axis
 _APART = 4  # columns between the signs of two lines

@@ -7,7 +7,7 @@ from rich.text import Text
 from textual import events
 from textual.widgets import RichLog
 
-from console.screen.rows import LOOKS, Row, row, wrapped
+from console.screen.drawing.rows import LOOKS, Row, row, wrapped
 
 LONGEST = 500  # entries; older ones are dropped
 

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from console.screen.braille import Canvas
-from console.screen.rows import Row
+from console.screen.drawing.braille import Canvas
+from console.screen.drawing.rows import Row
 from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
 from control.model.arm import Arm

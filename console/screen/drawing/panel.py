@@ -9,7 +9,7 @@ from textual.geometry import Region, Size
 from textual.strip import Strip
 from textual.widget import Widget
 
-from console.screen.rows import LOOKS, Row, text_of
+from console.screen.drawing.rows import LOOKS, Row, text_of
 
 
 class Panel(Widget):

@@ -1,0 +1,1 @@
+"""How the screen draws: rows of styled text, panels, plots and pictures in Braille dots."""
