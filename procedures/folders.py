@@ -23,5 +23,5 @@ def require_writable(folder: Path, option: str = "--out") -> None:
         files.require_writable(folder)
     except files.NotWritten as error:
         raise ArmError(
-            f"{option} {folder}: nothing can be written there ({error.strerror}): make room, or take another place"
+            f"{option} {folder}: cannot write there ({error.strerror}): free some space, or choose another place"
         ) from error

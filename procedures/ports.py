@@ -66,7 +66,7 @@ class RuntimePort:
             if mean.tip_m is not None and mean.tip_std_m is not None:
                 return mean.tip_m, mean.tip_std_m
         raise ArmError(
-            f"no camera frame came within {CAMERA_PATIENCE_S:g} s: is the camera on, and does it see the tip?"
+            f"no camera frame within {CAMERA_PATIENCE_S:g} s: check that the camera is on and sees the tip"
         )
 
 

@@ -72,7 +72,7 @@ def _slip(result: Diagnosis, found: Measured) -> bool:
         if len(stops) > 1 and max(stops) - min(stops) > TOUCH_SPREAD_RAD:
             spread = max(stops) - min(stops)
             evidence.append(
-                f"the {side} end stop, touched {len(stops)} times, was {1e3 * spread:.1f} mrad apart by the counts"
+                f"the {side} end stop was touched {len(stops)} times, and the counts differ by {1e3 * spread:.1f} mrad"
             )
     ways = [[edge for edge, direction, _ in found.edges if direction == way] for way in (1, -1)]
     for edges, limit_rad in (
@@ -81,26 +81,24 @@ def _slip(result: Diagnosis, found: Measured) -> bool:
         (ways[0] + ways[1], EDGE_SPREAD_RAD),
     ):
         if len(edges) > 1 and max(edges) - min(edges) > limit_rad:
-            evidence.append(
-                f"the home switch changed at places {1e3 * (max(edges) - min(edges)):.1f} mrad apart"
-            )
+            evidence.append(f"the home switch positions differ by {1e3 * (max(edges) - min(edges)):.1f} mrad")
             break
     if found.flags & SIGNAL_LOST:
         result.problems.append(
-            f"{name}: LOST ENCODER SIGNAL while it moved: check cable and plug where it bends"
+            f"{name}: LOST ENCODER SIGNAL during motion: check the cable where it bends, and its plug"
         )
     if not evidence:
         if found.flags & QUADRATURE_ERROR:
             result.notes.append(
-                f"{name}: its encoder made an illegal transition: check shield and supply of its cable"
+                f"{name}: illegal encoder transition: check the shield and the supply of the encoder cable"
             )
         return False
     if found.flags & QUADRATURE_ERROR:
-        cause = "COUNTS ARE LOST: the encoder makes illegal transitions: check shield, supply and length of its cable"
+        cause = "COUNTS ARE LOST: illegal encoder transitions: check the shield, supply and length of the encoder cable"
     else:
         cause = (
-            "LOOSE ENCODER: no transition was illegal, so something slips: tighten the encoder on its shaft, then belt, pinion"
-            " and the end stop itself"
+            "LOOSE ENCODER: no illegal transition was seen, so something slips: tighten the encoder on its shaft,"
+            " then the belt, pinion and end stop"
         )
     result.problems.append(f"{name}: {cause} ({'; '.join(evidence)})")
     return True
@@ -111,29 +109,29 @@ def _counts(result: Diagnosis, found: Measured, said_counts: int) -> None:
     drive, name = result.drive, f"joint {result.drive.joint}"
     spacings = found.spacings_count
     if not spacings:
-        said = f"{name}: NO INDEX PULSE was seen within {2.6:g} motor turns: check the encoder's Z wire"
+        said = f"{name}: NO INDEX PULSE within {2.6:g} motor turns: check the encoder's Z wire"
         if drive.home is not None:
             result.problems.append(f"{said}; homing needs it")
         else:
-            result.notes.append(f"{said}; without it, counts a turn are the draft's")
+            result.notes.append(f"{said}; counts per turn were not checked and are the draft's")
         return
     middle = round(median(spacings))
     result.figures["index_spacing_counts"] = middle
     if max(spacings) - min(spacings) > SPACING_SPREAD_counts:
         result.problems.append(
-            f"{name}: COUNTS ARE LOST between index pulses ({min(spacings)} to {max(spacings)}): check shield, supply and"
-            " length of the encoder's cable"
+            f"{name}: COUNTS ARE LOST between index pulses ({min(spacings)} to {max(spacings)} counts): check the"
+            " shield, supply and length of the encoder cable"
         )
     elif abs(middle - drive.encoder_counts_per_rev) > SPACING_SPREAD_counts:
         result.changes.append(
-            f"{name}: WRONG COUNTS: {middle} counts from index to index, the draft says {drive.encoder_counts_per_rev}:"
+            f"{name}: WRONG COUNTS: {middle} counts from index to index, draft {drive.encoder_counts_per_rev}:"
             f" encoder_counts_per_rev = {middle}"
         )
         result.drive = replace(drive, encoder_counts_per_rev=middle)
     if abs(middle - said_counts) > SPACING_SPREAD_counts:
         result.notes.append(
-            f"{name}: its boards say {said_counts} counts a motor turn, the encoder has {middle}: set the boards up for it, or"
-            " they will be refused by the new arm.toml"
+            f"{name}: the boards are configured for {said_counts} counts per motor turn, the encoder has {middle}:"
+            " configure the boards, or the new arm.toml will reject them"
         )
 
 
@@ -143,13 +141,13 @@ def _line(result: Diagnosis, found: Measured, is_slipping: bool) -> tuple[float,
     name = f"joint {result.drive.joint}"
     if len(points) < 2:
         result.notes.append(
-            f"{name}: no angle was read: gear ratio, zero and limits are the draft's, unchecked"
+            f"{name}: no angle was read: gear ratio, zero and limits were not checked and are the draft's"
         )
         return math.nan, math.nan
     x0, q0 = fmean(x for x, _ in points), fmean(q for _, q in points)
     sxx = math.fsum((x - x0) ** 2 for x, _ in points)
     if sxx < 0.01:
-        result.problems.append(f"{name}: it hardly moved between two readings: free it, and run it again")
+        result.problems.append(f"{name}: it hardly moved between two readings: free the joint and run again")
         return math.nan, math.nan
     slope = math.fsum((x - x0) * (q - q0) for x, q in points) / sxx
     offset = q0 - slope * x0
@@ -157,13 +155,13 @@ def _line(result: Diagnosis, found: Measured, is_slipping: bool) -> tuple[float,
     result.figures |= {"scale": slope, "scale_sd": READING_SD_RAD / math.sqrt(sxx)}
     if slope < 0.0:
         result.problems.append(
-            f"{name}: its angle was read to fall while it turned in what was said to be its positive direction: one of the two"
-            " answers was wrong; run it again"
+            f"{name}: the angle readings fell while the joint turned in its stated positive direction: one of the two"
+            " answers was wrong; run again"
         )
     elif worst > MISREAD_RAD and not is_slipping:
         result.problems.append(
-            f"{name}: readings and counts are up to {math.degrees(worst):.1f} deg off a straight line: an angle was misread, or"
-            " the encoder slips (LOOSE ENCODER); run it again"
+            f"{name}: the readings deviate by up to {math.degrees(worst):.1f} deg from a straight line over the"
+            " counts: an angle was misread, or the encoder slips (LOOSE ENCODER); run again"
         )
     return offset, slope
 
@@ -178,26 +176,29 @@ def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
     result.figures |= {"gear_ratio": ratio, "gear_ratio_sd": sd}
     if abs(ratio / draft.gear_ratio - 1.0) <= max(SCALE_TOLERANCE, 3.0 * sd / ratio):
         return
-    found = f"{ratio:.2f} motor turns a joint turn (sd {sd:.2f}), the draft says {draft.gear_ratio:g}"
+    found = f"{ratio:.2f} motor turns per joint turn (sd {sd:.2f}), draft {draft.gear_ratio:g}"
     if abs(ratio / draft.gear_ratio - 1.0) < ODD_RATIO:
         result.problems.append(
-            f"joint {drive.joint}: LOOSE ENCODER or WRONG GEAR: {found}: so small a difference is rarely a gearbox; tighten the"
-            " encoder on its shaft and run it again, or correct gear_ratio in the draft if the gearbox's plate says so"
+            f"joint {drive.joint}: LOOSE ENCODER or WRONG GEAR: {found}: such a small difference is rarely a"
+            " different gearbox; tighten the encoder on its shaft and run again, or correct gear_ratio in the draft"
+            " if the gearbox plate confirms it"
         )
         return
     if readings < FEWEST_READINGS:
         result.problems.append(
-            f"joint {drive.joint}: WRONG GEAR or a misread angle: {found}, by {readings} readings, which cannot show a mistake"
-            " in one of them; run it again with its end stops, or correct gear_ratio in the draft if the gearbox's plate says so"
+            f"joint {drive.joint}: WRONG GEAR or a misread angle: {found}; {readings} readings cannot reveal a"
+            " misread one; run again with end stops, or correct gear_ratio in the draft if the gearbox plate"
+            " confirms it"
         )
         return
     rounded = float(round(ratio)) if abs(ratio - round(ratio)) < 2.0 * sd else float(f"{ratio:.4g}")
     result.changes.append(
-        f"joint {drive.joint}: WRONG GEAR: {found}: gear_ratio = {rounded:g}; compare it with the gearbox's plate"
+        f"joint {drive.joint}: WRONG GEAR: {found}: gear_ratio = {rounded:g}; compare with the gearbox plate"
     )
     if sd > EXACT * ratio:
         result.notes.append(
-            f"joint {drive.joint}: the gear is known to {sd / ratio:.1%} only: let it go to its end stops, and read them"
+            f"joint {drive.joint}: the gear ratio is known to {sd / ratio:.1%} only: run with end stops and read the"
+            " angles there"
         )
     result.drive = replace(drive, gear_ratio=rounded)
 
@@ -218,13 +219,13 @@ def _motor(result: Diagnosis, found: Measured, draft: Drive) -> None:
     drive, name = result.drive, f"joint {result.drive.joint}"
     if abs(constant / drive.torque_constant_Nm_A - 1.0) > CONSTANT_TOLERANCE:
         result.notes.append(
-            f"{name}: its back-EMF says {constant:.4f} V s/rad, the draft's torque_constant_Nm_A is"
-            f" {drive.torque_constant_Nm_A:g}: another motor, or another winding? compare its data sheet"
+            f"{name}: back-EMF constant {constant:.4f} V s/rad, torque_constant_Nm_A of the draft"
+            f" {drive.torque_constant_Nm_A:g}: check motor and winding against the data sheet"
         )
     if abs(resistance_ohm / drive.resistance_ohm - 1.0) > RESISTANCE_TOLERANCE:
         result.notes.append(
-            f"{name}: {resistance_ohm:.3f} ohm between board and motor, the draft says {drive.resistance_ohm:g}: check crimps and"
-            " brushes, or correct resistance_ohm"
+            f"{name}: {resistance_ohm:.3f} ohm between board and motor, draft {drive.resistance_ohm:g}: check crimps"
+            " and brushes, or correct resistance_ohm"
         )
 
 
@@ -241,7 +242,7 @@ def _friction(result: Diagnosis, found: Measured, draft: Drive, scale: float) ->
     ]
     if len(points) < 2:
         result.notes.append(
-            f"joint {draft.joint}: friction was not measured: it did not turn freely both ways"
+            f"joint {draft.joint}: friction was not measured: the joint did not turn freely in both directions"
         )
         return
     w0, t0 = fmean(w for w, _ in points), fmean(t for _, t in points)

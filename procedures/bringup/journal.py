@@ -48,12 +48,12 @@ class Journal:
             is_ours = content["format"] == FORMAT
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ArmError(
-                f"{self.path}: not a journal of bring-up ({error}): remove it, or take another --out"
+                f"{self.path}: not a bring-up journal ({error}): remove it, or choose another --out"
             ) from None
         if not is_ours or content.get("draft_sha256") != digest:
             raise ArmError(
-                f"{self.path}: the journal of another draft, or of one that has changed since: remove it to begin anew, or take"
-                " another --out"
+                f"{self.path}: this journal belongs to another draft, or the draft has changed: remove it to start"
+                " again, or choose another --out"
             )
         self._content = content
 

@@ -68,12 +68,15 @@ def measure(
     try:
         _known_angle(driver, operator, joint, found, KNOWN_ANGLE_RAD if with_stops else LONG_ANGLE_RAD)
         _allow(
-            operator, joint, "turns by a few motor turns for its index, then to and fro for its friction", 0.5
+            operator,
+            joint,
+            "makes a few motor turns to find the index, then moves back and forth to measure friction",
+            0.5,
         )
         measure_index_spacing(driver, found)
         _friction(driver, found)
         if with_stops:
-            _allow(operator, joint, "creeps to both of its end stops, so its whole way must be free", None)
+            _allow(operator, joint, "creeps to both end stops; its whole range must be clear", None)
             _stops(driver, operator, joint, found, speed_rad_s)
     finally:
         operator.let_go()
@@ -81,9 +84,9 @@ def measure(
 
 
 def _allow(operator: Operator, joint: int, what: str, travel_rad: float | None) -> None:
-    way = f", by at most {math.degrees(travel_rad):.0f} deg" if travel_rad else ""
+    way = f", at most {math.degrees(travel_rad):.0f} deg" if travel_rad else ""
     if not operator.allow(f"Joint {joint} {what}{way}."):
-        raise Stopped(f"the operator did not allow joint {joint} to move")
+        raise Stopped(f"the operator did not confirm the motion of joint {joint}")
 
 
 def _known_angle(
@@ -91,7 +94,7 @@ def _known_angle(
 ) -> None:
     """Read, turn by the draft's scale, read: what is out by a factor is known before anything goes far."""
     _read(driver, operator, joint, found)
-    _allow(operator, joint, "turns in what should be its positive direction", angle_rad)
+    _allow(operator, joint, "turns in its supposed positive direction", angle_rad)
     start_rad = driver.where_rad()
     if abs(_turned(driver, found, angle_rad)) < 0.8 * angle_rad:
         _turned(driver, found, -2.0 * angle_rad)  # something stood in the way

@@ -48,7 +48,7 @@ class MockOperator:
         words = (
             f"joint {answer[0]}, {'positive' if answer[1] > 0 else 'negative'}" if answer else "nothing moved"
         )
-        self.say(f"  What moved, and which way?  [mock operator: {words}]")
+        self.say(f"  Which joint moved, and in which direction?  [mock operator: {words}]")
         return answer
 
     def angle_rad(self, joint: int) -> float | None:

@@ -51,7 +51,7 @@ def bring_up(
     """Pulse, then measure the joints that have not passed yet. Raises Stopped and what boards raise; all drives are off then."""
     outcome = Outcome()
     currents = {drive.joint: caution_of(arm, drive, options) for drive in arm.drives}
-    say("Which motor moves what: a short pulse on each motor board.")
+    say("Motor survey: a short pulse on each motor board.")
     pulses = []
     for drive in arm.drives:
         try:
@@ -66,7 +66,7 @@ def bring_up(
         wiring = outcome.wiring.joints.get(joint)
         if wiring is None:
             outcome.problems.append(
-                f"joint {joint}: no motor board is known to move it, so nothing else was measured of it"
+                f"joint {joint}: no motor board was seen to move it, so it was not measured"
             )
             continue
         measure_joint(arm, bench, operator, journal, options, outcome, wiring, currents[joint], say)

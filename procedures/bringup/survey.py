@@ -45,18 +45,18 @@ class Pulse:
     channel: Channel | None
     moved_count: int
     returned_count: int
-    """By how much the same channel moved under negative voltage."""
+    """Travel of the same channel under negative voltage."""
     others: tuple[Channel, ...]
-    """Channels that moved as well."""
+    """Other channels that moved."""
     peak_volts: float
     peak_current_A: float
     stall_ohm: float
     """Voltage over current before anything moved; NaN where no current flowed."""
     breakaway_A: float
     motor_board_count: int
-    """By how much the motor board's own counter moved."""
+    """Travel of the motor board's own counter."""
     lost: tuple[Channel, ...] = ()
-    """Channels whose signal the encoder board calls lost."""
+    """Channels whose signal the encoder board reports as lost."""
 
     def as_json(self) -> dict[str, object]:
         """For the journal."""
@@ -71,11 +71,11 @@ def pulse(bench: Bench, operator: Operator, drive: Drive, caution: Caution, join
     volts = caution.voltage_V(drive)
     per_rad = abs(JointMap(drive).counts_per_radian)
     if not operator.allow(
-        f"Motor board {drive.motor_node} (joint {drive.joint} by the draft): a pulse with at most {caution.current_A:.2f} A"
-        f" and {volts:.2f} V. One of the joints should turn by some {math.degrees(PULSE_RAD):.0f} deg,"
-        f" {math.degrees(BLIND_RAD):.0f} deg at most."
+        f"Motor board {drive.motor_node} (joint {drive.joint} in the draft): a pulse of at most"
+        f" {caution.current_A:.2f} A and {volts:.2f} V. One joint should turn by about {math.degrees(PULSE_RAD):.0f}"
+        f" deg, at most {math.degrees(BLIND_RAD):.0f} deg."
     ):
-        raise Stopped("the operator did not allow the pulse")
+        raise Stopped("the operator did not confirm the pulse")
     before_count = bench.motor_count(drive.motor_node)
     sinking = _drift(bench)
     limits = DriveLimits(caution.current_A, volts, travel_count=TRAVEL * PULSE_RAD * per_rad)

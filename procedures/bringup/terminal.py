@@ -41,7 +41,7 @@ class TerminalOperator:
         if self._goes_on:
             self.say(f"  {what}")
         elif self._line(
-            f"  {what}\n  Enter: go, with a hand on the stop. Any key stops it. s and Enter: do not move. "
+            f"  {what}\n  Enter: go; keep a hand on the emergency stop. Any key stops the motion. s and Enter: do not move. "
         ).strip():
             return False
         self._by_keys()
@@ -58,7 +58,8 @@ class TerminalOperator:
         """Asked until the answer makes sense."""
         while True:
             said = self._line(
-                "  What moved, and which way by the drawing? A joint and a sign, such as 1+ or 2-; 0: nothing moved. "
+                "  Which joint moved, and in which direction of the drawing? Joint and sign, such as 1+ or 2-; 0:"
+                " nothing moved. "
             ).strip()
             if said.lower() in NOTHING:
                 return None
@@ -71,7 +72,8 @@ class TerminalOperator:
         """Degrees are what protractors have."""
         while True:
             said = self._line(
-                f"  Angle of joint {joint} by the drawing, in degrees (protractor or inclinometer; Enter: cannot be read): "
+                f"  Angle of joint {joint} as in the drawing, in degrees (protractor or inclinometer; Enter: cannot"
+                " be read): "
             ).strip()
             if not said:
                 return None
@@ -83,7 +85,9 @@ class TerminalOperator:
 
     def support(self, joint: int) -> None:
         """Say what is to be held."""
-        self.say(f"Joint {joint} is next. Support the links of the other joints: they are braked, not held.")
+        self.say(
+            f"Joint {joint} is next. Support the links of the other joints: they are braked, but not held."
+        )
 
     def let_go(self) -> None:
         """Nothing to do: a person sees that the motion is over."""

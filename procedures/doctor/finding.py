@@ -19,7 +19,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """`group` is host, ports, boards, timing, signals or arm; `remedy` is empty where all is well."""
+    """`group` is host, ports, boards, timing, signals or arm; `remedy` is empty where nothing needs doing."""
 
     level: Level
     group: str
@@ -74,10 +74,10 @@ def verdict(findings: Sequence[Finding]) -> str:
     bad = sum(finding.level is Level.BAD for finding in findings)
     warned = sum(finding.level is Level.WARN for finding in findings)
     if bad:
-        return f"{bad} to mend before the arm moves, {warned} to look at"
+        return f"{bad} to fix before the arm moves, {warned} to check"
     if warned:
-        return f"nothing stands in the way; {warned} to look at"
-    return "all is well"
+        return f"no errors; {warned} to check"
+    return "no problems found"
 
 
 def as_json(arm: str, findings: Sequence[Finding]) -> dict[str, object]:

@@ -21,7 +21,7 @@ class EncoderSamples:
 
     arrived_s: list[float] = field(default_factory=list)
     latched_s: list[float] = field(default_factory=list)
-    """When, by the board's own clock."""
+    """Times by the board's own clock."""
     counts: list[tuple[int, ...]] = field(default_factory=list)
     flags: list[int] = field(default_factory=lambda: [0, 0, 0])
     """Those that were ever set."""

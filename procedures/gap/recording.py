@@ -50,7 +50,8 @@ def note_plan(out: Path, plan: RecordingPlan, arm: Arm) -> None:
     wanted = json.dumps(plan_document(plan, arm), indent=1) + "\n"
     if path.exists() and path.read_text(encoding="utf-8") != wanted:
         raise CalibrationError(
-            f"{path}: the records here are of another plan or arm: give the same options to go on with it, or another --out"
+            f"{path}: contains the records of another plan or arm: give the same options to continue, or choose"
+            " another --out"
         )
     out.mkdir(parents=True, exist_ok=True)
     write_whole(path, wanted)
@@ -142,7 +143,7 @@ class _Recorder:
             if mean.tip_m is not None:
                 return mean
         raise ArmError(
-            f"no camera frame came within {CAMERA_PATIENCE * AVERAGE_s:g} s: is the camera on, and does it see the tip?"
+            f"no camera frame within {CAMERA_PATIENCE * AVERAGE_s:g} s: check that the camera is on and sees the tip"
         )
 
     _last: tuple[float, ...] | None = None
@@ -165,7 +166,7 @@ class _Recorder:
         rows = self._rows.of_run(int(client.status()["run"]))
         if not len(rows):
             raise ArmError(
-                f"{self._bench.recording}: holds no rows of the run that has just ended: is the disk full?"
+                f"{self._bench.recording}: contains no rows of the run that just ended: check for a full disk"
             )
         rows = rows[rows["t_s"] <= rows["t_s"][0] + step.path.duration_s + REST_s]
         RunFile.write(file, rows, self._bench.arm.joint_count, step.payload_kg)

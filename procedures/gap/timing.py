@@ -89,7 +89,10 @@ class Clocks:
         """What was taken out."""
         camera = "" if math.isnan(self.camera_s) else f", camera frames {1e3 * self.camera_s:.1f} ms"
         return (
-            f"Taken out of the log: angles were {1e3 * self.angle_age_s:.2f} ms old on average{camera}, currents one cycle.",
+            (
+                f"Delays removed from the log: angles {1e3 * self.angle_age_s:.2f} ms on average{camera}, currents one"
+                " cycle."
+            ),
         )
 
 

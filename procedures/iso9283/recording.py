@@ -164,7 +164,7 @@ class _Recorder:
         rows = self._rows.of_run(int(client.status()["run"]))
         if not len(rows):
             raise ArmError(
-                f"{self._bench.recording}: holds no rows of the run that has just ended: is the disk full?"
+                f"{self._bench.recording}: contains no rows of the run that just ended: check for a full disk"
             )
         is_kept = np.isfinite(rows["x_m"]) if every > 1 else np.ones(len(rows), dtype=bool)
         is_kept[::every] = True
@@ -187,7 +187,7 @@ class _Recorder:
         if mass_kg == self._load_kg:
             return
         if self._bench.hang is None:
-            raise ArmError("nobody hangs loads at the tip: leave the programme `load` out")
+            raise ArmError("no operator can attach loads to the tip: omit the programme `load`")
         self._bench.hang(mass_kg)
         self._load_kg = mass_kg
 
@@ -234,8 +234,8 @@ def _require_clear(arm: Arm, poses: Sequence[Sequence[float]]) -> None:
         lowest_m = float(kinematics.tips(between)[:, 2].min())
         if lowest_m < floor_m:
             raise Iso9283Error(
-                f"arm {arm.name}: a joint move between poses of the test could take the tip to {lowest_m:.3f} m, below the"
-                f" floor at {floor_m:g} m: choose a cube that stands higher (--cube-centre, --cube-edge)"
+                f"arm {arm.name}: a joint move between test poses could take the tip to z = {lowest_m:.3f} m, below"
+                f" the floor at {floor_m:g} m: choose a higher cube (--cube-centre, --cube-edge)"
             )
 
 
@@ -244,7 +244,7 @@ def _note_programme(path: Path, document: dict[str, object]) -> None:
     wanted = json.dumps(document, indent=2) + "\n"
     if path.exists() and path.read_text(encoding="utf-8") != wanted:
         raise Iso9283Error(
-            f"{path}: the records here are of another programme or cube: choose another folder with --out, or give the"
-            " same options to go on with it"
+            f"{path}: contains the records of another programme or cube: choose another folder with --out, or give"
+            " the same options to continue"
         )
     write_whole(path, wanted)

@@ -161,7 +161,7 @@ class RealTimeBench:
                 return SocketChannel(self.socket_path)
             if self._runtime is not None and self._runtime.poll() is not None:
                 raise ArmError(
-                    f"the runtime ended at once with status {self._runtime.returncode}; it said why above"
+                    f"the runtime ended at once with status {self._runtime.returncode}; its message is above"
                 )
             if time.monotonic() > deadline_s:
                 raise ArmError(f"the runtime did not open its socket within {START_LIMIT_S:g} s")

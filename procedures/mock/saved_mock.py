@@ -27,7 +27,7 @@ def kept_mock(
     kept = out / "scenario.toml"
     if kept.exists() and kept.read_bytes() != drawn:
         raise CalibrationError(
-            f"{kept}: the records here are of another mock arm: choose another folder with --out"
+            f"{kept}: contains the records of another mock arm: choose another folder with --out"
         )
     write_whole(kept, drawn)
     log = free_folder(out / "log")

@@ -46,7 +46,7 @@ def poses_at(places: Sequence[Place], model: Model, q_near_rad: Sequence[float])
             q_near_rad = model.inverse.nearest(model.in_base(place.tip_m), q_near_rad)
         except ArmError as error:
             raise ArmError(
-                f"verification point {place.setup} {place.point}: {error}; nothing was moved"
+                f"verification point {place.setup} {place.point}: {error}; nothing moved"
             ) from error
         poses.append(FreePose(place.setup, place.point, tuple(q_near_rad)))
     return tuple(poses)

@@ -89,7 +89,7 @@ def nominal_of(calibrated: Arm, against: str | None) -> Arm:
 def _source_of(calibrated: Arm) -> str:
     if calibrated.calibration is None:
         raise ArmError(
-            f"{calibrated.path}: has no [calibration], so what it was before is not known; name it with --against"
+            f"{calibrated.path}: has no [calibration], so its nominal arm is unknown; give it with --against"
         )
     source = calibrated.calibration.source
     beside = (calibrated.path or Path()).parent / source
@@ -99,19 +99,20 @@ def _source_of(calibrated: Arm) -> str:
     if Path(source).stem in arm_names():
         return Path(source).stem
     raise ArmError(
-        f"{calibrated.path}: was calibrated from {source}, which is neither beside it nor here; name it with --against"
+        f"{calibrated.path}: its nominal arm {source} was found neither beside it nor in this folder; give it with"
+        " --against"
     )
 
 
 def believed_by(status: Message, pair: Pair) -> Model:
     """Which of the two models the runtime runs: the one by which its tip is where it says. ArmError if neither."""
     if not status["is_homed"] or status["tip_m"] is None:
-        raise ArmError("the arm is not homed, so its angles mean nothing yet: `armwright home`")
+        raise ArmError("the arm is not homed, so its angles are unknown: run `armwright home`")
     for model in (pair.calibrated, pair.nominal):
         tip_m = model.kinematics.tip(*status["joint_rad"])
         if max(abs(a - b) for a, b in zip(tip_m, status["tip_m"], strict=True)) < SAME_TIP_m:
             return model
     raise ArmError(
-        f"the runtime was started with another arm than {pair.calibrated.arm.path} or {pair.nominal.arm.path}: its tip would"
-        " be elsewhere; start `armwright serve` with one of the two"
+        f"the runtime uses another arm than {pair.calibrated.arm.path} or {pair.nominal.arm.path}, so its tip"
+        " positions would differ; start `armwright serve` with one of the two"
     )

@@ -84,7 +84,7 @@ def _radius_m(table: Table) -> float:
     radius = max((math.hypot(x, y) for x, y, _ in tables.board_cavities(table).values()), default=0.0)
     if radius < _LEAST_RADIUS_m:
         raise MissingModel(
-            f"the table's cavities reach {radius:.3f} m from the board's centre: a verification needs at least"
-            f" {_LEAST_RADIUS_m} m to draw its points and paths on"
+            f"the table's cavities reach {radius:.3f} m from the board's centre, expected at least {_LEAST_RADIUS_m}"
+            " m for the verification points and paths"
         )
     return radius
