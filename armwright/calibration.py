@@ -82,7 +82,7 @@ class CalibrationResult:
         for name in RESULTS:
             if (out / name).exists():
                 raise CalibrationError(
-                    f"{out / name} exists already and is never overwritten: give another folder"
+                    f"{out / name} exists already and is never overwritten: choose another folder"
                 )
         made, program = self.calibrated, f"armwright {version('armwright')}"
         date = datetime.datetime.now(datetime.UTC).date().isoformat()

@@ -24,7 +24,7 @@ def parser() -> argparse.ArgumentParser:
         description="Control runtime, mock robot and calibration for a self-built robot arm.",
         epilog="`armwright demo` shows the whole job on a mock arm. Every command has its own --help.",
     )
-    top.add_argument("--version", action="store_true", help="print the version and end")
+    top.add_argument("--version", action="store_true", help="print the version and exit")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", title="commands")
     for command in COMMANDS:
         sub = commands.add_parser(command.name, help=command.summary, description=command.description)

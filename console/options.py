@@ -76,10 +76,8 @@ ARM = option(
     help="an arm.toml, or the name of an arm that ships (default: $ARMWRIGHT_ARM, `arm` in"
     " ~/.config/armwright/config.toml, or right)",
 )
-SOCKET = option(
-    "--socket", metavar="PATH", help="the runtime's socket (default: the place of the arm's name)"
-)
-OUT = option("--out", metavar="DIR", required=True, help="a folder for the results; made if it is not there")
+SOCKET = option("--socket", metavar="PATH", help="the runtime's socket (default: chosen by the arm's name)")
+OUT = option("--out", metavar="DIR", required=True, help="folder for the results; created if missing")
 JSON = option("--json", action="store_true", help="print JSON for another program")
 RATE = option("--rate", type=finite, default=500.0, metavar="HZ", help="cycles per second (default: 500)")
 LINKS = (
@@ -87,7 +85,7 @@ LINKS = (
         "--encoder",
         metavar="URL",
         action="append",
-        help="serial port of an encoder board, any URL of pyserial's",
+        help="serial port of an encoder board, or any pyserial URL",
     ),
     option(
         "--can-interface", metavar="NAME", help="python-can's interface: socketcan, slcan, udp_multicast, ..."

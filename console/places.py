@@ -42,7 +42,7 @@ def find_place(file: Path, name: str) -> Place:
     """One place. PlacesError lists those that there are."""
     places = read_places(file)
     if name not in places:
-        raise PlacesError(f"{file}: no place {name!r}; there are {', '.join(places) or 'none'}")
+        raise PlacesError(f"{file}: no place {name!r}; expected one of {', '.join(places) or 'none'}")
     return places[name]
 
 
@@ -66,10 +66,10 @@ def _tables(file: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PlacesError(f"{file}: no TOML: {error}; mend it, or give another file") from None
+        raise PlacesError(f"{file}: not valid TOML: {error}; correct it, or give another file") from None
     except OSError as error:
         raise PlacesError(
-            f"{file}: cannot read places: {error.strerror}; `armwright mark NAME` makes one"
+            f"{file}: cannot read places: {error.strerror}; `armwright mark NAME` creates the file"
         ) from None
 
 

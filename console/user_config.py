@@ -43,7 +43,7 @@ def _existing(text: str, folder: Path, where: str) -> str:
     if path.suffix != ".toml" and len(path.parts) <= len(folder.parts) + 1:
         return text
     if not path.is_file():
-        raise ConfigError(f"{where}: there is no file {path}")
+        raise ConfigError(f"{where}: no file {path}")
     return str(path)
 
 

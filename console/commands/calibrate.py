@@ -57,7 +57,7 @@ def _forms(texts: list[str]) -> list[str]:
     forms = _names(texts)
     for form in forms:
         if form not in FORMS:
-            raise CalibrationError(f'--export: expected some of {", ".join(FORMS)}, got "{form}"')
+            raise CalibrationError(f'--export: expected one or more of {", ".join(FORMS)}, got "{form}"')
     return forms
 
 
@@ -191,9 +191,7 @@ def _write(given: argparse.Namespace, made: Calibrated, out: Path, forms: list[s
 
 def _inputs(given: argparse.Namespace, arm: Arm) -> tuple[InputFile, ...]:
     """Every file that the result depends on."""
-    found = [
-        input_file(Path(name), "points: joint angles and what is known of the tip") for name in given.points
-    ]
+    found = [input_file(Path(name), "points: joint angles and tip measurements") for name in given.points]
     if arm.path is not None:
         found.append(input_file(arm.path, "the nominal arm"))
     if given.boards is not None:

@@ -31,7 +31,7 @@ def run(given: argparse.Namespace) -> int:
     else:
         _say(described(found))
         _say(f"real-time rights: {remedy or 'granted'}")
-        _say(f"arm {arm.name}: all boards are there and are the right ones")
+        _say(f"arm {arm.name}: all boards answer and match arm.toml")
     return 0
 
 
@@ -65,7 +65,7 @@ def described(found: dict[str, list[dict[str, Any]]]) -> str:
     ]
     lines += [
         f"{one['where']}: serial number {one['serial_number']}, firmware {one['firmware']},"
-        f" {one['encoder_counts_per_turn']} counts a turn"
+        f" {one['encoder_counts_per_turn']} counts per turn"
         for one in found["motor_boards"]
     ]
     return "\n".join(lines)

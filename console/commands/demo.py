@@ -27,7 +27,7 @@ def run(given: argparse.Namespace) -> int:
         return _gap(given)
     for name in ("effect", "joint"):
         if getattr(given, name) is not None:
-            raise CalibrationError(f"--{name} belongs to `armwright demo gap`")
+            raise CalibrationError(f"--{name} is only for `armwright demo gap`")
     arm = load_arm(given.arm)
     conduct, out_name, scenario_name = _DEMOS[given.what]
     can_home = all(drive.home is not None for drive in arm.drives)
@@ -58,12 +58,9 @@ def _job(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
     found = comparison_text(outcome.verification)
     write_whole(out / "verification.txt", found + "\n")
     return (
-        f"\nTip error at {len(outcome.verification.point)} verification points that the calibration did not use:\n\n"
-        f"{found}\n\n"
-        f"  report          {outcome.report}\n"
-        f"  calibrated arm  {outcome.calibrated_arm}\n"
-        f"  points          {out / 'points.csv'}\n"
-        f"  recordings      {out / 'log'}\n"
+        f"\nTip error at {len(outcome.verification.point)} verification points that calibration did not"
+        f" use:\n\n{found}\n\n  report          {outcome.report}\n  calibrated arm  {outcome.calibrated_arm}\n"
+        f"  points          {out / 'points.csv'}\n  recordings      {out / 'log'}\n"
     )
 
 
@@ -78,11 +75,9 @@ def _paper(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
     write_whole(out / "paper.txt", table + "\n")
     sentences = "\n".join(findings(outcome.replay))
     return (
-        f"\nMean tip error at points that the calibrations did not use, and how much smaller it became (95 %):\n\n{table}\n\n"
-        f"{sentences}\nIdentified play: {widths_text(outcome.replay.models[-1])}.\n\n"
-        f"  report    {outcome.report}\n"
-        f"  figures   {outcome.figures}\n"
-        f"  points    {out / 'points.csv'}\n"
+        "\nMean tip error at points that calibration did not use, and its reduction (95"
+        f" %):\n\n{table}\n\n{sentences}\nIdentified backlash: {widths_text(outcome.replay.models[-1])}.\n\n  report"
+        f"    {outcome.report}\n  figures   {outcome.figures}\n  points    {out / 'points.csv'}\n"
     )
 
 
@@ -94,9 +89,7 @@ def _gap(given: argparse.Namespace) -> int:
 
     for name in ("scenario", "realtime"):
         if getattr(given, name):
-            raise CalibrationError(
-                f"--{name} belongs to the other demos: this one hides an effect of its own"
-            )
+            raise CalibrationError(f"--{name} is not for `armwright demo gap`, which hides its own effect")
     seed = given.seed if given.seed is not None else GAP_SEED
     hidden = drawn(seed, given.effect, given.joint)
     arm = with_known_friction(load_arm(given.arm))

@@ -107,11 +107,9 @@ def _mark(given: argparse.Namespace) -> int:
     """Keep where the arm stands as a named place."""
     status = connected(given).status()
     if not status["is_homed"]:
-        raise ArmError("mark: the arm is not homed, so its joint angles are unknown (`armwright home`)")
+        raise ArmError("mark: the arm is not homed, so its joint angles are unknown: run `armwright home`")
     was_there = keep_place(Path(given.places), given.name, status["joint_rad"])
-    sys.stdout.write(
-        f"{given.name} in {given.places}{', in the stead of another pose' if was_there else ''}\n"
-    )
+    sys.stdout.write(f"{given.name} in {given.places}{', replacing another pose' if was_there else ''}\n")
     return 0
 
 
@@ -119,7 +117,7 @@ def _teach(given: argparse.Namespace) -> int:
     """Append where the tip is to a way-point file, which is begun where there is none."""
     status = connected(given).status()
     if status["tip_m"] is None:
-        raise ArmError("teach: the tip's position is not known yet: `armwright home`")
+        raise ArmError("teach: the tip position is unknown: run `armwright home`")
     file = Path(given.file)
     lines = _way_points(file)
     point = tuple(round(float(x), 6) for x in status["tip_m"])

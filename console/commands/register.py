@@ -41,8 +41,8 @@ def described(setup: str, board: Registration) -> str:
     lines = [
         f"setup {setup}: {len(board.names)} markers, noise {1e3 * board.noise_m:.3f} mm per axis",
         f"  origin ({x}, {y}, {z}) mm, sd {' '.join(f'{1e3 * value:.3f}' for value in sd[:3])} mm",
-        f"  normal ({nx}, {ny}, {nz}), sd of turns {' '.join(f'{1e3 * value:.3f}' for value in sd[3:])} mrad",
-        "  marker    dx      dy      dz    total  (seen minus board, mm)",
+        f"  normal ({nx}, {ny}, {nz}), sd of the tilt {' '.join(f'{1e3 * value:.3f}' for value in sd[3:])} mrad",
+        "  marker    dx      dy      dz    total  (measured minus board, mm)",
     ]
     for name, residual, total in zip(board.names, board.residual_m, norms(board.residual_m), strict=True):
         mark = "  outlier, not used" if name in board.outliers else ""

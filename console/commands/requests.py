@@ -28,13 +28,13 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _enable(client: ArmClient, given: argparse.Namespace) -> str | None:
-    return None if client.enable() else "the drives are on already; nothing was changed"
+    return None if client.enable() else "the drives are already on; nothing changed"
 
 
 def _home(client: ArmClient, given: argparse.Namespace) -> str | None:
     if client.home(again=given.again):
         return None
-    return "already homed: the boards know their zeros; `armwright home --again` searches for them again"
+    return "already homed: the boards know their zeros; `armwright home --again` homes again"
 
 
 def _wait(client: ArmClient, given: argparse.Namespace) -> None:
@@ -65,13 +65,13 @@ def _require_consent(given: argparse.Namespace) -> None:
     if given.yes:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise ArmError("guide: it lets the arm go, and no terminal is there to confirm it: give --yes")
+        raise ArmError("guide: releases the arm, and there is no terminal to confirm it: give --yes")
     what = (
-        "The drives will carry the arm's weight only as well as its masses are known."
+        "The drives will compensate gravity only as well as the masses are known."
         if given.weightless
-        else "The drives will go off and the arm will drop."
+        else "The drives will turn off and the arm will drop."
     )
-    sys.stderr.write(f"{what} Does somebody hold it? [y/N] ")
+    sys.stderr.write(f"{what} Is somebody holding the arm? [y/N] ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-        raise ArmError("guide: not confirmed; nothing was changed")
+        raise ArmError("guide: not confirmed; nothing changed")

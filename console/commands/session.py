@@ -74,7 +74,7 @@ def _with_mock(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, 
 
 def _with_arm(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, front: Front) -> None:
     if (Path(given.out) / SCENARIO).exists():
-        raise SessionError(f"{given.out} is the session of a mock arm: add --mock")
+        raise SessionError(f"{given.out}: this session belongs to a mock arm: add --mock")
     client = connected(given)
     try:
         status = _ready(client)
@@ -135,12 +135,12 @@ def _ready(client: ArmClient) -> Message:
         raise ArmFaulted(fault_text(status))
     if not status["is_homed"]:
         raise ArmError(
-            "the arm does not know its joint angles yet: `armwright enable`, then `armwright home`"
+            "the arm is not homed, so its joint angles are unknown: run `armwright enable`, then `armwright home`"
         )
     if status["mode"] in ("GUIDING", "BRAKED"):  # a session that was killed while the hand had the arm
         client.hold()
     elif status["mode"] != "HOLDING":
-        raise ArmError(f"the arm is {status['mode']}, expected HOLDING: `armwright enable`")
+        raise ArmError(f"the arm is {status['mode']}, expected HOLDING: run `armwright enable`")
     return status
 
 
@@ -167,7 +167,8 @@ def _require_same_arm(folder: SessionFolder, arm: Arm) -> None:
     """Also where no other option was given."""
     if folder.plan.arm_sha256 != fingerprint(arm):
         raise SessionError(
-            f"{folder.path} is a session of arm {folder.plan.arm!r} as its file was then; --arm says another"
+            f"{folder.path}: this session was started with arm {folder.plan.arm!r} and another version of its file:"
+            " give that file with --arm"
         )
 
 

@@ -59,7 +59,7 @@ def described(status: Message) -> str:
     lines += [f"warning: {warning}" for warning in status["warnings"]]
     lines += [f"FAULT {f['where']}: {f['message']}; {f['remedy']}" for f in status["faults"]]
     if status["faults"]:
-        lines.append("when it is safe: `armwright acknowledge`, then `armwright enable`")
+        lines.append("when it is safe, run `armwright acknowledge`, then `armwright enable`")
     return "\n".join(lines)
 
 
@@ -71,7 +71,7 @@ def _recording(recorder: RecorderState) -> str:
 def stale_lines(status: Message) -> list[str]:
     """What a mark beside a value means: which board is silent, and since when."""
     return [
-        f"{STALE.strip()} joint {joint}: its {board} board has been silent for {age_s:.1f} s; these are its last values"
+        f"{STALE.strip()} joint {joint}: no report from its {board} board for {age_s:.1f} s; these are the last values"
         for board, ages_s in (("encoder", status["encoder_stale_s"]), ("motor", status["drive_stale_s"]))
         for joint, age_s in enumerate(ages_s, 1)
         if age_s is not None

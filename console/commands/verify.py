@@ -60,7 +60,7 @@ def run(given: argparse.Namespace) -> int:
             ArmError,
             CalibrationError,
         ) as error:  # something has moved: not the exit status 2 of wrong input
-            sys.stderr.write(f"armwright: {error}\n  what was measured is in {out}\n")
+            sys.stderr.write(f"armwright: {error}\n  the measurements are in {out}\n")
             return 1
     return _finish(given, verification, out)
 
@@ -87,19 +87,19 @@ def _real(given: argparse.Namespace, pair: Pair) -> Bench:
     client = connected(given)
     status = client.status()
     if status["mode"] != "HOLDING":
-        raise ArmError(f"the arm is {status['mode']}: `armwright enable` and `armwright home` first")
+        raise ArmError(f"the arm is {status['mode']}: run `armwright enable` and `armwright home` first")
     believed = believed_by(status, pair)
     if not pair.calibrated.has_gears_of(believed):
         raise ArmError(
-            f"{pair.calibrated.arm.path} knows effects between encoders and joints that the runtime does not: start"
-            f" `armwright serve --arm {pair.calibrated.arm.path}`, so that it corrects them"
+            f"{pair.calibrated.arm.path} contains effects between encoders and joints that the runtime does not"
+            f" correct: start `armwright serve --arm {pair.calibrated.arm.path}`"
         )
     if status["camera_m"] is None:
-        raise ArmError("the camera does not see the tip: a verification is nothing without (docs/camera.md)")
+        raise ArmError("the camera does not see the tip: verification needs it (docs/camera.md)")
     recording = Path(status["recording"])
     if not recording.is_file():
         raise ArmError(
-            f"{recording}: not to be found from here; start this where `armwright serve` was started"
+            f"{recording}: not found; run this command in the folder where `armwright serve` was started"
         )
 
     def end() -> Path:

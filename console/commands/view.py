@@ -32,7 +32,7 @@ def run(given: argparse.Namespace) -> int:
     if given.rerun:
         _file(given.rerun)
     if given.render and given.rerun is not None:
-        raise ArmError("--render and --rerun contradict each other: give one of them")
+        raise ArmError("--render and --rerun contradict each other: give one")
     return _live(given) if given.log is None else _recorded(given)
 
 
@@ -42,9 +42,9 @@ def _recorded(given: argparse.Namespace) -> int:
         whole = read_series(Path(given.log), wanted, lambda done: bar.advance("read", done))
     sys.stderr.writelines(f"armwright: warning: {note}\n" for note in whole.notes)
     if not len(whole):
-        raise ArmError(f"{given.log}: recorded nothing: a header and no cycles")
+        raise ArmError(f"{given.log}: empty recording: a header without cycles")
     if whole.arm is None:
-        raise ArmError(f"{given.log}: its arm is not known: give it with --arm")
+        raise ArmError(f"{given.log}: its arm is unknown: give it with --arm")
     series = chosen(whole, given.run, given.from_s, given.to_s)
     arm = whole.arm
     if given.render:
@@ -67,7 +67,7 @@ def _play(given: argparse.Namespace, arm: Arm, series: Series) -> None:
     rows = _rows(series, 1.0 / 60.0)
     scene = ArmScene(arm)
     sys.stdout.write(
-        "solid: commanded; ghost: measured. Space pauses, arrows: a second on or back, faster or slower; home: again\n"
+        "solid: commanded; ghost: measured. Space: pause. Left, right: one second. Up, down: speed. Home: restart\n"
     )
     play(scene, series, rows, traces_of(series, scene.kinematics), given.speed, MonotonicClock(), open_window)
 
@@ -75,7 +75,7 @@ def _play(given: argparse.Namespace, arm: Arm, series: Series) -> None:
 def _rows(series: Series, period_s: float) -> Sequence[int]:
     rows, _ = recorded(series, period_s)
     if not len(rows):
-        raise ArmError(f"{series.name}: no moment in it has all joint angles")
+        raise ArmError(f"{series.name}: no sample has all joint angles")
     return [int(row) for row in rows]
 
 
@@ -87,7 +87,8 @@ def _render(given: argparse.Namespace, arm: Arm, series: Series) -> int:
         rows = rows[-1:]
     if len(rows) > FRAMES_MOST:
         raise ArmError(
-            f"--render: {len(rows)} pictures; at most {FRAMES_MOST}: choose a part with --run, --from and --to, or raise --speed"
+            f"--render: expected at most {FRAMES_MOST} pictures, got {len(rows)}: choose a part with --run, --from"
+            " and --to, or raise --speed"
         )
     paint = painter_of(arm, _warn)
     images = frames(series, rows, traces_of(series, Kinematics(arm)), paint)
@@ -107,8 +108,8 @@ def _picture_path(text: str) -> Path:
     path = Path(text)
     if path.suffix not in ("", ".png", ".gif"):
         raise ArmError(
-            f"--render: expected FILE.png (the last moment), FILE.gif, or a folder for a PNG each; got {text}."
-            " A film: ffmpeg -framerate 25 -i FOLDER/frame-%05d.png film.mp4"
+            f"--render: expected FILE.png (the last sample), FILE.gif, or a folder for PNG files; got {text}. To make"
+            " a video: ffmpeg -framerate 25 -i FOLDER/frame-%05d.png film.mp4"
         )
     return path
 
@@ -116,7 +117,7 @@ def _picture_path(text: str) -> Path:
 def _live(given: argparse.Namespace) -> int:
     for name in ("run", "from_s", "to_s"):
         if getattr(given, name) is not None:
-            raise ArmError("--run, --from and --to choose a part of a LOG: give one, or none of them")
+            raise ArmError("--run, --from and --to need a LOG")
     given.arm = given.arm or "right"
     arm, client = load_arm(given.arm), connected(given)
     if given.render:
@@ -143,7 +144,7 @@ def _snapshot(given: argparse.Namespace, arm: Arm, moment: Moment) -> int:
     """Where the arm is now, as one picture."""
     out = _picture_path(given.render)
     if out.suffix != ".png":
-        raise ArmError("--render without a LOG draws where the arm is now: give a FILE.png")
+        raise ArmError("--render without a LOG draws the present pose: give a FILE.png")
     traces: Traces = Trail(Kinematics(arm)).add(moment)
     image = painter_of(arm, _warn)(moment, traces)
     write_images(out, iter([(moment.t_s, image)]), 1.0)
@@ -155,7 +156,7 @@ def _file(text: str) -> Path | None:
     """The file of `--rerun FILE.rrd`, None for a viewer; a LOG that stands behind --rerun is no file to write to."""
     if text and Path(text).suffix != ".rrd":
         raise ArmError(
-            f"--rerun: expected FILE.rrd, got {text}; a LOG stands before it: armwright view LOG --rerun"
+            f"--rerun: expected FILE.rrd, got {text}; put a LOG before it: armwright view LOG --rerun"
         )
     return Path(text) if text else None
 

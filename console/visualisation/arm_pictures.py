@@ -120,7 +120,7 @@ def draw_tip(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
     if seen_rows.any():
         t, shown = envelope(series.t_s[seen_rows], error[seen_rows])
         axes.plot(t, shown, color="#009E73", linewidth=0.6, marker=".", markersize=2)
-        head(axes, f"camera from model: rms {rms(error[seen_rows]):.3g} mm")
+        head(axes, f"camera minus model: rms {rms(error[seen_rows]):.3g} mm")
     say_if_empty(axes)
     axes.set(xlabel="time [s]", ylabel="distance [mm]")
 

@@ -189,8 +189,8 @@ def metrics_text(series: Series, merit: Metrics) -> str:
     lines += [f"{title:<34}" + "".join(f"{cell:>11}" for cell in cells) for title, cells in rows]
     if merit.tip_rms_m is not None:
         lines.append(
-            f"\ntip, camera from model: {_shown(merit.tip_rms_m, 1e3, 3)} mm rms, {_shown(merit.tip_max_m, 1e3, 3)} mm at most,"
-            f" {merit.camera_frames} frames"
+            f"\ntip, camera minus model: {_shown(merit.tip_rms_m, 1e3, 3)} mm rms, {_shown(merit.tip_max_m, 1e3, 3)}"
+            f" mm at most, {merit.camera_frames} frames"
         )
     if merit.late_p99_s is not None:
         lines.append(

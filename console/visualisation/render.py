@@ -40,8 +40,8 @@ def painter_of(arm: Arm, warn: Callable[[str], None]) -> Painter:
     except Exception as error:  # every OpenGL platform has errors of its own, down to missing libraries
         reason = str(error).strip().splitlines()
         warn(
-            f"MuJoCo finds no OpenGL here ({reason[0] if reason else type(error).__name__}): drawn as lines by matplotlib;"
-            " MUJOCO_GL=egl or MUJOCO_GL=osmesa chooses another way"
+            f"MuJoCo finds no OpenGL ({reason[0] if reason else type(error).__name__}): matplotlib draws lines"
+            " instead; set MUJOCO_GL=egl or MUJOCO_GL=osmesa to try another backend"
         )
         return _LinePainter(arm)
 

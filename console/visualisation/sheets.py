@@ -60,8 +60,8 @@ def show(pictures: Sequence[Picture], series: Series, joints: Sequence[int]) -> 
     backend = plt.get_backend()
     if backend.lower() in WITHOUT_WINDOWS:
         raise ArmError(
-            f"no window can be opened here (matplotlib found no display or no toolkit, its backend is {backend}):"
-            " write files with --out DIR, FILE.png or FILE.svg"
+            f"cannot open a window (matplotlib found no display or toolkit, backend {backend}): write files with"
+            " --out DIR, FILE.png or FILE.svg"
         )
     with matplotlib.rc_context(STYLE):
         for picture in pictures:

@@ -26,9 +26,7 @@ SPACE, RIGHT, LEFT, UP, DOWN, HOME = 32, 262, 263, 265, 264, 268  # GLFW's key c
 CLOSING_LIMIT_s: Final = 3.0
 STEP_s: Final = 1.0
 FASTEST, SLOWEST = 64.0, 1.0 / 64.0
-REMEDY: Final = (
-    "draw pictures instead with --render FILE.png, FILE.gif or a folder, or look from a machine with a screen"
-)
+REMEDY: Final = "use --render FILE.png, FILE.gif or a folder, or a machine with a screen"
 
 
 class Handle(Protocol):
@@ -98,7 +96,7 @@ def aim(at: Any, scene: ArmScene) -> None:
 
 def _require_display() -> None:
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ArmError(f"no display here (neither DISPLAY nor WAYLAND_DISPLAY is set): {REMEDY}")
+        raise ArmError(f"no display (neither DISPLAY nor WAYLAND_DISPLAY is set): {REMEDY}")
     import glfw
 
     with warnings.catch_warnings(record=True) as said:
@@ -106,8 +104,8 @@ def _require_display() -> None:
         is_ready = glfw.init()
         glfw.terminate()  # the viewer's own thread is to be the one that has it
     if not is_ready:
-        why = "; ".join(str(one.message) for one in said) or "GLFW does not say why"
-        raise ArmError(f"no window can be opened on this display ({why}): {REMEDY}")
+        why = "; ".join(str(one.message) for one in said) or "GLFW gives no reason"
+        raise ArmError(f"cannot open a window on this display ({why}): {REMEDY}")
 
 
 class Player:

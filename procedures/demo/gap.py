@@ -102,14 +102,14 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
     if has_motions:  # poses alone tell nothing: what is missing shows in motion, if anywhere
         record(own, plans["motions"], out / "motions", lambda what, done: advance(what, 0.42 + 0.18 * done))
         recordings = read_recordings(arm, recordings.point_files, [out / "motions" / "log.csv"])
-    advance("driving by the nominal model", 0.6)
+    advance("moving by the nominal model", 0.6)
     before = _driven("nominal", arm, arm, programme, client, first, bench, out)
     _put_away(arm, client, bench)
 
     if has_motions:
         outcome = find_gap_in(arm, recordings, (), lambda what, done: advance(what, 0.65 + 0.15 * done))
     model = write_gap(outcome, arm, recordings, out / "gap")
-    advance("driving with the correction off", 0.8)
+    advance("moving with the correction off", 0.8)
     client = bench.start(model)
     client.enable()
     second = _newest(out)
@@ -117,7 +117,7 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
         model, effects=tuple(e for e in model.effects if e in arm.effects or e.effect in NO_NAMES)
     )
     off = _driven("off", bare, model, programme, client, second, bench, out)
-    advance("driving with the correction on", 0.87)
+    advance("moving with the correction on", 0.87)
     on = _driven("on", model, model, programme, client, second, bench, out)
     _put_away(model, client, bench)
     advance("reporting", 0.95)

@@ -26,18 +26,18 @@ def findings(circle: Circle) -> tuple[str, ...]:
     )
     before = 1e3 * circle.corrected.of("all").before.mean_m
     found = circle.outcome.finding
-    gap_after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "not looked at again"
+    gap_after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "not measured"
     said = [
         f"Named by the run: {named}. Hidden was {circle.hidden}. {right} what was hidden.",
-        f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {gap_after} after.",
-        f"Mean tip error at {len(circle.corrected.point)} places that nothing was recorded at: {before:.2f} mm by the nominal"
-        f" model, {alone:.2f} mm with the geometry identified and the correction off, {after:.2f} mm with it on.",
+        f"Gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {gap_after} after.",
+        f"Mean tip error at {len(circle.corrected.point)} held-out places: {before:.2f} mm with the nominal model,"
+        f" {alone:.2f} mm with identified geometry and the correction off, {after:.2f} mm with the correction on.",
     ]
     following = tuple(1e3 * value for value in circle.following_rad)
     if circle.hidden.effect not in ON_TIP:
         said.append(
-            f"Following error on the paths: {following[0]:.3f} mrad before, {following[1]:.3f} mrad with what was named fed"
-            " forward."
+            f"Following error on the paths: {following[0]:.3f} mrad before, {following[1]:.3f} mrad with the named"
+            " effects fed forward."
         )
     return tuple(said)
 
@@ -47,7 +47,7 @@ def write_page(circle: Circle, out: Path) -> Path:
     date = datetime.datetime.now(datetime.UTC).date().isoformat()
     program = f"armwright {version('armwright')}"
     path = out / "report.html"
-    about = f"{date} · {program} · a mock arm with something hidden in it"
+    about = f"{date} · {program} · mock arm with a hidden effect"
     content = page("The gap, closed on the arm", circle.nominal.name, about, _parts(circle, date, program))
     write_whole(path, content)
     return path
@@ -60,7 +60,7 @@ def _parts(circle: Circle, date: str, program: str) -> Iterator[Section | str]:
     yield _revealed(circle)
     yield verification_section(
         circle.geometry_alone,
-        "at places that nothing was recorded at: correction off (before) and on (after)",
+        "at held-out places: correction off (before) and on (after)",
     )
     yield paths_section(circle.paths)
     outcome = circle.outcome
@@ -90,14 +90,17 @@ def _tiles(circle: Circle) -> Iterator[tuple[str, str, str]]:
 def _steps(circle: Circle) -> Iterator[str]:
     minutes = sum(plan.duration_s for plan in circle.plans) / 60.0
     motions = sum(len(plan.runs) for plan in circle.plans)
-    more = f", and as these named nothing, {motions} motions" if motions else ""
+    more = f", then {motions} motions, since the poses named no effect" if motions else ""
     yield (
-        f"Recorded {len(circle.plans[0].visits)} poses on the mock arm by the nominal model{more}: {minutes:.1f} minutes of its"
-        " time."
+        f"Recorded {len(circle.plans[0].visits)} poses on the mock arm with the nominal model{more}: {minutes:.1f}"
+        " minutes of arm time."
     )
-    yield "Drove to places that nothing was recorded at, along a circle and a line, by the nominal model; the camera measured."
-    yield "Looked at the recordings with nothing but the nominal arm.toml: what is missing, named and added to a new arm.toml."
-    yield "Started the runtime with the new arm.toml and drove to the same places with the correction off, then on."
+    yield "Moved to held-out places and along a circle and a line with the nominal model; the camera measured."
+    yield (
+        "Analysed the recordings with the nominal arm.toml alone; named the missing effects and added them to a new"
+        " arm.toml."
+    )
+    yield "Started the runtime with the new arm.toml and moved to the same places with the correction off, then on."
 
 
 def _revealed(circle: Circle) -> Section:
@@ -119,5 +122,5 @@ def _revealed(circle: Circle) -> Section:
     head = (("text", "parameter"), "hidden", "found", "sd")
     return Section(
         "What was hidden",
-        paragraph(f"{circle.hidden}; the run was not told.") + table(head, rows),
+        paragraph(f"{circle.hidden}; the run had no access to it.") + table(head, rows),
     )

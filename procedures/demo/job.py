@@ -185,12 +185,15 @@ def _identify(arm: Arm, table: Table, file: Path) -> tuple[Points, Identificatio
 
 def _steps(points_count: int, verified_count: int) -> tuple[str, ...]:
     return (
-        "Connected to the mock boards over serial and CAN, compared their identities, homed every joint.",
+        "Connected to the mock boards over serial and CAN, checked their identities, homed every joint.",
         f"Moved to {verified_count} verification points and ran circle and line with the nominal model; the camera"
         " measured.",
-        f"Seated the tip in {points_count} cavities (33 on the level, rolled and pitched board), averaged the encoders.",
+        (
+            f"Seated the tip in {points_count} cavities (33 each on the level, rolled and pitched board) and averaged the"
+            " encoders."
+        ),
         "Identified DH deviations within 5 mm and 2 degrees: sum of Euclidean distances (SpringerPlus 5:1771, eq. 4).",
-        "Started again with the calibrated arm, without homing: the boards still knew their zero.",
+        "Restarted with the calibrated arm, without homing: the boards still knew their zeros.",
         "Moved to the same verification points and ran the same paths with the calibrated model; the camera measured.",
     )
 
@@ -198,6 +201,6 @@ def _steps(points_count: int, verified_count: int) -> tuple[str, ...]:
 def _notes(verification: Comparison) -> tuple[str, ...]:
     worst = float(norms(verification.after_m).max())
     return (
-        f"Verification points were not used for the calibration; the worst of them is {1e3 * worst:.2f} mm off now.",
-        "What is left is backlash, seating and the camera's noise; the gap workflow names such effects.",
+        f"Calibration did not use the verification points; their largest error is now {1e3 * worst:.2f} mm.",
+        "The remaining error comes from backlash, seating and camera noise; the gap workflow names such effects.",
     )

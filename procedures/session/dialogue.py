@@ -10,14 +10,14 @@ from enum import Enum
 from calib.session.dialogue import GO, Command, Do, Jog
 
 HELP = """\
-  Enter                      yes: it is so, go on
-  skip [[SETUP] POINT [N]]   leave a point out (without a name: this one)
-  redo [[SETUP] POINT [N]]   take a point again (without a name: the last); its record is withdrawn and kept in the journal
-  bad  [[SETUP] POINT [N]]   withdraw a record for good; N is the repeat, all repeats without it
-  note TEXT                  keep a remark
+  Enter                      confirm and go on
+  skip [[SETUP] POINT [N]]   skip a point (without a name: this one)
+  redo [[SETUP] POINT [N]]   measure a point again (without a name: the last); the journal keeps the withdrawn record
+  bad  [[SETUP] POINT [N]]   withdraw a record; N is the repeat (default: all repeats)
+  note TEXT                  record a remark
   jog AXIS STEP              x, y or z in mm, j1, j2, ... in degrees: jog z -5
-  status, board              what is done and what is left; the board drawn
-  auto [N]                   with a mock arm: answer N questions, or all, with Enter
+  status, board              progress; a drawing of the board
+  auto [N]                   mock arm only: answer N questions, or all, with Enter
   quit                       stop here; the same command resumes
 """
 WORDS = {do.value: do for do in (Do.SKIP, Do.REDO, Do.BAD, Do.NOTE, Do.JOG, Do.QUIT)}
@@ -67,7 +67,7 @@ def understood(line: str) -> Command | View | Auto:
         return Command(do)
     if do in (Do.SKIP, Do.REDO, Do.BAD):
         return _about_point(do, rest)
-    raise NotUnderstood(f"not understood: {text!r}; `help` lists what is")
+    raise NotUnderstood(f"unknown command: {text!r}; `help` lists the commands")
 
 
 def _about_point(do: Do, rest: str) -> Command:
@@ -94,7 +94,7 @@ def _jog(rest: str) -> Jog:
         step = math.nan
     if not axis or not math.isfinite(step):
         raise NotUnderstood(
-            "jog: expected an axis and a step, as in `jog z -5` (mm) or `jog j2 0.5` (degrees)"
+            "jog: expected an axis and a step, such as `jog z -5` (mm) or `jog j2 0.5` (degrees)"
         )
     return Jog(axis, unit * step)
 

@@ -85,7 +85,7 @@ class Operator:
 
     def _start_auto(self, command: Auto) -> None:
         if not self._may_auto:
-            raise NotUnderstood("auto: only a mock arm's session goes on by itself")
+            raise NotUnderstood("auto: only a session with a mock arm can answer by itself")
         self._auto = command.count
 
     def _show(self, view: View, ask: Ask) -> None:
@@ -101,7 +101,10 @@ class Operator:
     def _prompt(self, ask: Ask) -> str:
         state, target = self._folder.state, ask.target
         if target is None:
-            return f"Nothing is left ({state.count(Mark.DONE)} recorded). Enter ends the session, `redo` takes a point again"
+            return (
+                f"All points are done ({state.count(Mark.DONE)} recorded). Enter ends the session, `redo` measures a"
+                " point again"
+            )
         done = len(state.targets) - len(state.left())
         where = f"[{done + 1}/{len(state.targets)}] {target.name}"
         return f"{where}: {self._question(ask.question, target)}"
@@ -109,7 +112,7 @@ class Operator:
     def _question(self, question: Question, target: Target) -> str:
         """What the operator is asked for, in words."""
         if question is Question.BOARD:
-            return f"set the board to {self._tilt(target.setup)}. Enter when it stands"
+            return f"set the board to {self._tilt(target.setup)}; Enter when it is in place"
         if question is Question.NEXT:
             side = (
                 f" from side {target.approach}"
@@ -119,10 +122,10 @@ class Operator:
             where = "the pose" if target.is_free else f"above the cavity{side}"
             return f"hands off; Enter moves the arm to {where}"
         if question is Question.TAKE:
-            return "hold the arm by hand; Enter switches its drives off"
+            return "hold the arm by hand; Enter turns its drives off"
         if self._folder.plan.seat == "jog":
-            return f"jog the tip into cavity {target.point} (`jog z -5`); Enter when it sits"
-        return f"seat the tip in cavity {target.point} and keep it there; Enter when it sits"
+            return f"jog the tip into cavity {target.point} (`jog z -5`); Enter when it is seated"
+        return f"seat the tip in cavity {target.point} and hold it there; Enter when it is seated"
 
     def _tilt(self, setup: str) -> str:
         if self._table is None:
@@ -139,12 +142,12 @@ class Operator:
         record, verdict = kept.record, kept.verdict
         text = f"{self._folder.state.targets[record.key].name} recorded"
         if np.isfinite(verdict.error_m).all():
-            text += f"; the model is {1e3 * float(np.linalg.norm(verdict.error_m)):.2f} mm off"
+            text += f"; model error {1e3 * float(np.linalg.norm(verdict.error_m)):.2f} mm"
         if np.isfinite(verdict.surprise):
-            text += f", {1e3 * verdict.off_m:.2f} mm from what the points before say"
+            text += f", {1e3 * verdict.off_m:.2f} mm from the prediction of the earlier points"
         if verdict.is_suspect:
             text = (
-                f"! {text}: {verdict.surprise:.0f} standard deviations. Does the tip sit in {record.point}, in the"
-                " right cavity? `redo` takes it again, Enter keeps it"
+                f"! {text}: {verdict.surprise:.0f} standard deviations. Check that the tip is seated in"
+                f" {record.point}, the right cavity. `redo` measures again, Enter keeps the record"
             )
         return text

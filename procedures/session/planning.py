@@ -83,7 +83,7 @@ def _from_file(path: Path, given: argparse.Namespace, arm: Arm) -> tuple[Target,
     """Rows of setup and point, in the file's order; q1_rad ... where a free pose goes, or the posture for a cavity."""
     for name in ("setups", "points", "free", "repeats", "approaches"):
         if getattr(given, name) is not None:
-            raise SessionError(f"--plan says which points and repeats: leave --{name} away")
+            raise SessionError(f"--plan sets the points and repeats: omit --{name}")
     angles = [f"q{j}_rad" for j in range(1, arm.joint_count + 1)]
     targets = []
     with opened_text(path) as file:
@@ -98,7 +98,7 @@ def _from_file(path: Path, given: argparse.Namespace, arm: Arm) -> tuple[Target,
                 raise SessionError(f"{where}, column repeat: got {repeat!r}, expected a whole number")
             q_rad = _posture(where, arm, [row.get(name) or "" for name in angles])
             if setup == FREE and q_rad is None:
-                raise SessionError(f"{where}: a free pose takes q1_rad to q{arm.joint_count}_rad")
+                raise SessionError(f"{where}: a free pose needs q1_rad to q{arm.joint_count}_rad")
             targets.append(Target(setup, point, int(repeat), 1, q_rad))
     return tuple(targets)
 
@@ -119,7 +119,7 @@ def _require_inside(where: str, arm: Arm, q_rad: Sequence[float]) -> None:
     for joint, (q, (lower, upper)) in enumerate(zip(q_rad, arm.limits_rad, strict=True), start=1):
         if not lower <= q <= upper:
             raise SessionError(
-                f"{where}: joint {joint} at {q:g} rad is outside of its range, {lower:g} to {upper:g} rad"
+                f"{where}: joint {joint} at {q:g} rad is outside its range, {lower:g} to {upper:g} rad"
             )
 
 

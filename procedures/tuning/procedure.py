@@ -90,7 +90,7 @@ def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
     with Session(measuring, clock) as session:
         session.client.move_joints(pose, CENTRE_SPEED)
         for number, joint in enumerate(options.joints):
-            advance(f"joint {joint}: its response, and the gains that it has", (number + 0.5) / total)
+            advance(f"joint {joint}: response with the present gains", (number + 0.5) / total)
             before[joint], fitted = _try(session, measuring, joint, options)
             designs[joint] = _designed(measuring, joint, before[joint], fitted, options, pose)
     tuned = with_gains(arm, {joint: design.gains for joint, (_, design, _, _) in designs.items()})
@@ -128,8 +128,8 @@ def _pose(arm: Arm, options: Options) -> tuple[float, ...]:
         at = pose[joint - 1]
         if at - half_rad < lower or at + max(half_rad, MOVE_RAD + ROOM_RAD) > upper:
             raise NotTuned(
-                f"joint {joint}: at {at:.2f} rad it has no room: a pass takes {half_rad:.2f} rad to either side, its range is"
-                f" {lower:.2f} to {upper:.2f} rad; give another --pose"
+                f"joint {joint}: not enough range at {at:.2f} rad: a pass needs {half_rad:.2f} rad to either side,"
+                f" the range is {lower:.2f} to {upper:.2f} rad; give another --pose"
             )
     return tuple(pose)
 
@@ -151,7 +151,7 @@ def _try(session: Session, arm: Arm, joint: int, options: Options) -> tuple[Tria
         step = session.step(joint, STEP_RAD)
         move = session.move(joint, MOVE_RAD)
     except ArmFaulted as fault:
-        raise ArmFaulted(f"joint {joint} was not tuned, its old gains stay: {fault}") from None
+        raise ArmFaulted(f"joint {joint} was not tuned and keeps its old gains: {fault}") from None
     try:
         good = usable(measured, LEAST_COHERENCE)
     except PoorResponse as poor:
@@ -206,13 +206,13 @@ def _cautions(joint: int, fit: MotorFit, measured: Measured) -> tuple[str, ...]:
     said = []
     if measured.distortion > NOT_LINEAR:
         said.append(
-            f"joint {joint}: {measured.distortion:.0%} of its response is not linear (play, friction): margins say less than they"
-            " seem to, so it was made slower than they allow"
+            f"joint {joint}: {measured.distortion:.0%} of its response is nonlinear (backlash, friction): the margins"
+            " are less reliable, so the loop was tuned slower than they allow"
         )
     if fit.residual > MISFIT:
         said.append(
-            f"joint {joint}: its response is {fit.residual:.0%} off that of a stiff joint: something gives between motor and"
-            " joint, so it was made slower than margins allow"
+            f"joint {joint}: its response differs by {fit.residual:.0%} from that of a stiff joint: the drive train"
+            " is compliant, so the loop was tuned slower than the margins allow"
         )
     return tuple(said)
 
@@ -232,7 +232,7 @@ def _require_margins(joint: int, after: Trial) -> None:
     """What was designed must be what is there."""
     if not after.margins.meet(LEAST_GAIN_dB, LEAST_PHASE_deg):
         raise NotTuned(
-            f"joint {joint}: with the new gains {after.margins.gain_dB:.1f} dB and {after.margins.phase_deg:.0f} deg were"
-            f" measured, {LEAST_GAIN_dB:g} dB and {LEAST_PHASE_deg:g} deg are wanted: its response changes with motion; give a"
+            f"joint {joint}: the new gains gave {after.margins.gain_dB:.1f} dB and {after.margins.phase_deg:.0f} deg,"
+            f" expected {LEAST_GAIN_dB:g} dB and {LEAST_PHASE_deg:g} deg: the response changes with motion; give a"
             " lower --bandwidth"
         )

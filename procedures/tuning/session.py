@@ -39,9 +39,9 @@ class StepResponse:
     share: tuple[float, ...]
     overshoot: float
     rise_s: float
-    """From 10 to 90 %."""
+    """Rise time from 10 to 90 %."""
     settling_s: float
-    """Until it stays within 5 %, or two counts."""
+    """Time until it stays within 5 %, or two counts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class MoveResponse:
     peak_error_rad: float
     rms_error_rad: float
     settling_s: float
-    """After the set-point stands, until the error stays within 0.5 mrad."""
+    """Time after the end of the set-point's motion until the error stays within 0.5 mrad."""
 
 
 class Session:
@@ -138,7 +138,7 @@ class Session:
                 rows.append((angle, trace.output[inside], trace.added[inside]))
         if len(rows) < 2:
             raise ArmError(
-                "tuning: this host missed cycles in nearly every pass: `armwright doctor` says which rights it needs"
+                "tuning: this host missed cycles in nearly every pass: `armwright doctor` lists the rights it needs"
             )
         angle_rad, output, added = (np.array([row[k] for row in rows]) for k in range(3))
         return evaluate(wave, angle_rad, output, added)
