@@ -97,7 +97,7 @@ class RunningArm:
         return Path(self._client.status()["recording"])
 
     def enable(self) -> None:
-        """Switch the drives on; the arm holds where it stands."""
+        """Switch the drives on; the arm holds its pose."""
         if self._client.status()["mode"] != "HOLDING":
             self._client.enable()
 
@@ -156,11 +156,11 @@ class RunningArm:
         self._client.arrive(timeout_s)
 
     def guide(self) -> None:
-        """Let a hand guide the arm: the drives carry nothing, so somebody must hold it first. `hold` ends it."""
+        """Let a hand guide the arm: the drives are off, so somebody must hold it first. `hold` ends it."""
         self._client.guide()
 
     def hold(self) -> None:
-        """End hand guiding; the arm holds where it stands."""
+        """End hand guiding; the arm holds its pose."""
         self._client.hold()
 
     def measure(self, duration_s: float) -> Average:

@@ -34,7 +34,7 @@ class CommandSpec:
 
     @property
     def description(self) -> str:
-        """What `armwright NAME --help` says first."""
+        """The first sentence of `armwright NAME --help`."""
         return f"{self.summary[0].upper()}{self.summary[1:]}. {self.more}".strip()
 
 

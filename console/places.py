@@ -1,4 +1,4 @@
-"""Named places: a TOML file that says joint angles, or a tip position, for each name. Kept by hand or by `armwright mark`.
+"""Named places: a TOML file that says joint angles, or a tip position, for each name. Written by hand or by `armwright mark`.
 
 [above_board]
 q_rad = [0.0, -0.6, 0.2]
@@ -46,7 +46,7 @@ def find_place(file: Path, name: str) -> Place:
     return places[name]
 
 
-def keep_place(file: Path, name: str, q_rad: Sequence[float]) -> bool:
+def save_place(file: Path, name: str, q_rad: Sequence[float]) -> bool:
     """Add a place of joint angles, or put another pose in its stead; the others stay as they are, remarks do not.
 
     Returns whether there was one of this name.

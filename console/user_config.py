@@ -11,7 +11,7 @@ BUILT_IN = "right"
 
 
 class ConfigError(ArmError):
-    """A config.toml that cannot be used; says file and cause."""
+    """A config.toml that cannot be used; the message names file and cause."""
 
 
 def config_file() -> Path:
@@ -38,7 +38,7 @@ def default_arm() -> str:
 
 
 def _existing(text: str, folder: Path, where: str) -> str:
-    """A path as seen from `folder`, or a name as it is. ConfigError where a path leads nowhere."""
+    """A path as seen from `folder`, or a name unchanged. ConfigError if a path does not exist."""
     path = folder / Path(text).expanduser()
     if path.suffix != ".toml" and len(path.parts) <= len(folder.parts) + 1:
         return text

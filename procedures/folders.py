@@ -18,7 +18,7 @@ def free_folder(wanted: Path) -> Path:
 
 
 def require_writable(folder: Path, option: str = "--out") -> None:
-    """ArmError where nothing can be written into `folder`: said before an arm has moved for results that have no place."""
+    """ArmError if `folder` is not writable: checked before an arm moves, so that no results are lost."""
     try:
         files.require_writable(folder)
     except files.NotWritten as error:

@@ -46,7 +46,7 @@ class RuntimePort:
         self._client.guide()
 
     def hold(self) -> None:
-        """Hold where the arm stands."""
+        """Hold the present pose."""
         status = self._client.status()
         if status["mode"] == "FAULT":
             raise ArmFaulted(fault_text(status))

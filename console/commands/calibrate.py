@@ -1,4 +1,4 @@
-"""`armwright calibrate`: from recorded points to a calibrated arm, and what it is worth."""
+"""`armwright calibrate`: from recorded points to a calibrated arm with its uncertainty."""
 
 import argparse
 import datetime

@@ -36,7 +36,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def found_boards(connection: Connection) -> dict[str, list[dict[str, Any]]]:
-    """Every board that answered, by kind, with what it says of itself."""
+    """Every board that answered, by kind, with its identity."""
     encoders = [
         {
             "where": encoder.where, "serial_number": found.serial_number, "firmware": _version(found.firmware),

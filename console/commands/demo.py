@@ -43,10 +43,10 @@ def run(given: argparse.Namespace) -> int:
     )
     try:
         with Bar("demo") as bar:
-            said = conduct(arm, bench, out, bar.advance)
+            summary = conduct(arm, bench, out, bar.advance)
     finally:
         bench.close()
-    sys.stdout.write(said)
+    sys.stdout.write(summary)
     return 0
 
 
@@ -82,7 +82,7 @@ def _paper(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
 
 
 def _gap(given: argparse.Namespace) -> int:
-    """An effect is hidden, found, added and corrected; exit status 1 where it was not found as it is."""
+    """An effect is hidden, found, added and corrected; exit status 1 if it was not found."""
     from procedures.demo import gap
     from procedures.demo.gap_hidden import beyond_known, drawn, with_known_friction
     from procedures.demo.gap_page import findings, write_page

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from console.commands.connection import connected
-from console.places import find_place, keep_place
+from console.places import find_place, save_place
 from console.waiting import shown
 from control.errors import ArmError
 from control.files import write_whole
@@ -40,7 +40,7 @@ def _go(given: argparse.Namespace) -> int:
 
 
 def _joint_move(given: argparse.Namespace, q_rad: Any, tip_m: Any) -> int:
-    """To joint angles, or to those near where the arm stands that have the tip at a position."""
+    """To joint angles, or to the nearest ones with the tip at a position."""
     client = connected(given)
     if q_rad is None:
         from control.kinematics.inverse import InverseKinematics
@@ -104,11 +104,11 @@ def _jog(given: argparse.Namespace) -> int:
 
 
 def _mark(given: argparse.Namespace) -> int:
-    """Keep where the arm stands as a named place."""
+    """Save the present pose as a named place."""
     status = connected(given).status()
     if not status["is_homed"]:
         raise ArmError("mark: the arm is not homed, so its joint angles are unknown: run `armwright home`")
-    was_there = keep_place(Path(given.places), given.name, status["joint_rad"])
+    was_there = save_place(Path(given.places), given.name, status["joint_rad"])
     sys.stdout.write(f"{given.name} in {given.places}{', replacing another pose' if was_there else ''}\n")
     return 0
 

@@ -16,7 +16,7 @@ class Bar:
 
         self._is_terminal = sys.stderr.isatty()
         self._title = title
-        self._said = -1
+        self._last = -1
         self._done = 0.0
         self._began_s = time.monotonic()
         from rich.console import Console
@@ -49,8 +49,8 @@ class Bar:
             self._progress.update(self._task, completed=done, description=what)
             return
         step = int(done * LINES)
-        if step != self._said:
-            self._said = step
+        if step != self._last:
+            self._last = step
             passed_s = time.monotonic() - self._began_s
             left = f", about {passed_s * (1.0 - done) / done:.0f} s left" if 0.0 < done < 1.0 else ""
             sys.stderr.write(f"{self._title}: {done:4.0%} after {passed_s:.0f} s{left}: {what}\n")

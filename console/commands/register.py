@@ -34,7 +34,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def described(setup: str, board: Registration) -> str:
-    """Pose, residual of every marker, and what cannot be told, in mm and mrad."""
+    """Pose, residual of every marker, and what cannot be determined, in mm and mrad."""
     x, y, z = (f"{1e3 * value:.2f}" for value in board.origin_m)
     nx, ny, nz = (f"{value:.4f}" for value in board.normal)
     sd = board.sd

@@ -16,14 +16,14 @@ RESTING = ("HOLDING", "BRAKED", "OFF", "GUIDING")
 
 
 def run(given: argparse.Namespace) -> int:
-    """Do what the command's line in the table says. ArmError, or what stopped the arm."""
+    """Send the command's request of the table. ArmError, or the error that stopped the arm."""
     client = connected(given)
     if given.command == "guide":
         _require_consent(given)
     with shown(client, given):
-        said = REQUESTS[given.command](client, given)
-    if said:
-        sys.stdout.write(f"{said}\n")
+        result = REQUESTS[given.command](client, given)
+    if result:
+        sys.stdout.write(f"{result}\n")
     return 0
 
 
@@ -61,7 +61,7 @@ REQUESTS: Mapping[str, Request] = {
 
 
 def _require_consent(given: argparse.Namespace) -> None:
-    """ArmError unless --yes or somebody at the terminal says that the arm may be let go; nothing has moved then."""
+    """ArmError unless --yes is given or the operator confirms the release; nothing has moved then."""
     if given.yes:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):

@@ -8,14 +8,14 @@ from pathlib import Path
 from console.commands.connection import connected
 from console.commands.table import COMMANDS
 from console.lines.grammar import Grammar, LineError
-from console.lines.replay import Outcome, replay, understood
+from console.lines.replay import Outcome, parse_lines, replay
 
 
 def run(given: argparse.Namespace) -> int:
     """Understand the whole file first; then run it."""
     grammar = Grammar(COMMANDS, {"arm": given.arm, "socket": given.socket})
     try:
-        lines = understood(_text(given.file).splitlines(), grammar)
+        lines = parse_lines(_text(given.file).splitlines(), grammar)
     except LineError as error:
         raise LineError(f"{given.file}: {error}; nothing was run") from None
     if given.check:

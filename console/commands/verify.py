@@ -19,7 +19,7 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient
 from procedures.folders import free_folder, require_writable
-from procedures.verify.models import Model, Pair, believed_by, nominal_of
+from procedures.verify.models import Model, Pair, active_model, nominal_of
 from procedures.verify.places import places, ways
 from procedures.verify.procedure import Drive, driven, on_recorded, write
 from procedures.verify.survey import Programme
@@ -88,7 +88,7 @@ def _real(given: argparse.Namespace, pair: Pair) -> Bench:
     status = client.status()
     if status["mode"] != "HOLDING":
         raise ArmError(f"the arm is {status['mode']}: run `armwright enable` and `armwright home` first")
-    believed = believed_by(status, pair)
+    believed = active_model(status, pair)
     if not pair.calibrated.has_gears_of(believed):
         raise ArmError(
             f"{pair.calibrated.arm.path} contains effects between encoders and joints that the runtime does not"

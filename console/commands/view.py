@@ -7,11 +7,11 @@ from pathlib import Path
 
 from console.commands.connection import connected
 from console.commands.progress import Bar
-from console.visualisation.moments import Moment, live, moment_at, moment_of, recorded
 from console.visualisation.reading import read_series
 from console.visualisation.render import FRAMES_MOST, Image, frames, painter_of, write_images
 from console.visualisation.series import Series, chosen
-from console.visualisation.traces import Traces, Trail, traces_of
+from console.visualisation.snapshots import Snapshot, live, recorded, snapshot_at, snapshot_of
+from console.visualisation.traces import TipPath, Traces, traces_of
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
@@ -28,7 +28,7 @@ def run(given: argparse.Namespace) -> int:
     if not 0.0 < given.speed < 1e3:
         raise ArmError(f"--speed: expected a factor above 0 and below 1000, got {given.speed:g}")
     if not 0.0 < given.fps <= 100.0:
-        raise ArmError(f"--fps: expected above 0 and at most 100 pictures a second, got {given.fps:g}")
+        raise ArmError(f"--fps: expected above 0 and at most 100 frames per second, got {given.fps:g}")
     if given.rerun:
         _file(given.rerun)
     if given.render and given.rerun is not None:
@@ -53,8 +53,8 @@ def _recorded(given: argparse.Namespace) -> int:
         from console.visualisation.rerun_stream import stream
 
         rows, _ = recorded(series, RERUN_PERIOD_s)
-        count = stream(arm, (moment_at(series, int(row)) for row in rows), _file(given.rerun))
-        sys.stdout.write(f"{count} moments sent to Rerun\n")
+        count = stream(arm, (snapshot_at(series, int(row)) for row in rows), _file(given.rerun))
+        sys.stdout.write(f"{count} samples sent to Rerun\n")
         return 0
     _play(given, arm, series)
     return 0
@@ -80,7 +80,7 @@ def _rows(series: Series, period_s: float) -> Sequence[int]:
 
 
 def _render(given: argparse.Namespace, arm: Arm, series: Series) -> int:
-    """One picture of the last moment, or one each `--speed`/`--fps` seconds of the recording."""
+    """One picture of the last sample, or one each `--speed`/`--fps` seconds of the recording."""
     out = _picture_path(given.render)
     rows = _rows(series, given.speed / given.fps)
     if out.suffix == ".png":
@@ -93,12 +93,14 @@ def _render(given: argparse.Namespace, arm: Arm, series: Series) -> int:
     paint = painter_of(arm, _warn)
     images = frames(series, rows, traces_of(series, Kinematics(arm)), paint)
     with Bar("render") as bar:
-        files = write_images(out, _told(images, len(rows), bar), 1.0 / given.fps)
-    sys.stdout.write(f"written: {out} ({len(files)} file{'s' * (len(files) != 1)}, {len(rows)} moments)\n")
+        files = write_images(out, _with_progress(images, len(rows), bar), 1.0 / given.fps)
+    sys.stdout.write(f"written: {out} ({len(files)} file{'s' * (len(files) != 1)}, {len(rows)} samples)\n")
     return 0
 
 
-def _told(images: Iterator[tuple[float, Image]], count: int, bar: Bar) -> Iterator[tuple[float, Image]]:
+def _with_progress(
+    images: Iterator[tuple[float, Image]], count: int, bar: Bar
+) -> Iterator[tuple[float, Image]]:
     for number, image in enumerate(images):
         bar.advance("render", number / count)
         yield image
@@ -121,18 +123,18 @@ def _live(given: argparse.Namespace) -> int:
     given.arm = given.arm or "right"
     arm, client = load_arm(given.arm), connected(given)
     if given.render:
-        return _snapshot(given, arm, moment_of(client.status()))
-    moments = live(client, MonotonicClock(), LIVE_PERIOD_s)
+        return _snapshot(given, arm, snapshot_of(client.status()))
+    snapshots = live(client, MonotonicClock(), LIVE_PERIOD_s)
     try:
         if given.rerun is not None:
             from console.visualisation.rerun_stream import stream
 
-            stream(arm, moments, _file(given.rerun))
+            stream(arm, snapshots, _file(given.rerun))
         else:
             from console.visualisation.scene import ArmScene
             from console.visualisation.window import follow, open_window
 
-            follow(ArmScene(arm), moments, open_window)
+            follow(ArmScene(arm), snapshots, open_window)
     except RuntimeGone as gone:
         sys.stdout.write(f"the runtime has ended ({gone})\n")
     finally:
@@ -140,20 +142,20 @@ def _live(given: argparse.Namespace) -> int:
     return 0
 
 
-def _snapshot(given: argparse.Namespace, arm: Arm, moment: Moment) -> int:
+def _snapshot(given: argparse.Namespace, arm: Arm, snapshot: Snapshot) -> int:
     """Where the arm is now, as one picture."""
     out = _picture_path(given.render)
     if out.suffix != ".png":
         raise ArmError("--render without a LOG draws the present pose: give a FILE.png")
-    traces: Traces = Trail(Kinematics(arm)).add(moment)
-    image = painter_of(arm, _warn)(moment, traces)
-    write_images(out, iter([(moment.t_s, image)]), 1.0)
+    traces: Traces = TipPath(Kinematics(arm)).add(snapshot)
+    image = painter_of(arm, _warn)(snapshot, traces)
+    write_images(out, iter([(snapshot.t_s, image)]), 1.0)
     sys.stdout.write(f"written: {out}\n")
     return 0
 
 
 def _file(text: str) -> Path | None:
-    """The file of `--rerun FILE.rrd`, None for a viewer; a LOG that stands behind --rerun is no file to write to."""
+    """The file of `--rerun FILE.rrd`, None for a viewer; a LOG after --rerun is not an output file."""
     if text and Path(text).suffix != ".rrd":
         raise ArmError(
             f"--rerun: expected FILE.rrd, got {text}; put a LOG before it: armwright view LOG --rerun"

@@ -22,12 +22,12 @@ BACKGROUND = "&"
 
 
 class LineError(ArmError):
-    """A line that is no command, or not one for here; says what was expected."""
+    """A line that is not a command, or not allowed here; the message states what was expected."""
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line that was understood: the command's name, and its options as its module takes them."""
+    """A parsed line: the command's name, and its options as its module takes them."""
 
     text: str
     command: str
@@ -56,7 +56,7 @@ class Grammar:
         return tuple(self._specs)
 
     def line(self, text: str) -> Line | None:
-        """What a line says; None for a remark. LineError."""
+        """The command of a line; None for a comment. LineError."""
         try:
             words = shlex.split(text, comments=True)
         except ValueError as error:

@@ -15,10 +15,10 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from console.visualisation.moments import Moment, moment_at
 from console.visualisation.scene import ArmScene
 from console.visualisation.series import Series
-from console.visualisation.traces import Traces, Trail
+from console.visualisation.snapshots import Snapshot, snapshot_at
+from console.visualisation.traces import TipPath, Traces
 from control.errors import ArmError
 from firmware_iface.clock import Clock
 
@@ -99,17 +99,17 @@ def _require_display() -> None:
         raise ArmError(f"no display (neither DISPLAY nor WAYLAND_DISPLAY is set): {REMEDY}")
     import glfw
 
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         is_ready = glfw.init()
         glfw.terminate()  # the viewer's own thread is to be the one that has it
     if not is_ready:
-        why = "; ".join(str(one.message) for one in said) or "GLFW gives no reason"
+        why = "; ".join(str(one.message) for one in caught) or "GLFW gives no reason"
         raise ArmError(f"cannot open a window on this display ({why}): {REMEDY}")
 
 
 class Player:
-    """Which moment of a recording is shown now; keys: space, arrows, home."""
+    """Which snapshot of a recording is shown now; keys: space, arrows, home."""
 
     def __init__(self, times_s: Sequence[float], speed: float) -> None:
         self._times_s = np.asarray(times_s)
@@ -127,7 +127,7 @@ class Player:
             self.at_s = float(self._times_s[0])
 
     def on(self, passed_s: float) -> int:
-        """Let time pass; returns the index of the moment that is shown. It stays at the end."""
+        """Let time pass; returns the index of the snapshot that is shown. It stays at the end."""
         if not self.is_paused:
             self.at_s += passed_s * self.speed
         self.at_s = min(max(self.at_s, float(self._times_s[0])), float(self._times_s[-1]))
@@ -145,10 +145,10 @@ def play(
     try:
         while handle.is_running():
             now_s = clock.now_s()
-            moment = moment_at(series, int(rows[player.on(now_s - before_s)]))
+            snapshot = snapshot_at(series, int(rows[player.on(now_s - before_s)]))
             before_s = now_s
             with handle.lock():
-                scene.pose(moment.joint_rad, moment.joint_set_rad)
+                scene.pose(snapshot.joint_rad, snapshot.joint_set_rad)
                 scene.trace(handle.user_scn, traces)
             handle.sync()
             clock.wait_until_s(now_s + period_s)
@@ -156,17 +156,17 @@ def play(
         handle.close()
 
 
-def follow(scene: ArmScene, moments: Iterator[Moment], open_: Open) -> None:
-    """Show what comes until the window is closed, with a trail of where the tip was and was told to be."""
+def follow(scene: ArmScene, snapshots: Iterator[Snapshot], open_: Open) -> None:
+    """Show what comes until the window is closed, with the measured and the commanded path of the tip."""
     handle = open_(scene, lambda code: None)
-    trail = Trail(scene.kinematics)
+    path = TipPath(scene.kinematics)
     try:
-        for moment in moments:
+        for snapshot in snapshots:
             if not handle.is_running():
                 break
             with handle.lock():
-                scene.pose(moment.joint_rad, moment.joint_set_rad)
-                scene.trace(handle.user_scn, trail.add(moment))
+                scene.pose(snapshot.joint_rad, snapshot.joint_set_rad)
+                scene.trace(handle.user_scn, path.add(snapshot))
             handle.sync()
     finally:
         handle.close()

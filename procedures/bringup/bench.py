@@ -38,8 +38,8 @@ Channel = tuple[int, int]
 """Encoder board and channel on it, both from 0."""
 
 
-class Surprise(ArmError):
-    """Something happened that a good arm does not do: the drive was switched off at once."""
+class SafetyTrip(ArmError):
+    """A limit of bring-up was exceeded, or a board stopped reporting: the drive was switched off at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +151,7 @@ class Bench:
             motor.write(index, value)
 
     def _switch_off(self, motor: MotorBoard) -> None:
-        """0 V at once, then off; where the bus does not carry even that, everything is stopped."""
+        """0 V at once, then off; if the bus fails, all drives are stopped."""
         try:
             motor.command_voltage(0.0)
             with contextlib.suppress(LinkError):
@@ -164,7 +164,7 @@ class Bench:
             raise
 
     def cycle(self, volts: float) -> Sample:
-        """Send a voltage (board's sign), wait for the next cycle, hear everybody. Surprise or Stopped end the drive."""
+        """Send a voltage (board's sign), wait for the next cycle, read all boards. SafetyTrip or Stopped end the drive."""
         motor, limits = self._driven, self._limits
         if motor is None:
             raise MisuseError("bring-up: a voltage was commanded while no motor is driven")
@@ -182,7 +182,7 @@ class Bench:
         return sample
 
     def observe(self, duration_s: float) -> Sample:
-        """Hear everybody for a while with all drives off."""
+        """Read all boards for a while with all drives off."""
         end_s = self.clock.now_s() + duration_s
         while self.clock.now_s() < end_s:
             self.clock.wait_until_s(self.clock.now_s() + PERIOD_S)
@@ -195,7 +195,7 @@ class Bench:
 
     def _newest(self) -> Sample:
         if self.latest is None:
-            raise Surprise("encoder boards: no report received; run `armwright doctor`")
+            raise SafetyTrip("encoder boards: no report received; run `armwright doctor`")
         return self.latest
 
     def _sampled(self, motor: MotorBoard | None, volts: float) -> Sample:
@@ -204,7 +204,7 @@ class Bench:
         for board, encoder in enumerate(self.encoders):
             report = encoder.latest
             if report is None or encoder.identity is None:
-                raise Surprise(f"{encoder.where}: no report received; run `armwright doctor`")
+                raise SafetyTrip(f"{encoder.where}: no report received; run `armwright doctor`")
             span_s = encoder.board_time_s - self._last_t_s.get(board, -math.inf)
             for channel in range(encoder.identity.channels):
                 at = (board, channel)
@@ -238,28 +238,28 @@ class Bench:
             encoder.require_fresh(now_s, stale_s)
         motor.require_fresh(now_s, stale_s)
         if motor.state is not State.OPERATION_ENABLED or motor.reply is None:
-            raise Surprise(
+            raise SafetyTrip(
                 f"{motor.where}: left the state OPERATION ENABLED without a command ({_fault_names(motor)}); run"
                 " `armwright doctor`"
             )
         if abs(sample.current_A) > CURRENT_MARGIN * limits.current_A + CURRENT_MARGIN_A:
-            raise Surprise(
+            raise SafetyTrip(
                 f"{motor.where}: {sample.current_A:+.2f} A measured, limit {limits.current_A:.2f} A: the board does"
                 " not enforce its current limit; do not use it"
             )
         for at, origin in self._origin.items():
             speed, travel = abs(sample.speed_count_s[at]), abs(sample.counts[at] - origin)
             if speed > limits.speed_count_s:
-                raise Surprise(self._too_fast(at, sample, limits))
+                raise SafetyTrip(self._too_fast(at, sample, limits))
             if travel > limits.travel_count:
-                raise Surprise(
+                raise SafetyTrip(
                     f"encoder channel {at[1]} of board {at[0]} moved {travel} counts, limit"
                     f" {limits.travel_count:.0f}: the drive was switched off; check for an obstacle, and that the"
                     " other joints are supported"
                 )
 
     def _too_fast(self, at: Channel, sample: Sample, limits: DriveLimits) -> str:
-        """A motor gathers speed; a count that jumps from one cycle to the next is not its doing."""
+        """A motor accelerates gradually; a count that jumps within one cycle is not motion."""
         before = self.before
         channel = f"encoder channel {at[1]} of board {at[0]}"
         if before is not None and abs(before.speed_count_s[at]) < JUMP_SHARE * limits.speed_count_s:

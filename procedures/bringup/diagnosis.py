@@ -1,6 +1,6 @@
-"""What the measurements at a joint mean: which keys of arm.toml they change, what is worth a word, what is broken.
+"""Diagnosis of a joint from its measurements: changed keys of arm.toml, notes, and faults.
 
-Two scales are kept apart. The index comes once a motor turn, so the spacing of index pulses is the encoder's counts a turn,
+Two scales are separate. The index comes once a motor turn, so the spacing of index pulses is the encoder's counts a turn,
 exactly. The operator's readings against counts give counts a joint turn, so the gear ratio. The back-EMF gives the motor
 constant from the motor's own speed, which the gear has no part in.
 """
@@ -30,12 +30,12 @@ RESISTANCE_TOLERANCE = 0.6  # leads, brushes and heat add to what a data sheet s
 LEAST_CURRENT_A = 0.1  # that says something of a resistance
 
 
-def diagnose(draft: Drive, wiring: JointWiring, found: Measured, said_counts: int) -> Diagnosis:
-    """Everything that can be said about a joint; `said_counts`: what its boards say that its encoder has."""
+def diagnose(draft: Drive, wiring: JointWiring, found: Measured, board_counts: int) -> Diagnosis:
+    """The diagnosis of a joint; `board_counts`: counts per turn of its encoder by its boards."""
     drive = rewired(draft, wiring)
     result = Diagnosis(drive)
     is_slipping = _slip(result, found)
-    _counts(result, found, said_counts)
+    _counts(result, found, board_counts)
     offset_rad, slope = _line(result, found, is_slipping)
     if not is_slipping:
         _gear(result, slope, draft, len(found.readings))
@@ -53,7 +53,7 @@ def diagnose(draft: Drive, wiring: JointWiring, found: Measured, said_counts: in
 
 
 def rewired(draft: Drive, wiring: JointWiring) -> Drive:
-    """The draft's drive, plugged in as it really is."""
+    """The draft's drive with the measured wiring."""
     return replace(
         draft,
         motor_node=wiring.node,
@@ -65,7 +65,7 @@ def rewired(draft: Drive, wiring: JointWiring) -> Drive:
 
 
 def _slip(result: Diagnosis, found: Measured) -> bool:
-    """A position that does not come back when the joint does."""
+    """Whether the counts fail to repeat when the joint returns to a place."""
     name = f"joint {result.drive.joint}"
     evidence = []
     for stops, side in zip(found.stops_rad, ("lower", "upper"), strict=True):
@@ -104,16 +104,16 @@ def _slip(result: Diagnosis, found: Measured) -> bool:
     return True
 
 
-def _counts(result: Diagnosis, found: Measured, said_counts: int) -> None:
+def _counts(result: Diagnosis, found: Measured, board_counts: int) -> None:
     """Counts a motor turn, from index to index."""
     drive, name = result.drive, f"joint {result.drive.joint}"
     spacings = found.spacings_count
     if not spacings:
-        said = f"{name}: NO INDEX PULSE within {2.6:g} motor turns: check the encoder's Z wire"
+        problem = f"{name}: NO INDEX PULSE within {2.6:g} motor turns: check the encoder's Z wire"
         if drive.home is not None:
-            result.problems.append(f"{said}; homing needs it")
+            result.problems.append(f"{problem}; homing needs it")
         else:
-            result.notes.append(f"{said}; counts per turn were not checked and are the draft's")
+            result.notes.append(f"{problem}; counts per turn were not checked and are the draft's")
         return
     middle = round(median(spacings))
     result.figures["index_spacing_counts"] = middle
@@ -128,9 +128,9 @@ def _counts(result: Diagnosis, found: Measured, said_counts: int) -> None:
             f" encoder_counts_per_rev = {middle}"
         )
         result.drive = replace(drive, encoder_counts_per_rev=middle)
-    if abs(middle - said_counts) > SPACING_SPREAD_counts:
+    if abs(middle - board_counts) > SPACING_SPREAD_counts:
         result.notes.append(
-            f"{name}: the boards are configured for {said_counts} counts per motor turn, the encoder has {middle}:"
+            f"{name}: the boards are configured for {board_counts} counts per motor turn, the encoder has {middle}:"
             " configure the boards, or the new arm.toml will reject them"
         )
 

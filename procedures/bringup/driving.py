@@ -1,4 +1,4 @@
-"""One joint that is known to answer its motor: turned at a speed, by a distance, until it stands against something.
+"""One joint that responds to its motor: turned at a speed, by a distance, until it meets a stop.
 
     volts = K speed_set + integral(gain (speed_set - speed))
 
@@ -141,7 +141,7 @@ class JointDriver:
         )
 
     def _brake(self) -> None:
-        """0 V until it stands; the watch goes on."""
+        """0 V until it is at rest; monitoring continues."""
         end_s = self.bench.clock.now_s() + REST_S
         while self.bench.clock.now_s() < end_s:
             self.bench.cycle(0.0)
@@ -151,7 +151,7 @@ class JointDriver:
         return self.turn(angle_rad - self.where_rad(), speed_rad_s)
 
     def latches(self, wanted: int, direction: int, speed_rad_s: float, longest_rad: float) -> list[int]:
-        """Counts of index pulses that come one after the other; it stands while the next one is armed.
+        """Counts of index pulses that come one after the other; it is at rest while the next one is armed.
 
         Fewer than wanted where the joint goes `longest_rad` without one, or stalls.
         """

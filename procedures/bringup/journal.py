@@ -139,9 +139,9 @@ def _with_friction(effects: list[Effect], joint: int, friction: list[float | Non
     coulomb_Nm, viscous = friction
     if coulomb_Nm is None or viscous is None:
         return effects
-    kept = [e for e in effects if not (e.joint == joint and e.effect in FRICTION)]
+    others = [e for e in effects if not (e.joint == joint and e.effect in FRICTION)]
     if coulomb_Nm > LEAST_FRICTION_Nm:
-        kept.append(Effect("coulomb_friction", joint, {"torque_Nm": round(coulomb_Nm, 4)}))
+        others.append(Effect("coulomb_friction", joint, {"torque_Nm": round(coulomb_Nm, 4)}))
     if viscous > LEAST_FRICTION_Nm:
-        kept.append(Effect("viscous_friction", joint, {"coefficient_Nm_s_rad": round(viscous, 4)}))
-    return kept
+        others.append(Effect("viscous_friction", joint, {"coefficient_Nm_s_rad": round(viscous, 4)}))
+    return others

@@ -42,18 +42,18 @@ class SteadyPass:
 
 @dataclass(slots=True)
 class Measured:
-    """One joint; angles nominal (draft's scale), from where it stood first, unless said otherwise. NaN or empty: not measured."""
+    """One joint; angles nominal (draft's scale), from the first pose, unless stated otherwise. NaN or empty: not measured."""
 
     spacings_count: list[int] = field(default_factory=list)
     passes: list[SteadyPass] = field(default_factory=list)
     readings: list[tuple[float, float]] = field(default_factory=list)
     """(angle by counts with the draft's scale, the operator's reading)."""
     stops_rad: list[list[float]] = field(default_factory=lambda: [[], []])
-    """Where it stood against the lower and the upper stop, each time."""
+    """Angles at the lower and the upper stop, one per touch."""
     edges: list[tuple[float, int, bool]] = field(default_factory=list)
     """Where the home switch changed, the direction of motion, and whether the switch is active behind it."""
     is_home_active: list[bool] = field(default_factory=list)
-    """What the switch was ever seen to be."""
+    """All states of the switch that were seen."""
     index_rad: float = math.nan
     flags: int = 0
     stalled_early: bool = False
@@ -62,7 +62,7 @@ class Measured:
 def measure(
     driver: JointDriver, operator: Operator, speed_rad_s: float, with_stops: bool, joint: int
 ) -> Measured:
-    """All of it. Raises Stopped, Surprise and what the boards raise; the drive is off then."""
+    """All of it. Raises Stopped, SafetyTrip and what the boards raise; the drive is off then."""
     found = Measured()
     operator.support(joint)
     try:
@@ -92,7 +92,7 @@ def _allow(operator: Operator, joint: int, what: str, travel_rad: float | None) 
 def _known_angle(
     driver: JointDriver, operator: Operator, joint: int, found: Measured, angle_rad: float
 ) -> None:
-    """Read, turn by the draft's scale, read: what is out by a factor is known before anything goes far."""
+    """Read, turn by the draft's scale, read: a wrong scale shows before a long motion."""
     _read(driver, operator, joint, found)
     _allow(operator, joint, "turns in its supposed positive direction", angle_rad)
     start_rad = driver.where_rad()

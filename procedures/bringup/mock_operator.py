@@ -1,4 +1,4 @@
-"""The person beside a mock arm: sees true joint angles as well as eyes and an inclinometer do, and holds up what is told."""
+"""The person beside a mock arm: reads true joint angles with the accuracy of an inclinometer, and supports links on request."""
 
 import random
 import sys

@@ -22,7 +22,7 @@ class Setting:
     """An arm with ports, whose clock it is, and the mock behind the ports, for a mock operator to see; None on a bench."""
 
     draft: Arm
-    """As its file says."""
+    """As in its file."""
     arm: Arm
     """With the links of the command line, or of the mock."""
     clock: Clock

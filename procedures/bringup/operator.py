@@ -1,4 +1,4 @@
-"""The person beside the arm, as bring-up sees them: who allows a motion, stops it, and says what the joint did."""
+"""The person beside the arm, as bring-up sees them: who confirms a motion, stops it, and reports what the joint did."""
 
 from typing import Protocol
 

@@ -9,7 +9,7 @@ import numpy as np
 from control.dynamics.dynamics import Dynamics
 from control.errors import MissingModel
 from control.model.arm import Arm, Drive
-from procedures.bringup.bench import Bench, Surprise
+from procedures.bringup.bench import Bench, SafetyTrip
 from procedures.bringup.diagnosis import diagnose
 from procedures.bringup.driving import JointDriver
 from procedures.bringup.findings import Diagnosis
@@ -56,8 +56,8 @@ def bring_up(
     for drive in arm.drives:
         try:
             pulses.append(pulse(bench, operator, drive, currents[drive.joint], arm.joint_count))
-        except Surprise as surprise:
-            outcome.problems.append(f"motor board {drive.motor_node}: {surprise}")
+        except SafetyTrip as trip:
+            outcome.problems.append(f"motor board {drive.motor_node}: {trip}")
     journal.note_pulses(pulses)
     outcome.wiring = wiring_of(pulses, arm.drives)
     outcome.problems += outcome.wiring.problems
@@ -84,13 +84,13 @@ def measure_joint(
     )
     try:
         found = measure(driver, operator, options.speed_rad_s, options.with_stops, wiring.joint)
-    except Surprise as surprise:
-        outcome.problems.append(f"joint {wiring.joint}: {surprise}")
-        say(f"  BAD   joint {wiring.joint}: {surprise}")
+    except SafetyTrip as trip:
+        outcome.problems.append(f"joint {wiring.joint}: {trip}")
+        say(f"  BAD   joint {wiring.joint}: {trip}")
         return
     identity = bench.encoders[wiring.channel[0]].identity
-    said_counts = identity.counts_per_turn[wiring.channel[1]] if identity else drive.encoder_counts_per_rev
-    result = diagnose(drive, wiring, found, said_counts)
+    board_counts = identity.counts_per_turn[wiring.channel[1]] if identity else drive.encoder_counts_per_rev
+    result = diagnose(drive, wiring, found, board_counts)
     outcome.diagnoses[wiring.joint] = result
     outcome.problems += result.problems
     journal.note_joint(wiring.joint, wiring, found, result)

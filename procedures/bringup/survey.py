@@ -1,6 +1,6 @@
 """Which motor moves which joint, and which encoder counts it: short pulses, one motor board after the other.
 
-Nothing is believed of the draft but roughly how a motor is made (resistance, constant, gear), which sets how far a pulse may go.
+Only the rough motor constants of the draft (resistance, constant, gear) are trusted; they limit a pulse.
 """
 
 import math
@@ -66,7 +66,7 @@ class Pulse:
 def pulse(bench: Bench, operator: Operator, drive: Drive, caution: Caution, joint_count: int) -> Pulse:
     """Ramp the voltage of the motor board that the draft gives to `drive` until something moves; ask what did; go back.
 
-    Raises Stopped, Surprise and what the boards raise; the drive is off then.
+    Raises Stopped, SafetyTrip and what the boards raise; the drive is off then.
     """
     volts = caution.voltage_V(drive)
     per_rad = abs(JointMap(drive).counts_per_radian)

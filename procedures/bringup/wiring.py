@@ -1,4 +1,4 @@
-"""What the pulses say about the wiring: which motor board and which encoder channel belong to which joint, with which signs."""
+"""The wiring that the pulses reveal: which motor board and which encoder channel belong to which joint, with which signs."""
 
 import math
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ class JointWiring:
 
 @dataclass(slots=True)
 class WiringFound:
-    """Joints that are known, and what stands in the way of the others: sentences with a remedy each."""
+    """The identified joints, and the problems of the others: each a sentence with a remedy."""
 
     joints: dict[int, JointWiring] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
@@ -51,7 +51,7 @@ def wiring_of(pulses: Sequence[Pulse], drives: Sequence[Drive]) -> WiringFound:
 
 
 def _problem_of(pulse: Pulse, drive: Drive) -> str:
-    """Why a pulse tells nothing about a joint, or an empty text."""
+    """Why a pulse does not identify a joint, or an empty text."""
     name = f"motor board {pulse.node} (joint {drive.joint} in the draft)"
     is_counted, is_seen = pulse.channel is not None, pulse.joint > 0
     wanted_A = pulse.peak_volts / drive.resistance_ohm
@@ -120,19 +120,19 @@ def _compare_motor_board(found: WiringFound, pulse: Pulse, drive: Drive) -> None
     name = f"joint {pulse.joint}: motor board {pulse.node}"
     is_position = drive.pid.mode == "position"
     if counted < -10:
-        said = (
+        text = (
             f"{name}: REVERSED MOTOR: the board's own encoder counts down with positive voltage, so its position"
             " control would run away: swap the motor's two leads (or A and B of its encoder)"
         )
         (found.problems if is_position else found.notes).append(
-            said if is_position else f'{said} before you use [drive.pid] mode = "position"'
+            text if is_position else f'{text} before you use [drive.pid] mode = "position"'
         )
     elif abs(counted) <= 10:
-        said = f"{name}: the board's own encoder input counts nothing"
+        text = f"{name}: the board's own encoder input counts nothing"
         if is_position:
-            found.problems.append(f"{said}: connect it, or choose another [drive.pid] mode")
+            found.problems.append(f"{text}: connect it, or choose another [drive.pid] mode")
         else:
-            found.notes.append(f'{said}; only mode = "position" needs it')
+            found.notes.append(f'{text}; only mode = "position" needs it')
     elif not math.isclose(abs(counted), abs(pulse.moved_count), rel_tol=SAME_COUNT, abs_tol=50):
         found.notes.append(
             f"{name}: the board's own encoder counted {counted:+d}, the encoder board {pulse.moved_count:+d}: check"
@@ -141,7 +141,7 @@ def _compare_motor_board(found: WiringFound, pulse: Pulse, drive: Drive) -> None
 
 
 def _same_channel(found: WiringFound) -> None:
-    """Two joints on one channel cannot be."""
+    """Two joints cannot share one channel."""
     seen: dict[Channel, int] = {}
     for joint, wiring in sorted(found.joints.items()):
         if wiring.channel in seen:
@@ -153,30 +153,30 @@ def _same_channel(found: WiringFound) -> None:
 
 
 def _changes(found: JointWiring, drive: Drive) -> list[str]:
-    """In which way the wiring is not the draft's; each is mended in the new file."""
-    said = []
+    """Differences of the wiring from the draft; each is corrected in the new file."""
+    changes = []
     name = f"joint {found.joint}"
     if found.node != drive.motor_node:
-        said.append(
+        changes.append(
             f"{name}: SWAPPED MOTOR: motor board {found.node} moves it, draft {drive.motor_node}: motor_node corrected"
         )
     if found.channel != (drive.encoder_board, drive.encoder_channel):
         draft = _named((drive.encoder_board, drive.encoder_channel))
-        said.append(
+        changes.append(
             f"{name}: SWAPPED ENCODER: channel {_named(found.channel)} counts it, draft {draft}: encoder_channel"
             " corrected"
         )
     if found.motor_direction != drive.motor_direction:
-        said.append(
+        changes.append(
             f"{name}: REVERSED MOTOR: positive voltage turns it in the {_way(found.motor_direction)} direction:"
             f" motor_direction = {found.motor_direction}"
         )
     if found.encoder_direction != drive.encoder_direction:
-        said.append(
+        changes.append(
             f"{name}: REVERSED ENCODER: it counts {'up' if found.encoder_direction > 0 else 'down'} in the joint's positive"
             f" direction: encoder_direction = {found.encoder_direction}"
         )
-    return said
+    return changes
 
 
 def _way(direction: int) -> str:

@@ -104,7 +104,7 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
         recordings = read_recordings(arm, recordings.point_files, [out / "motions" / "log.csv"])
     advance("moving by the nominal model", 0.6)
     before = _driven("nominal", arm, arm, programme, client, first, bench, out)
-    _put_away(arm, client, bench)
+    _shut_down(arm, client, bench)
 
     if has_motions:
         outcome = find_gap_in(arm, recordings, (), lambda what, done: advance(what, 0.65 + 0.15 * done))
@@ -119,7 +119,7 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
     off = _driven("off", bare, model, programme, client, second, bench, out)
     advance("moving with the correction on", 0.87)
     on = _driven("on", model, model, programme, client, second, bench, out)
-    _put_away(model, client, bench)
+    _shut_down(model, client, bench)
     advance("reporting", 0.95)
     return Circle(
         hidden,
@@ -192,7 +192,7 @@ def _following_rad(recording: Path, first: int, last: int, joints: int) -> float
     return float(np.sqrt(np.mean(np.square(errors)))) if len(rows) else float("nan")
 
 
-def _put_away(arm: Arm, client: ArmClient, bench: Bench) -> None:
+def _shut_down(arm: Arm, client: ArmClient, bench: Bench) -> None:
     if arm.rest is not None:
         client.move_joints(arm.rest.q_rad, bench.speed)
     bench.stop()

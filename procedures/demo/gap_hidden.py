@@ -88,9 +88,7 @@ def drawn(seed: int, effect: str | None, joint: int | None) -> Hidden:
         raise CalibrationError(f'--effect: expected one of {", ".join(SIZES)}, got "{name}"')
     joints, sizes = SIZES[name]
     if joint is not None and joint not in joints:
-        places = (
-            f"joint {' or '.join(map(str, joints))}" if joints else "no joint (it acts on the whole arm)"
-        )
+        places = f"joint {' or '.join(map(str, joints))}" if joints else "no joint (it acts on the whole arm)"
         raise CalibrationError(f"--joint: expected {places} for {name}, got {joint}")
     at = joint or (draw.choice(joints) if joints else None)
     values = {key: draw.uniform(*between) for key, between in sizes.items()}

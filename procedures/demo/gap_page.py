@@ -1,4 +1,4 @@
-"""What `armwright demo gap` says and shows: the circle from what was measured to an arm that is better."""
+"""The report of `armwright demo gap`: from the measurements to the corrected arm."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ def findings(circle: Circle) -> tuple[str, ...]:
     before = 1e3 * circle.corrected.of("all").before.mean_m
     found = circle.outcome.finding
     gap_after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "not measured"
-    said = [
+    notes = [
         f"Named by the run: {named}. Hidden was {circle.hidden}. {right} what was hidden.",
-        f"Gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {gap_after} after.",
+        f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {gap_after} after.",
         f"Mean tip error at {len(circle.corrected.point)} held-out places: {before:.2f} mm with the nominal model,"
         f" {alone:.2f} mm with identified geometry and the correction off, {after:.2f} mm with the correction on.",
     ]
     following = tuple(1e3 * value for value in circle.following_rad)
     if circle.hidden.effect not in ON_TIP:
-        said.append(
+        notes.append(
             f"Following error on the paths: {following[0]:.3f} mrad before, {following[1]:.3f} mrad with the named"
             " effects fed forward."
         )
-    return tuple(said)
+    return tuple(notes)
 
 
 def write_page(circle: Circle, out: Path) -> Path:

@@ -1,6 +1,6 @@
 """The whole job of `armwright demo`: home, move, record the table, identify, verify, report.
 
-The arm that is told to move is never told what is hidden in it: what comes out was measured.
+The run has no access to the hidden errors: every result is measured.
 """
 
 import datetime
@@ -37,7 +37,7 @@ from procedures.verify.survey import Programme, Survey, compared, paired
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the demo found, and where it stands."""
+    """What the demo found, and the paths of its files."""
 
     verification: Comparison
     calibration: Comparison
@@ -78,7 +78,7 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     _drive(before, bench, client)
     for done, what in _session(arm, table, bench, client, out / "points.csv"):
         advance(what, 0.15 + 0.6 * done)
-    recording_before = _put_away(arm, bench, client)
+    recording_before = _shut_down(arm, bench, client)
 
     advance("identification", 0.77)
     calibrated = _calibrate(arm, table, out)
@@ -88,7 +88,7 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     client.enable()
     after = _survey(calibrated.arm, programme, out / "verification_after.csv")
     _drive(after, bench, client)
-    recording_after = _put_away(calibrated.arm, bench, client)
+    recording_after = _shut_down(calibrated.arm, bench, client)
 
     advance("report", 0.94)
     verification = compared(programme, before.points(), after.points())
@@ -157,7 +157,7 @@ def _report(
     return Outcome(verification, calibration, found, paths, report, made.file)
 
 
-def _put_away(arm: Arm, bench: Bench, client: ArmClient) -> Path:
+def _shut_down(arm: Arm, bench: Bench, client: ArmClient) -> Path:
     """To the rest pose, if the arm has one, where it need not sink far when its drives go off; returns the recording."""
     if arm.rest is not None:
         client.move_joints(arm.rest.q_rad, bench.speed)

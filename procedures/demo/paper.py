@@ -37,7 +37,7 @@ BEFORE_SHARE, TABLE_SHARE, FREE_SHARE = 0.1, 0.42, 0.54  # of the whole time, at
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result and where it stands."""
+    """The result and its path."""
 
     replay: Replay
     report: Path
@@ -53,8 +53,8 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     client.enable()
     client.home()
     mover = Mover(arm, bench, client)
-    told = _Visits(mover, targets, out, advance)
-    before_m = told.visit(arm, "before", 0.02, BEFORE_SHARE)
+    visits = _Visits(mover, targets, out, advance)
+    before_m = visits.visit(arm, "before", 0.02, BEFORE_SHARE)
     _record(arm, table, mover, out / "points.csv", advance)
     points, _ = read_points(out / "points.csv", arm.joint_count)
     advance("identification", FREE_SHARE)
@@ -63,7 +63,7 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     for k, model in enumerate(models):
         shares = FREE_SHARE + (0.98 - FREE_SHARE) * np.array([k, k + 1]) / len(models)
         commanded_arm = with_friction(model, arm, points) if model.backlash else model.arm
-        reached[model.name] = told.visit(commanded_arm, model.name, *shares.tolist())
+        reached[model.name] = visits.visit(commanded_arm, model.name, *shares.tolist())
     if arm.rest is not None:
         client.move_joints(arm.rest.q_rad, bench.speed)
     bench.stop()

@@ -23,7 +23,7 @@ TILTS, FREE, BACKLASH = "all tilts", "tilts and free", "with backlash"
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """An identification: the arm that it gives, from which points, and what it says of itself."""
+    """An identification: the arm that it gives, from which points, and its remarks."""
 
     name: str
     what: str

@@ -38,7 +38,7 @@ class Pose:
 
 
 class Mover:
-    """The bench's arm, told in encoder angles: its runtime knows the nominal arm, what is identified is corrected here."""
+    """The bench's arm, commanded in encoder angles: its runtime knows the nominal arm; identified errors are corrected here."""
 
     def __init__(self, arm: Arm, bench: Bench, client: ArmClient) -> None:
         self._arm, self._client = arm, client

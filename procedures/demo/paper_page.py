@@ -138,7 +138,7 @@ def _table_section(replay: Replay) -> Section:
         table(("identified from", "points", *(f"{place} [mm]" for place in PLACES)), [first, *rows])
         + paragraph(
             "For another trajectory the paper reports: "
-            + ", ".join(f"{setup} {said}" for setup, said in published.OTHER_TRAJECTORY.items())
+            + ", ".join(f"{setup} {improvement}" for setup, improvement in published.OTHER_TRAJECTORY.items())
             + "; it attributes the last to backlash.",
             "soft small",
         ),

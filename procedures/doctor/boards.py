@@ -211,7 +211,7 @@ def _open_bus(boards: Boards, arm: Arm, clock: Clock) -> None:
     _judge_bus(boards, arm, before, found)
     boards.bus = MotorBus(counted, clock)
     for drive in arm.drives:
-        _meet_motor(boards, arm, drive, found)
+        _check_motor(boards, arm, drive, found)
 
 
 def _judge_bus(boards: Boards, arm: Arm, before: BusScan, found: BusScan) -> None:
@@ -243,7 +243,7 @@ def _judge_bus(boards: Boards, arm: Arm, before: BusScan, found: BusScan) -> Non
         )  # fmt: skip
 
 
-def _meet_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None:
+def _check_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None:
     what = f"motor board of joint {drive.joint} (node {drive.motor_node})"
     serials = found.serial_numbers.get(drive.motor_node, [])
     if not serials:

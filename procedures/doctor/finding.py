@@ -1,4 +1,4 @@
-"""One line of the doctor: what was looked at, what was measured, what is expected, what to do."""
+"""One line of the doctor: subject, measured value, expected value, remedy."""
 
 import math
 from collections.abc import Sequence

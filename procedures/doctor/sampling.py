@@ -60,7 +60,7 @@ class Samples:
 
 
 def sample(boards: Boards, clock: Clock, period_s: float, duration_s: float) -> Samples:
-    """Listen for `duration_s`. What boards complain about is kept in `problems`; never raises LinkError."""
+    """Listen for `duration_s`. Problems reported by boards are collected in `problems`; never raises LinkError."""
     found = Samples(duration_s, period_s)
     for index, encoder in boards.encoders.items():
         found.encoders[index] = EncoderSamples()
@@ -123,7 +123,7 @@ def _hear(boards: Boards, found: Samples, now_s: float, sent_s: list[float]) -> 
 
 
 def _take_reply(seen: MotorSamples, motor: MotorBoard, now_s: float, sent_s: list[float]) -> None:
-    """A reply may be to a COMMAND of some cycles ago: its echoed sequence says which."""
+    """A reply may be to a COMMAND of some cycles ago: its echoed sequence number identifies it."""
     if motor.reply is None:
         return
     if motor.reply_lag < len(sent_s):

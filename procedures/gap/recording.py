@@ -74,7 +74,7 @@ def record(bench: Bench, plan: RecordingPlan, out: Path, advance: Advance) -> No
     recorder = _Recorder(bench, out)
     try:
         for done, step in enumerate(plan.steps):
-            advance(_said(step), done / len(plan.steps))
+            advance(_step_name(step), done / len(plan.steps))
             recorder.take(step)
         recorder.take_off_load()
     finally:
@@ -104,7 +104,7 @@ class _Recorder:
             self._visit(step)
 
     def take_off_load(self) -> None:
-        """Nothing hangs at the tip any more, and the arm stands where every way is clear."""
+        """The load is removed, and the arm is at a pose from which every path is clear."""
         self._come_back(None)
         self._hang(0.0)
 
@@ -179,7 +179,7 @@ class _Recorder:
             self._load_kg = mass_kg
 
 
-def _said(step: Step) -> str:
+def _step_name(step: Step) -> str:
     load = f" with {step.payload_kg:g} kg" if step.payload_kg else ""
     return f"run {step.name}: {step.kind}{load}" if isinstance(step, Run) else f"pose {step.point}{load}"
 

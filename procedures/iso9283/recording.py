@@ -71,7 +71,7 @@ def rated_speed_m_s(arm: Arm, cube: TestCube) -> float:
 
 
 def plan(arm: Arm, cube: TestCube, extent: Extent, rated_m_s: float) -> Planned:
-    """Solve every pose and plan every path; ArmError or Iso9283Error say what stands in the way, and nothing moves."""
+    """Solve every pose and plan every path; ArmError or Iso9283Error name the obstacle, and nothing moves."""
     solver = solver_of(arm, cube)
     todo = tuple(steps(cube, extent, rated_m_s))
     visits = [step for step in todo if isinstance(step, Visit)]
@@ -101,7 +101,7 @@ def record(bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
         recorder = _Recorder(bench, planned, points, log)
         try:
             for done, step in enumerate(planned.steps):
-                advance(_said(step), done / len(planned.steps))
+                advance(_step_name(step), done / len(planned.steps))
                 recorder.take(step)
         finally:
             recorder.take_off_load()
@@ -210,7 +210,7 @@ def _points_row(step: Visit, mean: Average) -> Sequence[str]:
     ]  # fmt: skip
 
 
-def _said(step: Step) -> str:
+def _step_name(step: Step) -> str:
     if isinstance(step, PathRun):
         return f"{step.programme} at {step.speed_m_s:.3g} m/s, cycle {step.cycle}"
     return f"{step.setup}: {step.point}, {step.repeat}"

@@ -1,4 +1,4 @@
-"""The talk of a session on lines of text: a terminal, a pipe or a script, all the same."""
+"""The dialogue of a session as lines of text, from a terminal, a pipe or a script."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from calib.session.folder import SessionFolder
 from calib.session.plan import Target
 from calib.session.state import Mark
 from control.model.arm import Table
-from procedures.session.dialogue import HELP, Auto, NotUnderstood, View, understood
+from procedures.session.dialogue import HELP, Auto, BadCommand, View, parse_command
 from procedures.session.drawing import board_text, status_text
 
 Say = Callable[[str], None]
 
 
 class Operator:
-    """Says what a session says, and answers from lines. When they end, the answer is `quit`."""
+    """Prints the messages of a session and answers from lines. When they end, the answer is `quit`."""
 
     def __init__(
         self,
@@ -37,7 +37,7 @@ class Operator:
         self._auto: int | None = 0  # questions still to be answered by itself, None: all
 
     def run(self, talk: Talk) -> None:
-        """Carry the talk to its end."""
+        """Conduct the dialogue to its end."""
         try:
             saying = next(talk)
             while True:
@@ -51,7 +51,7 @@ class Operator:
         if isinstance(saying, Ask):
             return self._asked(saying)
         if isinstance(saying, Recorded):
-            self._say(self._kept(saying))
+            self._say(self._recorded(saying))
             if saying.verdict.is_suspect:
                 self._auto = 0
         else:
@@ -67,25 +67,25 @@ class Operator:
             if self._auto:
                 self._auto -= 1
                 return GO
-            line = next(self._lines, self._last_word(ask))
+            line = next(self._lines, self._answer_at_end(ask))
             try:
-                command = understood(line)
+                command = parse_command(line)
                 if isinstance(command, Command):
                     return command
                 if isinstance(command, View):
                     self._show(command, ask)
                 else:
                     self._start_auto(command)
-            except NotUnderstood as error:
+            except BadCommand as error:
                 self._say(f"! {error}")
 
-    def _last_word(self, ask: Ask) -> str:
-        """What is answered when the lines have ended: nothing is left to do with a mock arm, or nobody is there."""
+    def _answer_at_end(self, ask: Ask) -> str:
+        """The answer after the last line: the end of a mock session, or `quit`."""
         return "" if ask.question is Question.DONE and self._may_auto else "quit"
 
     def _start_auto(self, command: Auto) -> None:
         if not self._may_auto:
-            raise NotUnderstood("auto: only a session with a mock arm can answer by itself")
+            raise BadCommand("auto: only a session with a mock arm can answer by itself")
         self._auto = command.count
 
     def _show(self, view: View, ask: Ask) -> None:
@@ -137,9 +137,9 @@ class Operator:
         }
         return angles.get(setup, setup)
 
-    def _kept(self, kept: Recorded) -> str:
+    def _recorded(self, recorded: Recorded) -> str:
         """What was recorded, how far the model is off, and whether that fits the records before."""
-        record, verdict = kept.record, kept.verdict
+        record, verdict = recorded.record, recorded.verdict
         text = f"{self._folder.state.targets[record.key].name} recorded"
         if np.isfinite(verdict.error_m).all():
             text += f"; model error {1e3 * float(np.linalg.norm(verdict.error_m)):.2f} mm"

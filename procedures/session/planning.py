@@ -27,7 +27,7 @@ OPTIONS = ("setups", "points", "repeats", "approaches", "free", "plan", "payload
 MOST_FREE = 500
 
 
-def wanted_plan(given: argparse.Namespace, arm: Arm) -> SessionPlan | None:
+def plan_from_options(given: argparse.Namespace, arm: Arm) -> SessionPlan | None:
     """The plan that the options ask for; None where none of them is given, which resumes what is there."""
     if all(getattr(given, name) is None for name in OPTIONS) and (Path(given.out) / "session.json").exists():
         return None

@@ -31,7 +31,7 @@ CENTRE_SPEED = 0.3
 
 
 class NotTuned(ArmError):
-    """A joint was not tuned, and the message says why; nothing is written."""
+    """A joint was not tuned; the message gives the reason, and nothing is written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,18 +203,18 @@ def inertia_ratios(arm: Arm, joint: int, pose: tuple[float, ...]) -> tuple[float
 
 
 def _cautions(joint: int, fit: MotorFit, measured: Measured) -> tuple[str, ...]:
-    said = []
+    cautions = []
     if measured.distortion > NOT_LINEAR:
-        said.append(
+        cautions.append(
             f"joint {joint}: {measured.distortion:.0%} of its response is nonlinear (backlash, friction): the margins"
             " are less reliable, so the loop was tuned slower than they allow"
         )
     if fit.residual > MISFIT:
-        said.append(
+        cautions.append(
             f"joint {joint}: its response differs by {fit.residual:.0%} from that of a stiff joint: the drive train"
             " is compliant, so the loop was tuned slower than the margins allow"
         )
-    return tuple(said)
+    return tuple(cautions)
 
 
 def with_gains(arm: Arm, gains: dict[int, Gains]) -> Arm:

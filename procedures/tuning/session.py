@@ -84,7 +84,7 @@ class Session:
         self._leave()
 
     def _leave(self) -> None:
-        """Stop, hold, brake, off; where the runtime cannot, the boards are told to brake."""
+        """Stop, hold, brake, off; if the runtime cannot, the boards are commanded to brake."""
         self.probe.rest()
         try:
             with contextlib.suppress(ArmError):
@@ -118,7 +118,7 @@ class Session:
         return trace
 
     def excite(self, joint: int, wave: Multisine, amplitude: float) -> Measured:
-        """Passes to and fro around where the arm stands, with the signal on the joint."""
+        """Passes back and forth around the present pose, with the signal on the joint."""
         centre = at_rest(self.angles_rad())
         forth = _pass(centre, joint - 1)
         self.client.move_joints(forth[0].q_rad, 0.3)

@@ -73,7 +73,7 @@ class Pair:
 
 
 def nominal_of(calibrated: Arm, against: str | None) -> Arm:
-    """The arm that a calibrated one is compared with: as asked, or the one that it says it was calibrated from.
+    """The arm that a calibrated one is compared with: as given, or the one it was calibrated from by its file.
 
     ArmError where it says nothing, where the file is not to be found, or where the two are not the same arm.
     """
@@ -104,8 +104,8 @@ def _source_of(calibrated: Arm) -> str:
     )
 
 
-def believed_by(status: Message, pair: Pair) -> Model:
-    """Which of the two models the runtime runs: the one by which its tip is where it says. ArmError if neither."""
+def active_model(status: Message, pair: Pair) -> Model:
+    """The model of the pair that the runtime uses. ArmError if neither."""
     if not status["is_homed"] or status["tip_m"] is None:
         raise ArmError("the arm is not homed, so its angles are unknown: run `armwright home`")
     for model in (pair.calibrated, pair.nominal):

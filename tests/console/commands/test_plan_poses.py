@@ -35,7 +35,7 @@ def points_file(path):
 def test_plan_is_printed_with_what_each_pose_brings(capsys):
     status, out, err = said(capsys, "--count", "5", "--only", "free")
     assert (status, err) == (0, "")
-    assert "The poses in the order of their worth" in out
+    assert "Poses by value" in out
     rows = [line.split() for line in out.splitlines() if line.startswith("  free") and " p" in line]
     assert len(rows) == 5
     assert sorted(int(row[2]) for row in rows) == [1, 2, 3, 4, 5]

@@ -37,7 +37,7 @@ async def begin_and_leave(app: ConsoleApp, pilot: Pilot[Any], out: Path) -> None
     """One cavity recorded, done again, skipped; and the session left."""
     app.open_session(f"--mock --out {out} --setups normal,roll --points 1,5,9,13,17,21,25,33")
     await until(pilot, lambda: isinstance(app.screen, SessionScreen))
-    await asked(app, pilot, "Enter when it stands")
+    await asked(app, pilot, "Enter when it is in place")
     assert shown(app, "board").count(".") == 7
     assert shown(app, "board").count("O") == 1
     await press(pilot, "enter")

@@ -217,7 +217,7 @@ def test_a_torn_recording_is_drawn_and_the_loss_said(
     assert main(["plot", str(torn), "--json"]) == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["samples"] == CYCLES - 1
-    assert "last row is torn" in said.err
+    assert "last row is incomplete" in said.err
 
 
 def test_a_cut_off_mcap_is_drawn_as_far_as_it_goes(tmp_path: Path) -> None:
