@@ -22,7 +22,7 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(
         prog="armwright",
         description="Control runtime, mock robot and calibration for a self-built robot arm.",
-        epilog="`armwright demo` shows the whole job on a mock arm. Every command has its own --help.",
+        epilog="`armwright demo` shows the full workflow on a mock arm. Every command has its own --help.",
     )
     top.add_argument("--version", action="store_true", help="print the version and exit")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", title="commands")

@@ -168,7 +168,7 @@ def _record_real(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out
 
 
 def _hang_by_hand(mass_kg: float) -> None:
-    what = f"attach {mass_kg:.3f} kg to the tip" if mass_kg else "take the load off"
+    what = f"attach {mass_kg:.3f} kg to the tip" if mass_kg else "remove the load"
     sys.stderr.write(f"\n{what}, then press Enter: ")
     sys.stderr.flush()
     sys.stdin.readline()

@@ -99,10 +99,10 @@ def described(plan: Plan, arm: str) -> str:
     """The plan for people: candidates, what each pose brings, alternatives, sentences."""
     candidates = ", ".join(f"{count} {setup}" for setup, count in plan.candidates.items())
     lines = [
-        f"arm {arm}: {plan.before.points_count} points taken; to choose from: {candidates}; noise"
+        f"arm {arm}: {plan.before.points_count} points recorded; candidates: {candidates}; noise"
         f" {1e3 * plan.noise_m:.3g} mm per axis; criterion {plan.criterion}\n\n",
         "  Poses by value, and the accuracy after each:\n",
-        HEAD.format("setup", "point", "visit", "log det", "tip mm", "worst mm", *NAMES, "known least"),
+        HEAD.format("setup", "point", "visit", "log det", "tip mm", "worst mm", *NAMES, "weakest"),
         HEAD.format("", "", "", "", *_figures(plan.before)),
     ]
     for pose in plan.poses:

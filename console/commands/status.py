@@ -24,7 +24,7 @@ def described(status: Message) -> str:
     """The status as a page for an operator."""
     homed = "homed" if status["is_homed"] else "not homed"
     done = f", {100 * status['progress']:.0f} % of run {status['run']}" if status["run"] else ""
-    pace = f", at {100 * status['override']:.0f} % of the pace" if status["override"] < 1.0 else ""
+    pace = f", speed override {100 * status['override']:.0f} %" if status["override"] < 1.0 else ""
     encoder, drive = status["encoder_stale_s"], status["drive_stale_s"]
     step = f", {status['step']}" if status["step"] else ""
     lines = [
@@ -64,7 +64,7 @@ def described(status: Message) -> str:
 
 
 def _recording(recorder: RecorderState) -> str:
-    is_on = "recording" if recorder.is_on else "NOT recording"
+    is_on = "recording" if recorder.is_on else "not recording"
     return f"{is_on}: {recorder.file}, {1e-6 * recorder.written_bytes:.1f} MB written, {recorder.usage()}"
 
 

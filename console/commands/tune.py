@@ -29,7 +29,7 @@ def run(given: argparse.Namespace) -> int:
     with opened(given) as setting:
         options = _options(given, setting.draft)
         if setting.rig is None and not given.yes and not _allowed(setting.draft, options):
-            sys.stderr.write("armwright: nothing has moved\n")
+            sys.stderr.write("armwright: cancelled; nothing moved\n")
             return 2
         try:
             with Bar("tuning") as bar:

@@ -197,7 +197,7 @@ OPERATING = (
     CommandSpec(
         "off",
         "stop, hold, lower on shorted windings, drives off",
-        (ARM, SOCKET, option("--quit", action="store_true", help="end the runtime too")),
+        (ARM, SOCKET, option("--quit", action="store_true", help="also end the runtime")),
         module="requests",
     ),
 )

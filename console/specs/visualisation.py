@@ -69,7 +69,7 @@ SEEING = (
     CommandSpec(
         "completion",
         "print a script that completes armwright's commands, options and files in your shell",
-        (option("shell", choices=("bash", "zsh", "fish", "tcsh"), help="for which shell"),),
+        (option("shell", choices=("bash", "zsh", "fish", "tcsh"), help="the shell"),),
         "docs/visualisation.md describes the installation.",
     ),
 )

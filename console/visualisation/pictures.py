@@ -61,5 +61,5 @@ PICTURES: Final = (
     ),
     Picture("spectra", "Spectra", draw_spectra, _has_spectrum, False, 1, 2.6),
     Picture("tip", "Tip", draw_tip, lambda s: s.arm is not None and _is_any(s.q_rad), False, 1, 5.6),
-    Picture("lateness", "Punctuality of the loop", draw_lateness, lambda s: _is_any(s.late_s), False, 1, 2.0),
+    Picture("lateness", "Cycle timing", draw_lateness, lambda s: _is_any(s.late_s), False, 1, 2.0),
 )  # fmt: skip

@@ -115,7 +115,7 @@ def chosen(series: Series, run: str | None, from_s: float | None, to_s: float | 
         raise ArmError(f"--from and --to: expected an increasing time span, got {lower:g} to {upper:g} s")
     is_wanted &= (series.t_s >= lower) & (series.t_s <= upper)
     if not is_wanted.any():
-        ends = f"{series.t_s[0]:.3f} to {series.t_s[-1]:.3f} s" if len(series) else "no time at all"
+        ends = f"{series.t_s[0]:.3f} to {series.t_s[-1]:.3f} s" if len(series) else "no samples"
         raise ArmError(f"{series.name}: no samples between {lower:g} and {upper:g} s: it contains {ends}")
     return series.at(is_wanted)
 

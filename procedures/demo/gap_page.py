@@ -19,7 +19,7 @@ from procedures.demo.gap_hidden import ON_TIP
 def findings(circle: Circle) -> tuple[str, ...]:
     """Sentences: what was named, whether it is right, and what the arm gained."""
     named = ", ".join(str(one.name) for one in circle.named) or "nothing"
-    right = "It is" if circle.is_right else "It is not"
+    right = "correct" if circle.is_right else "not correct"
     alone, after = (
         1e3 * summary.mean_m
         for summary in (circle.geometry_alone.of("all").before, circle.corrected.of("all").after)
@@ -28,7 +28,7 @@ def findings(circle: Circle) -> tuple[str, ...]:
     found = circle.outcome.finding
     gap_after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "not measured"
     notes = [
-        f"Named by the run: {named}. Hidden was {circle.hidden}. {right} what was hidden.",
+        f"Named by the run: {named}. Hidden: {circle.hidden}. The result is {right}.",
         f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {gap_after} after.",
         f"Mean tip error at {len(circle.corrected.point)} held-out places: {before:.2f} mm with the nominal model,"
         f" {alone:.2f} mm with identified geometry and the correction off, {after:.2f} mm with the correction on.",
@@ -56,7 +56,7 @@ def write_page(circle: Circle, out: Path) -> Path:
 def _parts(circle: Circle, date: str, program: str) -> Iterator[Section | str]:
     yield verdict(findings(circle))
     yield tiles(_tiles(circle))
-    yield list_section("What was done", _steps(circle))
+    yield list_section("Procedure", _steps(circle))
     yield _revealed(circle)
     yield verification_section(
         circle.geometry_alone,
@@ -121,6 +121,6 @@ def _revealed(circle: Circle) -> Section:
         )
     head = (("text", "parameter"), "hidden", "found", "sd")
     return Section(
-        "What was hidden",
+        "Hidden effect",
         paragraph(f"{circle.hidden}; the run had no access to it.") + table(head, rows),
     )

@@ -88,7 +88,11 @@ def table_rows(replay: Replay) -> list[tuple[str, ...]]:
     names = [model.name for model in replay.models]
     before = [replay.of(names[0], place) for place in PLACES]
     rows.append(
-        ("nothing yet [mm]", "", *(f"{1e3 * b.before_m:.2f} ± {1e3 * b.before_half_m:.2f}" for b in before))
+        (
+            "not calibrated [mm]",
+            "",
+            *(f"{1e3 * b.before_m:.2f} ± {1e3 * b.before_half_m:.2f}" for b in before),
+        )
     )
     for model in replay.models:
         each = [replay.of(model.name, place) for place in PLACES]

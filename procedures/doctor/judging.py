@@ -182,7 +182,7 @@ def _channel(drive: Drive, found: EncoderSamples) -> Iterator[Finding]:
         )  # fmt: skip
         return
     noise = pstdev(counts)
-    homed = "its zero is set" if found.zero_set[at] else "not homed yet"
+    homed = "homed" if found.zero_set[at] else "not homed yet"
     yield graded(
         group, what, noise, NOISE_LIMITS_counts,
         (

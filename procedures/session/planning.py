@@ -150,7 +150,7 @@ def _range(name: str, known: Iterable[str]) -> list[str]:
     if name in known or not (dash and first.isdecimal() and last.isdecimal()):
         return [name]
     if int(first) > int(last):
-        raise SessionError(f"--points: {name} runs backwards")
+        raise SessionError(f"--points: expected an ascending range, got {name}")
     return [str(number) for number in range(int(first), int(last) + 1)]
 
 

@@ -46,7 +46,7 @@ def test_points_taken_are_counted_and_their_names_not_used_again(capsys, tmp_pat
     taken = points_file(tmp_path / "points.csv")
     status, out, _ = said(capsys, "--points", taken, "--free", "3", "--out", str(tmp_path / "plan"))
     assert status == 0
-    assert "30 points taken" in out
+    assert "30 points recorded" in out
     planned, warnings = read_points(tmp_path / "plan" / "plan.csv", 3)
     assert planned.point == ("p31", "p32", "p33")
     assert planned.setup == ("free",) * 3
