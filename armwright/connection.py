@@ -45,7 +45,7 @@ class Status:
 
 
 class RunningArm:
-    """An arm that a control loop moves. Made by `connect` or `mock_arm`; a context manager that hangs up at its end.
+    """An arm that a control loop moves. Made by `connect` or `mock_arm`; a context manager that disconnects at its end.
 
     Methods that move return when the arm is at rest at the target. A motion that this connection started is stopped when the
     connection ends, for whatever reason. They raise:
@@ -62,7 +62,7 @@ class RunningArm:
         self._client = client
 
     def status(self) -> Status:
-        """What the arm does now."""
+        """The present state of the arm."""
         now = self._client.status()
         return Status(
             now["mode"],
@@ -183,7 +183,7 @@ class RunningArm:
             raise ArmFaulted(fault_text(status))
 
     def close(self) -> None:
-        """Hang up. A motion that this connection started is stopped; the loop goes on."""
+        """Disconnect. A motion that this connection started is stopped; the loop goes on."""
         self._client.close()
 
     def __enter__(self) -> Self:

@@ -108,7 +108,7 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
 
 
 def fail(message: str, status: int) -> int:
-    """Say what is wrong on standard error; returns `status`."""
+    """Print an error on standard error; returns `status`."""
     sys.stderr.write(f"armwright: {message}\n")
     return status
 

@@ -39,7 +39,7 @@ class CommandSpec:
 
 
 def finite(text: str) -> float:
-    """A number that is one: argparse's `float` takes nan and inf."""
+    """A finite number: argparse's `float` accepts nan and inf."""
     try:
         value = float(text)
     except ValueError:
@@ -55,7 +55,7 @@ def option(*flags: str, **details: Any) -> Option:
 
 
 def settle_arm(given: argparse.Namespace) -> None:
-    """Put the user's default arm where none was given. ConfigError."""
+    """Use the user's default arm if none was given. ConfigError."""
     if getattr(given, "arm", None) == USERS_ARM:
         from console.user_config import default_arm
 

@@ -21,7 +21,7 @@ KEYS = {"q_rad", "tip_m"}
 
 
 class PlacesError(ArmError):
-    """A places file that cannot be taken, or a place that is not in it."""
+    """An invalid places file, or a place that is not in it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ def read_places(file: Path) -> dict[str, Place]:
 
 
 def find_place(file: Path, name: str) -> Place:
-    """One place. PlacesError lists those that there are."""
+    """One place. PlacesError lists the known places."""
     places = read_places(file)
     if name not in places:
         raise PlacesError(f"{file}: no place {name!r}; expected one of {', '.join(places) or 'none'}")
@@ -47,7 +47,7 @@ def find_place(file: Path, name: str) -> Place:
 
 
 def save_place(file: Path, name: str, q_rad: Sequence[float]) -> bool:
-    """Add a place of joint angles, or put another pose in its stead; the others stay as they are, remarks do not.
+    """Add a place of joint angles, or replace its pose; other places are unchanged, comments are lost.
 
     Returns whether there was one of this name.
     """

@@ -1,4 +1,4 @@
-"""The arm that is meant where a command line does not say: $ARMWRIGHT_ARM, else `arm` in the user's config.toml, else "right"."""
+"""The default arm of a command line: $ARMWRIGHT_ARM, else `arm` in the user's config.toml, else "right"."""
 
 import os
 from pathlib import Path

@@ -37,7 +37,7 @@ class Progress:
         sys.stderr.flush()
 
     def close(self) -> None:
-        """Take the line away."""
+        """Erase the line."""
         if self._is_drawn:
             sys.stderr.write("\r\x1b[K")
             sys.stderr.flush()
@@ -45,7 +45,7 @@ class Progress:
 
 @contextlib.contextmanager
 def shown(client: ArmClient, given: argparse.Namespace, title: str = "") -> Iterator[None]:
-    """While it is open, waiting shows; not in a script, whose lines say themselves what they have done."""
+    """Show progress while open; not in a script, whose lines report themselves."""
     if getattr(given, "connect", None) is not None:
         yield
         return

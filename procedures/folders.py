@@ -1,4 +1,4 @@
-"""Where results go: no folder that is there is overwritten, and each is tried before anything moves."""
+"""Folders for results: none is overwritten, and each is tried before anything moves."""
 
 from pathlib import Path
 

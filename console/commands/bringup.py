@@ -1,4 +1,4 @@
-"""`armwright bringup`: joint by joint, from a draft of arm.toml to one that fits the arm that is there."""
+"""`armwright bringup`: joint by joint, from a draft of arm.toml to one that fits the real arm."""
 
 import argparse
 import contextlib

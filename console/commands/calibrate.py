@@ -53,7 +53,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _forms(texts: list[str]) -> list[str]:
-    """The export forms that are asked for; CalibrationError for one that there is not."""
+    """The requested export formats; CalibrationError for an unknown one."""
     forms = _names(texts)
     for form in forms:
         if form not in FORMS:
@@ -95,7 +95,7 @@ def _rows_of(points: Points, names: list[str]) -> set[int]:
 
 
 def _plan(given: argparse.Namespace) -> CalibrationPlan:
-    """What the options ask for."""
+    """The settings of the options."""
     threshold_m = quantity(given.huber_threshold, "m", "--huber-threshold") if given.huber_threshold else None
     accuracy_m = quantity(given.accuracy, "m", "--accuracy") if given.accuracy else None
     if accuracy_m is not None and accuracy_m <= 0.0:

@@ -1,4 +1,4 @@
-"""`armwright check`: are the boards there, and are they the right ones? Nothing moves."""
+"""`armwright check`: find the boards of arm.toml and compare their identities. Nothing moves."""
 
 import argparse
 import json
@@ -17,7 +17,7 @@ FORMAT = "check/1"
 
 
 def run(given: argparse.Namespace) -> int:
-    """Connect, say who answered, hang up."""
+    """Connect, print the boards that answered, disconnect."""
     arm = with_links(load_arm(given.arm), link_options(given))
     connection = connect(arm, MonotonicClock(), PERIOD_S, camera_port(given, arm))
     try:
@@ -57,7 +57,7 @@ def found_boards(connection: Connection) -> dict[str, list[dict[str, Any]]]:
 
 
 def described(found: dict[str, list[dict[str, Any]]]) -> str:
-    """The same for people, a board a line."""
+    """The boards as text, one per line."""
     lines = [
         f"{one['where']}: serial number {one['serial_number']}, firmware {one['firmware']}, {one['channels']} channels,"
         f" {one['encoder_bits']}-bit counters"

@@ -22,7 +22,7 @@ WHERE: Final = {
 
 
 def run(given: argparse.Namespace) -> int:
-    """Print the script; on a terminal, where to put it, too."""
+    """Print the script; on a terminal, also how to install it."""
     sys.stdout.write(script(given.shell))
     if sys.stdout.isatty():
         sys.stderr.write(f"\nTo install: {WHERE[given.shell]}\n")

@@ -1,4 +1,4 @@
-"""What the client commands share: the socket of the arm that is meant."""
+"""Shared by the client commands: the socket of the selected arm."""
 
 import argparse
 from pathlib import Path

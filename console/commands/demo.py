@@ -1,4 +1,4 @@
-"""`armwright demo`: the whole job on a mock arm, the paper's experiment, or a hidden effect found and corrected."""
+"""`armwright demo`: the full workflow on a mock arm, the paper's experiment, or a hidden effect found and corrected."""
 
 import argparse
 import sys
@@ -65,7 +65,7 @@ def _job(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
 
 
 def _paper(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
-    """The experiment of SpringerPlus 5:1771, and what goes past it."""
+    """The experiment of SpringerPlus 5:1771, and two further steps."""
     from procedures.demo import paper
     from procedures.demo.paper_page import findings
     from procedures.demo.paper_result import table_text, widths_text

@@ -14,7 +14,7 @@ from control.recording.recorded_arm import recorded_arm
 
 
 def run(given: argparse.Namespace) -> int:
-    """Export and say what was written."""
+    """Export and print the written files."""
     recording, out = Path(given.recording), Path(given.out)
     if not recording.is_file():
         what = "it is a folder" if recording.is_dir() else "no such recording"

@@ -1,4 +1,4 @@
-"""`armwright gap`: where simulation and measurement disagree, what is missing, and the model with it."""
+"""`armwright gap`: where model and measurement disagree, which effect is missing, and the corrected model."""
 
 import argparse
 import contextlib
@@ -35,7 +35,7 @@ MINUTES_MOST = 600.0
 
 
 def run(given: argparse.Namespace) -> int:
-    """Record if that is wanted, look, name, write. Nothing is written before everything is read and found usable."""
+    """Record if requested, analyse, name, write. Nothing is written before everything is read and found usable."""
     arm, out = load_arm(given.arm), Path(given.out)
     without = tuple(given.without or ())
     require_effects(without)
@@ -87,7 +87,7 @@ def _say(given: argparse.Namespace, outcome: GapOutcome, out: Path) -> None:
 
 
 def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, ...]) -> int:
-    """Plan, say it, record, and look at what was recorded."""
+    """Plan, print the plan, record, and analyse the recordings."""
     from calib.gap.plan import foresight
     from calib.gap.plan.plan import PlanRequest, recording_plan
 
@@ -125,7 +125,7 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
 
 
 def _require_recording_options(given: argparse.Namespace) -> None:
-    """CalibrationError for what does not go together."""
+    """CalibrationError for options that contradict each other."""
     if given.points or given.log:
         raise CalibrationError("--record makes its own recordings: omit --points and --log")
     if given.minutes is not None and not 0.0 < given.minutes <= MINUTES_MOST:

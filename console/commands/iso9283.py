@@ -28,7 +28,7 @@ CAMERA_LOOK_S = 0.5
 
 
 def run(given: argparse.Namespace) -> int:
-    """Record if that is wanted, evaluate, and print what came out."""
+    """Record if requested, evaluate, and print the results."""
     arm = load_arm(given.arm)
     ways = [name for name in ("points", "record", "mock") if getattr(given, name)]
     if len(ways) != 1:
@@ -48,7 +48,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient | None) -> int:
-    """Plan, say it, record on `client`'s arm or on a mock, evaluate."""
+    """Plan, print the plan, record on `client`'s arm or on a mock, evaluate."""
     out = Path(given.out)
     extent, cube = _extent(given, arm), _cube(given, arm)
     rated_m_s = given.rated_speed or recording.rated_speed_m_s(arm, cube)

@@ -1,4 +1,4 @@
-"""Commands that move the arm to angles, a named place, along way-points or by a step, and that note where it is."""
+"""Commands that move the arm to angles, a named place, along way-points or by a step, and that save its pose."""
 
 import argparse
 import math
@@ -85,7 +85,7 @@ def described(path: PlannedPath) -> str:
 
 
 def _jog(given: argparse.Namespace) -> int:
-    """One step; exit status 1 when something was in the way."""
+    """One step; exit status 1 if it could not be completed."""
     if (given.joint is None) == (given.axis is None):
         raise ArmError("jog: give either --joint or --axis")
     step: dict[str, Any] = {"axis": given.axis, "by_m": given.by}
@@ -114,7 +114,7 @@ def _mark(given: argparse.Namespace) -> int:
 
 
 def _teach(given: argparse.Namespace) -> int:
-    """Append where the tip is to a way-point file, which is begun where there is none."""
+    """Append the tip position to a way-point file, created if missing."""
     status = connected(given).status()
     if status["tip_m"] is None:
         raise ArmError("teach: the tip position is unknown: run `armwright home`")

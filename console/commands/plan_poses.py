@@ -1,4 +1,4 @@
-"""`armwright plan-poses`: which points, tilts and free poses to take next, and what each would bring."""
+"""`armwright plan-poses`: which points, tilts and free poses to take next, and the information of each."""
 
 import argparse
 import json
@@ -23,7 +23,7 @@ HEAD = "  {:<12}{:<9}{:>5}{:>9}{:>10}{:>10}{:>8}{:>9}{:>9}{:>9}{:>8}  {}\n"
 
 
 def run(given: argparse.Namespace) -> int:
-    """Plan, say what it brings, write plan.csv and plan.json."""
+    """Plan, print the plan, write plan.csv and plan.json."""
     arm = load_arm(given.arm)
     if given.out:
         require_writable(Path(given.out))
@@ -41,7 +41,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def request_of(given: argparse.Namespace) -> Request:
-    """What the options ask for; `--free N` alone asks for N free poses and nothing else."""
+    """The request of the options; `--free N` alone asks for N free poses and nothing else."""
     count = given.count
     if count is None:
         count = USUAL_COUNT if given.free is None else given.free

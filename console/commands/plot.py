@@ -1,4 +1,4 @@
-"""`armwright plot LOG`: figures of a recording in a window or as files, and what they say in numbers."""
+"""`armwright plot LOG`: figures of a recording in a window or as files, and their key figures."""
 
 import argparse
 import json
@@ -20,7 +20,7 @@ USUAL_OUT = Path("out/plot")
 
 
 def run(given: argparse.Namespace) -> int:
-    """Read, choose, draw, say."""
+    """Read, select, draw, print."""
     series, joints = _series(given)
     pictures = _pictures(given.what, series)
     files: list[Path] = []

@@ -43,7 +43,7 @@ class Bar:
             self._progress.stop()
 
     def advance(self, what: str, done: float) -> None:
-        """`done` of the whole, 0 to 1, and what is being done now. An estimate that goes back or beyond is held."""
+        """`done` of the whole, 0 to 1, and the present step. The share never falls and never exceeds 1."""
         done = self._done = min(max(done, self._done), 1.0)
         if self._is_terminal:
             self._progress.update(self._task, completed=done, description=what)

@@ -12,7 +12,7 @@ from console.lines.replay import Outcome, parse_lines, replay
 
 
 def run(given: argparse.Namespace) -> int:
-    """Understand the whole file first; then run it."""
+    """Parse the whole file first; then run it."""
     grammar = Grammar(COMMANDS, {"arm": given.arm, "socket": given.socket})
     try:
         lines = parse_lines(_text(given.file).splitlines(), grammar)

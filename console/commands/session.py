@@ -1,4 +1,4 @@
-"""`armwright session`: step through the table's points and keep what is measured; resumable at any time."""
+"""`armwright session`: step through the table's points and record; resumable at any time."""
 
 import argparse
 import sys

@@ -23,7 +23,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _wanted(given: argparse.Namespace) -> Sequence[Path]:
-    """The sockets that are meant."""
+    """The sockets of the selected arms."""
     if given.socket:
         return [Path(given.socket)]
     if not given.arm:

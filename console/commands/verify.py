@@ -1,4 +1,4 @@
-"""`armwright verify`: is the calibrated arm better than the nominal one, where calibration has never been?"""
+"""`armwright verify`: compares the calibrated arm with the nominal one at points that calibration did not use."""
 
 import argparse
 import sys
@@ -30,7 +30,7 @@ REAL_SPEED = 0.5  # of a real arm's joint limits
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """An arm that holds and is homed: what its runtime believes in, and what ends the use of it (returns the recording)."""
+    """An arm that holds and is homed: the model of its runtime, and the function that ends its use (returns the recording)."""
 
     client: ArmClient
     believed: Model
@@ -39,7 +39,7 @@ class Bench:
 
 
 def run(given: argparse.Namespace) -> int:
-    """Verify; exit status 1 where the calibrated arm is worse by more than chance, or the arm could not go on."""
+    """Verify; exit status 1 where the calibrated arm is significantly worse, or the arm could not continue."""
     calibrated = load_arm(given.arm)
     pair = Pair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
     require_writable(Path(given.out))
@@ -66,7 +66,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _programme(given: argparse.Namespace, arm: Arm) -> tuple[Programme, tuple[str, ...]]:
-    """Where to go, and what of it this arm cannot do."""
+    """The programme, and the parts that this arm cannot do."""
     table = tables.table_of(arm)
     setups = tuple(dict.fromkeys(given.setups))
     if given.repeats < 1:
@@ -110,7 +110,7 @@ def _real(given: argparse.Namespace, pair: Pair) -> Bench:
 
 
 def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) -> Bench:
-    """A stepped mock of the nominal arm with what the scenario hides, homed, its runtime believing in the calibrated one."""
+    """A stepped mock of the nominal arm with what the scenario hides, homed, its runtime using the calibrated one."""
     from procedures.mock.bench import SteppedBench  # brings MuJoCo, which takes a second
     from procedures.mock.scenario_file import seeded_scenario
 

@@ -35,14 +35,14 @@ class Line:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in place of ending the program."""
+    """Raises an error instead of ending the program."""
 
     def error(self, message: str) -> NoReturn:
         raise LineError(message)
 
 
 class Grammar:
-    """Understands lines. `defaults` (arm, socket) hold where a line does not say otherwise."""
+    """Parses lines. `defaults` (arm, socket) apply unless a line gives its own."""
 
     def __init__(self, commands: tuple[CommandSpec, ...], defaults: Mapping[str, object]) -> None:
         self._specs = {spec.name: spec for spec in commands if spec.name not in NOT_HERE}

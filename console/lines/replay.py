@@ -15,7 +15,7 @@ from control.server.client import ArmClient
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a line: its number in the file, exit status as of the subcommand, what it wrote, how long it took.
+    """The outcome of a line: its number in the file, exit status as of the subcommand, what it wrote, how long it took.
 
     `said` is all of it; `output` what it wrote to standard output, as errors have been seen when they came.
     """

@@ -1,4 +1,4 @@
-"""Commands that bring a new arm up: is it fit, how is it wired, which gains does it want."""
+"""Commands for a new arm: checks, bring-up and tuning."""
 
 from console.options import ARM, JSON, LINKS, RATE, CommandSpec, finite, option
 

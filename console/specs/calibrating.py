@@ -1,4 +1,4 @@
-"""Commands that make of measurements a better arm, and say how good it is."""
+"""Commands that calibrate and verify an arm from measurements."""
 
 from console.options import ARM, JSON, OUT, SOCKET, CommandSpec, finite, option
 

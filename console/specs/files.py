@@ -1,4 +1,4 @@
-"""Commands that read and turn files."""
+"""Commands that read and convert files."""
 
 from console.options import ARM, JSON, OUT, USERS_ARM, CommandSpec, option
 

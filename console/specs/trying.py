@@ -1,4 +1,4 @@
-"""Commands that need no arm: the whole job on a mock, and a mock to connect to."""
+"""Commands that need no arm: demos on a mock, and a mock to connect to."""
 
 from console.options import ARM, CommandSpec, option
 

@@ -1,4 +1,4 @@
-"""Commands that show what the arm did or does, and completion for the shell."""
+"""Commands that show recordings or the live arm, and completion for the shell."""
 
 from console.options import JSON, SOCKET, CommandSpec, finite, option
 

@@ -1,4 +1,4 @@
-"""Pictures of the whole arm: supply, spectra, tip, punctuality."""
+"""Pictures of the whole arm: supply, spectra, tip, cycle timing."""
 
 from __future__ import annotations
 

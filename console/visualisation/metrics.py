@@ -1,4 +1,4 @@
-"""The figures of a recording, for people and programs: following errors, currents, saturation, tip, punctuality."""
+"""The figures of a recording, for people and programs: following errors, currents, saturation, tip, cycle timing."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def metrics_json(series: Series, merit: Metrics) -> dict[str, Any]:
 
 
 def metrics_text(series: Series, merit: Metrics) -> str:
-    """The same as a page for people."""
+    """The same as text."""
     runs = series.runs_present
     span = f"{len(series)} samples, {series.t_s[-1] - series.t_s[0]:.2f} s, {len(runs)} runs"
     joints = merit.joints

@@ -1,4 +1,4 @@
-"""Recordings from any file that armwright writes: .armlog, log.csv(.gz), MCAP. Told apart by what they begin with."""
+"""Recordings from any file that armwright writes: .armlog, log.csv(.gz), MCAP. Recognised by their first bytes."""
 
 from __future__ import annotations
 

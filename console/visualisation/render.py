@@ -33,7 +33,7 @@ def prefer_headless_gl() -> None:
 
 
 def painter_of(arm: Arm, warn: Callable[[str], None]) -> Painter:
-    """Whatever can draw here: MuJoCo's renderer, else lines by matplotlib after a call of `warn` with the reason."""
+    """The available painter: MuJoCo's renderer, else lines by matplotlib after a call of `warn` with the reason."""
     prefer_headless_gl()
     try:
         return MujocoPainter(arm)

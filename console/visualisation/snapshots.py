@@ -19,7 +19,7 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Where the arm is and where it was told to be; angles in rad, the camera's tip in m or None.
+    """Measured and commanded pose of the arm; angles in rad, the camera's tip in m or None.
 
     Of the encoders, and of the joints, which are drawn.
 

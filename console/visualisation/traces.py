@@ -1,4 +1,4 @@
-"""Lines of the tip: the path that it was told to take, the one it took, what the camera saw."""
+"""Paths of the tip: commanded, measured, and seen by the camera."""
 
 from __future__ import annotations
 

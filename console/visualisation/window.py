@@ -1,4 +1,4 @@
-"""The arm in MuJoCo's own viewer: a recording played back, or the arm as it moves now.
+"""The arm in MuJoCo's own viewer: a recording played back, or the live arm.
 
 The viewer draws in a thread of its own, in this process, which is neither the loop nor its writer.
 """
@@ -157,7 +157,7 @@ def play(
 
 
 def follow(scene: ArmScene, snapshots: Iterator[Snapshot], open_: Open) -> None:
-    """Show what comes until the window is closed, with the measured and the commanded path of the tip."""
+    """Show live snapshots until the window is closed, with the measured and the commanded path of the tip."""
     handle = open_(scene, lambda code: None)
     path = TipPath(scene.kinematics)
     try:

@@ -1,4 +1,4 @@
-"""The boards of an arm that is not known yet: one motor is driven at a time, all encoders are heard, every cycle is watched.
+"""The boards of an unknown arm: one motor is driven at a time, all encoders are read, every cycle is monitored.
 
 The limits of current and voltage are written into the motor board before it is enabled, so they hold whatever this program
 does; a watchdog in the board brakes when this program stops talking. All other motors stay off, with shorted windings.
@@ -44,7 +44,7 @@ class SafetyTrip(ArmError):
 
 @dataclass(frozen=True, slots=True)
 class DriveLimits:
-    """What a motor may get, and how far its encoder may run before it is switched off."""
+    """Limits of a motor's drive, and of its encoder's speed and travel."""
 
     current_A: float
     voltage_V: float
@@ -67,7 +67,7 @@ class Sample:
 
 
 class Bench:
-    """Open boards. `driving` enables one motor; within it, `cycle` sends a voltage and waits for what comes back."""
+    """Open boards. `driving` enables one motor; within it, `cycle` sends a voltage and waits for the replies."""
 
     def __init__(self, arm: Arm, clock: Clock, operator: Operator) -> None:
         self.clock = clock
@@ -114,7 +114,7 @@ class Bench:
         return tuple(encoders), motors, bus
 
     def channels(self) -> list[Channel]:
-        """All channels that there are."""
+        """All channels of all encoder boards."""
         return [
             (board, channel)
             for board, encoder in enumerate(self.encoders)

@@ -105,7 +105,7 @@ def _slip(result: Diagnosis, found: Measured) -> bool:
 
 
 def _counts(result: Diagnosis, found: Measured, board_counts: int) -> None:
-    """Counts a motor turn, from index to index."""
+    """Counts per motor turn, from index to index."""
     drive, name = result.drive, f"joint {result.drive.joint}"
     spacings = found.spacings_count
     if not spacings:
@@ -167,7 +167,7 @@ def _line(result: Diagnosis, found: Measured, is_slipping: bool) -> tuple[float,
 
 
 def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
-    """Motor turns a joint turn. Another ratio than the draft's is believed only where a misread angle would have shown."""
+    """Motor turns per joint turn. A ratio other than the draft's is accepted only if a misread angle would show."""
     if not slope > 0.0:
         return
     drive = result.drive

@@ -63,7 +63,7 @@ class Journal:
         self._save()
 
     def note_joint(self, joint: int, wiring: JointWiring, found: Measured, result: Diagnosis) -> None:
-        """One joint; it counts as done when nothing is broken."""
+        """One joint; it counts as done if there are no problems."""
         self._content["joints"][str(joint)] = {
             "passed": not result.problems,
             "wiring": asdict(wiring),
@@ -82,7 +82,7 @@ class Journal:
         return sorted(int(joint) for joint, entry in self._content["joints"].items() if entry["passed"])
 
     def entry(self, joint: int) -> dict[str, Any]:
-        """What was noted of a joint."""
+        """The entry of a joint."""
         found: dict[str, Any] = self._content["joints"][str(joint)]
         return found
 
@@ -114,7 +114,7 @@ def _finite(value: Any) -> Any:
 
 
 def brought_up(draft: Arm, journal: Journal, serials: dict[int, int]) -> Arm:
-    """The draft with what was measured in its place. `serials`: of motor boards by node, for drives whose serial is checked."""
+    """The draft with the measured values. `serials`: of motor boards by node, for drives whose serial is checked."""
     drives, effects = [], list(draft.effects)
     for drive in draft.drives:
         if drive.joint not in journal.passed():

@@ -62,7 +62,7 @@ class Measured:
 def measure(
     driver: JointDriver, operator: Operator, speed_rad_s: float, with_stops: bool, joint: int
 ) -> Measured:
-    """All of it. Raises Stopped, SafetyTrip and what the boards raise; the drive is off then."""
+    """All of it. Raises Stopped, SafetyTrip and the errors of the boards; the drive is off then."""
     found = Measured()
     operator.support(joint)
     try:
@@ -118,7 +118,7 @@ def _note_flags(run: Run, found: Measured) -> None:
 
 
 def measure_index_spacing(driver: JointDriver, found: Measured) -> None:
-    """Index pulses forth; where the joint cannot go forth, back."""
+    """Index pulses in the positive direction, or in the negative one if the joint is blocked."""
     start_rad = driver.where_rad()
     longest_rad = INDEX_TURNS * 2.0 * math.pi / driver.drive.gear_ratio
     for direction in (1, -1):
@@ -133,7 +133,7 @@ def measure_index_spacing(driver: JointDriver, found: Measured) -> None:
 
 
 def _friction(driver: JointDriver, found: Measured) -> None:
-    """Steady passes to and fro over the same place, so that gravity is the same both ways."""
+    """Steady passes back and forth over the same place, so that gravity is the same both ways."""
     for speed_rad_s in PASS_SPEEDS_rad_s:
         length_rad = max(PASS_RAD, PASS_S * speed_rad_s)
         for direction in (1.0, -1.0):
@@ -168,7 +168,7 @@ def _read(driver: JointDriver, operator: Operator, joint: int, found: Measured) 
 
 
 def _is_odd(found: Measured) -> bool:
-    """Whether two readings say another scale than the draft: then a third place shows whether one of them was misread."""
+    """Whether two readings give another scale than the draft: a third reading then reveals a misread one."""
     if len(found.readings) < 2:
         return False
     (x0, q0), (x1, q1) = found.readings[0], found.readings[-1]

@@ -4,14 +4,14 @@ from typing import Protocol
 
 
 class Stopped(Exception):
-    """The operator did not allow a motion, or stopped one. The drive is off."""
+    """The operator did not confirm a motion, or stopped one. The drive is off."""
 
 
 class Operator(Protocol):
     """A person at a terminal, or one at a mock arm."""
 
     def say(self, text: str) -> None:
-        """Tell them something."""
+        """Show a text."""
         ...
 
     def allow(self, what: str) -> bool:
@@ -35,5 +35,5 @@ class Operator(Protocol):
         ...
 
     def let_go(self) -> None:
-        """Nothing needs support any more."""
+        """No link needs support any more."""
         ...

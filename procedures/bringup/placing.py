@@ -1,4 +1,4 @@
-"""Where index, home switch and end stops are, in the joint's own angle, and what that changes of a draft."""
+"""Where index, home switch and end stops are, in the joint's own angle, and the resulting changes of a draft."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,7 @@ SHORT_RANGE = 0.9  # of the draft's range
 
 
 def place_home(result: Diagnosis, found: Measured, offset_rad: float, scale: float) -> float:
-    """Index and switch by the readings; returns the angle where the joint stood first, by the index where it is believed."""
+    """Index and switch by the readings; returns the angle of the joint's first pose, from the index if it is trusted."""
     drive, name = result.drive, f"joint {result.drive.joint}"
     home = drive.home
     if home is None:

@@ -48,7 +48,7 @@ class Outcome:
 def bring_up(
     arm: Arm, bench: Bench, operator: Operator, journal: Journal, options: Options, say: Callable[[str], None]
 ) -> Outcome:
-    """Pulse, then measure the joints that have not passed yet. Raises Stopped and what boards raise; all drives are off then."""
+    """Pulse, then measure the joints that have not passed yet. Raises Stopped and board errors; all drives are off then."""
     outcome = Outcome()
     currents = {drive.joint: caution_of(arm, drive, options) for drive in arm.drives}
     say("Motor survey: a short pulse on each motor board.")
@@ -105,7 +105,7 @@ def _say_all(say: Callable[[str], None], problems: Sequence[str], others: Sequen
 
 
 def caution_of(arm: Arm, drive: Drive, options: Options) -> Caution:
-    """A current that moves the joint and no more: what gravity takes by the draft's masses, and some for friction."""
+    """The current that just moves the joint: the gravity load by the draft's masses, with a margin for friction."""
     speed_rad_s = min(SURVEY_SPEED_rad_s, drive.joint_speed_limit_rad_s)
     if options.current_A is not None:
         return Caution(options.current_A, speed_rad_s)

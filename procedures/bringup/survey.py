@@ -24,7 +24,7 @@ ANSWERING_SHARE = 0.3  # of the largest: a second channel that moves by more tha
 
 @dataclass(frozen=True, slots=True)
 class Caution:
-    """What a motor may get in bring-up."""
+    """Limits of a motor in bring-up."""
 
     current_A: float
     speed_rad_s: float
@@ -66,7 +66,7 @@ class Pulse:
 def pulse(bench: Bench, operator: Operator, drive: Drive, caution: Caution, joint_count: int) -> Pulse:
     """Ramp the voltage of the motor board that the draft gives to `drive` until something moves; ask what did; go back.
 
-    Raises Stopped, SafetyTrip and what the boards raise; the drive is off then.
+    Raises Stopped, SafetyTrip and the errors of the boards; the drive is off then.
     """
     volts = caution.voltage_V(drive)
     per_rad = abs(JointMap(drive).counts_per_radian)
@@ -117,7 +117,7 @@ def _ramp(
 
 
 def _drift(bench: Bench) -> dict[Channel, float]:
-    """Counts a second of joints that sink on their shorted windings, before anything is driven."""
+    """Counts per second of joints that sink on their shorted windings, before anything is driven."""
     first = bench.observe(0.02)
     last = bench.observe(SETTLE_S)
     span_s = max(last.t_s - first.t_s, 1e-3)
@@ -125,7 +125,7 @@ def _drift(bench: Bench) -> dict[Channel, float]:
 
 
 def _moved(first: Sample, last: Sample, sinking: dict[Channel, float]) -> dict[Channel, int]:
-    """By how much channels moved beyond what they sank."""
+    """Travel of the channels, without the sinking."""
     span_s = last.t_s - first.t_s
     return {at: round(last.counts[at] - first.counts[at] - sinking[at] * span_s) for at in last.counts}
 

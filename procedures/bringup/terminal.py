@@ -37,7 +37,7 @@ class TerminalOperator:
         sys.stdout.flush()
 
     def allow(self, what: str) -> bool:
-        """Enter begins; anything else does not."""
+        """Enter begins; any other answer declines."""
         if self._without_confirmation:
             self.say(f"  {what}")
         elif self._line(
@@ -55,7 +55,7 @@ class TerminalOperator:
         return True
 
     def what_moved(self, joint_count: int) -> tuple[int, int] | None:
-        """Asked until the answer makes sense."""
+        """Asked until the answer is valid."""
         while True:
             answer = self._line(
                 "  Which joint moved, and in which direction of the drawing? Joint and sign, such as 1+ or 2-; 0:"

@@ -45,7 +45,7 @@ NO_NAMES = ("link_geometry", "base_frame")
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """One model's visits and paths: what the camera saw, and by how much the joints were off their set-points."""
+    """One model's visits and paths: camera measurements and following errors."""
 
     name: str
     survey: Survey
@@ -55,7 +55,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Circle:
-    """The whole circle: what was hidden, found, and how far off the tip was at each stage."""
+    """The whole demo: the hidden effect, the finding, and the tip error at each stage."""
 
     hidden: Hidden
     outcome: GapOutcome
@@ -74,7 +74,7 @@ class Circle:
 
     @property
     def is_right(self) -> bool:
-        """Whether what was named is what was hidden, no more and no less."""
+        """Whether exactly the hidden effect was named."""
         return [one.name for one in self.named] == [EffectName(self.hidden.effect, self.hidden.joint)]
 
 
@@ -140,7 +140,7 @@ def named_in(found: GapFinding) -> tuple[NamedEffect, ...]:
 
 
 def programme_of(arm: Arm) -> Programme:
-    """Places that no recording goes to, over the whole room, and a circle and a line above the table."""
+    """Places without recordings, over the whole workspace, and a circle and a line above the table."""
     room = collision_free_box(arm).inset(INSIDE_rad)
     poses = spread_poses((room.lower_rad, room.upper_rad), 4 * PLACES)[PLACES:]
     poses[:, 0] = np.clip(poses[:, 0], -TURN_rad, TURN_rad)
@@ -169,7 +169,7 @@ def _driven(
     bench: Bench,
     out: Path,
 ) -> Drive:
-    """Every place and every path once, by the model `arm` on a runtime that believes in `believed`."""
+    """Every place and every path once, by the model `arm` on a runtime that uses the model `believed`."""
     near = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
     model = Model(arm)
     runtime = model if arm is believed else Model(believed)

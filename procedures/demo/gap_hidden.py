@@ -55,7 +55,7 @@ KNOWN = (
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """The effect that the mock arm has and the run does not know of."""
+    """The effect in the mock arm that is unknown to the run."""
 
     effect: str
     joint: int | None

@@ -17,7 +17,7 @@ from procedures.demo.gap_hidden import ON_TIP
 
 
 def findings(circle: Circle) -> tuple[str, ...]:
-    """Sentences: what was named, whether it is right, and what the arm gained."""
+    """Sentences: the named effects, whether they are correct, and the improvement."""
     named = ", ".join(str(one.name) for one in circle.named) or "nothing"
     right = "correct" if circle.is_right else "not correct"
     alone, after = (

@@ -109,7 +109,7 @@ def _survey(arm: Arm, programme: Programme, file: Path) -> Survey:
 
 
 def _drive(survey: Survey, bench: Bench, client: ArmClient) -> None:
-    """The survey's points and paths, on a runtime that believes in the same model."""
+    """The survey's points and paths, on a runtime that uses the same model."""
     for _ in survey.tour(1, survey.model, client, bench.speed):
         pass
     for _ in survey.run_ways(survey.model, client, bench.speed):
@@ -158,7 +158,7 @@ def _report(
 
 
 def _shut_down(arm: Arm, bench: Bench, client: ArmClient) -> Path:
-    """To the rest pose, if the arm has one, where it need not sink far when its drives go off; returns the recording."""
+    """To the rest pose, if the arm has one, where it sinks little when the drives turn off; returns the recording."""
     if arm.rest is not None:
         client.move_joints(arm.rest.q_rad, bench.speed)
     return bench.stop()

@@ -1,4 +1,4 @@
-"""`armwright demo paper`: the experiment of SpringerPlus 5:1771 on the mock arm, and what two more steps would have brought.
+"""`armwright demo paper`: the experiment of SpringerPlus 5:1771 on the mock arm, and the gain of two more steps.
 
 As there: 33 cavities on the level, rolled and pitched board, the tip seated by hand; DH deviations within 5 mm and 2 degrees by
 the sum of distances, from each tilt alone; the arm then sent to points that were not used, and seen by the camera. Past it:
@@ -76,7 +76,7 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
 
 @dataclass(frozen=True, slots=True)
 class _Visits:
-    """Sends the tip to the targets by a model of the arm, and looks with the camera where it went."""
+    """Moves the tip to the targets by a model of the arm and measures it with the camera."""
 
     mover: Mover
     targets: Sequence[Target]
@@ -134,7 +134,7 @@ def _written(arm: Arm, replay: Replay, out: Path) -> Outcome:
 
 
 def _write_arm(file: Path, arm: Arm, model: Model, inputs: dict[str, str], date: str, program: str) -> None:
-    """The calibrated arm, with the play that was identified."""
+    """The calibrated arm, with the identified backlash."""
     known = {"points.csv": inputs["points.csv"]}
     write_calibrated_arm(file, arm, model.found, known, date, program)
 

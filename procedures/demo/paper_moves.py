@@ -49,11 +49,11 @@ class Mover:
 
     @property
     def q_rad(self) -> tuple[float, ...]:
-        """Where the encoders say that the arm is."""
+        """The pose by the encoders."""
         return tuple(self._client.status()["q_rad"])
 
     def visit(self, poses: Sequence[Pose], writer: PointsWriter) -> Iterator[Record]:
-        """Each pose, approached gently, with what encoders, motors and camera say there."""
+        """Each pose, approached gently, with the readings of encoders, motors and camera."""
         for pose in poses:
             start = inside(self._arm, np.array(pose.q_rad) - APPROACH_rad * np.array(pose.direction))
             self._go(start)

@@ -65,7 +65,7 @@ def paper_page(replay: Replay, arm: str, about: str, inputs: Mapping[str, str]) 
 
 
 def findings(replay: Replay) -> tuple[str, ...]:
-    """What came out, in sentences."""
+    """The results in sentences."""
     own = [f"{entry.percent:.1f} % ({s}; paper {theirs:.1f} %)" for s, entry, theirs in own_tilt(replay)]
     tilts, free, play = (_overall(replay, name) for name in (TILTS, FREE, BACKLASH))
     before = replay.of(replay.models[0].name, SETUPS[0]).before_m

@@ -114,7 +114,7 @@ def own_tilt(replay: Replay) -> list[tuple[str, Improvement, float]]:
 
 
 def document(replay: Replay, program: str, date: str, inputs: Mapping[str, str]) -> dict[str, object]:
-    """paper.json: SI units, improvements in percent; a number that there is not is null."""
+    """paper.json: SI units, improvements in percent; a missing number is null."""
     return {
         "format": "paper-replay/1",
         "program_version": program,
@@ -172,6 +172,6 @@ def _percent(entry: Improvement) -> str:
 
 
 def widths_text(model: Model) -> str:
-    """Play of each joint of a model, in mrad."""
+    """Backlash of each joint of a model, in mrad."""
     widths = (f"joint {e.joint} {1e3 * e.parameters['width_rad']:.2f} mrad" for e in model.backlash)
     return ", ".join(widths) or "none"

@@ -1,4 +1,4 @@
-"""The boards that arm.toml names: opened, asked who they are, compared. Each that fails is a finding; the others go on."""
+"""The boards that arm.toml names: opened, identified, compared. Each failure is a finding; the other boards are still checked."""
 
 import contextlib
 from collections.abc import Callable
@@ -20,7 +20,7 @@ OTHER_BAUDS = (1_000_000, 921_600, 500_000, 460_800, 230_400, 115_200)
 
 
 class CountedLink:
-    """A CAN bus that counts what passes, for the load that is really there."""
+    """A CAN bus that counts its frames, to measure the true load."""
 
     def __init__(self, link: FrameLink) -> None:
         self.name = link.name
@@ -69,7 +69,7 @@ class Boards:
 
 
 def open_boards(arm: Arm, clock: Clock) -> Boards:
-    """Open what arm.toml names and see who is there; nothing is enabled, nothing moves. Never raises LinkError."""
+    """Open the boards of arm.toml and identify them; nothing is enabled, nothing moves. Never raises LinkError."""
     boards = Boards()
     if not arm.encoder_boards:
         boards.note(
@@ -165,7 +165,7 @@ def _port_remedy(problem: str) -> str:
 
 
 def _silence_remedy(port: EncoderBoardPort, clock: Clock) -> str:
-    """Somebody who answers at another baud rate is no dead board."""
+    """Try other baud rates: a board that answers there is not dead."""
     for baud in OTHER_BAUDS:
         if baud != port.baud and _answers(port, baud, clock):
             return f"it answers at {baud} baud: set baud = {baud} in [[encoder_board]]"

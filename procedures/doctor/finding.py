@@ -32,7 +32,7 @@ class Finding:
 def graded(
     group: str, what: str, value: float, limits: tuple[float, float], words: tuple[str, str, str]
 ) -> Finding:
-    """A finding by a number: a warning above the first limit, bad above the second, or where it is none at all.
+    """A finding by a number: a warning above the first limit, bad above the second, or if it is NaN.
 
     `words` are measured, expected and remedy.
     """
@@ -70,7 +70,7 @@ def as_text(findings: Sequence[Finding]) -> str:
 
 
 def verdict(findings: Sequence[Finding]) -> str:
-    """What came out, in a sentence."""
+    """The result in one sentence."""
     bad = sum(finding.level is Level.BAD for finding in findings)
     warned = sum(finding.level is Level.WARN for finding in findings)
     if bad:

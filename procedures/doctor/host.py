@@ -1,4 +1,4 @@
-"""This machine: rights, how punctual it is, whether its disk takes the recordings, which ports and buses it has."""
+"""This machine: rights, timer lateness, disk speed for recordings, which ports and buses it has."""
 
 import os
 import shutil
@@ -128,7 +128,7 @@ def _written(folder: Path, now_s: Callable[[], float]) -> tuple[float, float]:
 
 
 def look_at_ports() -> list[Finding]:
-    """What could be connected to; nothing is opened."""
+    """Ports and buses of this host; nothing is opened."""
     ports = [
         f"{port.path} ({port.description})" if port.description else port.path for port in serial_ports()
     ]

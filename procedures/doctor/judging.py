@@ -1,4 +1,4 @@
-"""What the samples mean: each quantity against what control needs of it. Pure functions of `Samples` and the arm."""
+"""Judges the samples: each quantity against the needs of control. Pure functions of `Samples` and the arm."""
 
 import math
 from collections.abc import Iterator

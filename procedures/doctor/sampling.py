@@ -1,4 +1,4 @@
-"""Some seconds of what the loop would hear, with the drives off: reports, replies and when they came.
+"""Some seconds of the loop's traffic with the drives off: reports, replies and their times.
 
 The motor boards get the COMMAND that keeps them off, as often as the loop would send one; they answer it as any other.
 """
@@ -47,7 +47,7 @@ class MotorSamples:
 
 @dataclass(slots=True)
 class Samples:
-    """Everything that was heard in `duration_s`."""
+    """All samples of `duration_s`."""
 
     duration_s: float
     period_s: float

@@ -1,4 +1,4 @@
-"""Takes the steps of a recording plan, one after the other, and keeps each on the disk before the arm goes on.
+"""Takes the steps of a recording plan, one after the other, and saves each to disk before the arm continues.
 
 points.csv grows by a line a pose; runs/NAME.csv holds a run as the runtime recorded it. log.csv is made of all runs so far
 when the recording ends, however it ends. A recording that was interrupted goes on where it was.
@@ -69,7 +69,7 @@ def plan_document(plan: RecordingPlan, arm: Arm) -> dict[str, object]:
 
 
 def record(bench: Bench, plan: RecordingPlan, out: Path, advance: Advance) -> None:
-    """Take every step that is not taken yet. On every way out log.csv is made of what there is."""
+    """Take every step that is not taken yet. log.csv is written from the recorded runs on every exit."""
     note_plan(out, plan, bench.arm)
     recorder = _Recorder(bench, out)
     try:
@@ -149,7 +149,7 @@ class _Recorder:
     _last: tuple[float, ...] | None = None
 
     def _come_back(self, stay_rad: tuple[float, ...] | None) -> None:
-        """From a pose outside of the room to its middle, before the arm goes anywhere else."""
+        """From a pose outside the workspace to its middle, before any other motion."""
         if self._stands_out_of is not None and stay_rad is None:
             self._port.move_to_q(self._stands_out_of)
             self._stands_out_of = None

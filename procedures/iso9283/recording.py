@@ -1,4 +1,4 @@
-"""Runs the test programmes on an arm and keeps what it measured: points.csv, log.csv, programme.json.
+"""Runs the test programmes on an arm and saves the measurements: points.csv, log.csv, programme.json.
 
 Each visit and each run is on the disk before the arm goes on, and a recording that was interrupted goes on where it was
 when it is started again with the same folder and programme.
@@ -38,7 +38,7 @@ _BOX = 4  # samples along each joint between two poses
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """An arm that holds and is homed: its client, the file that its runtime records, and who hangs loads."""
+    """An arm that holds and is homed: its client, the file that its runtime records, and who attaches loads."""
 
     arm: Arm
     client: ArmClient
@@ -90,7 +90,7 @@ def plan(arm: Arm, cube: TestCube, extent: Extent, rated_m_s: float) -> Planned:
 
 
 def record(bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
-    """Run what was planned; records go to `out`. Goes on where an earlier recording of the same programme ended."""
+    """Run what was planned; records go to `out`. Resumes an earlier recording of the same programme."""
     out.mkdir(parents=True, exist_ok=True)
     _note_programme(out / "programme.json", planned.document)
     n = bench.arm.joint_count
@@ -130,7 +130,7 @@ class _Recorder:
             self._visit(step)
 
     def take_off_load(self) -> None:
-        """Nothing hangs at the tip any more."""
+        """Remove the load from the tip."""
         if self._load_kg:
             self._hang(0.0)
 

@@ -31,7 +31,7 @@ class Operator:
         table: Table | None = None,
         may_auto: bool = False,
     ) -> None:
-        """`may_auto`: a mock hand seats the tip, so that questions may be answered without looking."""
+        """`may_auto`: a mock hand seats the tip, so questions may be answered automatically."""
         self._folder, self._boards, self._lines, self._say = folder, boards, lines, say
         self._table, self._may_auto = table, may_auto
         self._auto: int | None = 0  # questions still to be answered by itself, None: all
@@ -110,7 +110,7 @@ class Operator:
         return f"{where}: {self._question(ask.question, target)}"
 
     def _question(self, question: Question, target: Target) -> str:
-        """What the operator is asked for, in words."""
+        """The request to the operator as text."""
         if question is Question.BOARD:
             return f"set the board to {self._tilt(target.setup)}; Enter when it is in place"
         if question is Question.NEXT:
@@ -138,7 +138,7 @@ class Operator:
         return angles.get(setup, setup)
 
     def _recorded(self, recorded: Recorded) -> str:
-        """What was recorded, how far the model is off, and whether that fits the records before."""
+        """The record, the model error, and its agreement with earlier records."""
         record, verdict = recorded.record, recorded.verdict
         text = f"{self._folder.state.targets[record.key].name} recorded"
         if np.isfinite(verdict.error_m).all():

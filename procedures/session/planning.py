@@ -28,7 +28,7 @@ MOST_FREE = 500
 
 
 def plan_from_options(given: argparse.Namespace, arm: Arm) -> SessionPlan | None:
-    """The plan that the options ask for; None where none of them is given, which resumes what is there."""
+    """The plan of the options; None if none is given, which resumes the session."""
     if all(getattr(given, name) is None for name in OPTIONS) and (Path(given.out) / "session.json").exists():
         return None
     targets = _from_file(Path(given.plan), given, arm) if given.plan else _from_options(given, arm)

@@ -1,4 +1,4 @@
-"""The dialogue of a session for another program, such as the console's screen: a JSON object a line out, the same answers in.
+"""The dialogue of a session for another program, such as the console's screen: one JSON object per line out, the same answers in.
 
 {"ask": "SEATED", "prompt": "...", "setup": "normal", "point": "13", "done": 12, "left": 87,
  "board": [{"name": "13", "x_m": 0.02, "y_m": 0.0, "mark": "now"}, ...]}

@@ -28,7 +28,7 @@ _TRIALS = 60  # of phases, for a signal without a high peak
 
 
 class PoorResponse(ArmError):
-    """What was measured is not good enough to put gains on."""
+    """The measurement is not good enough for a design."""
 
 
 @dataclass(frozen=True, slots=True)

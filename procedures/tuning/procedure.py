@@ -70,14 +70,14 @@ class Tuned:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The new arm, and how each joint came to its gains."""
+    """The new arm, and the tuning of each joint."""
 
     arm: Arm
     joints: tuple[Tuned, ...]
 
 
 def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
-    """Measure, design, try. Raises NotTuned, ArmFaulted, and what connecting raises; the drives are off then.
+    """Measure, design, try. Raises NotTuned, ArmFaulted, and the errors of connecting; the drives are off then.
 
     The gains belong to the runtimes that are started here: whatever ends them, the arm's own file is as it was.
     """
@@ -109,7 +109,7 @@ def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
 
 
 def in_voltage_mode(arm: Arm) -> Arm:
-    """Where the board runs the PID, the loop does it meanwhile: same gains, same units, and its output can be heard."""
+    """Move the PID from the board to the loop: same gains and units, and its output is recorded."""
     drives = tuple(
         replace(drive, pid=replace(drive.pid, mode="voltage")) if drive.pid.mode == "position" else drive
         for drive in arm.drives
@@ -118,7 +118,7 @@ def in_voltage_mode(arm: Arm) -> Arm:
 
 
 def _pose(arm: Arm, options: Options) -> tuple[float, ...]:
-    """Where the arm shall stand: as asked, else at rest, else amid its ranges; with room for what the joints will do."""
+    """The pose for tuning: as given, else at rest, else mid-range; with enough range for the motions."""
     pose = options.pose_rad or (arm.rest.q_rad if arm.rest else None)
     if pose is None:
         pose = tuple(0.5 * (a + b) if math.isfinite(a + b) else 0.0 for a, b in arm.limits_rad)
@@ -182,7 +182,7 @@ def _designed(
 
 
 def _rounded(tuner: Tuner, design: Design) -> Design:
-    """Gains as they will stand in the file."""
+    """Gains rounded as in the file."""
     gains = design.gains
     kp, ki, kd = (float(f"{value:.5g}") for value in (gains.kp, gains.ki, gains.kd))
     short = Gains(kp, ki, kd, gains.derivative_filter_s)
@@ -229,7 +229,7 @@ def with_gains(arm: Arm, gains: dict[int, Gains]) -> Arm:
 
 
 def _require_margins(joint: int, after: Trial) -> None:
-    """What was designed must be what is there."""
+    """The measured margins must meet the design."""
     if not after.margins.meet(LEAST_GAIN_dB, LEAST_PHASE_deg):
         raise NotTuned(
             f"joint {joint}: the new gains gave {after.margins.gain_dB:.1f} dB and {after.margins.phase_deg:.0f} deg,"

@@ -1,4 +1,4 @@
-"""What tuning found, on one page: margins and steps before and after, Bode's and Nyquist's plots of what was measured."""
+"""The report of tuning: margins and steps before and after, Bode's and Nyquist's plots of what was measured."""
 
 from __future__ import annotations
 

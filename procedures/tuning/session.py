@@ -1,4 +1,4 @@
-"""A runtime of tune's own, in this process, with a probe between it and the boards; and what is done with a joint through it."""
+"""Tuning's own runtime in this process, with a probe between it and the boards, and the motions of a joint."""
 
 import contextlib
 from collections.abc import Sequence

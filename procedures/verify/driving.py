@@ -1,4 +1,4 @@
-"""Drives an arm by a model of it, whatever model the runtime itself believes in, and looks with the camera.
+"""Drives an arm by either model, whichever the runtime uses, and measures with the camera.
 
 Points are joint moves to what the model's inverse kinematics says: the loop needs no geometry for these. A path goes to the
 runtime in Cartesian space and through the runtime's own inverse kinematics, so it is handed over as the path that takes the
@@ -94,7 +94,7 @@ def run(path: PlannedPath, model: Model, believed: Model, client: ArmClient, spe
 
 
 def handed_over(path: PlannedPath, model: Model, believed: Model) -> PlannedPath:
-    """The path in the base frame of the model that the runtime believes in: the same joint angles at the same times."""
+    """The path in the base frame of the runtime's model: the same joint angles at the same times."""
     if believed is model:
         return path
     motion = path.motion(model.inverse, model.kinematics)

@@ -21,7 +21,7 @@ SAME_TIP_m = 1e-6
 
 
 class Model:
-    """One model of the arm: what it takes to send the tip somewhere in the frame of table and camera."""
+    """One model of the arm: everything needed to move the tip in the frame of table and camera."""
 
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
@@ -39,7 +39,7 @@ class Model:
 
     @cached_property
     def gears(self) -> frozenset[tuple[object, ...]]:
-        """What the model knows between joints and encoders."""
+        """Effects of the model between joints and encoders."""
         return frozenset(
             (e.effect, e.joint, *sorted(e.parameters.items()))
             for e in self.arm.effects
@@ -47,7 +47,7 @@ class Model:
         )
 
     def has_gears_of(self, believed: "Model") -> bool:
-        """Whether the runtime that believes in the other model corrects what this one knows of its gears, no more, no less."""
+        """Whether a runtime with the other model corrects exactly this model's gear effects."""
         return self.gears == believed.gears
 
     def in_base(self, point_m: Sequence[float]) -> Vector3:

@@ -47,7 +47,7 @@ class Drive:
         )
 
     def run(self, believed: Model, client: ArmClient, speed: float, advance: Advance) -> None:
-        """Tours by the nominal and the calibrated model in turn, so that drift meets both alike; then the paths."""
+        """Tours by the nominal and the calibrated model in turn, so that drift affects both equally; then the paths."""
         places, ways = len(self.programme.places), len(self.programme.ways)
         total, done = 2 * (places * self.programme.repeats + 2 * ways), 0
         for what in self._steps(believed, client, speed):
@@ -158,7 +158,7 @@ def _arm_files(nominal: Arm, calibrated: Arm) -> tuple[InputFile, ...]:
 
 
 def _left_out(nominal: Arm, calibrated: Arm, is_driven: bool) -> tuple[str, ...]:
-    """Effects that play no part: the runtime corrects and feeds forward what it can, predictions know the static ones."""
+    """Unused effects: the runtime corrects and feeds forward some, predictions use the static ones."""
     known = {"base_frame"} | (SIDE_EFFECTS | FED_FORWARD if is_driven else set(LAWS))
     notes = []
     names = [_named(effect) for effect in calibrated.effects if effect.effect not in known]

@@ -47,7 +47,9 @@ def test_a_path_in_the_config_is_seen_from_its_folder(
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("arm = [\n", "not valid TOML"), ("arm = 3\n", "expected the path of an arm.toml"), ('arn = "left"\n', "unknown key 'arn'"),
+        ("arm = [\n", "not valid TOML"),
+        ("arm = 3\n", "expected the path of an arm.toml"),
+        ('arn = "left"\n', "unknown key 'arn'"),
         ('arm = "none.toml"\n', "no file"), ('arm = ""\n', "expected the path"),
     ],
 )  # fmt: skip
