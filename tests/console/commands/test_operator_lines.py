@@ -54,7 +54,7 @@ def test_remarks_are_no_lines(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        ("dance", "no such command"),
+        ("dance", "unknown command"),
         ("move --joints zero", "expected a number"),
         ("move --knots 1", "unrecognized arguments"),
         ("jog --joint 1 --by nan", "expected a number, got 'nan'"),
@@ -177,8 +177,8 @@ def test_a_place_that_is_marked_is_where_the_joints_are_and_not_their_encoders(t
         )
         assert [outcome.status for outcome in outcomes] == [0] * 5
         assert cell.rig.joint_rad() == pytest.approx((0.2, -1.2, 0.3), abs=2e-3)
-        assert "in the stead" in outcomes[4].said
-        assert "in the stead" not in outcomes[1].said
+        assert "replacing another" in outcomes[4].said
+        assert "replacing another" not in outcomes[1].said
 
 
 def test_an_error_is_seen_when_it_comes_and_not_again_with_the_output(

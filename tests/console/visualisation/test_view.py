@@ -285,14 +285,14 @@ def test_an_arm_that_is_not_known_or_another_one_is_one_message(
     assert "give it with --arm" in refused(capsys, str(log))
     assert "2 joints, but arm right has 3" in refused(capsys, str(log), "--arm", "right")
     empty = write_recording(tmp_path / "b.armlog", 0)
-    assert "recorded nothing" in refused(capsys, str(empty))
+    assert "empty recording" in refused(capsys, str(empty))
 
 
 def test_live_without_a_runtime_says_how_to_start_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert "armwright serve" in refused(capsys, "--socket", str(tmp_path / "none.sock"))
-    assert "of a LOG" in refused(capsys, "--from", "1")
+    assert "need a LOG" in refused(capsys, "--from", "1")
 
 
 @pytest.mark.usefixtures("no_gl")

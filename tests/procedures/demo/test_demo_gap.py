@@ -71,9 +71,9 @@ def test_places_are_within_reach_inside_the_limits_and_above_the_floor() -> None
     ("effect", "joint", "says"),
     [
         ("ghost", None, 'got "ghost"'),
-        ("backlash", 4, "is on joint 1 or 2 or 3, got 4"),
-        ("joint_compliance", 1, "expected joint 2 or 3 for"),
-        ("belt_coupling", 1, "no joint (it acts on the whole arm)"),
+        ("backlash", 4, "expected joint 1 or 2 or 3 for backlash, got 4"),
+        ("joint_compliance", 1, "expected joint 2 or 3 for joint_compliance, got 1"),
+        ("belt_coupling", 1, r"no joint \(it acts on the whole arm\)"),
     ],
 )
 def test_what_cannot_be_hidden_is_said(effect: str, joint: int | None, says: str) -> None:

@@ -179,7 +179,7 @@ def test_the_plan_alone_is_said_and_nothing_is_made(
         (["--record", "--mock", "--minutes", "-1"], "--minutes: expected a number above 0"),
         (["--record", "--mock", "--minutes", "0.1"], "the least that tells anything takes"),
         (["--record", "--mock", "--payload", "-0.5"], "--payload: expected a mass"),
-        (["--record", "--scenario", "demo"], "give --mock, too"),
+        (["--record", "--scenario", "demo"], "need --mock"),
         (
             ["--record", "--socket", "/nowhere/at.all", "--only", "motion"],
             "no runtime answers at /nowhere/at.all",

@@ -343,7 +343,7 @@ def test_a_cameras_delay_is_no_error_of_the_arm(tmp_path: Path) -> None:
     error = track.measured_m - track.planned_m
     np.testing.assert_allclose(error, 0.004, atol=0.0002)
     assert len(track.time_s) == 197  # three frames were taken before the run
-    with pytest.raises(ArmError, match="holds no run 7"):
+    with pytest.raises(ArmError, match="contains no run 7"):
         track_of(tmp_path / "a.armlog", Model(RIGHT), Run(7), "run")
 
 
