@@ -34,7 +34,7 @@ RESULTS = ("arm.toml", "calibration.json", "report.html")
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult:
-    """A calibrated arm and what it is worth; `str()` is the summary that `armwright calibrate` prints."""
+    """A calibrated arm and its uncertainty; `str()` is the summary that `armwright calibrate` prints."""
 
     calibrated: Calibrated
 
@@ -82,7 +82,7 @@ class CalibrationResult:
         for name in RESULTS:
             if (out / name).exists():
                 raise CalibrationError(
-                    f"{out / name} exists already and is never overwritten: give another folder"
+                    f"{out / name} exists already and is never overwritten: choose another folder"
                 )
         made, program = self.calibrated, f"armwright {version('armwright')}"
         date = datetime.datetime.now(datetime.UTC).date().isoformat()
@@ -144,8 +144,8 @@ def read_points(path: str | Path, joint_count: int | None = None) -> Points:
 
     CalibrationError names file, line and column of what is wrong; with `joint_count` also another number of joints is.
     """
-    points, said = points_of(Path(path), joint_count)
-    for sentence in said:
+    points, notes = points_of(Path(path), joint_count)
+    for sentence in notes:
         warnings.warn(sentence, stacklevel=2)
     return points
 
@@ -162,7 +162,7 @@ def calibrate(
     leave_out: LeaveOut = None,
     seed: int = 0,
 ) -> CalibrationResult:
-    """Identify the geometry of `arm` from points, look for outliers, leave points out, and judge. `arm` stays as it is.
+    """Identify the geometry of `arm` from points, look for outliers, leave points out, and judge. `arm` is unchanged.
 
     Args:
         arm: the nominal arm.

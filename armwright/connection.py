@@ -45,7 +45,7 @@ class Status:
 
 
 class RunningArm:
-    """An arm that a control loop moves. Made by `connect` or `mock_arm`; a context manager that hangs up at its end.
+    """An arm that a control loop moves. Made by `connect` or `mock_arm`; a context manager that disconnects at its end.
 
     Methods that move return when the arm is at rest at the target. A motion that this connection started is stopped when the
     connection ends, for whatever reason. They raise:
@@ -62,7 +62,7 @@ class RunningArm:
         self._client = client
 
     def status(self) -> Status:
-        """What the arm does now."""
+        """The present state of the arm."""
         now = self._client.status()
         return Status(
             now["mode"],
@@ -97,7 +97,7 @@ class RunningArm:
         return Path(self._client.status()["recording"])
 
     def enable(self) -> None:
-        """Switch the drives on; the arm holds where it stands."""
+        """Switch the drives on; the arm holds its pose."""
         if self._client.status()["mode"] != "HOLDING":
             self._client.enable()
 
@@ -156,11 +156,11 @@ class RunningArm:
         self._client.arrive(timeout_s)
 
     def guide(self) -> None:
-        """Let a hand guide the arm: the drives carry nothing, so somebody must hold it first. `hold` ends it."""
+        """Let a hand guide the arm: the drives are off, so somebody must hold it first. `hold` ends it."""
         self._client.guide()
 
     def hold(self) -> None:
-        """End hand guiding; the arm holds where it stands."""
+        """End hand guiding; the arm holds its pose."""
         self._client.hold()
 
     def measure(self, duration_s: float) -> Average:
@@ -183,7 +183,7 @@ class RunningArm:
             raise ArmFaulted(fault_text(status))
 
     def close(self) -> None:
-        """Hang up. A motion that this connection started is stopped; the loop goes on."""
+        """Disconnect. A motion that this connection started is stopped; the loop goes on."""
         self._client.close()
 
     def __enter__(self) -> Self:

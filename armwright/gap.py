@@ -17,7 +17,7 @@ Files = str | Path | Sequence[str | Path]
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """What was found; `str()` gives it in sentences, the answer first."""
+    """The result; `str()` gives it in sentences, the answer first."""
 
     arm: Arm
     recordings: Recordings

@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 class Kinematics:
-    """The geometry of one arm with n joints: DH table and tool, as the arm's file says.
+    """The geometry of one arm with n joints: DH table and tool, from the arm's file.
 
     Joint angles in rad, tip positions in m in the base frame. Leading axes of an argument are kept: (n,) gives one result,
     (m, n) gives m of them. Angles are those of the joints; what lies between encoder and joint (backlash, compliance) is no

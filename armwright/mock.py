@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class MockArm(RunningArm):
-    """A running mock arm, which also tells the truth about itself."""
+    """A running mock arm, which also gives its true state."""
 
     def __init__(self, client: ArmClient, arm: Arm, rig: Rig) -> None:
         super().__init__(client, arm)
@@ -34,7 +34,7 @@ class MockArm(RunningArm):
         return np.array(self._rig.joint_rad(), dtype=np.float64)
 
     def set_payload(self, mass_kg: float) -> None:
-        """Hang a mass at the tip; 0 takes it off."""
+        """Attach a mass to the tip; 0 removes it."""
         self._rig.set_payload(mass_kg)
 
 

@@ -9,7 +9,7 @@ from control.model.description import load_arm
 
 
 def read_recording(path: str | Path, arm: Arm | str | Path | None = None) -> Series:
-    """The whole of a recording: `.armlog`, `log.csv`, `log.csv.gz` or MCAP, told apart by their content.
+    """The whole of a recording: `.armlog`, `log.csv`, `log.csv.gz` or MCAP, recognised by content.
 
     Args:
         path: the file.

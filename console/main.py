@@ -22,9 +22,9 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(
         prog="armwright",
         description="Control runtime, mock robot and calibration for a self-built robot arm.",
-        epilog="`armwright demo` shows the whole job on a mock arm. Every command has its own --help.",
+        epilog="`armwright demo` shows the full workflow on a mock arm. Every command has its own --help.",
     )
-    top.add_argument("--version", action="store_true", help="print the version and end")
+    top.add_argument("--version", action="store_true", help="print the version and exit")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", title="commands")
     for command in COMMANDS:
         sub = commands.add_parser(command.name, help=command.summary, description=command.description)
@@ -108,7 +108,7 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
 
 
 def fail(message: str, status: int) -> int:
-    """Say what is wrong on standard error; returns `status`."""
+    """Print an error on standard error; returns `status`."""
     sys.stderr.write(f"armwright: {message}\n")
     return status
 

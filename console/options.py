@@ -34,12 +34,12 @@ class CommandSpec:
 
     @property
     def description(self) -> str:
-        """What `armwright NAME --help` says first."""
+        """The first sentence of `armwright NAME --help`."""
         return f"{self.summary[0].upper()}{self.summary[1:]}. {self.more}".strip()
 
 
 def finite(text: str) -> float:
-    """A number that is one: argparse's `float` takes nan and inf."""
+    """A finite number: argparse's `float` accepts nan and inf."""
     try:
         value = float(text)
     except ValueError:
@@ -55,7 +55,7 @@ def option(*flags: str, **details: Any) -> Option:
 
 
 def settle_arm(given: argparse.Namespace) -> None:
-    """Put the user's default arm where none was given. ConfigError."""
+    """Use the user's default arm if none was given. ConfigError."""
     if getattr(given, "arm", None) == USERS_ARM:
         from console.user_config import default_arm
 
@@ -76,10 +76,8 @@ ARM = option(
     help="an arm.toml, or the name of an arm that ships (default: $ARMWRIGHT_ARM, `arm` in"
     " ~/.config/armwright/config.toml, or right)",
 )
-SOCKET = option(
-    "--socket", metavar="PATH", help="the runtime's socket (default: the place of the arm's name)"
-)
-OUT = option("--out", metavar="DIR", required=True, help="a folder for the results; made if it is not there")
+SOCKET = option("--socket", metavar="PATH", help="the runtime's socket (default: chosen by the arm's name)")
+OUT = option("--out", metavar="DIR", required=True, help="folder for the results; created if missing")
 JSON = option("--json", action="store_true", help="print JSON for another program")
 RATE = option("--rate", type=finite, default=500.0, metavar="HZ", help="cycles per second (default: 500)")
 LINKS = (
@@ -87,7 +85,7 @@ LINKS = (
         "--encoder",
         metavar="URL",
         action="append",
-        help="serial port of an encoder board, any URL of pyserial's",
+        help="serial port of an encoder board, or any pyserial URL",
     ),
     option(
         "--can-interface", metavar="NAME", help="python-can's interface: socketcan, slcan, udp_multicast, ..."

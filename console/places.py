@@ -1,4 +1,4 @@
-"""Named places: a TOML file that says joint angles, or a tip position, for each name. Kept by hand or by `armwright mark`.
+"""Named places: a TOML file that says joint angles, or a tip position, for each name. Written by hand or by `armwright mark`.
 
 [above_board]
 q_rad = [0.0, -0.6, 0.2]
@@ -21,7 +21,7 @@ KEYS = {"q_rad", "tip_m"}
 
 
 class PlacesError(ArmError):
-    """A places file that cannot be taken, or a place that is not in it."""
+    """An invalid places file, or a place that is not in it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,15 +39,15 @@ def read_places(file: Path) -> dict[str, Place]:
 
 
 def find_place(file: Path, name: str) -> Place:
-    """One place. PlacesError lists those that there are."""
+    """One place. PlacesError lists the known places."""
     places = read_places(file)
     if name not in places:
-        raise PlacesError(f"{file}: no place {name!r}; there are {', '.join(places) or 'none'}")
+        raise PlacesError(f"{file}: no place {name!r}; expected one of {', '.join(places) or 'none'}")
     return places[name]
 
 
-def keep_place(file: Path, name: str, q_rad: Sequence[float]) -> bool:
-    """Add a place of joint angles, or put another pose in its stead; the others stay as they are, remarks do not.
+def save_place(file: Path, name: str, q_rad: Sequence[float]) -> bool:
+    """Add a place of joint angles, or replace its pose; other places are unchanged, comments are lost.
 
     Returns whether there was one of this name.
     """
@@ -66,10 +66,10 @@ def _tables(file: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PlacesError(f"{file}: no TOML: {error}; mend it, or give another file") from None
+        raise PlacesError(f"{file}: not valid TOML: {error}; correct it, or give another file") from None
     except OSError as error:
         raise PlacesError(
-            f"{file}: cannot read places: {error.strerror}; `armwright mark NAME` makes one"
+            f"{file}: cannot read places: {error.strerror}; `armwright mark NAME` creates the file"
         ) from None
 
 

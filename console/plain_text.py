@@ -1,4 +1,4 @@
-"""Output on any terminal: symbols that its encoding lacks are said in ASCII, and file names come out byte by byte.
+"""Output on any terminal: symbols that its encoding lacks are written in ASCII, and file names byte by byte.
 
 One error handler for all of the program's streams, so that no print has to think of it.
 """
@@ -18,13 +18,13 @@ ESCAPED_BYTES: Final = range(0xDC80, 0xDD00)  # how Python carries bytes of a fi
 
 def prepare_streams() -> None:
     """From here on no output raises for its characters, and no input for its bytes."""
-    codecs.register_error(HANDLER, plainly)
+    codecs.register_error(HANDLER, ascii_fallback)
     for stream, errors in ((sys.stdin, "replace"), (sys.stdout, HANDLER), (sys.stderr, HANDLER)):
         _reconfigure(stream, errors)
 
 
-def plainly(error: UnicodeError) -> tuple[str | bytes, int]:
-    """What stands for the first character that cannot be encoded, and where to go on: a handler for `codecs`."""
+def ascii_fallback(error: UnicodeError) -> tuple[str | bytes, int]:
+    """The substitute for the first character that cannot be encoded, and the position after it: a handler for `codecs`."""
     if isinstance(error, UnicodeDecodeError):  # of a stream that is read as well
         return "\ufffd", error.end
     if not isinstance(error, UnicodeEncodeError):

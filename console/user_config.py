@@ -1,4 +1,4 @@
-"""The arm that is meant where a command line does not say: $ARMWRIGHT_ARM, else `arm` in the user's config.toml, else "right"."""
+"""The default arm of a command line: $ARMWRIGHT_ARM, else `arm` in the user's config.toml, else "right"."""
 
 import os
 from pathlib import Path
@@ -11,7 +11,7 @@ BUILT_IN = "right"
 
 
 class ConfigError(ArmError):
-    """A config.toml that cannot be used; says file and cause."""
+    """A config.toml that cannot be used; the message names file and cause."""
 
 
 def config_file() -> Path:
@@ -38,12 +38,12 @@ def default_arm() -> str:
 
 
 def _existing(text: str, folder: Path, where: str) -> str:
-    """A path as seen from `folder`, or a name as it is. ConfigError where a path leads nowhere."""
+    """A path as seen from `folder`, or a name unchanged. ConfigError if a path does not exist."""
     path = folder / Path(text).expanduser()
     if path.suffix != ".toml" and len(path.parts) <= len(folder.parts) + 1:
         return text
     if not path.is_file():
-        raise ConfigError(f"{where}: there is no file {path}")
+        raise ConfigError(f"{where}: no file {path}")
     return str(path)
 
 
@@ -55,6 +55,6 @@ def _read(file: Path) -> dict[str, Any]:
     except FileNotFoundError:
         return {}
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: not TOML: {error}") from None
+        raise ConfigError(f"{file}: not valid TOML: {error}") from None
     except OSError as error:
         raise ConfigError(f"{file}: cannot be read: {error.strerror}") from None

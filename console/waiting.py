@@ -13,13 +13,13 @@ QUARTERS = 4  # of a motion, where there is no terminal
 
 
 class Progress:
-    """Called with every `mode` answer; says what the arm does, or how much of its motion is done."""
+    """Called with every `mode` answer; shows the state of the arm, or the progress of its motion."""
 
     def __init__(self, title: str) -> None:
         self._title = title
         self._is_terminal = sys.stderr.isatty()
         self._begun_s = time.monotonic()
-        self._said: object = None
+        self._last: object = None
         self._is_drawn = False
 
     def __call__(self, answer: Message) -> None:
@@ -31,13 +31,13 @@ class Progress:
         if self._is_terminal:
             sys.stderr.write(f"\r\x1b[K{self._title}: {step}, {passed_s:.0f} s")
             self._is_drawn = True
-        elif (mark := (answer["step"], answer["mode"], int(QUARTERS * answer["progress"]))) != self._said:
-            self._said = mark
+        elif (mark := (answer["step"], answer["mode"], int(QUARTERS * answer["progress"]))) != self._last:
+            self._last = mark
             sys.stderr.write(f"{self._title}: {step}\n")
         sys.stderr.flush()
 
     def close(self) -> None:
-        """Take the line away."""
+        """Erase the line."""
         if self._is_drawn:
             sys.stderr.write("\r\x1b[K")
             sys.stderr.flush()
@@ -45,7 +45,7 @@ class Progress:
 
 @contextlib.contextmanager
 def shown(client: ArmClient, given: argparse.Namespace, title: str = "") -> Iterator[None]:
-    """While it is open, waiting shows; not in a script, whose lines say themselves what they have done."""
+    """Show progress while open; not in a script, whose lines report themselves."""
     if getattr(given, "connect", None) is not None:
         yield
         return

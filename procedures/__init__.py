@@ -1,4 +1,4 @@
-"""What takes an operator through a job step by step: bring-up, tuning, sessions, recordings, verification, demos."""
+"""Procedures that guide an operator through a job step by step: bring-up, tuning, sessions, recordings, verification, demos."""
 
 from firmware_iface.installation import claim
 

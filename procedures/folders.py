@@ -1,4 +1,4 @@
-"""Where results go: no folder that is there is overwritten, and each is tried before anything moves."""
+"""Folders for results: none is overwritten, and each is tried before anything moves."""
 
 from pathlib import Path
 
@@ -18,10 +18,10 @@ def free_folder(wanted: Path) -> Path:
 
 
 def require_writable(folder: Path, option: str = "--out") -> None:
-    """ArmError where nothing can be written into `folder`: said before an arm has moved for results that have no place."""
+    """ArmError if `folder` is not writable: checked before an arm moves, so that no results are lost."""
     try:
         files.require_writable(folder)
     except files.NotWritten as error:
         raise ArmError(
-            f"{option} {folder}: nothing can be written there ({error.strerror}): make room, or take another place"
+            f"{option} {folder}: cannot write there ({error.strerror}): free some space, or choose another place"
         ) from error

@@ -1,4 +1,4 @@
-"""The runtime, the mock hand and the camera, as a calibration session wants them (calib.session.moves.ports)."""
+"""The runtime, the mock hand and the camera, with the interfaces of a calibration session (calib.session.moves.ports)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class RuntimePort:
     """`ArmPort` and `Camera` over the runtime's client."""
 
     def __init__(self, client: ArmClient, speed: float = 1.0, as_encoders: bool = False) -> None:
-        """`as_encoders`: moves are to encoder angles, without what the runtime knows of its gears (docs/corrections.md)."""
+        """`as_encoders`: moves are to encoder angles, without the runtime's gear corrections (docs/corrections.md)."""
         self._client = client
         self._speed = speed
         self._as_encoders = as_encoders
@@ -42,11 +42,11 @@ class RuntimePort:
         self._client.move_joints(q_rad, CREEP * self._speed, as_encoders=self._as_encoders)
 
     def release(self) -> None:
-        """Open the circuits for a hand that has the arm."""
+        """Open the motor circuits for hand guiding."""
         self._client.guide()
 
     def hold(self) -> None:
-        """Hold where the arm stands."""
+        """Hold the present pose."""
         status = self._client.status()
         if status["mode"] == "FAULT":
             raise ArmFaulted(fault_text(status))
@@ -66,7 +66,7 @@ class RuntimePort:
             if mean.tip_m is not None and mean.tip_std_m is not None:
                 return mean.tip_m, mean.tip_std_m
         raise ArmError(
-            f"no camera frame came within {CAMERA_PATIENCE_S:g} s: is the camera on, and does it see the tip?"
+            f"no camera frame within {CAMERA_PATIENCE_S:g} s: check that the camera is on and sees the tip"
         )
 
 

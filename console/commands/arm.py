@@ -22,7 +22,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _export(arm: Arm, form: str, path: Path) -> int:
-    """URDF, MJCF or JSON; says what the form cannot hold."""
+    """URDF, MJCF or JSON; prints what the format cannot represent."""
     from calib.export import export
 
     lost = export(arm, form, path)

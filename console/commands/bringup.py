@@ -1,4 +1,4 @@
-"""`armwright bringup`: joint by joint, from a draft of arm.toml to one that fits the arm that is there."""
+"""`armwright bringup`: joint by joint, from a draft of arm.toml to one that fits the real arm."""
 
 import argparse
 import contextlib
@@ -20,8 +20,8 @@ from procedures.bringup.terminal import TerminalOperator
 from procedures.folders import require_writable
 
 FASTEST_rad_s = 1.0
-PREFACE = """Bring-up of arm {name}. One motor at a time gets a low current; all others stay off with shorted windings.
-Keep the emergency stop in hand, the way of every joint free, the arm near an upright pose and its links supported.
+PREFACE = """Bring-up of arm {name}. One motor at a time gets a low current; all others stay off, with shorted windings.
+Keep the emergency stop in hand and the range of every joint clear. Put the arm near an upright pose and support its links.
 """
 
 
@@ -29,11 +29,9 @@ def run(given: argparse.Namespace) -> int:
     """Measure, then write the new arm.toml."""
     out = Path(given.out)
     if out.exists():
-        raise ArmError(
-            f"--out {out}: it is there already, and an arm.toml is never overwritten: take another name"
-        )
+        raise ArmError(f"--out {out}: exists already and is never overwritten: choose another name")
     if not out.parent.is_dir():
-        raise ArmError(f"--out {out}: there is no folder {out.parent}")
+        raise ArmError(f"--out {out}: no folder {out.parent}: create it, or choose another place")
     require_writable(out.parent)
     if not 0.02 <= given.speed <= FASTEST_rad_s:
         raise ArmError(f"--speed: expected 0.02 to {FASTEST_rad_s:g} rad/s, got {given.speed:g}")
@@ -74,7 +72,7 @@ def _bring_up(setting: Setting, operator: Operator, journal: Journal, options: O
     operator.say(PREFACE.format(name=setting.draft.name))
     if journal.passed():
         operator.say(
-            f"From {journal.path}: joints {', '.join(map(str, journal.passed()))} have passed before."
+            f"From {journal.path}: joints {', '.join(map(str, journal.passed()))} have already passed."
         )
     try:
         with Bench(setting.arm, setting.clock, operator) as bench:
@@ -84,7 +82,7 @@ def _bring_up(setting: Setting, operator: Operator, journal: Journal, options: O
             serials = serial_numbers(bench)
     except Stopped as stopped:
         sys.stderr.write(
-            f"armwright: {stopped}; the drives are off. The same command goes on from {journal.path}\n"
+            f"armwright: {stopped}; the drives are off. The same command continues from {journal.path}\n"
         )
         return 1
     for joint, result in sorted(outcome.diagnoses.items()):
@@ -94,17 +92,17 @@ def _bring_up(setting: Setting, operator: Operator, journal: Journal, options: O
         return 1
     save_arm(brought_up(setting.draft, journal, serials), out)
     left = [drive.joint for drive in setting.draft.drives if drive.joint not in journal.passed()]
-    unchecked = f" Unchecked, as in the draft: joint {', '.join(map(str, left))}." if left else ""
-    operator.say(f"\nwritten: {out} (the draft is as it was; measured values in {journal.path}).{unchecked}")
+    unchecked = f" Not checked, taken from the draft: joint {', '.join(map(str, left))}." if left else ""
+    operator.say(f"\nwritten: {out} (the draft is unchanged; measured values in {journal.path}).{unchecked}")
     return 0
 
 
 def _say_problems(outcome: Outcome, journal: Journal, out: Path) -> None:
-    sys.stderr.write(f"armwright: {len(outcome.problems)} to mend first, so {out} was not written:\n")
+    sys.stderr.write(f"armwright: {len(outcome.problems)} to fix first, so {out} was not written:\n")
     for problem in outcome.problems:
         sys.stderr.write(f"  - {problem}\n")
     sys.stderr.write(
-        f"Joints that passed are kept in {journal.path}: the same command goes on with the others.\n"
+        f"Joints that passed are saved in {journal.path}: the same command continues with the others.\n"
     )
 
 
@@ -116,7 +114,7 @@ def _figures(joint: int, result: Diagnosis) -> str:
         f" ({drive.encoder_direction:+d})"
     ]
     for key, text in (
-        ("index_spacing_counts", "{:.0f} counts a turn"),
+        ("index_spacing_counts", "{:.0f} counts per turn"),
         ("gear_ratio", "gear {:.2f}"),
         ("coulomb_Nm", "friction {:.2f} Nm"),
         ("viscous_Nm_s_rad", "+ {:.2f} Nm s/rad"),

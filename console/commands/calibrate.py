@@ -1,4 +1,4 @@
-"""`armwright calibrate`: from recorded points to a calibrated arm, and what it is worth."""
+"""`armwright calibrate`: from recorded points to a calibrated arm with its uncertainty."""
 
 import argparse
 import datetime
@@ -53,11 +53,11 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _forms(texts: list[str]) -> list[str]:
-    """The export forms that are asked for; CalibrationError for one that there is not."""
+    """The requested export formats; CalibrationError for an unknown one."""
     forms = _names(texts)
     for form in forms:
         if form not in FORMS:
-            raise CalibrationError(f'--export: expected some of {", ".join(FORMS)}, got "{form}"')
+            raise CalibrationError(f'--export: expected one or more of {", ".join(FORMS)}, got "{form}"')
     return forms
 
 
@@ -95,7 +95,7 @@ def _rows_of(points: Points, names: list[str]) -> set[int]:
 
 
 def _plan(given: argparse.Namespace) -> CalibrationPlan:
-    """What the options ask for."""
+    """The settings of the options."""
     threshold_m = quantity(given.huber_threshold, "m", "--huber-threshold") if given.huber_threshold else None
     accuracy_m = quantity(given.accuracy, "m", "--accuracy") if given.accuracy else None
     if accuracy_m is not None and accuracy_m <= 0.0:
@@ -191,9 +191,7 @@ def _write(given: argparse.Namespace, made: Calibrated, out: Path, forms: list[s
 
 def _inputs(given: argparse.Namespace, arm: Arm) -> tuple[InputFile, ...]:
     """Every file that the result depends on."""
-    found = [
-        input_file(Path(name), "points: joint angles and what is known of the tip") for name in given.points
-    ]
+    found = [input_file(Path(name), "points: joint angles and tip measurements") for name in given.points]
     if arm.path is not None:
         found.append(input_file(arm.path, "the nominal arm"))
     if given.boards is not None:

@@ -1,4 +1,4 @@
-"""`armwright check`: are the boards there, and are they the right ones? Nothing moves."""
+"""`armwright check`: find the boards of arm.toml and compare their identities. Nothing moves."""
 
 import argparse
 import json
@@ -17,7 +17,7 @@ FORMAT = "check/1"
 
 
 def run(given: argparse.Namespace) -> int:
-    """Connect, say who answered, hang up."""
+    """Connect, print the boards that answered, disconnect."""
     arm = with_links(load_arm(given.arm), link_options(given))
     connection = connect(arm, MonotonicClock(), PERIOD_S, camera_port(given, arm))
     try:
@@ -31,12 +31,12 @@ def run(given: argparse.Namespace) -> int:
     else:
         _say(described(found))
         _say(f"real-time rights: {remedy or 'granted'}")
-        _say(f"arm {arm.name}: all boards are there and are the right ones")
+        _say(f"arm {arm.name}: all boards answer and match arm.toml")
     return 0
 
 
 def found_boards(connection: Connection) -> dict[str, list[dict[str, Any]]]:
-    """Every board that answered, by kind, with what it says of itself."""
+    """Every board that answered, by kind, with its identity."""
     encoders = [
         {
             "where": encoder.where, "serial_number": found.serial_number, "firmware": _version(found.firmware),
@@ -57,7 +57,7 @@ def found_boards(connection: Connection) -> dict[str, list[dict[str, Any]]]:
 
 
 def described(found: dict[str, list[dict[str, Any]]]) -> str:
-    """The same for people, a board a line."""
+    """The boards as text, one per line."""
     lines = [
         f"{one['where']}: serial number {one['serial_number']}, firmware {one['firmware']}, {one['channels']} channels,"
         f" {one['encoder_bits']}-bit counters"
@@ -65,7 +65,7 @@ def described(found: dict[str, list[dict[str, Any]]]) -> str:
     ]
     lines += [
         f"{one['where']}: serial number {one['serial_number']}, firmware {one['firmware']},"
-        f" {one['encoder_counts_per_turn']} counts a turn"
+        f" {one['encoder_counts_per_turn']} counts per turn"
         for one in found["motor_boards"]
     ]
     return "\n".join(lines)

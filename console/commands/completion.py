@@ -22,7 +22,7 @@ WHERE: Final = {
 
 
 def run(given: argparse.Namespace) -> int:
-    """Print the script; on a terminal, where to put it, too."""
+    """Print the script; on a terminal, also how to install it."""
     sys.stdout.write(script(given.shell))
     if sys.stdout.isatty():
         sys.stderr.write(f"\nTo install: {WHERE[given.shell]}\n")
@@ -53,7 +53,7 @@ def _actions(parser: argparse.ArgumentParser) -> list[argparse.Action]:
 
 
 def _completion(action: argparse.Action) -> dict[str, Any] | None:
-    """What completes a value: told by its metavar, which says what it is; None where nothing can be offered."""
+    """What completes a value: chosen by its metavar; None if nothing can be offered."""
     import shtab
 
     kind = str(action.metavar)

@@ -1,4 +1,4 @@
-"""What the client commands share: the socket of the arm that is meant."""
+"""Shared by the client commands: the socket of the selected arm."""
 
 import argparse
 from pathlib import Path
@@ -10,12 +10,12 @@ from control.server.sockets import default_path
 
 
 def socket_path(given: argparse.Namespace, arm: Arm) -> Path:
-    """The socket that the command line says, or the place of the arm's name."""
+    """The socket of the command line, or the default socket of the arm."""
     return Path(given.socket) if given.socket else default_path(arm.name)
 
 
 def connected(given: argparse.Namespace) -> ArmClient:
-    """A client of the runtime; of a script, its own. RuntimeGone says how to start one."""
+    """A client of the runtime; of a script, its own. RuntimeGone names the command that starts one."""
     if (connect := getattr(given, "connect", None)) is not None:
         client: ArmClient = connect()
         return client

@@ -12,7 +12,7 @@ from control.model.description import load_arm
 def run(given: argparse.Namespace) -> int:
     """Run the screen until ctrl+q; the arm is held then."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise ArmError("console: it needs a terminal; for files of lines there is `armwright script`")
+        raise ArmError("console: needs a terminal; `armwright script` runs files of commands")
     from console.screen.app import ConsoleApp, Files
 
     arm = load_arm(given.arm)

@@ -1,4 +1,4 @@
-"""`armwright demo`: the whole job on a mock arm, the paper's experiment, or a hidden effect found and corrected."""
+"""`armwright demo`: the full workflow on a mock arm, the paper's experiment, or a hidden effect found and corrected."""
 
 import argparse
 import sys
@@ -27,7 +27,7 @@ def run(given: argparse.Namespace) -> int:
         return _gap(given)
     for name in ("effect", "joint"):
         if getattr(given, name) is not None:
-            raise CalibrationError(f"--{name} belongs to `armwright demo gap`")
+            raise CalibrationError(f"--{name} is only for `armwright demo gap`")
     arm = load_arm(given.arm)
     conduct, out_name, scenario_name = _DEMOS[given.what]
     can_home = all(drive.home is not None for drive in arm.drives)
@@ -43,10 +43,10 @@ def run(given: argparse.Namespace) -> int:
     )
     try:
         with Bar("demo") as bar:
-            said = conduct(arm, bench, out, bar.advance)
+            summary = conduct(arm, bench, out, bar.advance)
     finally:
         bench.close()
-    sys.stdout.write(said)
+    sys.stdout.write(summary)
     return 0
 
 
@@ -58,17 +58,14 @@ def _job(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
     found = comparison_text(outcome.verification)
     write_whole(out / "verification.txt", found + "\n")
     return (
-        f"\nTip error at {len(outcome.verification.point)} verification points that the calibration did not use:\n\n"
-        f"{found}\n\n"
-        f"  report          {outcome.report}\n"
-        f"  calibrated arm  {outcome.calibrated_arm}\n"
-        f"  points          {out / 'points.csv'}\n"
-        f"  recordings      {out / 'log'}\n"
+        f"\nTip error at {len(outcome.verification.point)} verification points that calibration did not"
+        f" use:\n\n{found}\n\n  report          {outcome.report}\n  calibrated arm  {outcome.calibrated_arm}\n"
+        f"  points          {out / 'points.csv'}\n  recordings      {out / 'log'}\n"
     )
 
 
 def _paper(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
-    """The experiment of SpringerPlus 5:1771, and what goes past it."""
+    """The experiment of SpringerPlus 5:1771, and two further steps."""
     from procedures.demo import paper
     from procedures.demo.paper_page import findings
     from procedures.demo.paper_result import table_text, widths_text
@@ -78,25 +75,21 @@ def _paper(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
     write_whole(out / "paper.txt", table + "\n")
     sentences = "\n".join(findings(outcome.replay))
     return (
-        f"\nMean tip error at points that the calibrations did not use, and how much smaller it became (95 %):\n\n{table}\n\n"
-        f"{sentences}\nIdentified play: {widths_text(outcome.replay.models[-1])}.\n\n"
-        f"  report    {outcome.report}\n"
-        f"  figures   {outcome.figures}\n"
-        f"  points    {out / 'points.csv'}\n"
+        "\nMean tip error at points that calibration did not use, and its reduction (95"
+        f" %):\n\n{table}\n\n{sentences}\nIdentified backlash: {widths_text(outcome.replay.models[-1])}.\n\n  report"
+        f"    {outcome.report}\n  figures   {outcome.figures}\n  points    {out / 'points.csv'}\n"
     )
 
 
 def _gap(given: argparse.Namespace) -> int:
-    """An effect is hidden, found, added and corrected; exit status 1 where it was not found as it is."""
+    """An effect is hidden, found, added and corrected; exit status 1 if it was not found."""
     from procedures.demo import gap
     from procedures.demo.gap_hidden import beyond_known, drawn, with_known_friction
     from procedures.demo.gap_page import findings, write_page
 
     for name in ("scenario", "realtime"):
         if getattr(given, name):
-            raise CalibrationError(
-                f"--{name} belongs to the other demos: this one hides an effect of its own"
-            )
+            raise CalibrationError(f"--{name} is not for `armwright demo gap`, which hides its own effect")
     seed = given.seed if given.seed is not None else GAP_SEED
     hidden = drawn(seed, given.effect, given.joint)
     arm = with_known_friction(load_arm(given.arm))

@@ -1,4 +1,4 @@
-"""`armwright doctor`: is this arm fit to be switched on? Nothing is energised, nothing moves."""
+"""`armwright doctor`: checks an arm before it is switched on. Nothing is energised and nothing moves."""
 
 import argparse
 import json
@@ -19,7 +19,7 @@ LONGEST_S = 600.0
 
 
 def run(given: argparse.Namespace) -> int:
-    """Look at everything, say what was found."""
+    """Check everything and print the findings."""
     if not 0.1 <= given.seconds <= LONGEST_S:
         raise ArmError(f"--seconds: expected 0.1 to {LONGEST_S:g}, got {given.seconds:g}")
     if not 20.0 <= given.rate <= 1200.0:
@@ -34,7 +34,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def examine(arm: Arm, clock: Clock, period_s: float, duration_s: float, log_folder: Path) -> list[Finding]:
-    """This machine first, then ports, boards, timing and signals; all of them, whatever is wrong with one."""
+    """This machine first, then ports, boards, timing and signals; all of them, even if one fails."""
     findings = look_at_host(period_s, arm.limits.watchdog_s, arm.joint_count, log_folder) + look_at_ports()
     boards = open_boards(arm, clock)
     try:

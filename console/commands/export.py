@@ -14,15 +14,15 @@ from control.recording.recorded_arm import recorded_arm
 
 
 def run(given: argparse.Namespace) -> int:
-    """Export and say what was written."""
+    """Export and print the written files."""
     recording, out = Path(given.recording), Path(given.out)
     if not recording.is_file():
-        what = "it is a folder" if recording.is_dir() else "there is no such recording"
+        what = "it is a folder" if recording.is_dir() else "no such recording"
         raise ArmError(f"{recording}: {what}; `armwright serve` writes them to its --log folder")
     arm = load_arm(given.arm) if given.arm else recorded_arm(Recording.open(recording))
     if arm is None:
         sys.stderr.write(
-            "armwright: warning: the recording's arm is not known, so log.mcap has no 3-D: give it with --arm\n"
+            "armwright: warning: the arm of this recording is unknown, so log.mcap has no 3-D view: give it with --arm\n"
         )
     with Bar("export") as bar:
         written = export(recording, out, given.every, arm, lambda done: bar.advance("export", done))

@@ -1,4 +1,4 @@
-"""`armwright gap`: where simulation and measurement disagree, what is missing, and the model with it."""
+"""`armwright gap`: where model and measurement disagree, which effect is missing, and the corrected model."""
 
 import argparse
 import contextlib
@@ -35,7 +35,7 @@ MINUTES_MOST = 600.0
 
 
 def run(given: argparse.Namespace) -> int:
-    """Record if that is wanted, look, name, write. Nothing is written before everything is read and found usable."""
+    """Record if requested, analyse, name, write. Nothing is written before everything is read and found usable."""
     arm, out = load_arm(given.arm), Path(given.out)
     without = tuple(given.without or ())
     require_effects(without)
@@ -56,7 +56,7 @@ def run(given: argparse.Namespace) -> int:
         "seed",
     ):
         if getattr(given, name) is not None and getattr(given, name) is not False:
-            raise CalibrationError(f"--{name.replace('_', '-')} belongs to --record, which was not given")
+            raise CalibrationError(f"--{name.replace('_', '-')} needs --record")
     return _look(given, arm, given.points or [], given.log or [], without, out)
 
 
@@ -87,7 +87,7 @@ def _say(given: argparse.Namespace, outcome: GapOutcome, out: Path) -> None:
 
 
 def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, ...]) -> int:
-    """Plan, say it, record, and look at what was recorded."""
+    """Plan, print the plan, record, and analyse the recordings."""
     from calib.gap.plan import foresight
     from calib.gap.plan.plan import PlanRequest, recording_plan
 
@@ -111,9 +111,7 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
             _record_real(given, arm, plan, out)
     except BaseException as error:
         if (out / "points.csv").exists() or (out / "runs").exists():
-            sys.stderr.write(
-                f"\narmwright: what was recorded is in {out}; the same command goes on with it\n"
-            )
+            sys.stderr.write(f"\narmwright: the recordings are in {out}; the same command continues\n")
         if isinstance(error, ArmError | CalibrationError) and (out / "points.csv").exists():
             sys.stderr.write(f"armwright: {error}\n")
             return 1  # the arm has moved: not the exit status 2 of wrong input
@@ -127,9 +125,9 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
 
 
 def _require_recording_options(given: argparse.Namespace) -> None:
-    """CalibrationError for what does not go together."""
+    """CalibrationError for options that contradict each other."""
     if given.points or given.log:
-        raise CalibrationError("--record makes its own recordings: leave --points and --log out")
+        raise CalibrationError("--record makes its own recordings: omit --points and --log")
     if given.minutes is not None and not 0.0 < given.minutes <= MINUTES_MOST:
         raise CalibrationError(
             f"--minutes: expected a number above 0 and up to {MINUTES_MOST:g}, got {given.minutes:g}"
@@ -137,7 +135,7 @@ def _require_recording_options(given: argparse.Namespace) -> None:
     if given.payload is not None and not 0.0 <= given.payload <= 20.0:
         raise CalibrationError(f"--payload: expected a mass from 0 to 20 kg, got {given.payload:g}")
     if (given.scenario or given.seed is not None) and not given.mock:
-        raise CalibrationError("--scenario and --seed say what a mock arm hides: give --mock, too")
+        raise CalibrationError("--scenario and --seed need --mock")
 
 
 def _record_real(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path) -> None:
@@ -148,17 +146,17 @@ def _record_real(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out
         status = client.status()
         if status["mode"] != "HOLDING" or not status["is_homed"]:
             raise ArmError(
-                f"the arm is {status['mode']}{'' if status['is_homed'] else ' and not homed'}: recording takes an arm that"
-                " holds and is homed (`armwright enable`, `armwright home`)"
+                f"the arm is {status['mode']}{'' if status['is_homed'] else ' and not homed'}: recording needs an arm"
+                " that is homed and holding (`armwright enable`, `armwright home`)"
             )
         sees_tip = bool(client.average(CAMERA_LOOK_s).camera_frames)
         if plan.visits and not sees_tip:
             raise ArmError(
-                f"no camera frame came within {CAMERA_LOOK_s:g} s: poses away from the board need a camera that sees the tip"
-                " (docs/camera.md); `--only motion` records currents and voltages without one"
+                f"no camera frame within {CAMERA_LOOK_s:g} s: poses away from the board need a camera that sees the"
+                " tip (docs/camera.md); `--only motion` needs no camera"
             )
         if any(step.payload_kg for step in plan.steps) and not sys.stdin.isatty():
-            raise CalibrationError("--payload is hung by hand: run this on a terminal, or leave it out")
+            raise CalibrationError("--payload is attached by hand: run this in a terminal, or omit it")
         note_plan(out, plan, arm)
         bench = Bench(arm, client, Path(status["recording"]), _hang_by_hand, sees_tip, REAL_SPEED)
         try:
@@ -170,7 +168,7 @@ def _record_real(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out
 
 
 def _hang_by_hand(mass_kg: float) -> None:
-    what = f"hang {mass_kg:.3f} kg at the tip" if mass_kg else "take the load off"
+    what = f"attach {mass_kg:.3f} kg to the tip" if mass_kg else "remove the load"
     sys.stderr.write(f"\n{what}, then press Enter: ")
     sys.stderr.flush()
     sys.stdin.readline()

@@ -28,12 +28,12 @@ CAMERA_LOOK_S = 0.5
 
 
 def run(given: argparse.Namespace) -> int:
-    """Record if that is wanted, evaluate, and print what came out."""
+    """Record if requested, evaluate, and print the results."""
     arm = load_arm(given.arm)
     ways = [name for name in ("points", "record", "mock") if getattr(given, name)]
     if len(ways) != 1:
         raise Iso9283Error(
-            f"give one of --points FILE, --record and --mock; got {' and '.join('--' + w for w in ways) or 'none'}"
+            f"expected one of --points FILE, --record and --mock, got {' and '.join('--' + w for w in ways) or 'none'}"
         )
     if not given.plan_only:
         require_writable(Path(given.out))
@@ -48,7 +48,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient | None) -> int:
-    """Plan, say it, record on `client`'s arm or on a mock, evaluate."""
+    """Plan, print the plan, record on `client`'s arm or on a mock, evaluate."""
     out = Path(given.out)
     extent, cube = _extent(given, arm), _cube(given, arm)
     rated_m_s = given.rated_speed or recording.rated_speed_m_s(arm, cube)
@@ -65,8 +65,8 @@ def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient 
     except BaseException:
         if _holds_records(out):
             sys.stderr.write(
-                f"\narmwright: what was recorded is in {out}; the same command goes on with it, and"
-                f" `armwright iso9283 --points {out / 'points.csv'} --log {out / 'log.csv'} --out {out}` evaluates it\n"
+                f"\narmwright: the recordings are in {out}; the same command continues, and `armwright iso9283"
+                f" --points {out / 'points.csv'} --log {out / 'log.csv'} --out {out}` evaluates it\n"
             )
         raise
     notes = _notes(extent, cube)
@@ -140,7 +140,7 @@ def _extent(given: argparse.Namespace, arm: Arm) -> Extent:
 
 def _cube(given: argparse.Namespace, arm: Arm) -> TestCube:
     if (given.cube_centre is None) != (given.cube_edge is None):
-        raise Iso9283Error("a test cube takes both --cube-centre X Y Z and --cube-edge M, or neither")
+        raise Iso9283Error("give both --cube-centre X Y Z and --cube-edge M, or neither")
     if given.cube_edge is None:
         return largest_cube(arm)
     x, y, z = given.cube_centre
@@ -163,23 +163,23 @@ def _record_real(
     status = client.status()
     if status["mode"] != "HOLDING" or not status["is_homed"]:
         raise ArmError(
-            f"the arm is {status['mode']}{'' if status['is_homed'] else ' and not homed'}: a test takes an arm that"
-            " holds and is homed (`armwright enable`, `armwright home`)"
+            f"the arm is {status['mode']}{'' if status['is_homed'] else ' and not homed'}: a test needs an arm that"
+            " is homed and holding (`armwright enable`, `armwright home`)"
         )
     if not client.average(CAMERA_LOOK_S).camera_frames:
         raise ArmError(
-            f"no camera frame came within {CAMERA_LOOK_S:g} s: the criteria need a measured tip (docs/camera.md)"
+            f"no camera frame within {CAMERA_LOOK_S:g} s: the criteria need a measured tip (docs/camera.md)"
         )
     hang = _ask_for_load if sys.stdin.isatty() else None
     if hang is None and any(getattr(step, "payload_kg", 0.0) for step in planned.steps):
-        raise Iso9283Error("loads are hung by hand: run this on a terminal, or leave out --rated-load-kg")
+        raise Iso9283Error("loads are attached by hand: run this in a terminal, or omit --rated-load-kg")
     with Bar("iso9283") as bar:
         bench = recording.Bench(arm, client, Path(status["recording"]), hang, given.speed or REAL_SPEED)
         recording.record(bench, planned, out, bar.advance)
 
 
 def _ask_for_load(mass_kg: float) -> None:
-    sys.stderr.write(f"\nhang {mass_kg:.3f} kg at the tip, then press Enter: ")
+    sys.stderr.write(f"\nattach {mass_kg:.3f} kg to the tip, then press Enter: ")
     sys.stderr.flush()
     sys.stdin.readline()
 
@@ -188,7 +188,7 @@ def _described(arm: Arm, cube: TestCube, planned: recording.Planned, rated_m_s: 
     x, y, z = cube.centre_m
     return (
         f"arm {arm.name}: test cube of {cube.edge_m:.3f} m about ({x:.3f}, {y:.3f}, {z:.3f}) m, rated path speed"
-        f" {rated_m_s:.3g} m/s, {len(planned.steps)} visits and runs; all of it is within reach\n"
+        f" {rated_m_s:.3g} m/s, {len(planned.steps)} visits and runs; everything is within reach\n"
     )
 
 

@@ -20,13 +20,13 @@ def run(given: argparse.Namespace) -> int:
         file = Path(folder) / f"{arm.name}.toml"
         save_arm(wired_to(arm, rig), file)
         sys.stdout.write(
-            f"A mock of arm {arm.name!r} runs with scenario {given.scenario!r}; Ctrl-C ends it. Connect to it with\n\n"
-            f"  armwright serve --arm {file}\n"
+            f"A mock of arm {arm.name!r} is running with scenario {given.scenario!r}; Ctrl-C ends it. Connect"
+            f" with\n\n  armwright serve --arm {file}\n"
         )
         sys.stdout.flush()
         try:
             status = rig.wait_for_end(None)
         except KeyboardInterrupt:
             return 0
-    sys.stderr.write(f"armwright: the mock arm's process ended by itself with status {status}\n")
+    sys.stderr.write(f"armwright: the mock arm's process ended unexpectedly with status {status}\n")
     return 1

@@ -1,4 +1,4 @@
-"""Commands that move the arm to angles, a named place, along way-points or by a step, and that note where it is."""
+"""Commands that move the arm to angles, a named place, along way-points or by a step, and that save its pose."""
 
 import argparse
 import math
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from console.commands.connection import connected
-from console.places import find_place, keep_place
+from console.places import find_place, save_place
 from console.waiting import shown
 from control.errors import ArmError
 from control.files import write_whole
@@ -40,7 +40,7 @@ def _go(given: argparse.Namespace) -> int:
 
 
 def _joint_move(given: argparse.Namespace, q_rad: Any, tip_m: Any) -> int:
-    """To joint angles, or to those near where the arm stands that have the tip at a position."""
+    """To joint angles, or to the nearest ones with the tip at a position."""
     client = connected(given)
     if q_rad is None:
         from control.kinematics.inverse import InverseKinematics
@@ -85,7 +85,7 @@ def described(path: PlannedPath) -> str:
 
 
 def _jog(given: argparse.Namespace) -> int:
-    """One step; exit status 1 when something was in the way."""
+    """One step; exit status 1 if it could not be completed."""
     if (given.joint is None) == (given.axis is None):
         raise ArmError("jog: give either --joint or --axis")
     step: dict[str, Any] = {"axis": given.axis, "by_m": given.by}
@@ -104,22 +104,20 @@ def _jog(given: argparse.Namespace) -> int:
 
 
 def _mark(given: argparse.Namespace) -> int:
-    """Keep where the arm stands as a named place."""
+    """Save the present pose as a named place."""
     status = connected(given).status()
     if not status["is_homed"]:
-        raise ArmError("mark: the arm is not homed, so its joint angles are unknown (`armwright home`)")
-    was_there = keep_place(Path(given.places), given.name, status["joint_rad"])
-    sys.stdout.write(
-        f"{given.name} in {given.places}{', in the stead of another pose' if was_there else ''}\n"
-    )
+        raise ArmError("mark: the arm is not homed, so its joint angles are unknown: run `armwright home`")
+    was_there = save_place(Path(given.places), given.name, status["joint_rad"])
+    sys.stdout.write(f"{given.name} in {given.places}{', replacing another pose' if was_there else ''}\n")
     return 0
 
 
 def _teach(given: argparse.Namespace) -> int:
-    """Append where the tip is to a way-point file, which is begun where there is none."""
+    """Append the tip position to a way-point file, created if missing."""
     status = connected(given).status()
     if status["tip_m"] is None:
-        raise ArmError("teach: the tip's position is not known yet: `armwright home`")
+        raise ArmError("teach: the tip position is unknown: run `armwright home`")
     file = Path(given.file)
     lines = _way_points(file)
     point = tuple(round(float(x), 6) for x in status["tip_m"])

@@ -1,4 +1,4 @@
-"""`armwright plan-poses`: which points, tilts and free poses to take next, and what each would bring."""
+"""`armwright plan-poses`: which points, tilts and free poses to take next, and the information of each."""
 
 import argparse
 import json
@@ -23,7 +23,7 @@ HEAD = "  {:<12}{:<9}{:>5}{:>9}{:>10}{:>10}{:>8}{:>9}{:>9}{:>9}{:>8}  {}\n"
 
 
 def run(given: argparse.Namespace) -> int:
-    """Plan, say what it brings, write plan.csv and plan.json."""
+    """Plan, print the plan, write plan.csv and plan.json."""
     arm = load_arm(given.arm)
     if given.out:
         require_writable(Path(given.out))
@@ -41,12 +41,12 @@ def run(given: argparse.Namespace) -> int:
 
 
 def request_of(given: argparse.Namespace) -> Request:
-    """What the options ask for; `--free N` alone asks for N free poses and nothing else."""
+    """The request of the options; `--free N` alone asks for N free poses and nothing else."""
     count = given.count
     if count is None:
         count = USUAL_COUNT if given.free is None else given.free
     if given.free is not None and given.only == "table":
-        raise CalibrationError("--free and --only table contradict each other: give one of them")
+        raise CalibrationError("--free and --only table contradict each other: give one")
     return Request(
         count=count,
         free_count=given.free,
@@ -63,7 +63,9 @@ def _setups(text: str | None) -> tuple[str, ...] | None:
         return None
     names = tuple(name.strip() for name in text.split(",") if name.strip())
     if not names:
-        raise CalibrationError(f'--setups: expected names with commas between, as normal,roll; got "{text}"')
+        raise CalibrationError(
+            f'--setups: expected names separated by commas, such as normal,roll; got "{text}"'
+        )
     return names
 
 
@@ -97,16 +99,16 @@ def described(plan: Plan, arm: str) -> str:
     """The plan for people: candidates, what each pose brings, alternatives, sentences."""
     candidates = ", ".join(f"{count} {setup}" for setup, count in plan.candidates.items())
     lines = [
-        f"arm {arm}: {plan.before.points_count} points taken; to choose from: {candidates}; noise"
+        f"arm {arm}: {plan.before.points_count} points recorded; candidates: {candidates}; noise"
         f" {1e3 * plan.noise_m:.3g} mm per axis; criterion {plan.criterion}\n\n",
-        "  The poses in the order of their worth, and what is known after each:\n",
-        HEAD.format("setup", "point", "visit", "log det", "tip mm", "worst mm", *NAMES, "known least"),
+        "  Poses by value, and the accuracy after each:\n",
+        HEAD.format("setup", "point", "visit", "log det", "tip mm", "worst mm", *NAMES, "weakest"),
         HEAD.format("", "", "", "", *_figures(plan.before)),
     ]
     for pose in plan.poses:
         gain = f"+{pose.gain:.2f}"
         lines.append(HEAD.format(pose.setup, pose.point, pose.visit, gain, *_figures(pose.after)))
-    lines.append("\n  The best of one kind alone:\n")
+    lines.append("\n  Best plans of one kind:\n")
     for one in plan.alternatives:
         figures = _figures(one.after)
         lines.append(HEAD.format(one.setup, f"{one.count}", "", f"+{one.gain:.2f}", *figures))

@@ -1,4 +1,4 @@
-"""`armwright plot LOG`: figures of a recording in a window or as files, and what they say in numbers."""
+"""`armwright plot LOG`: figures of a recording in a window or as files, and their key figures."""
 
 import argparse
 import json
@@ -20,7 +20,7 @@ USUAL_OUT = Path("out/plot")
 
 
 def run(given: argparse.Namespace) -> int:
-    """Read, choose, draw, say."""
+    """Read, select, draw, print."""
     series, joints = _series(given)
     pictures = _pictures(given.what, series)
     files: list[Path] = []
@@ -39,7 +39,7 @@ def _series(given: argparse.Namespace) -> tuple[Series, Sequence[int]]:
         series = read_series(Path(given.log), arm, lambda done: bar.advance("read", done))
     sys.stderr.writelines(f"armwright: warning: {note}\n" for note in series.notes)
     if not len(series):
-        raise ArmError(f"{given.log}: recorded nothing: a header and no cycles")
+        raise ArmError(f"{given.log}: empty recording: a header without cycles")
     joints = _joints(given.joints, series.joint_count)
     return chosen(series, given.run, given.from_s, given.to_s), joints
 
@@ -51,7 +51,7 @@ def _joints(text: str | None, count: int) -> Sequence[int]:
     parts = [part.strip() for part in text.split(",") if part.strip()]
     wanted = sorted({int(part) for part in parts if part.isdigit()})
     if not wanted or not all(part.isdigit() for part in parts) or not 1 <= wanted[0] <= wanted[-1] <= count:
-        raise ArmError(f'--joints: expected numbers from 1 to {count} with commas between, got "{text}"')
+        raise ArmError(f'--joints: expected numbers from 1 to {count} separated by commas, got "{text}"')
     return wanted
 
 
@@ -62,11 +62,11 @@ def _pictures(text: str | None, series: Series) -> Sequence[Picture]:
     by_name = {picture.name: picture for picture in PICTURES}
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names or any(name not in by_name for name in names):
-        raise ArmError(f'--what: expected some of {", ".join(by_name)}, got "{text}"')
+        raise ArmError(f'--what: expected one or more of {", ".join(by_name)}, got "{text}"')
     for name in names:
         if not by_name[name].has(series):
-            needs = " (the arm is not known: give it with --arm)" if series.arm is None else ""
-            raise ArmError(f"--what {name}: {series.name} has nothing for it{needs}")
+            needs = " (the arm is unknown: give it with --arm)" if series.arm is None else ""
+            raise ArmError(f"--what {name}: {series.name} has no data for it{needs}")
     return [by_name[name] for name in dict.fromkeys(names)]
 
 

@@ -16,7 +16,7 @@ class Bar:
 
         self._is_terminal = sys.stderr.isatty()
         self._title = title
-        self._said = -1
+        self._last = -1
         self._done = 0.0
         self._began_s = time.monotonic()
         from rich.console import Console
@@ -43,14 +43,14 @@ class Bar:
             self._progress.stop()
 
     def advance(self, what: str, done: float) -> None:
-        """`done` of the whole, 0 to 1, and what is being done now. An estimate that goes back or beyond is held."""
+        """`done` of the whole, 0 to 1, and the present step. The share never falls and never exceeds 1."""
         done = self._done = min(max(done, self._done), 1.0)
         if self._is_terminal:
             self._progress.update(self._task, completed=done, description=what)
             return
         step = int(done * LINES)
-        if step != self._said:
-            self._said = step
+        if step != self._last:
+            self._last = step
             passed_s = time.monotonic() - self._began_s
             left = f", about {passed_s * (1.0 - done) / done:.0f} s left" if 0.0 < done < 1.0 else ""
             sys.stderr.write(f"{self._title}: {done:4.0%} after {passed_s:.0f} s{left}: {what}\n")

@@ -34,15 +34,15 @@ def run(given: argparse.Namespace) -> int:
 
 
 def described(setup: str, board: Registration) -> str:
-    """Pose, residual of every marker, and what cannot be told, in mm and mrad."""
+    """Pose, residual of every marker, and what cannot be determined, in mm and mrad."""
     x, y, z = (f"{1e3 * value:.2f}" for value in board.origin_m)
     nx, ny, nz = (f"{value:.4f}" for value in board.normal)
     sd = board.sd
     lines = [
         f"setup {setup}: {len(board.names)} markers, noise {1e3 * board.noise_m:.3f} mm per axis",
         f"  origin ({x}, {y}, {z}) mm, sd {' '.join(f'{1e3 * value:.3f}' for value in sd[:3])} mm",
-        f"  normal ({nx}, {ny}, {nz}), sd of turns {' '.join(f'{1e3 * value:.3f}' for value in sd[3:])} mrad",
-        "  marker    dx      dy      dz    total  (seen minus board, mm)",
+        f"  normal ({nx}, {ny}, {nz}), sd of the tilt {' '.join(f'{1e3 * value:.3f}' for value in sd[3:])} mrad",
+        "  marker    dx      dy      dz    total  (measured minus board, mm)",
     ]
     for name, residual, total in zip(board.names, board.residual_m, norms(board.residual_m), strict=True):
         mark = "  outlier, not used" if name in board.outliers else ""

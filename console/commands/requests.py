@@ -16,25 +16,25 @@ RESTING = ("HOLDING", "BRAKED", "OFF", "GUIDING")
 
 
 def run(given: argparse.Namespace) -> int:
-    """Do what the command's line in the table says. ArmError, or what stopped the arm."""
+    """Send the command's request of the table. ArmError, or the error that stopped the arm."""
     client = connected(given)
     if given.command == "guide":
         _require_consent(given)
     with shown(client, given):
-        said = REQUESTS[given.command](client, given)
-    if said:
-        sys.stdout.write(f"{said}\n")
+        result = REQUESTS[given.command](client, given)
+    if result:
+        sys.stdout.write(f"{result}\n")
     return 0
 
 
 def _enable(client: ArmClient, given: argparse.Namespace) -> str | None:
-    return None if client.enable() else "the drives are on already; nothing was changed"
+    return None if client.enable() else "the drives are already on; nothing changed"
 
 
 def _home(client: ArmClient, given: argparse.Namespace) -> str | None:
     if client.home(again=given.again):
         return None
-    return "already homed: the boards know their zeros; `armwright home --again` searches for them again"
+    return "already homed: the boards know their zeros; `armwright home --again` homes again"
 
 
 def _wait(client: ArmClient, given: argparse.Namespace) -> None:
@@ -61,17 +61,17 @@ REQUESTS: Mapping[str, Request] = {
 
 
 def _require_consent(given: argparse.Namespace) -> None:
-    """ArmError unless --yes or somebody at the terminal says that the arm may be let go; nothing has moved then."""
+    """ArmError unless --yes is given or the operator confirms the release; nothing has moved then."""
     if given.yes:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise ArmError("guide: it lets the arm go, and no terminal is there to confirm it: give --yes")
+        raise ArmError("guide: releases the arm, and there is no terminal to confirm it: give --yes")
     what = (
-        "The drives will carry the arm's weight only as well as its masses are known."
+        "The drives will compensate gravity only as well as the masses are known."
         if given.weightless
-        else "The drives will go off and the arm will drop."
+        else "The drives will turn off and the arm will drop."
     )
-    sys.stderr.write(f"{what} Does somebody hold it? [y/N] ")
+    sys.stderr.write(f"{what} Is somebody holding the arm? [y/N] ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-        raise ArmError("guide: not confirmed; nothing was changed")
+        raise ArmError("guide: not confirmed; nothing changed")

@@ -8,16 +8,16 @@ from pathlib import Path
 from console.commands.connection import connected
 from console.commands.table import COMMANDS
 from console.lines.grammar import Grammar, LineError
-from console.lines.replay import Outcome, replay, understood
+from console.lines.replay import Outcome, parse_lines, replay
 
 
 def run(given: argparse.Namespace) -> int:
-    """Understand the whole file first; then run it."""
+    """Parse the whole file first; then run it."""
     grammar = Grammar(COMMANDS, {"arm": given.arm, "socket": given.socket})
     try:
-        lines = understood(_text(given.file).splitlines(), grammar)
+        lines = parse_lines(_text(given.file).splitlines(), grammar)
     except LineError as error:
-        raise LineError(f"{given.file}: {error}; nothing was done") from None
+        raise LineError(f"{given.file}: {error}; nothing was run") from None
     if given.check:
         sys.stdout.write("".join(f"{number}: {line.text}\n" for number, line in lines))
         return 0
@@ -54,7 +54,7 @@ def _described(outcome: Outcome) -> str:
     done = (
         f"done in {took}"
         if outcome.status == 0
-        else f"FAILED with status {outcome.status} after {took}; the lines after it were not run"
+        else f"failed with status {outcome.status} after {took}; the remaining lines were not run"
     )
     return f"{outcome.number}: {outcome.line}\n{_indented(outcome.output)}  {done}\n"
 

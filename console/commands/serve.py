@@ -1,4 +1,4 @@
-"""`armwright serve`: the loop, in this process, until it is told to end."""
+"""`armwright serve`: the loop, in this process, until it is stopped."""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`armwright session`: step through the table's points and keep what is measured; resumable at any time."""
+"""`armwright session`: step through the table's points and record; resumable at any time."""
 
 import argparse
 import sys
@@ -28,72 +28,72 @@ from procedures.folders import require_writable
 from procedures.ports import RuntimePort
 from procedures.session.mock_session import SCENARIO, MockSession, mock_session
 from procedures.session.operator import Operator
-from procedures.session.planning import wanted_plan
+from procedures.session.planning import plan_from_options
 from procedures.session.reporter import Reporter, tell
 
 SPEED = 0.5  # of the joints' limits, for moves near people
 
 
 def run(given: argparse.Namespace) -> int:
-    """Begin or resume, and carry on until the operator or the points end."""
+    """Begin or resume, and conduct it until the operator or the points end."""
     arm = load_arm(given.arm)
     say, operator = (tell, Reporter) if given.json else (_say, Operator)
     lines = _replayed(Path(given.replay), say) if given.replay else _typed()
-    wanted = wanted_plan(given, arm)
+    wanted = plan_from_options(given, arm)
     if wanted is not None:
-        wanted.require_sound()  # what is wrong with it is said before there is a folder, or a connection
+        wanted.require_sound()  # errors are reported before a folder or a connection exists
         Boards(arm, wanted)
     require_writable(Path(given.out))
-    front = Front(lines, say, operator)
+    interface = Interface(lines, say, operator)
     if given.mock:
-        _with_mock(given, arm, wanted, front)
+        _with_mock(given, arm, wanted, interface)
     else:
-        _with_arm(given, arm, wanted, front)
+        _with_arm(given, arm, wanted, interface)
     return 0
 
 
 @dataclass(frozen=True, slots=True)
-class Front:
-    """Who talks with the operator: where answers come from, who says what is said, and how."""
+class Interface:
+    """The operator's side: the source of answers, the output and its form."""
 
     lines: Iterator[str]
     say: Callable[[str], None]
     operator: type[Operator]
 
 
-def _with_mock(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, front: Front) -> None:
+def _with_mock(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, interface: Interface) -> None:
     if given.scenario is not None:
         load_scenario(given.scenario)
     with SessionFolder(Path(given.out), wanted) as folder:
         _require_same_arm(folder, arm)
         boards = Boards(arm, folder.plan)
-        _introduce(folder, front)
+        _introduce(folder, interface)
         with mock_session(arm, folder, boards, given.scenario) as mock:
-            _carry_on(arm, folder, boards, front, _mock_station(arm, folder, boards, mock))
+            _conduct(arm, folder, boards, interface, _mock_station(arm, folder, boards, mock))
 
 
-def _with_arm(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, front: Front) -> None:
+def _with_arm(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, interface: Interface) -> None:
     if (Path(given.out) / SCENARIO).exists():
-        raise SessionError(f"{given.out} is the session of a mock arm: add --mock")
+        raise SessionError(f"{given.out}: this session belongs to a mock arm: add --mock")
     client = connected(given)
     try:
         status = _ready(client)
         with SessionFolder(Path(given.out), wanted) as folder:
             _require_same_arm(folder, arm)
             boards = Boards(arm, folder.plan)
-            _introduce(folder, front)
-            _carry_on(arm, folder, boards, front, _real_station(arm, folder, boards, client, status))
+            _introduce(folder, interface)
+            _conduct(arm, folder, boards, interface, _real_station(arm, folder, boards, client, status))
     finally:
         client.close()
 
 
-def _carry_on(arm: Arm, folder: SessionFolder, boards: Boards, front: Front, station: Station) -> None:
-    operator = front.operator(
-        folder, boards, front.lines, front.say, arm.table, may_auto=station.hand is not None
+def _conduct(arm: Arm, folder: SessionFolder, boards: Boards, interface: Interface, station: Station) -> None:
+    operator = interface.operator(
+        folder, boards, interface.lines, interface.say, arm.table, may_auto=station.hand is not None
     )
     operator.run(conduct(folder, station))
     done, left = folder.state.count(Mark.DONE), folder.state.count(Mark.LEFT)
-    front.say(f"{done} points recorded, {left} left: {folder.path / POINTS}")
+    interface.say(f"{done} points recorded, {left} left: {folder.path / POINTS}")
 
 
 def _station(
@@ -121,7 +121,7 @@ def _station(
 
 
 def _mock_station(arm: Arm, folder: SessionFolder, boards: Boards, mock: MockSession) -> Station:
-    """Times go on after the last record: a mock arm's clock begins anew."""
+    """Times go on after the last record: a mock arm's clock restarts."""
     points = folder.points()
     last_s = float(points.t_s.max()) if points is not None else 0.0
     hand = mock.hand if folder.plan.seat == "hand" else None
@@ -135,12 +135,12 @@ def _ready(client: ArmClient) -> Message:
         raise ArmFaulted(fault_text(status))
     if not status["is_homed"]:
         raise ArmError(
-            "the arm does not know its joint angles yet: `armwright enable`, then `armwright home`"
+            "the arm is not homed, so its joint angles are unknown: run `armwright enable`, then `armwright home`"
         )
     if status["mode"] in ("GUIDING", "BRAKED"):  # a session that was killed while the hand had the arm
         client.hold()
     elif status["mode"] != "HOLDING":
-        raise ArmError(f"the arm is {status['mode']}, expected HOLDING: `armwright enable`")
+        raise ArmError(f"the arm is {status['mode']}, expected HOLDING: run `armwright enable`")
     return status
 
 
@@ -152,22 +152,23 @@ def _real_station(
     return _station(arm, folder, boards, client, SPEED, elapsed_s - float(status["t_s"]), None)
 
 
-def _introduce(folder: SessionFolder, front: Front) -> None:
+def _introduce(folder: SessionFolder, interface: Interface) -> None:
     plan, state = folder.plan, folder.state
     what = "resumed" if folder.is_resumed else "begun"
-    front.say(
+    interface.say(
         f"session {folder.path} {what}: {len(plan.targets)} points, {state.count(Mark.DONE)} recorded;"
         f" board {plan.board}, tip seated by {plan.seat}, payload {plan.payload_kg:g} kg; `help` lists the commands"
     )
     for warning in folder.warnings:
-        front.say(f"! {warning}")
+        interface.say(f"! {warning}")
 
 
 def _require_same_arm(folder: SessionFolder, arm: Arm) -> None:
     """Also where no other option was given."""
     if folder.plan.arm_sha256 != fingerprint(arm):
         raise SessionError(
-            f"{folder.path} is a session of arm {folder.plan.arm!r} as its file was then; --arm says another"
+            f"{folder.path}: this session was started with arm {folder.plan.arm!r} and another version of its file:"
+            " give that file with --arm"
         )
 
 
@@ -178,7 +179,7 @@ def _typed() -> Iterator[str]:
 
 
 def _replayed(script: Path, say: Callable[[str], None]) -> Iterator[str]:
-    """Lines of a script, said as they are answered; `#` begins a remark."""
+    """Lines of a script, echoed when they are answered; `#` begins a comment."""
     try:
         text = script.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:

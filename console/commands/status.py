@@ -24,7 +24,7 @@ def described(status: Message) -> str:
     """The status as a page for an operator."""
     homed = "homed" if status["is_homed"] else "not homed"
     done = f", {100 * status['progress']:.0f} % of run {status['run']}" if status["run"] else ""
-    pace = f", at {100 * status['override']:.0f} % of the pace" if status["override"] < 1.0 else ""
+    pace = f", speed override {100 * status['override']:.0f} %" if status["override"] < 1.0 else ""
     encoder, drive = status["encoder_stale_s"], status["drive_stale_s"]
     step = f", {status['step']}" if status["step"] else ""
     lines = [
@@ -59,19 +59,19 @@ def described(status: Message) -> str:
     lines += [f"warning: {warning}" for warning in status["warnings"]]
     lines += [f"FAULT {f['where']}: {f['message']}; {f['remedy']}" for f in status["faults"]]
     if status["faults"]:
-        lines.append("when it is safe: `armwright acknowledge`, then `armwright enable`")
+        lines.append("when it is safe, run `armwright acknowledge`, then `armwright enable`")
     return "\n".join(lines)
 
 
 def _recording(recorder: RecorderState) -> str:
-    is_on = "recording" if recorder.is_on else "NOT recording"
+    is_on = "recording" if recorder.is_on else "not recording"
     return f"{is_on}: {recorder.file}, {1e-6 * recorder.written_bytes:.1f} MB written, {recorder.usage()}"
 
 
 def stale_lines(status: Message) -> list[str]:
     """What a mark beside a value means: which board is silent, and since when."""
     return [
-        f"{STALE.strip()} joint {joint}: its {board} board has been silent for {age_s:.1f} s; these are its last values"
+        f"{STALE.strip()} joint {joint}: no report from its {board} board for {age_s:.1f} s; these are the last values"
         for board, ages_s in (("encoder", status["encoder_stale_s"]), ("motor", status["drive_stale_s"]))
         for joint, age_s in enumerate(ages_s, 1)
         if age_s is not None

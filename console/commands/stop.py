@@ -23,7 +23,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _wanted(given: argparse.Namespace) -> Sequence[Path]:
-    """The sockets that are meant."""
+    """The sockets of the selected arms."""
     if given.socket:
         return [Path(given.socket)]
     if not given.arm:
@@ -44,7 +44,7 @@ def stop_all(paths: Sequence[Path]) -> int:
     for is_good, text in found:
         (sys.stdout if is_good else sys.stderr).write(f"{text}\n")
     if not found:
-        sys.stderr.write("armwright: stop: no runtime is running (`armwright serve` starts one)\n")
+        sys.stderr.write("armwright: stop: no runtime found (`armwright serve` starts one)\n")
     return 0 if found and all(is_good for is_good, _ in found) else 1
 
 

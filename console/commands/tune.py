@@ -22,20 +22,20 @@ def run(given: argparse.Namespace) -> int:
     page = out.with_name(f"{out.stem}_report.html")
     for path in (out, page):
         if path.exists():
-            raise ArmError(f"--out: {path} is there already, and nothing is overwritten: take another name")
+            raise ArmError(f"--out: {path} exists already and is never overwritten: choose another name")
     if not out.parent.is_dir():
-        raise ArmError(f"--out {out}: there is no folder {out.parent}")
+        raise ArmError(f"--out {out}: no folder {out.parent}: create it, or choose another place")
     require_writable(out.parent)
     with opened(given) as setting:
         options = _options(given, setting.draft)
         if setting.rig is None and not given.yes and not _allowed(setting.draft, options):
-            sys.stderr.write("armwright: nothing has moved\n")
+            sys.stderr.write("armwright: cancelled; nothing moved\n")
             return 2
         try:
             with Bar("tuning") as bar:
                 result = tune(setting.arm, setting.clock, options, bar.advance)
         except NotTuned as reason:
-            sys.stderr.write(f"armwright: {reason}\nNothing was written; the gains are as they were.\n")
+            sys.stderr.write(f"armwright: {reason}\nNothing was written; the gains are unchanged.\n")
             return 1
         _write(result, setting.draft, out, page)
     return 0
@@ -59,9 +59,10 @@ def _options(given: argparse.Namespace, arm: Arm) -> Options:
 def _allowed(arm: Arm, options: Options) -> bool:
     joints = ", ".join(map(str, options.joints))
     sys.stdout.write(
-        f"Arm {arm.name}: drives on, homing, then joints {joints} turn to and fro by some 20 deg, shaken by up to"
-        f" {options.amplitude:.0%} of their current limit, then step and move. Ctrl-C ends it under control.\n"
-        "Is the way free, and a hand on the emergency stop? Enter to begin, anything else ends. "
+        f"Arm {arm.name}: the drives turn on and the arm homes. Joints {joints} then swing by about 20 deg, excited"
+        f" by up to {options.amplitude:.0%} of their current limit, and make a step and a move. Ctrl-C stops the arm"
+        " under control.\nClear the range of the arm and keep a hand on the emergency stop. Enter begins, anything"
+        " else cancels. "
     )
     sys.stdout.flush()
     line = sys.stdin.readline()

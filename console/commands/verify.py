@@ -1,4 +1,4 @@
-"""`armwright verify`: is the calibrated arm better than the nominal one, where calibration has never been?"""
+"""`armwright verify`: compares the calibrated arm with the nominal one at points that calibration did not use."""
 
 import argparse
 import sys
@@ -19,7 +19,7 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient
 from procedures.folders import free_folder, require_writable
-from procedures.verify.models import Model, Pair, believed_by, nominal_of
+from procedures.verify.models import Model, Pair, active_model, nominal_of
 from procedures.verify.places import places, ways
 from procedures.verify.procedure import Drive, driven, on_recorded, write
 from procedures.verify.survey import Programme
@@ -30,7 +30,7 @@ REAL_SPEED = 0.5  # of a real arm's joint limits
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """An arm that holds and is homed: what its runtime believes in, and what ends the use of it (returns the recording)."""
+    """An arm that holds and is homed: the model of its runtime, and the function that ends its use (returns the recording)."""
 
     client: ArmClient
     believed: Model
@@ -39,7 +39,7 @@ class Bench:
 
 
 def run(given: argparse.Namespace) -> int:
-    """Verify; exit status 1 where the calibrated arm is worse by more than chance, or the arm could not go on."""
+    """Verify; exit status 1 where the calibrated arm is significantly worse, or the arm could not continue."""
     calibrated = load_arm(given.arm)
     pair = Pair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
     require_writable(Path(given.out))
@@ -60,13 +60,13 @@ def run(given: argparse.Namespace) -> int:
             ArmError,
             CalibrationError,
         ) as error:  # something has moved: not the exit status 2 of wrong input
-            sys.stderr.write(f"armwright: {error}\n  what was measured is in {out}\n")
+            sys.stderr.write(f"armwright: {error}\n  the measurements are in {out}\n")
             return 1
     return _finish(given, verification, out)
 
 
 def _programme(given: argparse.Namespace, arm: Arm) -> tuple[Programme, tuple[str, ...]]:
-    """Where to go, and what of it this arm cannot do."""
+    """The programme, and the parts that this arm cannot do."""
     table = tables.table_of(arm)
     setups = tuple(dict.fromkeys(given.setups))
     if given.repeats < 1:
@@ -87,19 +87,19 @@ def _real(given: argparse.Namespace, pair: Pair) -> Bench:
     client = connected(given)
     status = client.status()
     if status["mode"] != "HOLDING":
-        raise ArmError(f"the arm is {status['mode']}: `armwright enable` and `armwright home` first")
-    believed = believed_by(status, pair)
+        raise ArmError(f"the arm is {status['mode']}: run `armwright enable` and `armwright home` first")
+    believed = active_model(status, pair)
     if not pair.calibrated.has_gears_of(believed):
         raise ArmError(
-            f"{pair.calibrated.arm.path} knows effects between encoders and joints that the runtime does not: start"
-            f" `armwright serve --arm {pair.calibrated.arm.path}`, so that it corrects them"
+            f"{pair.calibrated.arm.path} contains effects between encoders and joints that the runtime does not"
+            f" correct: start `armwright serve --arm {pair.calibrated.arm.path}`"
         )
     if status["camera_m"] is None:
-        raise ArmError("the camera does not see the tip: a verification is nothing without (docs/camera.md)")
+        raise ArmError("the camera does not see the tip: verification needs it (docs/camera.md)")
     recording = Path(status["recording"])
     if not recording.is_file():
         raise ArmError(
-            f"{recording}: not to be found from here; start this where `armwright serve` was started"
+            f"{recording}: not found; run this command in the folder where `armwright serve` was started"
         )
 
     def end() -> Path:
@@ -110,7 +110,7 @@ def _real(given: argparse.Namespace, pair: Pair) -> Bench:
 
 
 def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) -> Bench:
-    """A stepped mock of the nominal arm with what the scenario hides, homed, its runtime believing in the calibrated one."""
+    """A stepped mock of the nominal arm with what the scenario hides, homed, its runtime using the calibrated one."""
     from procedures.mock.bench import SteppedBench  # brings MuJoCo, which takes a second
     from procedures.mock.scenario_file import seeded_scenario
 

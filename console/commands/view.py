@@ -7,11 +7,11 @@ from pathlib import Path
 
 from console.commands.connection import connected
 from console.commands.progress import Bar
-from console.visualisation.moments import Moment, live, moment_at, moment_of, recorded
 from console.visualisation.reading import read_series
 from console.visualisation.render import FRAMES_MOST, Image, frames, painter_of, write_images
 from console.visualisation.series import Series, chosen
-from console.visualisation.traces import Traces, Trail, traces_of
+from console.visualisation.snapshots import Snapshot, live, recorded, snapshot_at, snapshot_of
+from console.visualisation.traces import TipPath, Traces, traces_of
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
@@ -28,11 +28,11 @@ def run(given: argparse.Namespace) -> int:
     if not 0.0 < given.speed < 1e3:
         raise ArmError(f"--speed: expected a factor above 0 and below 1000, got {given.speed:g}")
     if not 0.0 < given.fps <= 100.0:
-        raise ArmError(f"--fps: expected above 0 and at most 100 pictures a second, got {given.fps:g}")
+        raise ArmError(f"--fps: expected above 0 and at most 100 frames per second, got {given.fps:g}")
     if given.rerun:
         _file(given.rerun)
     if given.render and given.rerun is not None:
-        raise ArmError("--render and --rerun contradict each other: give one of them")
+        raise ArmError("--render and --rerun contradict each other: give one")
     return _live(given) if given.log is None else _recorded(given)
 
 
@@ -42,9 +42,9 @@ def _recorded(given: argparse.Namespace) -> int:
         whole = read_series(Path(given.log), wanted, lambda done: bar.advance("read", done))
     sys.stderr.writelines(f"armwright: warning: {note}\n" for note in whole.notes)
     if not len(whole):
-        raise ArmError(f"{given.log}: recorded nothing: a header and no cycles")
+        raise ArmError(f"{given.log}: empty recording: a header without cycles")
     if whole.arm is None:
-        raise ArmError(f"{given.log}: its arm is not known: give it with --arm")
+        raise ArmError(f"{given.log}: its arm is unknown: give it with --arm")
     series = chosen(whole, given.run, given.from_s, given.to_s)
     arm = whole.arm
     if given.render:
@@ -53,8 +53,8 @@ def _recorded(given: argparse.Namespace) -> int:
         from console.visualisation.rerun_stream import stream
 
         rows, _ = recorded(series, RERUN_PERIOD_s)
-        count = stream(arm, (moment_at(series, int(row)) for row in rows), _file(given.rerun))
-        sys.stdout.write(f"{count} moments sent to Rerun\n")
+        count = stream(arm, (snapshot_at(series, int(row)) for row in rows), _file(given.rerun))
+        sys.stdout.write(f"{count} samples sent to Rerun\n")
         return 0
     _play(given, arm, series)
     return 0
@@ -67,7 +67,7 @@ def _play(given: argparse.Namespace, arm: Arm, series: Series) -> None:
     rows = _rows(series, 1.0 / 60.0)
     scene = ArmScene(arm)
     sys.stdout.write(
-        "solid: commanded; ghost: measured. Space pauses, arrows: a second on or back, faster or slower; home: again\n"
+        "solid: commanded; ghost: measured. Space: pause. Left, right: one second. Up, down: speed. Home: restart\n"
     )
     play(scene, series, rows, traces_of(series, scene.kinematics), given.speed, MonotonicClock(), open_window)
 
@@ -75,29 +75,32 @@ def _play(given: argparse.Namespace, arm: Arm, series: Series) -> None:
 def _rows(series: Series, period_s: float) -> Sequence[int]:
     rows, _ = recorded(series, period_s)
     if not len(rows):
-        raise ArmError(f"{series.name}: no moment in it has all joint angles")
+        raise ArmError(f"{series.name}: no sample has all joint angles")
     return [int(row) for row in rows]
 
 
 def _render(given: argparse.Namespace, arm: Arm, series: Series) -> int:
-    """One picture of the last moment, or one each `--speed`/`--fps` seconds of the recording."""
+    """One picture of the last sample, or one each `--speed`/`--fps` seconds of the recording."""
     out = _picture_path(given.render)
     rows = _rows(series, given.speed / given.fps)
     if out.suffix == ".png":
         rows = rows[-1:]
     if len(rows) > FRAMES_MOST:
         raise ArmError(
-            f"--render: {len(rows)} pictures; at most {FRAMES_MOST}: choose a part with --run, --from and --to, or raise --speed"
+            f"--render: expected at most {FRAMES_MOST} pictures, got {len(rows)}: choose a part with --run, --from"
+            " and --to, or raise --speed"
         )
     paint = painter_of(arm, _warn)
     images = frames(series, rows, traces_of(series, Kinematics(arm)), paint)
     with Bar("render") as bar:
-        files = write_images(out, _told(images, len(rows), bar), 1.0 / given.fps)
-    sys.stdout.write(f"written: {out} ({len(files)} file{'s' * (len(files) != 1)}, {len(rows)} moments)\n")
+        files = write_images(out, _with_progress(images, len(rows), bar), 1.0 / given.fps)
+    sys.stdout.write(f"written: {out} ({len(files)} file{'s' * (len(files) != 1)}, {len(rows)} samples)\n")
     return 0
 
 
-def _told(images: Iterator[tuple[float, Image]], count: int, bar: Bar) -> Iterator[tuple[float, Image]]:
+def _with_progress(
+    images: Iterator[tuple[float, Image]], count: int, bar: Bar
+) -> Iterator[tuple[float, Image]]:
     for number, image in enumerate(images):
         bar.advance("render", number / count)
         yield image
@@ -107,8 +110,8 @@ def _picture_path(text: str) -> Path:
     path = Path(text)
     if path.suffix not in ("", ".png", ".gif"):
         raise ArmError(
-            f"--render: expected FILE.png (the last moment), FILE.gif, or a folder for a PNG each; got {text}."
-            " A film: ffmpeg -framerate 25 -i FOLDER/frame-%05d.png film.mp4"
+            f"--render: expected FILE.png (the last sample), FILE.gif, or a folder for PNG files; got {text}. To make"
+            " a video: ffmpeg -framerate 25 -i FOLDER/frame-%05d.png film.mp4"
         )
     return path
 
@@ -116,22 +119,22 @@ def _picture_path(text: str) -> Path:
 def _live(given: argparse.Namespace) -> int:
     for name in ("run", "from_s", "to_s"):
         if getattr(given, name) is not None:
-            raise ArmError("--run, --from and --to choose a part of a LOG: give one, or none of them")
+            raise ArmError("--run, --from and --to need a LOG")
     given.arm = given.arm or "right"
     arm, client = load_arm(given.arm), connected(given)
     if given.render:
-        return _snapshot(given, arm, moment_of(client.status()))
-    moments = live(client, MonotonicClock(), LIVE_PERIOD_s)
+        return _snapshot(given, arm, snapshot_of(client.status()))
+    snapshots = live(client, MonotonicClock(), LIVE_PERIOD_s)
     try:
         if given.rerun is not None:
             from console.visualisation.rerun_stream import stream
 
-            stream(arm, moments, _file(given.rerun))
+            stream(arm, snapshots, _file(given.rerun))
         else:
             from console.visualisation.scene import ArmScene
             from console.visualisation.window import follow, open_window
 
-            follow(ArmScene(arm), moments, open_window)
+            follow(ArmScene(arm), snapshots, open_window)
     except RuntimeGone as gone:
         sys.stdout.write(f"the runtime has ended ({gone})\n")
     finally:
@@ -139,23 +142,23 @@ def _live(given: argparse.Namespace) -> int:
     return 0
 
 
-def _snapshot(given: argparse.Namespace, arm: Arm, moment: Moment) -> int:
+def _snapshot(given: argparse.Namespace, arm: Arm, snapshot: Snapshot) -> int:
     """Where the arm is now, as one picture."""
     out = _picture_path(given.render)
     if out.suffix != ".png":
-        raise ArmError("--render without a LOG draws where the arm is now: give a FILE.png")
-    traces: Traces = Trail(Kinematics(arm)).add(moment)
-    image = painter_of(arm, _warn)(moment, traces)
-    write_images(out, iter([(moment.t_s, image)]), 1.0)
+        raise ArmError("--render without a LOG draws the present pose: give a FILE.png")
+    traces: Traces = TipPath(Kinematics(arm)).add(snapshot)
+    image = painter_of(arm, _warn)(snapshot, traces)
+    write_images(out, iter([(snapshot.t_s, image)]), 1.0)
     sys.stdout.write(f"written: {out}\n")
     return 0
 
 
 def _file(text: str) -> Path | None:
-    """The file of `--rerun FILE.rrd`, None for a viewer; a LOG that stands behind --rerun is no file to write to."""
+    """The file of `--rerun FILE.rrd`, None for a viewer; a LOG after --rerun is not an output file."""
     if text and Path(text).suffix != ".rrd":
         raise ArmError(
-            f"--rerun: expected FILE.rrd, got {text}; a LOG stands before it: armwright view LOG --rerun"
+            f"--rerun: expected FILE.rrd, got {text}; put a LOG before it: armwright view LOG --rerun"
         )
     return Path(text) if text else None
 

@@ -1,1 +1,1 @@
-"""Operator lines: what a script says line by line, and what is typed into the console's command box."""
+"""Operator lines: the lines of a script and of the console's command box."""

@@ -22,12 +22,12 @@ BACKGROUND = "&"
 
 
 class LineError(ArmError):
-    """A line that is no command, or not one for here; says what was expected."""
+    """A line that is not a command, or not allowed here; the message states what was expected."""
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line that was understood: the command's name, and its options as its module takes them."""
+    """A parsed line: the command's name, and its options as its module takes them."""
 
     text: str
     command: str
@@ -35,14 +35,14 @@ class Line:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in place of ending the program."""
+    """Raises an error instead of ending the program."""
 
     def error(self, message: str) -> NoReturn:
         raise LineError(message)
 
 
 class Grammar:
-    """Understands lines. `defaults` (arm, socket) hold where a line does not say otherwise."""
+    """Parses lines. `defaults` (arm, socket) apply unless a line gives its own."""
 
     def __init__(self, commands: tuple[CommandSpec, ...], defaults: Mapping[str, object]) -> None:
         self._specs = {spec.name: spec for spec in commands if spec.name not in NOT_HERE}
@@ -56,7 +56,7 @@ class Grammar:
         return tuple(self._specs)
 
     def line(self, text: str) -> Line | None:
-        """What a line says; None for a remark. LineError."""
+        """The command of a line; None for a comment. LineError."""
         try:
             words = shlex.split(text, comments=True)
         except ValueError as error:
@@ -68,7 +68,7 @@ class Grammar:
         in_background = words[-1] == BACKGROUND
         name, *rest = (words[:-1] if in_background else words) or [BACKGROUND]
         if in_background and name not in IN_BACKGROUND:
-            raise LineError(f"{name}: `&` begins a motion and goes on; it is for {', '.join(IN_BACKGROUND)}")
+            raise LineError(f"{name}: `&` is only for motions: {', '.join(IN_BACKGROUND)}")
         given = self._parser(name).parse_args(rest)
         self._check_arm(name, given)
         given.command, given.module, given.waits = name, self._specs[name].module_name, not in_background
@@ -83,15 +83,16 @@ class Grammar:
             wanted = self._defaults.get(key)
             if key in self._defaults and getattr(given, key, wanted) != wanted:
                 raise LineError(
-                    f"{name}: --{key} {getattr(given, key)}, but all lines run on --{key} {wanted or 'of the arm'}: leave it out"
+                    f"{name}: --{key} {getattr(given, key)}, but all lines use --{key} {wanted or 'of the arm'}: omit"
+                    " it"
                 )
 
     def _parser(self, name: str) -> argparse.ArgumentParser:
         if name in self._elsewhere:
-            raise LineError(f"{name}: not from here, it runs in a terminal of its own")
+            raise LineError(f"{name}: not available here: run it in its own terminal")
         spec = self._specs.get(name)
         if spec is None:
-            raise LineError(f"{name}: no such command; expected one of {', '.join(self._specs)}")
+            raise LineError(f"{name}: unknown command; expected one of {', '.join(self._specs)}")
         parser = _Parser(prog=name, add_help=False)
         options.add(parser, spec.options)
         known = {action.dest for action in parser._actions}

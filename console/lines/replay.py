@@ -15,7 +15,7 @@ from control.server.client import ArmClient
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a line: its number in the file, exit status as of the subcommand, what it wrote, how long it took.
+    """The outcome of a line: its number in the file, exit status as of the subcommand, what it wrote, how long it took.
 
     `said` is all of it; `output` what it wrote to standard output, as errors have been seen when they came.
     """
@@ -28,7 +28,7 @@ class Outcome:
     took_s: float
 
 
-def understood(lines: Iterable[str], grammar: Grammar) -> list[tuple[int, Line]]:
+def parse_lines(lines: Iterable[str], grammar: Grammar) -> list[tuple[int, Line]]:
     """All lines with their numbers, from 1. LineError names every line that is wrong, before anything is done."""
     found: list[tuple[int, Line]] = []
     wrong: list[str] = []
@@ -53,7 +53,7 @@ def replay(
     They share one connection, made for the first that needs it: a motion that a line began belongs to the script. When
     the script ends, so does the motion.
     """
-    shared = _Shared(connect)
+    shared = _SharedClient(connect)
     try:
         for number, line in lines:
             outcome = _run(number, line, shared)
@@ -65,7 +65,7 @@ def replay(
     return 0
 
 
-class _Shared:
+class _SharedClient:
     """The script's connection, made when it is first wanted."""
 
     def __init__(self, connect: Callable[[], ArmClient]) -> None:
@@ -88,14 +88,14 @@ def _run(number: int, line: Line, connect: Callable[[], ArmClient]) -> Outcome:
     line.given.connect = connect
     said, output = io.StringIO(), io.StringIO()
     begun_s = time.monotonic()
-    with contextlib.redirect_stdout(_Both(said, output)), contextlib.redirect_stderr(_Both(said, sys.stderr)):
+    with contextlib.redirect_stdout(_Tee(said, output)), contextlib.redirect_stderr(_Tee(said, sys.stderr)):
         module = importlib.import_module(f"console.commands.{line.given.module}")
         status = run(module.run, line.given)
     return Outcome(number, line.text, status, said.getvalue(), output.getvalue(), time.monotonic() - begun_s)
 
 
-class _Both(io.TextIOBase):
-    """Writes what it is told to two places."""
+class _Tee(io.TextIOBase):
+    """Writes to two streams."""
 
     def __init__(self, one: TextIO, other: TextIO) -> None:
         self._one, self._other = one, other

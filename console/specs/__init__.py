@@ -1,1 +1,1 @@
-"""What each subcommand is called and which options it has, as data: nothing but argparse is needed to read it."""
+"""Names and options of the subcommands as data: nothing but argparse is needed to read it."""

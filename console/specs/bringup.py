@@ -1,23 +1,23 @@
-"""Commands that bring a new arm up: is it fit, how is it wired, which gains does it want."""
+"""Commands for a new arm: checks, bring-up and tuning."""
 
 from console.options import ARM, JSON, LINKS, RATE, CommandSpec, finite, option
 
 MOCK = (
-    option("--mock", action="store_true", help="on a mock arm, on a stepped clock"),
+    option("--mock", action="store_true", help="use a mock arm on a stepped clock"),
     option(
         "--scenario",
         metavar="S",
-        help="of the mock: a file or the name of one that ships (default: demo); docs/mock_robot.md",
+        help="scenario of the mock: a file or a shipped name (default: demo); docs/mock_robot.md",
     ),
-    option("--mock-arm", metavar="A", help="what the mock really is (default: what --arm says)"),
+    option("--mock-arm", metavar="A", help="the arm that the mock simulates (default: --arm)"),
 )
 NEW_ARM = option("--out", metavar="NEW.toml", required=True, help="the arm.toml to write; never overwritten")
-JOINTS = option("--joint", type=int, metavar="J", action="append", help="only this joint (again for another)")
+JOINTS = option("--joint", type=int, metavar="J", action="append", help="only this joint; may be repeated")
 
 BRINGUP = (
     CommandSpec(
         "doctor",
-        "ports, boards, timing, noise and rights: what is to be mended before the arm moves",
+        "check ports, boards, timing, noise and rights before the arm moves",
         (
             ARM,
             *LINKS,
@@ -30,14 +30,14 @@ BRINGUP = (
                 metavar="S",
                 help="how long to listen to the boards (default: 2)",
             ),
-            option("--log", metavar="DIR", default="log", help="where recordings will go (default: log)"),
+            option("--log", metavar="DIR", default="log", help="folder of the recordings (default: log)"),
             JSON,
         ),
-        "Nothing is energised, nothing moves. Exit status 1 when something must be mended first.",
+        "Nothing is energised and nothing moves. Exit status 1 if a fault must be fixed first.",
     ),
     CommandSpec(
         "bringup",
-        "joint by joint at low current: wiring, signs, counts, gear, friction, stops; writes a new arm.toml",
+        "measure wiring, signs, counts, gear, friction and stops joint by joint at low current; write a new arm.toml",
         (
             ARM,
             *LINKS,
@@ -48,25 +48,25 @@ BRINGUP = (
                 "--current",
                 type=finite,
                 metavar="A",
-                help="most that a motor gets (default: what gravity takes by the draft, and some for friction)",
+                help="largest motor current (default: gravity load of the draft, with a margin for friction)",
             ),
             option(
                 "--speed",
                 type=finite,
                 default=0.3,
                 metavar="RAD_S",
-                help="at which joints creep to their end stops (default: 0.3)",
+                help="speed towards the end stops (default: 0.3)",
             ),
-            option("--no-stops", action="store_true", help="do not go to the end stops"),
+            option("--no-stops", action="store_true", help="do not approach the end stops"),
             option(
-                "--yes", action="store_true", help="begin motions without waiting for Enter; questions remain"
+                "--yes", action="store_true", help="start motions without waiting for Enter; questions remain"
             ),
         ),
-        "Somebody stands beside the arm with the emergency stop. Interrupted, the same command goes on where it was.",
+        "Stand beside the arm with the emergency stop in hand. After an interruption, the same command continues.",
     ),
     CommandSpec(
         "tune",
-        "PID gains from a measured response, with stability margins; step responses before and after",
+        "tune PID gains from a measured response, with stability margins and step responses before and after",
         (
             ARM,
             *LINKS,
@@ -77,14 +77,14 @@ BRINGUP = (
                 "--bandwidth",
                 type=finite,
                 metavar="HZ",
-                help="crossover of the loop (default: as fast as margins with some reserve allow)",
+                help="crossover frequency of the loop (default: as fast as the margins allow)",
             ),
             option(
                 "--amplitude",
                 type=finite,
                 default=0.25,
                 metavar="F",
-                help="of the signal: a fraction of the current limit (default: 0.25)",
+                help="signal amplitude as a fraction of the current limit (default: 0.25)",
             ),
             option(
                 "--pose",
@@ -93,8 +93,11 @@ BRINGUP = (
                 metavar="RAD",
                 help="joint angles to tune at (default: arm.toml's [rest])",
             ),
-            option("--yes", action="store_true", help="begin without asking"),
+            option("--yes", action="store_true", help="start without asking"),
         ),
-        "At least 6 dB and 45 degrees, delay included, or nothing is written. Starts a runtime of its own: end others first.",
+        (
+            "Writes gains only with margins of at least 6 dB and 45 degrees, delay included. Starts its own runtime: end"
+            " others first."
+        ),
     ),
 )

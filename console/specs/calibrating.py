@@ -1,11 +1,11 @@
-"""Commands that make of measurements a better arm, and say how good it is."""
+"""Commands that calibrate and verify an arm from measurements."""
 
 from console.options import ARM, JSON, OUT, SOCKET, CommandSpec, finite, option
 
 CALIBRATING = (
     CommandSpec(
         "calibrate",
-        "identify the arm's parameters from recorded points, and say what the result is worth",
+        "identify the arm's parameters from recorded points, with their uncertainty",
         (
             ARM,
             option(
@@ -13,7 +13,7 @@ CALIBRATING = (
                 metavar="P",
                 action="append",
                 required=True,
-                help="points.csv or .csv.gz; may be given several times",
+                help="points.csv or .csv.gz; may be repeated",
             ),
             OUT,
             option(
@@ -25,31 +25,31 @@ CALIBRATING = (
             option(
                 "--huber-threshold",
                 metavar="LENGTH",
-                help="distance from which huber counts linearly, e.g. 0.3mm (default: from the noise)",
+                help="distance above which huber is linear, e.g. 0.3mm (default: from the noise)",
             ),
             option(
                 "--bound",
                 metavar="NAME=VALUE",
                 action="append",
-                help="largest deviation: lengths=5mm, angles=2deg (these are the defaults), or one parameter, e.g. L2=8mm",
+                help="largest deviation: lengths=5mm, angles=2deg (the defaults), or one parameter, e.g. L2=8mm",
             ),
             option(
                 "--fix",
                 metavar="NAMES",
                 action="append",
-                help="parameters that keep their value: theta4,tool_x; base: the tips are in the arm's own base frame",
+                help="parameters to keep fixed: theta4,tool_x; base: the tips are in the arm's base frame",
             ),
             option(
                 "--free",
                 metavar="FRAMES",
                 action="append",
-                help="frames that are identified too: base, table, tool (boards and trackers of unknown place always are)",
+                help="frames to identify too: base, table, tool (boards and trackers of unknown place always are)",
             ),
             option(
                 "--effect",
                 metavar="EFFECT",
                 action="append",
-                help="a static effect that is identified too: backlash:2, joint_compliance:2, encoder_scale:1, belt_coupling",
+                help="static effects to identify too: backlash:2, joint_compliance:2, encoder_scale:1, belt_coupling",
             ),
             option(
                 "--boards", metavar="FILE", help="boards.json of `armwright register`: where the boards stood"
@@ -57,57 +57,53 @@ CALIBRATING = (
             option(
                 "--accuracy",
                 metavar="LENGTH",
-                help="the mean distance that is wanted (a in E <= k a); said if it cannot be met",
+                help="wanted mean error (a in E <= k a); warns if it cannot be met",
             ),
             option(
                 "--without",
                 metavar="POSE",
                 action="append",
-                help="leave out SETUP, SETUP:POINT or SETUP:POINT:REPEAT; may be given several times",
+                help="omit SETUP, SETUP:POINT or SETUP:POINT:REPEAT; may be repeated",
             ),
             option(
                 "--leave-out",
                 metavar="WHAT",
-                help="for the held-out error: setups, or k for every k-th point (default: setups where there are several)",
+                help="held-out part: setups, or k for every k-th point (default: setups if there are several)",
             ),
-            option("--export", metavar="FORMS", action="append", help="urdf, mjcf, json: for other tools"),
-            option(
-                "--starts", type=int, default=4, metavar="N", help="searches from other places (default: 4)"
-            ),
-            option(
-                "--seed", type=int, default=0, metavar="N", help="of the places where they start (default: 0)"
-            ),
+            option("--export", metavar="FORMS", action="append", help="also write urdf, mjcf or json"),
+            option("--starts", type=int, default=4, metavar="N", help="number of random starts (default: 4)"),
+            option("--seed", type=int, default=0, metavar="N", help="seed of the random starts (default: 0)"),
             JSON,
         ),
-        "Writes arm.toml, calibration.json and report.html to the folder; nothing is overwritten.",
+        "Writes arm.toml, calibration.json and report.html; never overwrites.",
     ),
     CommandSpec(
         "verify",
-        "whether a calibrated arm is better than the nominal one, where calibration has never been",
+        "compare the calibrated arm with the nominal one at points that calibration did not use",
         (
             ARM,
             SOCKET,
             option(
                 "--against",
                 metavar="A",
-                help="the nominal arm (default: what the calibrated one says it comes from)",
+                help="the nominal arm (default: the one named in the calibrated arm.toml)",
             ),
             OUT,
             JSON,
-            option("--points", metavar="FILE", help="recorded poses with measured tips; then nothing moves"),
-            option("--mock", action="store_true", help="on a stepped mock of the nominal arm"),
+            option("--points", metavar="FILE", help="use recorded poses with measured tips; nothing moves"),
+            option("--mock", action="store_true", help="use a stepped mock of the nominal arm"),
             option(
                 "--scenario",
                 default="demo",
                 metavar="S",
-                help="of --mock: a scenario file or the name of one that ships",
+                help="with --mock: a scenario file or a shipped name",
             ),
             option(
                 "--setups",
                 nargs="+",
                 default=("normal", "roll", "pitch"),
                 choices=("normal", "roll", "pitch"),
-                help="tilts of the board to go above (default: all three)",
+                help="tilts of the board (default: all three)",
             ),
             option("--repeats", type=int, default=3, metavar="K", help="visits at each point (default: 3)"),
             option(
@@ -115,75 +111,76 @@ CALIBRATING = (
                 type=finite,
                 default=0.07,
                 metavar="M",
-                help="above the board, in m (default: 0.07)",
+                help="heights above the board in m (default: 0.07)",
             ),
             option(
                 "--path-speed",
                 type=finite,
                 default=0.15,
                 metavar="M_S",
-                help="of the trajectories (default: 0.15)",
+                help="speed of the trajectories (default: 0.15)",
             ),
         ),
-        "The arm must be homed and hold; the tip goes above the board by either model and the camera measures. Exit status 1"
-        " where the calibrated arm is worse by more than chance.",
+        "The arm must be homed and holding. The tip moves above the board with each model, and the camera measures."
+        " Exit status 1 if the calibrated arm is significantly worse.",
     ),
     CommandSpec(
         "gap",
-        "name the effect that the model lacks, add it, and show the gap close; or say that the data cannot tell",
+        "name the effects that the model lacks, add them, and show how far the gap closes",
         (
             ARM,
             option(
                 "--points",
                 metavar="P",
                 action="append",
-                help="static poses, points.csv or .csv.gz; may be given several times",
+                help="static poses, points.csv or .csv.gz; may be repeated",
             ),
             option(
                 "--log",
                 metavar="L",
                 action="append",
-                help="time series, log.csv or .csv.gz; may be given several times",
+                help="time series, log.csv or .csv.gz; may be repeated",
             ),
             OUT,
             option(
                 "--without",
                 metavar="EFFECT",
                 action="append",
-                help="leave an effect out of the list of those that are tried",
+                help="do not try this effect; may be repeated",
             ),
             JSON,
             option(
                 "--record",
                 action="store_true",
-                help="plan and record poses and motions first; the same --out goes on after an interruption",
+                help="plan and record poses and motions first; the same --out resumes",
             ),
-            option("--mock", action="store_true", help="with --record: on a mock arm in this process"),
+            option("--mock", action="store_true", help="with --record: use a mock arm in this process"),
             option(
-                "--scenario", metavar="S", help="what the mock arm hides: a file or a name (default: demo)"
+                "--scenario", metavar="S", help="scenario of the mock arm: a file or a name (default: demo)"
             ),
-            option("--seed", type=int, metavar="N", help="of what the mock arm hides"),
+            option("--seed", type=int, metavar="N", help="seed of the mock arm's hidden errors"),
             option("--quick", action="store_true", help="with --record: fewer poses, shorter motions"),
-            option("--minutes", type=finite, metavar="M", help="with --record: as much as fits into so long"),
+            option(
+                "--minutes", type=finite, metavar="M", help="with --record: as much as fits into this time"
+            ),
             option(
                 "--payload",
                 type=finite,
                 metavar="KG",
-                help="a mass that is hung at the tip for part of the recording (default: none; mock: 0.5)",
+                help="mass attached to the tip for part of the recording (default: none; mock: 0.5)",
             ),
             option("--only", choices=("static", "motion"), help="with --record: poses only, or motions only"),
             option(
                 "--plan-only",
                 action="store_true",
-                help="with --record: say what would be recorded and what it would make nameable; nothing moves",
+                help="with --record: print the plan and the effects that it can reveal; nothing moves",
             ),
-            option("--record-only", action="store_true", help="with --record: do not look at it yet"),
+            option("--record-only", action="store_true", help="with --record: do not analyse yet"),
             SOCKET,
         ),
-        "Writes gap.json, arm.toml with what was named, and report.html to the folder; nothing is overwritten."
-        " `armwright gap --points points.csv --log log.csv --out out/gap` looks at files;"
-        " `armwright gap --record --plan-only --out out/gap` says what it would record;"
-        " `armwright gap --record --mock --quick --out out/gap` tries it on a mock arm.",
+        "Writes gap.json, an arm.toml with the named effects, and report.html; never overwrites. `armwright gap"
+        " --points points.csv --log log.csv --out out/gap` analyses files. `armwright gap --record --plan-only --out"
+        " out/gap` prints the plan. `armwright gap --record --mock --quick --out out/gap` tries it on a mock arm.",
     ),
     CommandSpec(
         "iso9283",
@@ -209,7 +206,9 @@ CALIBRATING = (
                 help="programme.json of the recording (default: beside the points)",
             ),
             option("--record", action="store_true", help="run the test programmes on the connected arm"),
-            option("--mock", action="store_true", help="run them on a mock arm in this process"),
+            option(
+                "--mock", action="store_true", help="run the test programmes on a mock arm in this process"
+            ),
             OUT,
             JSON,
             SOCKET,
@@ -217,9 +216,9 @@ CALIBRATING = (
                 "--scenario",
                 default="demo",
                 metavar="S",
-                help="with --mock: a scenario file or the name of one that ships (default: demo)",
+                help="with --mock: a scenario file or a shipped name (default: demo)",
             ),
-            option("--seed", type=int, help="with --mock: seed of what is hidden in it"),
+            option("--seed", type=int, help="with --mock: seed of the hidden errors"),
             option("--quick", action="store_true", help="fewer repeats: 5 of each pose, 3 of each path"),
             option("--repeats", type=int, metavar="N", help="visits of each pose (default: 30)"),
             option("--path-cycles", type=int, metavar="N", help="runs of each path (default: 10)"),
@@ -228,21 +227,21 @@ CALIBRATING = (
                 type=finite,
                 nargs="+",
                 metavar="SHARE",
-                help="path speeds as shares of the rated one (default: 0.1 0.5 1)",
+                help="path speeds as fractions of the rated speed (default: 0.1 0.5 1)",
             ),
             option(
                 "--rated-speed",
                 type=finite,
                 metavar="M_S",
-                help="rated path speed (default: the fastest that the planner need not slow on the test line)",
+                help="rated path speed (default: the fastest for the test line without slowdown)",
             ),
             option(
                 "--rated-load-kg",
                 type=finite,
                 metavar="KG",
-                help="loads up to this hang at the tip for the static compliance (default: none; with --mock 1)",
+                help="largest load at the tip for the static compliance (default: none; with --mock 1)",
             ),
-            option("--drift-s", type=finite, metavar="S", help="how long drift is watched (default: 600)"),
+            option("--drift-s", type=finite, metavar="S", help="duration of the drift test (default: 600)"),
             option(
                 "--programmes",
                 nargs="+",
@@ -260,13 +259,13 @@ CALIBRATING = (
                 "--cube-edge",
                 type=finite,
                 metavar="M",
-                help="its edge (default: the largest cube within reach)",
+                help="edge of the test cube (default: the largest within reach)",
             ),
             option(
                 "--speed",
                 type=finite,
                 metavar="F",
-                help="of joint moves, a fraction of the joints' limits (default: 0.5; with --mock 1)",
+                help="speed of joint moves as a fraction of the joints' limits (default: 0.5; with --mock 1)",
             ),
             option(
                 "--band-m",
@@ -277,11 +276,11 @@ CALIBRATING = (
             option(
                 "--plan-only",
                 action="store_true",
-                help="with --record or --mock: check and say what would be done",
+                help="with --record or --mock: check and print the plan",
             ),
         ),
-        "Give one of --points, --record and --mock. Writes iso9283.json and iso9283.html; recording adds points.csv,"
-        " log.csv and programme.json, line by line, and goes on where it was interrupted. docs/iso9283.md says what each"
-        " criterion takes.",
+        "Give one of --points, --record and --mock. Writes iso9283.json and iso9283.html. Recording also writes"
+        " points.csv, log.csv and programme.json, and resumes after an interruption. docs/iso9283.md describes each"
+        " criterion.",
     ),
 )

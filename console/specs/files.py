@@ -1,11 +1,11 @@
-"""Commands that read and turn files."""
+"""Commands that read and convert files."""
 
 from console.options import ARM, JSON, OUT, USERS_ARM, CommandSpec, option
 
 FILES = (
     CommandSpec(
         "export",
-        "turn a recording into log.csv.gz and MCAP",
+        "convert a recording to log.csv.gz and MCAP",
         (
             option("recording", metavar="FILE", help="a .armlog file"),
             OUT,
@@ -13,30 +13,30 @@ FILES = (
             option(
                 "--arm",
                 metavar="A",
-                help="the arm that Foxglove's 3-D panel shows (default: the one that was recorded)",
+                help="the arm for Foxglove's 3-D panel (default: the recorded one)",
             ),
             JSON,
         ),
     ),
     CommandSpec(
         "export-arm",
-        "write an arm as URDF, MJCF or JSON for other tools",
+        "export an arm as URDF, MJCF or JSON",
         (
             ARM,
             option(
                 "--export",
                 required=True,
                 choices=("urdf", "mjcf", "json"),
-                help="the form: URDF, MuJoCo's MJCF, or plain DH with transforms",
+                help="URDF, MuJoCo's MJCF, or plain DH with transforms",
             ),
-            option("--out", metavar="FILE", required=True, help="a new file; none is overwritten"),
+            option("--out", metavar="FILE", required=True, help="the new file; never overwritten"),
         ),
-        "Says what the form cannot hold. A joint angle of the exported model is the arm's own.",
+        "Lists what the format cannot represent. The joint angles are those of the arm.",
         module="arm",
     ),
     CommandSpec(
         "arm",
-        "read an arm.toml and say what it holds",
+        "read an arm.toml and print a summary",
         (option("arm", nargs="?", default=USERS_ARM, metavar="A"), JSON),
     ),
 )

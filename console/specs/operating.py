@@ -9,15 +9,18 @@ MOVE_SPEED = option(
 OPERATING = (
     CommandSpec(
         "serve",
-        "run the arm: connect its boards and serve the local socket until told to stop",
+        "run the arm: connect its boards and serve the local socket until stopped",
         (
             ARM,
             *LINKS,
             RATE,
             SOCKET,
-            option("--log", metavar="DIR", default="log", help="where recordings go (default: log)"),
+            option("--log", metavar="DIR", default="log", help="folder of the recordings (default: log)"),
         ),
-        "Drives stay off until `armwright enable`. Ctrl-C stops the arm, holds it, lowers it on shorted windings and ends.",
+        (
+            "Drives stay off until `armwright enable`. Ctrl-C stops the arm, holds it, lowers it on shorted windings and"
+            " exits."
+        ),
     ),
     CommandSpec(
         "check",
@@ -26,7 +29,7 @@ OPERATING = (
     ),
     CommandSpec(
         "console",
-        "a full-screen view of the arm, with keys to jog, move, teach and calibrate it",
+        "full-screen console with keys to jog, move, teach and calibrate",
         (
             ARM,
             SOCKET,
@@ -37,7 +40,7 @@ OPERATING = (
                 default="taught.csv",
                 help="way-points taught by hand (default: taught.csv)",
             ),
-            option("--keep", metavar="FILE", help="keep every line that was done, for `armwright script`"),
+            option("--keep", metavar="FILE", help="save every executed line for `armwright script`"),
             option(
                 "--sessions",
                 metavar="DIR",
@@ -45,19 +48,19 @@ OPERATING = (
                 help="calibration sessions (default: sessions)",
             ),
         ),
-        "Space stops the arm, always. `?` shows the keys. It is a client: `armwright serve` runs the arm.",
+        "Space always stops the arm. `?` shows the keys. The console is a client: `armwright serve` runs the arm.",
     ),
-    CommandSpec("status", "what the arm does now, and what is wrong", (ARM, SOCKET, JSON)),
-    CommandSpec("enable", "drives on, holding where the arm stands", (ARM, SOCKET), module="requests"),
+    CommandSpec("status", "state of the arm, its warnings and faults", (ARM, SOCKET, JSON)),
+    CommandSpec("enable", "turn the drives on and hold the present pose", (ARM, SOCKET), module="requests"),
     CommandSpec(
         "home",
         "find every joint's zero",
         (
             ARM,
             SOCKET,
-            option("--again", action="store_true", help="search also where the boards know their zeros"),
+            option("--again", action="store_true", help="home again even if the boards know their zeros"),
         ),
-        "Nothing moves where all encoder boards still know their zeros.",
+        "Nothing moves if all encoder boards still know their zeros.",
         module="requests",
     ),
     CommandSpec(
@@ -85,11 +88,9 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option("file", metavar="FILE", help="CSV with x_m,y_m,z_m and, if wanted, speed_m_s"),
+            option("file", metavar="FILE", help="CSV with x_m,y_m,z_m and optionally speed_m_s"),
             option("--speed", type=finite, metavar="M_S", help="one speed for all way-points, in m/s"),
-            option(
-                "--plan-only", action="store_true", help="check and say what would be done; needs no runtime"
-            ),
+            option("--plan-only", action="store_true", help="check and print the plan; needs no runtime"),
         ),
         "Everything is checked before anything moves: reach, joint limits, speed, acceleration, table.",
         module="moving",
@@ -97,105 +98,106 @@ OPERATING = (
     CommandSpec(
         "go",
         "move to a named place",
-        (ARM, SOCKET, PLACES, option("name", metavar="NAME", help="as in the places file"), MOVE_SPEED),
-        "The file is TOML: [NAME] with q_rad (one a joint) or tip_m (3).",
+        (ARM, SOCKET, PLACES, option("name", metavar="NAME", help="name in the places file"), MOVE_SPEED),
+        "The file is TOML: [NAME] with q_rad (one per joint) or tip_m (3).",
         module="moving",
     ),
     CommandSpec(
         "mark",
-        "keep where the arm stands as a named place",
+        "save the present pose as a named place",
         (ARM, SOCKET, PLACES, option("name", metavar="NAME", help="letters, digits, - and _")),
         module="moving",
     ),
     CommandSpec(
         "teach",
-        "add where the tip is to a way-point file",
+        "append the tip position to a way-point file",
         (
             ARM,
             SOCKET,
-            option("file", metavar="FILE", help="CSV that `armwright run` takes; begun if it is not there"),
+            option("file", metavar="FILE", help="CSV for `armwright run`; created if missing"),
         ),
-        "Guide the arm by hand (`armwright guide`), teach, go on; `hold` when done. `run` moves to the first point gently.",
+        (
+            "Guide the arm by hand (`armwright guide`), teach, repeat; then `armwright hold`. `run` moves gently to the"
+            " first point."
+        ),
         module="moving",
     ),
     CommandSpec(
         "jog",
-        "one step of a joint, or of the tip along an axis of the base frame",
+        "move a joint, or the tip along an axis of the base frame, by one step",
         (
             ARM,
             SOCKET,
             option("--joint", type=int, metavar="J", help="a joint, from 1"),
             option("--axis", choices=("x", "y", "z"), help="an axis of the base frame"),
             option(
-                "--by", type=finite, required=True, metavar="STEP", help="rad of a joint, m along an axis"
+                "--by", type=finite, required=True, metavar="STEP", help="rad for a joint, m along an axis"
             ),
             option("--speed", type=finite, metavar="V", help="rad/s or m/s (default: the limit for jogging)"),
         ),
-        "The arm stops at once when the command is interrupted. Exit status 1 when something was in the way.",
+        "The arm stops at once if the command is interrupted. Exit status 1 if the step could not be completed.",
         module="moving",
     ),
-    CommandSpec(
-        "pause", "slow to rest along the motion that runs, and hold on it", (ARM, SOCKET), module="requests"
-    ),
-    CommandSpec("resume", "go on along the motion", (ARM, SOCKET), module="requests"),
+    CommandSpec("pause", "slow to rest on the path and hold", (ARM, SOCKET), module="requests"),
+    CommandSpec("resume", "continue the paused motion", (ARM, SOCKET), module="requests"),
     CommandSpec(
         "override",
-        "pace of motions, of the one that runs and of those to come",
-        (ARM, SOCKET, option("fraction", type=finite, metavar="F", help="0.01 to 1 of what was planned")),
+        "scale the speed of this and later motions",
+        (ARM, SOCKET, option("fraction", type=finite, metavar="F", help="0.01 to 1 of the planned speed")),
         module="requests",
     ),
     CommandSpec(
         "wait",
-        "wait some seconds, or until the arm has come to rest",
+        "wait some seconds, or until the arm is at rest",
         (
             ARM,
             SOCKET,
-            option("seconds", type=finite, nargs="?", metavar="S", help="without it: until the arm rests"),
+            option("seconds", type=finite, nargs="?", metavar="S", help="default: until the arm is at rest"),
         ),
         module="requests",
     ),
     CommandSpec(
         "script",
-        "run a file of operator lines: each a subcommand with its options",
+        "run a file of operator lines, each a subcommand with its options",
         (
             ARM,
             SOCKET,
-            option("file", metavar="FILE", help="text, one line a command; - is standard input"),
-            option("--check", action="store_true", help="only say what would be done; needs no runtime"),
+            option("file", metavar="FILE", help="text, one command per line; - is standard input"),
+            option("--check", action="store_true", help="only print what would be done; needs no runtime"),
             JSON,
         ),
-        "Every line is understood before the first is run; it ends at the first that fails. A line that ends with & begins a"
-        " motion and goes on; # begins a remark.",
+        "All lines are checked before the first one runs. The script ends at the first failure. A line that ends"
+        " with & starts a motion without waiting; # starts a comment.",
     ),
     CommandSpec(
         "stop",
-        "controlled stop, then hold: every runtime of this user, or one",
-        (option("--arm", metavar="A", help="only this arm (default: all that run)"), SOCKET),
-        "Needs no readable file: where --arm cannot be read, all are stopped. Exit status 1 when one did not answer or none"
-        " runs.",
+        "controlled stop, then hold, for every runtime of this user or one",
+        (option("--arm", metavar="A", help="only this arm (default: all running arms)"), SOCKET),
+        "Needs no valid file: if --arm cannot be read, all arms stop. Exit status 1 if a runtime does not answer or"
+        " none runs.",
     ),
     CommandSpec(
         "guide",
-        "drives off, to guide the arm by hand: somebody must hold it",
+        "turn the drives off to guide the arm by hand; somebody must hold it",
         (
             ARM,
             SOCKET,
             option(
                 "--weightless",
                 action="store_true",
-                help="the drives carry the arm's weight; only as good as its masses and payload are known",
+                help="gravity compensation by the drives; only as good as the masses and the payload are known",
             ),
-            option("--yes", action="store_true", help="somebody holds the arm: do not ask"),
+            option("--yes", action="store_true", help="do not ask: somebody holds the arm"),
         ),
-        "Asks before it lets the arm go.",
+        "Asks before it releases the arm.",
         module="requests",
     ),
     CommandSpec("hold", "end hand-guiding and hold", (ARM, SOCKET), module="requests"),
-    CommandSpec("acknowledge", "a human has seen the fault", (ARM, SOCKET), module="requests"),
+    CommandSpec("acknowledge", "acknowledge faults", (ARM, SOCKET), module="requests"),
     CommandSpec(
         "off",
         "stop, hold, lower on shorted windings, drives off",
-        (ARM, SOCKET, option("--quit", action="store_true", help="end the runtime too")),
+        (ARM, SOCKET, option("--quit", action="store_true", help="also end the runtime")),
         module="requests",
     ),
 )

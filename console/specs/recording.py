@@ -5,7 +5,7 @@ from console.options import ARM, JSON, OUT, SOCKET, CommandSpec, finite, option
 RECORDING = (
     CommandSpec(
         "session",
-        "step through the table's points, seat the tip, record: resumable at any time",
+        "step through the table's points, seat the tip and record; resumable at any time",
         (
             ARM,
             OUT,
@@ -18,67 +18,77 @@ RECORDING = (
                 "--approaches",
                 type=int,
                 choices=(1, 2),
-                help="from how many sides a point is approached in every round (default: 1)",
+                help="number of sides from which each point is approached per round (default: 1)",
             ),
             option(
                 "--free",
                 metavar="N|FILE",
-                help="so many free poses, or those of a file with q1_rad ...; needs --camera",
+                help="number of free poses, or a file of them with q1_rad ...; needs --camera",
             ),
             option(
                 "--plan",
                 metavar="FILE",
-                help="the points to take, from `armwright plan-poses`: setup,point and for setup free q1_rad ...",
+                help="points to record, from `armwright plan-poses`: setup,point, and q1_rad ... for setup free",
             ),
             option("--payload", type=finite, metavar="KG", help="mass at the tip (default: 0)"),
             option(
                 "--seat",
                 choices=("hand", "jog"),
-                help="the tip is guided by hand with the drives off, or jogged (default: hand)",
+                help="guide the tip by hand with the drives off, or jog it (default: hand)",
             ),
             option(
                 "--board",
                 choices=("known", "measured", "unknown"),
-                help="where the board stands: as the file says, seen by the camera, or unknown (default: as the file says)",
-            ),
-            option("--camera", action="store_true", default=None, help="record the tip that the camera sees"),
-            option("--mock", action="store_true", help="with a stepped mock arm, whose hand seats the tip"),
-            option("--scenario", metavar="S", help="of the mock arm: a file or a name (default: demo)"),
-            option(
-                "--replay", metavar="SCRIPT", help="answers from a file, one a line, in place of the terminal"
+                help="place of the board: from the file, from the camera, or unknown (default: from the file)",
             ),
             option(
-                "--json", action="store_true", help="questions and records as JSON lines, for another program"
+                "--camera",
+                action="store_true",
+                default=None,
+                help="also record the tip position from the camera",
             ),
+            option(
+                "--mock",
+                action="store_true",
+                help="use a stepped mock arm with a mock hand that seats the tip",
+            ),
+            option(
+                "--scenario", metavar="S", help="scenario of the mock arm: a file or a name (default: demo)"
+            ),
+            option("--replay", metavar="SCRIPT", help="read answers from a file, one per line"),
+            option("--json", action="store_true", help="print questions and records as JSON lines"),
             SOCKET,
         ),
-        "Each record is on disk before it is acknowledged. The same command resumes; docs/session.md.",
+        "Each record is on disk before it is confirmed. The same command resumes; docs/session.md.",
     ),
     CommandSpec(
         "plan-poses",
-        "which points, tilts and free poses to take next, and how much each would bring",
+        "choose the next points, tilts and free poses by their information",
         (
             ARM,
-            option("--points", metavar="P", help="a points.csv with what is taken already"),
+            option("--points", metavar="P", help="points.csv of the points recorded so far"),
             option(
                 "--boards",
                 metavar="B",
-                help="a boards.json of `armwright register`: where the board stands in its setups",
+                help="boards.json of `armwright register`: place of the board in each setup",
             ),
             option("--count", type=int, metavar="N", help="poses to plan (default: 12)"),
             option(
                 "--free",
                 type=int,
                 metavar="N",
-                help="so many of them are free poses (default: as the criterion chooses; without --count: N free poses)",
+                help=(
+                    "number of free poses among them (default: chosen by the criterion; without --count: N free"
+                    " poses)"
+                ),
             ),
             option(
                 "--setups",
                 metavar="S,S",
-                help="setups of the board to plan in (default: the table's own and those of the points); also roll-,"
-                " pitch- (tilted the other way) and roll+pitch",
+                help="setups of the board (default: those of the table and of the points); also roll-, pitch-"
+                " (opposite tilt) and roll+pitch",
             ),
-            option("--only", choices=("free", "table"), help="free poses only, or cavities only"),
+            option("--only", choices=("free", "table"), help="only free poses, or only cavities"),
             option(
                 "--criterion",
                 default="D",
@@ -96,27 +106,27 @@ RECORDING = (
                 type=finite,
                 nargs=6,
                 metavar=("X0", "X1", "Y0", "Y1", "Z0", "Z1"),
-                help="the box in the base frame that the camera sees, in m (default: everything)",
+                help="box in the base frame that the camera sees, in m (default: everything)",
             ),
-            option("--out", metavar="DIR", help="a folder for plan.csv and plan.json"),
+            option("--out", metavar="DIR", help="folder for plan.csv and plan.json"),
             JSON,
         ),
-        "Nothing moves. plan.csv is in visiting order, for `armwright session --plan`.",
+        "Nothing moves. plan.csv lists the poses in visiting order for `armwright session --plan`.",
     ),
     CommandSpec(
         "register",
-        "where the calibration board stands, from three or more markers that a camera saw",
+        "locate the calibration board from three or more markers seen by the camera",
         (
             ARM,
             option(
                 "--markers",
                 required=True,
                 metavar="M",
-                help="a markers.csv: setup,marker,x_m,y_m,z_m in the base frame; markers are cavities by name",
+                help="markers.csv: setup,marker,x_m,y_m,z_m in the base frame; a marker is named by its cavity",
             ),
             OUT,
             JSON,
         ),
-        "Prints the residual of every marker, names those that disagree, writes boards.json.",
+        "Prints the residual of every marker, names outliers, writes boards.json.",
     ),
 )

@@ -1,56 +1,58 @@
-"""Commands that need no arm: the whole job on a mock, and a mock to connect to."""
+"""Commands that need no arm: demos on a mock, and a mock to connect to."""
 
 from console.options import ARM, CommandSpec, option
 
 TRYING = (
     CommandSpec(
         "demo",
-        "the whole job on a mock arm: home, move, record the table, calibrate, verify, report",
+        "full workflow on a mock arm: home, move, record the table, calibrate, verify, report",
         (
             option(
                 "what",
                 nargs="?",
                 choices=("job", "paper", "gap"),
                 default="job",
-                help="the whole job (default), the paper's experiment beside its published figures, or an effect that is"
-                " hidden in the arm, found, added to the model and corrected",
+                help="job: the full workflow (default); paper: the published experiment beside its figures; gap: a"
+                " hidden effect, found and corrected",
             ),
             option(
                 "--out",
                 metavar="DIR",
-                help="where the results go (default: out/demo, out/demo-paper or out/demo-gap)",
+                help="folder of the results (default: out/demo, out/demo-paper or out/demo-gap)",
             ),
             option(
                 "--realtime",
                 action="store_true",
-                help="the same in real time: own processes, pty and UDP multicast",
+                help="run in real time: own processes, pty and UDP multicast",
             ),
             option(
                 "--seed",
                 type=int,
-                help="seed of what is hidden in the mock arm (default: the scenario's own)",
+                help="seed of the mock arm's hidden errors (default: the scenario's)",
             ),
             option(
                 "--scenario",
                 metavar="S",
-                help="a scenario file or the name of one that ships (default: demo, or paper)",
+                help="a scenario file or a shipped name (default: demo, or paper)",
             ),
-            option("--effect", metavar="NAME", help="demo gap: what is hidden (default: drawn by the seed)"),
-            option("--joint", type=int, metavar="J", help="demo gap: where it is hidden (default: drawn)"),
+            option(
+                "--effect", metavar="NAME", help="demo gap: the hidden effect (default: drawn by the seed)"
+            ),
+            option("--joint", type=int, metavar="J", help="demo gap: its joint (default: drawn)"),
             ARM,
         ),
-        "Nothing is connected and nothing real moves.",
+        "No hardware is connected and nothing real moves.",
     ),
     CommandSpec(
         "mock",
-        "a mock arm in real time, for `armwright serve` to connect to",
+        "run a mock arm in real time for `armwright serve`",
         (
             ARM,
             option(
                 "--scenario",
                 default="demo",
                 metavar="S",
-                help="a scenario file or the name of one that ships",
+                help="a scenario file or a shipped name",
             ),
         ),
         "Prints the command that connects to it.",

@@ -1,1 +1,1 @@
-"""Seeing what an arm did or does: figures of a recording, the arm in a 3-D scene, a stream to other viewers."""
+"""Visualisation of recordings and of the live arm: figures of a recording, the arm in a 3-D scene, a stream to other viewers."""

@@ -1,4 +1,4 @@
-"""Pictures of the whole arm: supply, spectra, tip, punctuality."""
+"""Pictures of the whole arm: supply, spectra, tip, cycle timing."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _loglog(axes: Axes, frequency: Array, density: Array, style: dict[str, Any])
 
 
 def draw_tip(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
-    """The tip from above and from the side: commanded, by the model, by the camera; the camera's distance over time."""
+    """Top and side view of the tip: commanded, by the model, by the camera; the camera's distance over time."""
     from control.kinematics.kinematics import Kinematics
 
     grid = figure.add_gridspec(2, 2, height_ratios=[1.7, 1])
@@ -102,7 +102,7 @@ def draw_tip(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
     ]
     camera = series.tip_m[np.isfinite(series.tip_m).all(axis=1)]
     camera = camera[:: 1 + len(camera) // CAMERA_MARKS_MOST]
-    for column, (i, j, seen) in enumerate(((0, 1, "from above"), (0, 2, "from the side"))):
+    for column, (i, j, seen) in enumerate(((0, 1, "top view"), (0, 2, "side view"))):
         axes = figure.add_subplot(grid[0, column])
         if len(camera):
             axes.plot(1e3 * camera[:, i], 1e3 * camera[:, j], **CAMERA_MARKS)
@@ -120,7 +120,7 @@ def draw_tip(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
     if seen_rows.any():
         t, shown = envelope(series.t_s[seen_rows], error[seen_rows])
         axes.plot(t, shown, color="#009E73", linewidth=0.6, marker=".", markersize=2)
-        head(axes, f"camera from model: rms {rms(error[seen_rows]):.3g} mm")
+        head(axes, f"camera minus model: rms {rms(error[seen_rows]):.3g} mm")
     say_if_empty(axes)
     axes.set(xlabel="time [s]", ylabel="distance [mm]")
 

@@ -106,7 +106,7 @@ def style_of(joint: int) -> dict[str, Any]:
 
 def say_if_empty(axes: Axes) -> None:
     if not any(len(np.atleast_1d(np.asarray(line.get_xdata()))) for line in axes.lines):
-        text = "not enough of it\nin this recording"
+        text = "not enough samples\nin this recording"
         axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=LIMIT)
 
 

@@ -54,7 +54,7 @@ def draw_tracking(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
 
 
 def draw_errors(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
-    """Following error, its root mean square said."""
+    """Following error, with its root mean square."""
     errors = 1e3 * series.following_error_rad
     for axes, joint in zip(joint_axes(figure, joints), joints, strict=True):
         error = errors[:, joint - 1]

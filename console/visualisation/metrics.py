@@ -1,4 +1,4 @@
-"""The figures of a recording, for people and programs: following errors, currents, saturation, tip, punctuality."""
+"""The figures of a recording, for people and programs: following errors, currents, saturation, tip, cycle timing."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def metrics_json(series: Series, merit: Metrics) -> dict[str, Any]:
 
 
 def metrics_text(series: Series, merit: Metrics) -> str:
-    """The same as a page for people."""
+    """The same as text."""
     runs = series.runs_present
     span = f"{len(series)} samples, {series.t_s[-1] - series.t_s[0]:.2f} s, {len(runs)} runs"
     joints = merit.joints
@@ -189,8 +189,8 @@ def metrics_text(series: Series, merit: Metrics) -> str:
     lines += [f"{title:<34}" + "".join(f"{cell:>11}" for cell in cells) for title, cells in rows]
     if merit.tip_rms_m is not None:
         lines.append(
-            f"\ntip, camera from model: {_shown(merit.tip_rms_m, 1e3, 3)} mm rms, {_shown(merit.tip_max_m, 1e3, 3)} mm at most,"
-            f" {merit.camera_frames} frames"
+            f"\ntip, camera minus model: {_shown(merit.tip_rms_m, 1e3, 3)} mm rms, {_shown(merit.tip_max_m, 1e3, 3)}"
+            f" mm at most, {merit.camera_frames} frames"
         )
     if merit.late_p99_s is not None:
         lines.append(

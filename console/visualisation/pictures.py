@@ -1,4 +1,4 @@
-"""The pictures of `armwright plot`: their names, how they are drawn, and which of them a recording has something for."""
+"""The pictures of `armwright plot`: their names, how they are drawn, and the data that each needs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Picture:
     row_in: float = 1.45
 
     def height_in(self, joints: Sequence[int]) -> float:
-        """How high it wants to be."""
+        """Its height [in]."""
         rows = math.ceil(len(joints) / columns_of(joints)) if self.is_per_joint else self.rows
         return 0.85 + self.row_in * rows
 
@@ -61,5 +61,5 @@ PICTURES: Final = (
     ),
     Picture("spectra", "Spectra", draw_spectra, _has_spectrum, False, 1, 2.6),
     Picture("tip", "Tip", draw_tip, lambda s: s.arm is not None and _is_any(s.q_rad), False, 1, 5.6),
-    Picture("lateness", "Punctuality of the loop", draw_lateness, lambda s: _is_any(s.late_s), False, 1, 2.0),
+    Picture("lateness", "Cycle timing", draw_lateness, lambda s: _is_any(s.late_s), False, 1, 2.0),
 )  # fmt: skip

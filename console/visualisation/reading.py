@@ -1,4 +1,4 @@
-"""Recordings from any file that armwright writes: .armlog, log.csv(.gz), MCAP. Told apart by what they begin with."""
+"""Recordings from any file that armwright writes: .armlog, log.csv(.gz), MCAP. Recognised by their first bytes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def read_series(path: Path, arm: Arm | None = None, report: Report = lambda done
     ArmError (RecordError, LogFileError) when it is none of these files, is damaged, or is of another number of joints.
     """
     if not path.is_file():
-        what = "it is a folder; give the recording in it" if path.is_dir() else "there is no such file"
+        what = "a folder; give the recording in it" if path.is_dir() else "no such file"
         raise ArmError(f"{path}: {what}; `armwright serve` records to its --log folder")
     with path.open("rb") as file:
         start = file.read(8)
@@ -68,11 +68,13 @@ def _of_recording(recording: Recording, arm: Arm | None) -> Series:
     dtype = np.dtype([(n, NUMPY_OF_CODE[c]) for n, c in zip(layout.names, codes, strict=True)])
     size = path.stat().st_size - recording.offset
     if size < 0:
-        raise ArmError(f"{path}: cut off within its header: {-size} bytes are missing; nothing was recorded")
+        raise ArmError(f"{path}: the header is cut off: {-size} bytes are missing; nothing was recorded")
     rows = np.fromfile(path, dtype=dtype, count=recording.row_count, offset=recording.offset)
     notes = []
     if torn := size % layout.packing.size:
-        notes.append(f"{path}: the last row is torn ({torn} of {layout.packing.size} bytes) and was left out")
+        notes.append(
+            f"{path}: the last row is incomplete ({torn} of {layout.packing.size} bytes) and was dropped"
+        )
     return of_columns(
         path.name,
         {name: rows[name] for name in layout.names},

@@ -30,17 +30,15 @@ def of_mcap(path: Path, arm: Arm | None, report: Report) -> Series:
         try:
             _read(file, table, lambda: report(file.tell() / total_bytes))
         except _damage_errors() as error:
-            notes.append(
-                f"{path}: damaged or cut off ({type(error).__name__}): shown as far as it can be read"
-            )
+            notes.append(f"{path}: damaged or cut off ({type(error).__name__}): shown up to there")
     if not table.times_ns:
         raise ArmError(
-            f"{path}: none of the topics {', '.join(TOPICS)} is in it: expected an MCAP of `armwright export`"
+            f"{path}: contains none of the topics {', '.join(TOPICS)}: expected an MCAP of `armwright export`"
         )
     columns = table.columns()
     joints = sum(name.startswith("q") and name.endswith("_rad") and name[1:-4].isdigit() for name in columns)
     if not joints:
-        raise ArmError(f"{path}: no joint angles are in it")
+        raise ArmError(f"{path}: contains no joint angles")
     modes = tuple(table.modes.get(k, f"mode {k}") for k in range(max(table.modes, default=-1) + 1))
     return of_columns(
         path.name,

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from console.visualisation.moments import Moment, moment_at
 from console.visualisation.series import Array, Series
+from console.visualisation.snapshots import Snapshot, snapshot_at
 from console.visualisation.traces import Traces
 from control.errors import ArmError
 from control.files import make_whole
@@ -20,7 +20,7 @@ from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 
 Image = NDArray[np.uint8]
-Painter = Callable[[Moment, Traces], Image]
+Painter = Callable[[Snapshot, Traces], Image]
 SIZE_pixels: Final = (960, 720)
 FRAMES_MOST: Final = 3000
 
@@ -33,15 +33,15 @@ def prefer_headless_gl() -> None:
 
 
 def painter_of(arm: Arm, warn: Callable[[str], None]) -> Painter:
-    """Whatever can draw here: MuJoCo's renderer, else lines by matplotlib, and then `warn` is told why."""
+    """The available painter: MuJoCo's renderer, else lines by matplotlib after a call of `warn` with the reason."""
     prefer_headless_gl()
     try:
         return MujocoPainter(arm)
     except Exception as error:  # every OpenGL platform has errors of its own, down to missing libraries
         reason = str(error).strip().splitlines()
         warn(
-            f"MuJoCo finds no OpenGL here ({reason[0] if reason else type(error).__name__}): drawn as lines by matplotlib;"
-            " MUJOCO_GL=egl or MUJOCO_GL=osmesa chooses another way"
+            f"MuJoCo finds no OpenGL ({reason[0] if reason else type(error).__name__}): matplotlib draws lines"
+            " instead; set MUJOCO_GL=egl or MUJOCO_GL=osmesa to try another backend"
         )
         return _LinePainter(arm)
 
@@ -59,8 +59,8 @@ class MujocoPainter:
         self._renderer = mujoco.Renderer(self._scene.model, height, width)
         self._camera = self._scene.camera()
 
-    def __call__(self, moment: Moment, traces: Traces) -> Image:
-        self._scene.pose(moment.joint_rad, moment.joint_set_rad)
+    def __call__(self, snapshot: Snapshot, traces: Traces) -> Image:
+        self._scene.pose(snapshot.joint_rad, snapshot.joint_set_rad)
         self._renderer.update_scene(self._scene.data, self._camera)
         self._scene.add_traces(self._renderer.scene, traces)
         image: Image = self._renderer.render().copy()
@@ -73,7 +73,7 @@ class _LinePainter:
     def __init__(self, arm: Arm) -> None:
         self._kinematics = Kinematics(arm)
 
-    def __call__(self, moment: Moment, traces: Traces) -> Image:
+    def __call__(self, snapshot: Snapshot, traces: Traces) -> Image:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
@@ -81,7 +81,7 @@ class _LinePainter:
         figure = Figure(figsize=(width / 100, height / 100), dpi=100)
         canvas = FigureCanvasAgg(figure)
         axes: Any = figure.add_subplot(projection="3d")
-        arms = [self.joints_m(moment.joint_set_rad), self.joints_m(moment.joint_rad)]
+        arms = [self.joints_m(snapshot.joint_set_rad), self.joints_m(snapshot.joint_rad)]
         for joints, colour, line, label in (
             (arms[0], "#D55E00", "-", "commanded"),
             (arms[1], "#0072B2", "--", "measured"),
@@ -92,7 +92,7 @@ class _LinePainter:
         axes.plot(*traces.camera_m.T, color="#009E73", marker=".", markersize=2, linestyle="none")
         _equal_axes(axes, np.concatenate([*arms, traces.commanded_m, traces.measured_m]))
         axes.set(
-            xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title=f"t = {moment.t_s:.2f} s {moment.mode}"
+            xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title=f"t = {snapshot.t_s:.2f} s {snapshot.mode}"
         )
         axes.legend(loc="upper right", frameon=False)
         canvas.draw()  # type: ignore[no-untyped-call]
@@ -120,8 +120,8 @@ def frames(
 ) -> Iterator[tuple[float, Image]]:
     """Time [s] and image of each row."""
     for row in rows:
-        moment = moment_at(series, int(row))
-        yield moment.t_s, paint(moment, traces)
+        snapshot = snapshot_at(series, int(row))
+        yield snapshot.t_s, paint(snapshot, traces)
 
 
 def write_images(out: Path, images: Iterator[tuple[float, Image]], period_s: float) -> list[Path]:

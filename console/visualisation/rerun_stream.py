@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from console.visualisation.moments import Moment
 from console.visualisation.series import Array
+from console.visualisation.snapshots import Snapshot
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
@@ -17,8 +17,8 @@ TIMELINE: Final = "arm"
 MEASURED, COMMANDED, CAMERA = [0, 114, 178], [213, 94, 0], [0, 158, 115]
 
 
-def stream(arm: Arm, moments: Iterator[Moment], file: Path | None) -> int:
-    """Send every moment to a viewer that Rerun starts, or into an .rrd `file`; returns how many.
+def stream(arm: Arm, snapshots: Iterator[Snapshot], file: Path | None) -> int:
+    """Send every snapshot to a viewer that Rerun starts, or into an .rrd `file`; returns how many.
 
     ArmError where rerun-sdk is not installed or the file is there already.
     """
@@ -30,9 +30,9 @@ def stream(arm: Arm, moments: Iterator[Moment], file: Path | None) -> int:
         rerun.save(file)
     rerun.log("arm", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     kinematics, count = Kinematics(arm), 0
-    for moment in moments:
-        rerun.set_time(TIMELINE, duration=moment.t_s)
-        _log(rerun, kinematics, moment)
+    for snapshot in snapshots:
+        rerun.set_time(TIMELINE, duration=snapshot.t_s)
+        _log(rerun, kinematics, snapshot)
         count += 1
     return count
 
@@ -46,22 +46,22 @@ def _rerun() -> Any:
         ) from error
 
 
-def _log(rerun: Any, kinematics: Kinematics, moment: Moment) -> None:
-    for number, (angle, wanted) in enumerate(zip(moment.q_rad, moment.q_set_rad, strict=True), start=1):
+def _log(rerun: Any, kinematics: Kinematics, snapshot: Snapshot) -> None:
+    for number, (angle, wanted) in enumerate(zip(snapshot.q_rad, snapshot.q_set_rad, strict=True), start=1):
         rerun.log(f"joint{number}/q_rad", rerun.Scalars(angle))
         rerun.log(f"joint{number}/q_set_rad", rerun.Scalars(wanted))
         rerun.log(f"joint{number}/following_error_rad", rerun.Scalars(wanted - angle))
-    for number, current in enumerate(moment.current_A, start=1):
+    for number, current in enumerate(snapshot.current_A, start=1):
         rerun.log(f"joint{number}/current_A", rerun.Scalars(current))
     for name, angles, colour in (
-        ("measured", moment.joint_rad, MEASURED),
-        ("commanded", moment.joint_set_rad, COMMANDED),
+        ("measured", snapshot.joint_rad, MEASURED),
+        ("commanded", snapshot.joint_set_rad, COMMANDED),
     ):
         points = _points_m(kinematics, angles)
         rerun.log(f"arm/{name}", rerun.LineStrips3D([points], colors=[colour], radii=[0.01]))
         rerun.log(f"arm/{name}_tip", rerun.Points3D([points[-1]], colors=[colour], radii=[0.012]))
-    if moment.camera_m is not None:
-        rerun.log("arm/camera", rerun.Points3D([moment.camera_m], colors=[CAMERA], radii=[0.008]))
+    if snapshot.camera_m is not None:
+        rerun.log("arm/camera", rerun.Points3D([snapshot.camera_m], colors=[CAMERA], radii=[0.008]))
 
 
 def _points_m(kinematics: Kinematics, q_rad: Sequence[float]) -> list[Array]:

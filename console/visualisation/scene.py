@@ -1,4 +1,4 @@
-"""The arm as a MuJoCo scene: where it was told to be as a solid arm, where it is as a ghost, paths as lines. No physics runs.
+"""The arm as a MuJoCo scene: the commanded pose as a solid arm, the measured one as a ghost, paths as lines. No physics runs.
 
 The arms are those of `calib.export` (MJCF), so that what is seen is what other programs get.
 """
@@ -51,7 +51,7 @@ class ArmScene:
         return int(self.model.joint(joint).qposadr[0])
 
     def pose(self, q_rad: Sequence[float], q_set_rad: Sequence[float]) -> None:
-        """Put the ghost where the arm is and the solid one where it was told to be."""
+        """Set the ghost to the measured pose and the solid arm to the commanded one."""
         for address, angle in zip(self._measured, q_rad, strict=True):
             self.data.qpos[address] = angle
         for address, angle in zip(self._commanded, q_set_rad, strict=True):
@@ -143,7 +143,7 @@ def _paint(spec: Any, colour: Colour) -> None:
 
 
 def _add_board(world: Any, arm: Arm) -> None:
-    """The calibration board's cavities on a plate, where the file knows where it stands level."""
+    """The calibration board's cavities on a plate, if the file knows its level place."""
     if arm.table is None or not arm.table.known_pose or arm.table.origin_m is None:
         return
     points = np.array(list(cavities(arm.table).values()))

@@ -112,11 +112,11 @@ def chosen(series: Series, run: str | None, from_s: float | None, to_s: float | 
     lower = -np.inf if from_s is None else from_s
     upper = np.inf if to_s is None else to_s
     if not lower < upper:
-        raise ArmError(f"--from and --to: expected a span of time, got {lower:g} to {upper:g} s")
+        raise ArmError(f"--from and --to: expected an increasing time span, got {lower:g} to {upper:g} s")
     is_wanted &= (series.t_s >= lower) & (series.t_s <= upper)
     if not is_wanted.any():
-        ends = f"{series.t_s[0]:.3f} to {series.t_s[-1]:.3f} s" if len(series) else "no time at all"
-        raise ArmError(f"{series.name}: no samples between {lower:g} and {upper:g} s: it holds {ends}")
+        ends = f"{series.t_s[0]:.3f} to {series.t_s[-1]:.3f} s" if len(series) else "no samples"
+        raise ArmError(f"{series.name}: no samples between {lower:g} and {upper:g} s: it contains {ends}")
     return series.at(is_wanted)
 
 

@@ -23,8 +23,8 @@ WITHOUT_WINDOWS: Final = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")
 FORMS: Final = (".png", ".svg", ".pdf")
 
 
-def _tell_nobody(what: str, done: float) -> None:
-    """Where nobody watches."""
+def _ignore_progress(what: str, done: float) -> None:
+    """Progress without an observer."""
 
 
 def write_each(
@@ -32,7 +32,7 @@ def write_each(
     pictures: Sequence[Picture],
     series: Series,
     joints: Sequence[int],
-    report: Report = _tell_nobody,
+    report: Report = _ignore_progress,
 ) -> list[Path]:
     """One PNG a picture into `folder`; returns the files. `report` is told each title and the share done."""
     files = [folder / f"{picture.name}.png" for picture in pictures]
@@ -60,8 +60,8 @@ def show(pictures: Sequence[Picture], series: Series, joints: Sequence[int]) -> 
     backend = plt.get_backend()
     if backend.lower() in WITHOUT_WINDOWS:
         raise ArmError(
-            f"no window can be opened here (matplotlib found no display or no toolkit, its backend is {backend}):"
-            " write files with --out DIR, FILE.png or FILE.svg"
+            f"cannot open a window (matplotlib found no display or toolkit, backend {backend}): write files with"
+            " --out DIR, FILE.png or FILE.svg"
         )
     with matplotlib.rc_context(STYLE):
         for picture in pictures:

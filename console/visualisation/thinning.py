@@ -1,4 +1,4 @@
-"""What makes a million samples drawable: envelopes that lose no peak, averaged spectra over time and over motor angle."""
+"""Thinning of long recordings for drawing: envelopes that lose no peak, averaged spectra over time and over motor angle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines of the tip: the path that it was told to take, the one it took, what the camera saw."""
+"""Paths of the tip: commanded, measured, and seen by the camera."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from console.visualisation.moments import Moment
 from console.visualisation.series import Array, Series
+from console.visualisation.snapshots import Snapshot
 from control.kinematics.kinematics import Kinematics
 
 POINTS_MOST: Final = 4000
-TRAIL_MOST: Final = 400
+LONGEST_PATH: Final = 400
 
 
 @dataclass(slots=True)
@@ -45,19 +45,19 @@ def tips_of(kinematics: Kinematics, angles_rad: Array) -> Array:
     return found
 
 
-class Trail:
+class TipPath:
     """The last tips of a live arm."""
 
-    def __init__(self, kinematics: Kinematics, most: int = TRAIL_MOST) -> None:
+    def __init__(self, kinematics: Kinematics, most: int = LONGEST_PATH) -> None:
         self._kinematics, self._most = kinematics, most
         self._traces = Traces()
 
-    def add(self, moment: Moment) -> Traces:
-        """One moment more; returns the trail."""
-        measured, commanded = self._kinematics.tips([moment.joint_rad, moment.joint_set_rad])
-        kept = self._traces
-        kept.measured_m = np.vstack([kept.measured_m, measured])[-self._most :]
-        kept.commanded_m = np.vstack([kept.commanded_m, commanded])[-self._most :]
-        if moment.camera_m is not None:
-            kept.camera_m = np.vstack([kept.camera_m, moment.camera_m])[-self._most :]
-        return kept
+    def add(self, snapshot: Snapshot) -> Traces:
+        """Append one snapshot; returns the path."""
+        measured, commanded = self._kinematics.tips([snapshot.joint_rad, snapshot.joint_set_rad])
+        traces = self._traces
+        traces.measured_m = np.vstack([traces.measured_m, measured])[-self._most :]
+        traces.commanded_m = np.vstack([traces.commanded_m, commanded])[-self._most :]
+        if snapshot.camera_m is not None:
+            traces.camera_m = np.vstack([traces.camera_m, snapshot.camera_m])[-self._most :]
+        return traces

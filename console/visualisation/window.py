@@ -1,4 +1,4 @@
-"""The arm in MuJoCo's own viewer: a recording played back, or the arm as it moves now.
+"""The arm in MuJoCo's own viewer: a recording played back, or the live arm.
 
 The viewer draws in a thread of its own, in this process, which is neither the loop nor its writer.
 """
@@ -15,10 +15,10 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from console.visualisation.moments import Moment, moment_at
 from console.visualisation.scene import ArmScene
 from console.visualisation.series import Series
-from console.visualisation.traces import Traces, Trail
+from console.visualisation.snapshots import Snapshot, snapshot_at
+from console.visualisation.traces import TipPath, Traces
 from control.errors import ArmError
 from firmware_iface.clock import Clock
 
@@ -26,9 +26,7 @@ SPACE, RIGHT, LEFT, UP, DOWN, HOME = 32, 262, 263, 265, 264, 268  # GLFW's key c
 CLOSING_LIMIT_s: Final = 3.0
 STEP_s: Final = 1.0
 FASTEST, SLOWEST = 64.0, 1.0 / 64.0
-REMEDY: Final = (
-    "draw pictures instead with --render FILE.png, FILE.gif or a folder, or look from a machine with a screen"
-)
+REMEDY: Final = "use --render FILE.png, FILE.gif or a folder, or a machine with a screen"
 
 
 class Handle(Protocol):
@@ -98,20 +96,20 @@ def aim(at: Any, scene: ArmScene) -> None:
 
 def _require_display() -> None:
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ArmError(f"no display here (neither DISPLAY nor WAYLAND_DISPLAY is set): {REMEDY}")
+        raise ArmError(f"no display (neither DISPLAY nor WAYLAND_DISPLAY is set): {REMEDY}")
     import glfw
 
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         is_ready = glfw.init()
         glfw.terminate()  # the viewer's own thread is to be the one that has it
     if not is_ready:
-        why = "; ".join(str(one.message) for one in said) or "GLFW does not say why"
-        raise ArmError(f"no window can be opened on this display ({why}): {REMEDY}")
+        why = "; ".join(str(one.message) for one in caught) or "GLFW gives no reason"
+        raise ArmError(f"cannot open a window on this display ({why}): {REMEDY}")
 
 
 class Player:
-    """Which moment of a recording is shown now; keys: space, arrows, home."""
+    """Which snapshot of a recording is shown now; keys: space, arrows, home."""
 
     def __init__(self, times_s: Sequence[float], speed: float) -> None:
         self._times_s = np.asarray(times_s)
@@ -129,7 +127,7 @@ class Player:
             self.at_s = float(self._times_s[0])
 
     def on(self, passed_s: float) -> int:
-        """Let time pass; returns the index of the moment that is shown. It stays at the end."""
+        """Let time pass; returns the index of the snapshot that is shown. It stays at the end."""
         if not self.is_paused:
             self.at_s += passed_s * self.speed
         self.at_s = min(max(self.at_s, float(self._times_s[0])), float(self._times_s[-1]))
@@ -147,10 +145,10 @@ def play(
     try:
         while handle.is_running():
             now_s = clock.now_s()
-            moment = moment_at(series, int(rows[player.on(now_s - before_s)]))
+            snapshot = snapshot_at(series, int(rows[player.on(now_s - before_s)]))
             before_s = now_s
             with handle.lock():
-                scene.pose(moment.joint_rad, moment.joint_set_rad)
+                scene.pose(snapshot.joint_rad, snapshot.joint_set_rad)
                 scene.trace(handle.user_scn, traces)
             handle.sync()
             clock.wait_until_s(now_s + period_s)
@@ -158,17 +156,17 @@ def play(
         handle.close()
 
 
-def follow(scene: ArmScene, moments: Iterator[Moment], open_: Open) -> None:
-    """Show what comes until the window is closed, with a trail of where the tip was and was told to be."""
+def follow(scene: ArmScene, snapshots: Iterator[Snapshot], open_: Open) -> None:
+    """Show live snapshots until the window is closed, with the measured and the commanded path of the tip."""
     handle = open_(scene, lambda code: None)
-    trail = Trail(scene.kinematics)
+    path = TipPath(scene.kinematics)
     try:
-        for moment in moments:
+        for snapshot in snapshots:
             if not handle.is_running():
                 break
             with handle.lock():
-                scene.pose(moment.joint_rad, moment.joint_set_rad)
-                scene.trace(handle.user_scn, trail.add(moment))
+                scene.pose(snapshot.joint_rad, snapshot.joint_set_rad)
+                scene.trace(handle.user_scn, path.add(snapshot))
             handle.sync()
     finally:
         handle.close()

@@ -1,1 +1,1 @@
-"""`armwright bringup`: joint by joint with the operator, from a draft of arm.toml to one that fits the arm that is there."""
+"""`armwright bringup`: joint by joint with the operator, from a draft of arm.toml to one that fits the real arm."""

@@ -1,4 +1,4 @@
-"""The boards of an arm that is not known yet: one motor is driven at a time, all encoders are heard, every cycle is watched.
+"""The boards of an unknown arm: one motor is driven at a time, all encoders are read, every cycle is monitored.
 
 The limits of current and voltage are written into the motor board before it is enabled, so they hold whatever this program
 does; a watchdog in the board brakes when this program stops talking. All other motors stay off, with shorted windings.
@@ -38,13 +38,13 @@ Channel = tuple[int, int]
 """Encoder board and channel on it, both from 0."""
 
 
-class Surprise(ArmError):
-    """Something happened that a good arm does not do: the drive was switched off at once."""
+class SafetyTrip(ArmError):
+    """A limit of bring-up was exceeded, or a board stopped reporting: the drive was switched off at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriveLimits:
-    """What a motor may get, and how far its encoder may run before it is switched off."""
+    """Limits of a motor's drive, and of its encoder's speed and travel."""
 
     current_A: float
     voltage_V: float
@@ -63,11 +63,11 @@ class Sample:
     volts: float
     current_A: float
     is_limited: bool
-    """The board cut the voltage back to one of its limits."""
+    """The board reduced the voltage to one of its limits."""
 
 
 class Bench:
-    """Open boards. `driving` enables one motor; within it, `cycle` sends a voltage and waits for what comes back."""
+    """Open boards. `driving` enables one motor; within it, `cycle` sends a voltage and waits for the replies."""
 
     def __init__(self, arm: Arm, clock: Clock, operator: Operator) -> None:
         self.clock = clock
@@ -93,7 +93,8 @@ class Bench:
         can = arm.can
         if can is None or not arm.encoder_boards:
             raise ArmError(
-                f"arm {arm.name}: name its ports first: [[encoder_board]] and [can], or give --encoder and --can-..."
+                f"arm {arm.name}: its ports are not set: add [[encoder_board]] and [can], or give --encoder and"
+                " --can-..."
             )
         link = open_can(can.interface, can.channel, can.bitrate, **can.options)
         self._closers.append(link.close)
@@ -113,7 +114,7 @@ class Bench:
         return tuple(encoders), motors, bus
 
     def channels(self) -> list[Channel]:
-        """All channels that there are."""
+        """All channels of all encoder boards."""
         return [
             (board, channel)
             for board, encoder in enumerate(self.encoders)
@@ -150,7 +151,7 @@ class Bench:
             motor.write(index, value)
 
     def _switch_off(self, motor: MotorBoard) -> None:
-        """0 V at once, then off; where the bus does not carry even that, everything is stopped."""
+        """0 V at once, then off; if the bus fails, all drives are stopped."""
         try:
             motor.command_voltage(0.0)
             with contextlib.suppress(LinkError):
@@ -163,10 +164,10 @@ class Bench:
             raise
 
     def cycle(self, volts: float) -> Sample:
-        """Send a voltage (board's sign), wait for the next cycle, hear everybody. Surprise or Stopped end the drive."""
+        """Send a voltage (board's sign), wait for the next cycle, read all boards. SafetyTrip or Stopped end the drive."""
         motor, limits = self._driven, self._limits
         if motor is None:
-            raise MisuseError("bring-up: a voltage was asked for while no motor is driven")
+            raise MisuseError("bring-up: a voltage was commanded while no motor is driven")
         volts = min(max(volts, -limits.voltage_V), limits.voltage_V)
         motor.command_voltage(volts)
         self._deadline_s = max(self._deadline_s + PERIOD_S, self.clock.now_s())
@@ -181,7 +182,7 @@ class Bench:
         return sample
 
     def observe(self, duration_s: float) -> Sample:
-        """Hear everybody for a while with all drives off."""
+        """Read all boards for a while with all drives off."""
         end_s = self.clock.now_s() + duration_s
         while self.clock.now_s() < end_s:
             self.clock.wait_until_s(self.clock.now_s() + PERIOD_S)
@@ -194,7 +195,7 @@ class Bench:
 
     def _newest(self) -> Sample:
         if self.latest is None:
-            raise Surprise("encoder boards: no report came; run `armwright doctor`")
+            raise SafetyTrip("encoder boards: no report received; run `armwright doctor`")
         return self.latest
 
     def _sampled(self, motor: MotorBoard | None, volts: float) -> Sample:
@@ -203,7 +204,7 @@ class Bench:
         for board, encoder in enumerate(self.encoders):
             report = encoder.latest
             if report is None or encoder.identity is None:
-                raise Surprise(f"{encoder.where}: no report came; run `armwright doctor`")
+                raise SafetyTrip(f"{encoder.where}: no report received; run `armwright doctor`")
             span_s = encoder.board_time_s - self._last_t_s.get(board, -math.inf)
             for channel in range(encoder.identity.channels):
                 at = (board, channel)
@@ -237,36 +238,39 @@ class Bench:
             encoder.require_fresh(now_s, stale_s)
         motor.require_fresh(now_s, stale_s)
         if motor.state is not State.OPERATION_ENABLED or motor.reply is None:
-            raise Surprise(
-                f"{motor.where}: left OPERATION ENABLED by itself ({_fault_names(motor)}); run `armwright doctor`"
+            raise SafetyTrip(
+                f"{motor.where}: left the state OPERATION ENABLED without a command ({_fault_names(motor)}); run"
+                " `armwright doctor`"
             )
         if abs(sample.current_A) > CURRENT_MARGIN * limits.current_A + CURRENT_MARGIN_A:
-            raise Surprise(
-                f"{motor.where}: {sample.current_A:+.2f} A flow, its limit is {limits.current_A:.2f} A: the board does not keep"
-                " its current limit; do not use it"
+            raise SafetyTrip(
+                f"{motor.where}: {sample.current_A:+.2f} A measured, limit {limits.current_A:.2f} A: the board does"
+                " not enforce its current limit; do not use it"
             )
         for at, origin in self._origin.items():
             speed, travel = abs(sample.speed_count_s[at]), abs(sample.counts[at] - origin)
             if speed > limits.speed_count_s:
-                raise Surprise(self._too_fast(at, sample, limits))
+                raise SafetyTrip(self._too_fast(at, sample, limits))
             if travel > limits.travel_count:
-                raise Surprise(
-                    f"encoder channel {at[1]} of board {at[0]} ran on: {travel} counts, allowed are {limits.travel_count:.0f}:"
-                    " it was switched off; was the way free, and is another joint supported?"
+                raise SafetyTrip(
+                    f"encoder channel {at[1]} of board {at[0]} moved {travel} counts, limit"
+                    f" {limits.travel_count:.0f}: the drive was switched off; check for an obstacle, and that the"
+                    " other joints are supported"
                 )
 
     def _too_fast(self, at: Channel, sample: Sample, limits: DriveLimits) -> str:
-        """A motor gathers speed; a count that jumps from one cycle to the next is not its doing."""
+        """A motor accelerates gradually; a count that jumps within one cycle is not motion."""
         before = self.before
         channel = f"encoder channel {at[1]} of board {at[0]}"
         if before is not None and abs(before.speed_count_s[at]) < JUMP_SHARE * limits.speed_count_s:
             return (
                 f"LOOSE ENCODER: {channel} jumped by {sample.counts[at] - before.counts[at]:+d} counts within"
-                f" {1e3 * PERIOD_S:.0f} ms, which no motor does: tighten the encoder on its shaft, then look at its cable"
+                f" {1e3 * PERIOD_S:.0f} ms, faster than the motor can turn: tighten the encoder on its shaft, then"
+                " check its cable"
             )
         return (
-            f"{channel} RAN AWAY at {abs(sample.speed_count_s[at]):.0f} counts/s, allowed are {limits.speed_count_s:.0f}: it was"
-            " switched off; another gear or encoder than the draft says, or a load that pulls it?"
+            f"{channel} RAN AWAY at {abs(sample.speed_count_s[at]):.0f} counts/s, limit {limits.speed_count_s:.0f}:"
+            " the drive was switched off; check gear and encoder against the draft, and the load"
         )
 
     def index_latch(self, at: Channel) -> int | None:

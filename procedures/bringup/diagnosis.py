@@ -1,6 +1,6 @@
-"""What the measurements at a joint mean: which keys of arm.toml they change, what is worth a word, what is broken.
+"""Diagnosis of a joint from its measurements: changed keys of arm.toml, notes, and faults.
 
-Two scales are kept apart. The index comes once a motor turn, so the spacing of index pulses is the encoder's counts a turn,
+Two scales are separate. The index comes once a motor turn, so the spacing of index pulses is the encoder's counts a turn,
 exactly. The operator's readings against counts give counts a joint turn, so the gear ratio. The back-EMF gives the motor
 constant from the motor's own speed, which the gear has no part in.
 """
@@ -30,12 +30,12 @@ RESISTANCE_TOLERANCE = 0.6  # leads, brushes and heat add to what a data sheet s
 LEAST_CURRENT_A = 0.1  # that says something of a resistance
 
 
-def diagnose(draft: Drive, wiring: JointWiring, found: Measured, said_counts: int) -> Diagnosis:
-    """Everything that can be said about a joint; `said_counts`: what its boards say that its encoder has."""
+def diagnose(draft: Drive, wiring: JointWiring, found: Measured, board_counts: int) -> Diagnosis:
+    """The diagnosis of a joint; `board_counts`: counts per turn of its encoder by its boards."""
     drive = rewired(draft, wiring)
     result = Diagnosis(drive)
     is_slipping = _slip(result, found)
-    _counts(result, found, said_counts)
+    _counts(result, found, board_counts)
     offset_rad, slope = _line(result, found, is_slipping)
     if not is_slipping:
         _gear(result, slope, draft, len(found.readings))
@@ -53,7 +53,7 @@ def diagnose(draft: Drive, wiring: JointWiring, found: Measured, said_counts: in
 
 
 def rewired(draft: Drive, wiring: JointWiring) -> Drive:
-    """The draft's drive, plugged in as it really is."""
+    """The draft's drive with the measured wiring."""
     return replace(
         draft,
         motor_node=wiring.node,
@@ -65,14 +65,14 @@ def rewired(draft: Drive, wiring: JointWiring) -> Drive:
 
 
 def _slip(result: Diagnosis, found: Measured) -> bool:
-    """A position that does not come back when the joint does."""
+    """Whether the counts fail to repeat when the joint returns to a place."""
     name = f"joint {result.drive.joint}"
     evidence = []
     for stops, side in zip(found.stops_rad, ("lower", "upper"), strict=True):
         if len(stops) > 1 and max(stops) - min(stops) > TOUCH_SPREAD_RAD:
             spread = max(stops) - min(stops)
             evidence.append(
-                f"the {side} end stop, touched {len(stops)} times, was {1e3 * spread:.1f} mrad apart by the counts"
+                f"the {side} end stop was touched {len(stops)} times, and the counts differ by {1e3 * spread:.1f} mrad"
             )
     ways = [[edge for edge, direction, _ in found.edges if direction == way] for way in (1, -1)]
     for edges, limit_rad in (
@@ -81,59 +81,57 @@ def _slip(result: Diagnosis, found: Measured) -> bool:
         (ways[0] + ways[1], EDGE_SPREAD_RAD),
     ):
         if len(edges) > 1 and max(edges) - min(edges) > limit_rad:
-            evidence.append(
-                f"the home switch changed at places {1e3 * (max(edges) - min(edges)):.1f} mrad apart"
-            )
+            evidence.append(f"the home switch positions differ by {1e3 * (max(edges) - min(edges)):.1f} mrad")
             break
     if found.flags & SIGNAL_LOST:
         result.problems.append(
-            f"{name}: LOST ENCODER SIGNAL while it moved: check cable and plug where it bends"
+            f"{name}: LOST ENCODER SIGNAL during motion: check the cable where it bends, and its plug"
         )
     if not evidence:
         if found.flags & QUADRATURE_ERROR:
             result.notes.append(
-                f"{name}: its encoder made an illegal transition: check shield and supply of its cable"
+                f"{name}: illegal encoder transition: check the shield and the supply of the encoder cable"
             )
         return False
     if found.flags & QUADRATURE_ERROR:
-        cause = "COUNTS ARE LOST: the encoder makes illegal transitions: check shield, supply and length of its cable"
+        cause = "COUNTS ARE LOST: illegal encoder transitions: check the shield, supply and length of the encoder cable"
     else:
         cause = (
-            "LOOSE ENCODER: no transition was illegal, so something slips: tighten the encoder on its shaft, then belt, pinion"
-            " and the end stop itself"
+            "LOOSE ENCODER: no illegal transition was seen, so something slips: tighten the encoder on its shaft,"
+            " then the belt, pinion and end stop"
         )
     result.problems.append(f"{name}: {cause} ({'; '.join(evidence)})")
     return True
 
 
-def _counts(result: Diagnosis, found: Measured, said_counts: int) -> None:
-    """Counts a motor turn, from index to index."""
+def _counts(result: Diagnosis, found: Measured, board_counts: int) -> None:
+    """Counts per motor turn, from index to index."""
     drive, name = result.drive, f"joint {result.drive.joint}"
     spacings = found.spacings_count
     if not spacings:
-        said = f"{name}: NO INDEX PULSE was seen within {2.6:g} motor turns: check the encoder's Z wire"
+        problem = f"{name}: NO INDEX PULSE within {2.6:g} motor turns: check the encoder's Z wire"
         if drive.home is not None:
-            result.problems.append(f"{said}; homing needs it")
+            result.problems.append(f"{problem}; homing needs it")
         else:
-            result.notes.append(f"{said}; without it, counts a turn are the draft's")
+            result.notes.append(f"{problem}; counts per turn were not checked and are the draft's")
         return
     middle = round(median(spacings))
     result.figures["index_spacing_counts"] = middle
     if max(spacings) - min(spacings) > SPACING_SPREAD_counts:
         result.problems.append(
-            f"{name}: COUNTS ARE LOST between index pulses ({min(spacings)} to {max(spacings)}): check shield, supply and"
-            " length of the encoder's cable"
+            f"{name}: COUNTS ARE LOST between index pulses ({min(spacings)} to {max(spacings)} counts): check the"
+            " shield, supply and length of the encoder cable"
         )
     elif abs(middle - drive.encoder_counts_per_rev) > SPACING_SPREAD_counts:
         result.changes.append(
-            f"{name}: WRONG COUNTS: {middle} counts from index to index, the draft says {drive.encoder_counts_per_rev}:"
+            f"{name}: WRONG COUNTS: {middle} counts from index to index, draft {drive.encoder_counts_per_rev}:"
             f" encoder_counts_per_rev = {middle}"
         )
         result.drive = replace(drive, encoder_counts_per_rev=middle)
-    if abs(middle - said_counts) > SPACING_SPREAD_counts:
+    if abs(middle - board_counts) > SPACING_SPREAD_counts:
         result.notes.append(
-            f"{name}: its boards say {said_counts} counts a motor turn, the encoder has {middle}: set the boards up for it, or"
-            " they will be refused by the new arm.toml"
+            f"{name}: the boards are configured for {board_counts} counts per motor turn, the encoder has {middle}:"
+            " configure the boards, or the new arm.toml will reject them"
         )
 
 
@@ -143,13 +141,13 @@ def _line(result: Diagnosis, found: Measured, is_slipping: bool) -> tuple[float,
     name = f"joint {result.drive.joint}"
     if len(points) < 2:
         result.notes.append(
-            f"{name}: no angle was read: gear ratio, zero and limits are the draft's, unchecked"
+            f"{name}: no angle was read: gear ratio, zero and limits were not checked and are the draft's"
         )
         return math.nan, math.nan
     x0, q0 = fmean(x for x, _ in points), fmean(q for _, q in points)
     sxx = math.fsum((x - x0) ** 2 for x, _ in points)
     if sxx < 0.01:
-        result.problems.append(f"{name}: it hardly moved between two readings: free it, and run it again")
+        result.problems.append(f"{name}: it hardly moved between two readings: free the joint and run again")
         return math.nan, math.nan
     slope = math.fsum((x - x0) * (q - q0) for x, q in points) / sxx
     offset = q0 - slope * x0
@@ -157,19 +155,19 @@ def _line(result: Diagnosis, found: Measured, is_slipping: bool) -> tuple[float,
     result.figures |= {"scale": slope, "scale_sd": READING_SD_RAD / math.sqrt(sxx)}
     if slope < 0.0:
         result.problems.append(
-            f"{name}: its angle was read to fall while it turned in what was said to be its positive direction: one of the two"
-            " answers was wrong; run it again"
+            f"{name}: the angle readings fell while the joint turned in its stated positive direction: one of the two"
+            " answers was wrong; run again"
         )
     elif worst > MISREAD_RAD and not is_slipping:
         result.problems.append(
-            f"{name}: readings and counts are up to {math.degrees(worst):.1f} deg off a straight line: an angle was misread, or"
-            " the encoder slips (LOOSE ENCODER); run it again"
+            f"{name}: the readings deviate by up to {math.degrees(worst):.1f} deg from a straight line over the"
+            " counts: an angle was misread, or the encoder slips (LOOSE ENCODER); run again"
         )
     return offset, slope
 
 
 def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
-    """Motor turns a joint turn. Another ratio than the draft's is believed only where a misread angle would have shown."""
+    """Motor turns per joint turn. A ratio other than the draft's is accepted only if a misread angle would show."""
     if not slope > 0.0:
         return
     drive = result.drive
@@ -178,26 +176,29 @@ def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
     result.figures |= {"gear_ratio": ratio, "gear_ratio_sd": sd}
     if abs(ratio / draft.gear_ratio - 1.0) <= max(SCALE_TOLERANCE, 3.0 * sd / ratio):
         return
-    found = f"{ratio:.2f} motor turns a joint turn (sd {sd:.2f}), the draft says {draft.gear_ratio:g}"
+    found = f"{ratio:.2f} motor turns per joint turn (sd {sd:.2f}), draft {draft.gear_ratio:g}"
     if abs(ratio / draft.gear_ratio - 1.0) < ODD_RATIO:
         result.problems.append(
-            f"joint {drive.joint}: LOOSE ENCODER or WRONG GEAR: {found}: so small a difference is rarely a gearbox; tighten the"
-            " encoder on its shaft and run it again, or correct gear_ratio in the draft if the gearbox's plate says so"
+            f"joint {drive.joint}: LOOSE ENCODER or WRONG GEAR: {found}: such a small difference is rarely a"
+            " different gearbox; tighten the encoder on its shaft and run again, or correct gear_ratio in the draft"
+            " if the gearbox plate confirms it"
         )
         return
     if readings < FEWEST_READINGS:
         result.problems.append(
-            f"joint {drive.joint}: WRONG GEAR or a misread angle: {found}, by {readings} readings, which cannot show a mistake"
-            " in one of them; run it again with its end stops, or correct gear_ratio in the draft if the gearbox's plate says so"
+            f"joint {drive.joint}: WRONG GEAR or a misread angle: {found}; {readings} readings cannot reveal a"
+            " misread one; run again with end stops, or correct gear_ratio in the draft if the gearbox plate"
+            " confirms it"
         )
         return
     rounded = float(round(ratio)) if abs(ratio - round(ratio)) < 2.0 * sd else float(f"{ratio:.4g}")
     result.changes.append(
-        f"joint {drive.joint}: WRONG GEAR: {found}: gear_ratio = {rounded:g}; compare it with the gearbox's plate"
+        f"joint {drive.joint}: WRONG GEAR: {found}: gear_ratio = {rounded:g}; compare with the gearbox plate"
     )
     if sd > EXACT * ratio:
         result.notes.append(
-            f"joint {drive.joint}: the gear is known to {sd / ratio:.1%} only: let it go to its end stops, and read them"
+            f"joint {drive.joint}: the gear ratio is known to {sd / ratio:.1%} only: run with end stops and read the"
+            " angles there"
         )
     result.drive = replace(drive, gear_ratio=rounded)
 
@@ -218,13 +219,13 @@ def _motor(result: Diagnosis, found: Measured, draft: Drive) -> None:
     drive, name = result.drive, f"joint {result.drive.joint}"
     if abs(constant / drive.torque_constant_Nm_A - 1.0) > CONSTANT_TOLERANCE:
         result.notes.append(
-            f"{name}: its back-EMF says {constant:.4f} V s/rad, the draft's torque_constant_Nm_A is"
-            f" {drive.torque_constant_Nm_A:g}: another motor, or another winding? compare its data sheet"
+            f"{name}: back-EMF constant {constant:.4f} V s/rad, torque_constant_Nm_A of the draft"
+            f" {drive.torque_constant_Nm_A:g}: check motor and winding against the data sheet"
         )
     if abs(resistance_ohm / drive.resistance_ohm - 1.0) > RESISTANCE_TOLERANCE:
         result.notes.append(
-            f"{name}: {resistance_ohm:.3f} ohm between board and motor, the draft says {drive.resistance_ohm:g}: check crimps and"
-            " brushes, or correct resistance_ohm"
+            f"{name}: {resistance_ohm:.3f} ohm between board and motor, draft {drive.resistance_ohm:g}: check crimps"
+            " and brushes, or correct resistance_ohm"
         )
 
 
@@ -241,7 +242,7 @@ def _friction(result: Diagnosis, found: Measured, draft: Drive, scale: float) ->
     ]
     if len(points) < 2:
         result.notes.append(
-            f"joint {draft.joint}: friction was not measured: it did not turn freely both ways"
+            f"joint {draft.joint}: friction was not measured: the joint did not turn freely in both directions"
         )
         return
     w0, t0 = fmean(w for w, _ in points), fmean(t for _, t in points)

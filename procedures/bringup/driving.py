@@ -1,4 +1,4 @@
-"""One joint that is known to answer its motor: turned at a speed, by a distance, until it stands against something.
+"""One joint that responds to its motor: turned at a speed, by a distance, until it meets a stop.
 
     volts = K speed_set + integral(gain (speed_set - speed))
 
@@ -49,7 +49,7 @@ class Run:
 
 
 class JointDriver:
-    """A joint by its measured wiring. Angles: counts by the draft's scale, times `scale`, from where it stood first."""
+    """A joint by its measured wiring. Angles: counts by the draft's scale, times `scale`, from the first pose."""
 
     def __init__(
         self,
@@ -70,11 +70,11 @@ class JointDriver:
 
     @property
     def radians_per_count(self) -> float:
-        """Present belief, positive."""
+        """Present estimate, positive."""
         return self._per_count * self.scale
 
     def angle_rad(self, count: float) -> float:
-        """The joint's angle from where it stood first."""
+        """The joint's angle from the first pose."""
         return self._encoder_sign * (count - self._zero_count) * self.radians_per_count
 
     def where_rad(self) -> float:
@@ -99,7 +99,7 @@ class JointDriver:
         speed_rad_s: float,
         until: Callable[[Run, Sample], bool] = lambda run, sample: False,
     ) -> Run:
-        """Turn by a signed distance at a speed, until there, until it stalls, or until the caller has seen enough."""
+        """Turn by a signed distance at a speed, until it arrives, stalls, or the caller ends it."""
         sign = math.copysign(1.0, distance_rad)
         speed_set = sign * abs(speed_rad_s)
         constant = self.drive.gear_ratio * self.drive.torque_constant_Nm_A
@@ -141,17 +141,17 @@ class JointDriver:
         )
 
     def _brake(self) -> None:
-        """0 V until it stands; the watch goes on."""
+        """0 V until it is at rest; monitoring continues."""
         end_s = self.bench.clock.now_s() + REST_S
         while self.bench.clock.now_s() < end_s:
             self.bench.cycle(0.0)
 
     def go_to(self, angle_rad: float, speed_rad_s: float) -> Run:
-        """To an angle from where it stood first."""
+        """Move to an angle from the first pose."""
         return self.turn(angle_rad - self.where_rad(), speed_rad_s)
 
     def latches(self, wanted: int, direction: int, speed_rad_s: float, longest_rad: float) -> list[int]:
-        """Counts of index pulses that come one after the other; it stands while the next one is armed.
+        """Counts of index pulses that come one after the other; it is at rest while the next one is armed.
 
         Fewer than wanted where the joint goes `longest_rad` without one, or stalls.
         """

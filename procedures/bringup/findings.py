@@ -8,7 +8,7 @@ from control.model.arm import Drive
 
 @dataclass(slots=True)
 class Diagnosis:
-    """Of one joint. `drive` is the draft's with what was measured in its place; problems stand in the way of a new arm.toml."""
+    """Of one joint. `drive` is the draft's with what was measured in its place; problems prevent a new arm.toml."""
 
     drive: Drive
     figures: dict[str, float] = field(default_factory=dict)

@@ -48,12 +48,12 @@ class Journal:
             is_ours = content["format"] == FORMAT
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ArmError(
-                f"{self.path}: not a journal of bring-up ({error}): remove it, or take another --out"
+                f"{self.path}: not a bring-up journal ({error}): remove it, or choose another --out"
             ) from None
         if not is_ours or content.get("draft_sha256") != digest:
             raise ArmError(
-                f"{self.path}: the journal of another draft, or of one that has changed since: remove it to begin anew, or take"
-                " another --out"
+                f"{self.path}: this journal belongs to another draft, or the draft has changed: remove it to start"
+                " again, or choose another --out"
             )
         self._content = content
 
@@ -63,7 +63,7 @@ class Journal:
         self._save()
 
     def note_joint(self, joint: int, wiring: JointWiring, found: Measured, result: Diagnosis) -> None:
-        """One joint; it counts as done when nothing is broken."""
+        """One joint; it counts as done if there are no problems."""
         self._content["joints"][str(joint)] = {
             "passed": not result.problems,
             "wiring": asdict(wiring),
@@ -82,7 +82,7 @@ class Journal:
         return sorted(int(joint) for joint, entry in self._content["joints"].items() if entry["passed"])
 
     def entry(self, joint: int) -> dict[str, Any]:
-        """What was noted of a joint."""
+        """The entry of a joint."""
         found: dict[str, Any] = self._content["joints"][str(joint)]
         return found
 
@@ -114,7 +114,7 @@ def _finite(value: Any) -> Any:
 
 
 def brought_up(draft: Arm, journal: Journal, serials: dict[int, int]) -> Arm:
-    """The draft with what was measured in its place. `serials`: of motor boards by node, for drives whose serial is checked."""
+    """The draft with the measured values. `serials`: of motor boards by node, for drives whose serial is checked."""
     drives, effects = [], list(draft.effects)
     for drive in draft.drives:
         if drive.joint not in journal.passed():
@@ -139,9 +139,9 @@ def _with_friction(effects: list[Effect], joint: int, friction: list[float | Non
     coulomb_Nm, viscous = friction
     if coulomb_Nm is None or viscous is None:
         return effects
-    kept = [e for e in effects if not (e.joint == joint and e.effect in FRICTION)]
+    others = [e for e in effects if not (e.joint == joint and e.effect in FRICTION)]
     if coulomb_Nm > LEAST_FRICTION_Nm:
-        kept.append(Effect("coulomb_friction", joint, {"torque_Nm": round(coulomb_Nm, 4)}))
+        others.append(Effect("coulomb_friction", joint, {"torque_Nm": round(coulomb_Nm, 4)}))
     if viscous > LEAST_FRICTION_Nm:
-        kept.append(Effect("viscous_friction", joint, {"coefficient_Nm_s_rad": round(viscous, 4)}))
-    return kept
+        others.append(Effect("viscous_friction", joint, {"coefficient_Nm_s_rad": round(viscous, 4)}))
+    return others

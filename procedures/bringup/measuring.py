@@ -42,18 +42,18 @@ class SteadyPass:
 
 @dataclass(slots=True)
 class Measured:
-    """One joint; angles nominal (draft's scale), from where it stood first, unless said otherwise. NaN or empty: not measured."""
+    """One joint; angles nominal (draft's scale), from the first pose, unless stated otherwise. NaN or empty: not measured."""
 
     spacings_count: list[int] = field(default_factory=list)
     passes: list[SteadyPass] = field(default_factory=list)
     readings: list[tuple[float, float]] = field(default_factory=list)
     """(angle by counts with the draft's scale, the operator's reading)."""
     stops_rad: list[list[float]] = field(default_factory=lambda: [[], []])
-    """Where it stood against the lower and the upper stop, each time."""
+    """Angles at the lower and the upper stop, one per touch."""
     edges: list[tuple[float, int, bool]] = field(default_factory=list)
     """Where the home switch changed, the direction of motion, and whether the switch is active behind it."""
     is_home_active: list[bool] = field(default_factory=list)
-    """What the switch was ever seen to be."""
+    """All states of the switch that were seen."""
     index_rad: float = math.nan
     flags: int = 0
     stalled_early: bool = False
@@ -62,18 +62,21 @@ class Measured:
 def measure(
     driver: JointDriver, operator: Operator, speed_rad_s: float, with_stops: bool, joint: int
 ) -> Measured:
-    """All of it. Raises Stopped, Surprise and what the boards raise; the drive is off then."""
+    """All of it. Raises Stopped, SafetyTrip and the errors of the boards; the drive is off then."""
     found = Measured()
     operator.support(joint)
     try:
         _known_angle(driver, operator, joint, found, KNOWN_ANGLE_RAD if with_stops else LONG_ANGLE_RAD)
         _allow(
-            operator, joint, "turns by a few motor turns for its index, then to and fro for its friction", 0.5
+            operator,
+            joint,
+            "makes a few motor turns to find the index, then moves back and forth to measure friction",
+            0.5,
         )
         measure_index_spacing(driver, found)
         _friction(driver, found)
         if with_stops:
-            _allow(operator, joint, "creeps to both of its end stops, so its whole way must be free", None)
+            _allow(operator, joint, "creeps to both end stops; its whole range must be clear", None)
             _stops(driver, operator, joint, found, speed_rad_s)
     finally:
         operator.let_go()
@@ -81,17 +84,17 @@ def measure(
 
 
 def _allow(operator: Operator, joint: int, what: str, travel_rad: float | None) -> None:
-    way = f", by at most {math.degrees(travel_rad):.0f} deg" if travel_rad else ""
+    way = f", at most {math.degrees(travel_rad):.0f} deg" if travel_rad else ""
     if not operator.allow(f"Joint {joint} {what}{way}."):
-        raise Stopped(f"the operator did not allow joint {joint} to move")
+        raise Stopped(f"the operator did not confirm the motion of joint {joint}")
 
 
 def _known_angle(
     driver: JointDriver, operator: Operator, joint: int, found: Measured, angle_rad: float
 ) -> None:
-    """Read, turn by the draft's scale, read: what is out by a factor is known before anything goes far."""
+    """Read, turn by the draft's scale, read: a wrong scale shows before a long motion."""
     _read(driver, operator, joint, found)
-    _allow(operator, joint, "turns in what should be its positive direction", angle_rad)
+    _allow(operator, joint, "turns in its supposed positive direction", angle_rad)
     start_rad = driver.where_rad()
     if abs(_turned(driver, found, angle_rad)) < 0.8 * angle_rad:
         _turned(driver, found, -2.0 * angle_rad)  # something stood in the way
@@ -115,7 +118,7 @@ def _note_flags(run: Run, found: Measured) -> None:
 
 
 def measure_index_spacing(driver: JointDriver, found: Measured) -> None:
-    """Index pulses forth; where the joint cannot go forth, back."""
+    """Index pulses in the positive direction, or in the negative one if the joint is blocked."""
     start_rad = driver.where_rad()
     longest_rad = INDEX_TURNS * 2.0 * math.pi / driver.drive.gear_ratio
     for direction in (1, -1):
@@ -130,7 +133,7 @@ def measure_index_spacing(driver: JointDriver, found: Measured) -> None:
 
 
 def _friction(driver: JointDriver, found: Measured) -> None:
-    """Steady passes to and fro over the same place, so that gravity is the same both ways."""
+    """Steady passes back and forth over the same place, so that gravity is the same both ways."""
     for speed_rad_s in PASS_SPEEDS_rad_s:
         length_rad = max(PASS_RAD, PASS_S * speed_rad_s)
         for direction in (1.0, -1.0):
@@ -165,7 +168,7 @@ def _read(driver: JointDriver, operator: Operator, joint: int, found: Measured) 
 
 
 def _is_odd(found: Measured) -> bool:
-    """Whether two readings say another scale than the draft: then a third place shows whether one of them was misread."""
+    """Whether two readings give another scale than the draft: a third reading then reveals a misread one."""
     if len(found.readings) < 2:
         return False
     (x0, q0), (x1, q1) = found.readings[0], found.readings[-1]

@@ -1,4 +1,4 @@
-"""The person beside a mock arm: sees true joint angles as well as eyes and an inclinometer do, and holds up what is told."""
+"""The person beside a mock arm: reads true joint angles with the accuracy of an inclinometer, and supports links on request."""
 
 import random
 import sys
@@ -24,13 +24,13 @@ class MockOperator:
             sys.stdout.write(f"{text}\n")
 
     def allow(self, what: str) -> bool:
-        """Always; and look where the joints stand before it begins."""
+        """Always; the joint angles are noted before the motion begins."""
         self.say(f"  {what}  [mock operator: go]")
         self._look()
         return True
 
     def _look(self) -> None:
-        """Where the joints stand, and how they sink by themselves."""
+        """Note the joint angles and the speeds at which the joints sink."""
         self._before, self._seen_s = self._rig.joint_rad(), self._rig.clock.now_s()
         self._sinking_rad_s = self._rig.robot.plant.joint_speed_rad_s()
 
@@ -48,7 +48,7 @@ class MockOperator:
         words = (
             f"joint {answer[0]}, {'positive' if answer[1] > 0 else 'negative'}" if answer else "nothing moved"
         )
-        self.say(f"  What moved, and which way?  [mock operator: {words}]")
+        self.say(f"  Which joint moved, and in which direction?  [mock operator: {words}]")
         return answer
 
     def angle_rad(self, joint: int) -> float | None:
@@ -61,6 +61,6 @@ class MockOperator:
             self._rig.robot.plant.block(other, other != joint - 1, "operator")
 
     def let_go(self) -> None:
-        """Take the hands away."""
+        """Release all links."""
         for other in range(len(self._rig.joint_rad())):
             self._rig.robot.plant.block(other, False, "operator")

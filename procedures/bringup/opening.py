@@ -22,7 +22,7 @@ class Setting:
     """An arm with ports, whose clock it is, and the mock behind the ports, for a mock operator to see; None on a bench."""
 
     draft: Arm
-    """As its file says."""
+    """As in its file."""
     arm: Arm
     """With the links of the command line, or of the mock."""
     clock: Clock
@@ -36,11 +36,11 @@ def opened(given: argparse.Namespace) -> Iterator[Setting]:
     if not given.mock:
         for name in ("scenario", "mock_arm"):
             if getattr(given, name) is not None:
-                raise ArmError(f"--{name.replace('_', '-')} is for a mock arm: give --mock, too")
+                raise ArmError(f"--{name.replace('_', '-')} needs --mock")
         yield Setting(draft, with_links(draft, link_options(given)), MonotonicClock())
         return
     if given.encoder or given.can_interface or given.can_channel:
-        raise ArmError("--mock brings its own links: leave out --encoder and --can-...")
+        raise ArmError("--mock brings its own links: omit --encoder and --can-...")
     from hil_mocks.rig import SteppedRig
     from procedures.mock.arm import wired_to
 

@@ -1,17 +1,17 @@
-"""The person beside the arm, as bring-up sees them: who allows a motion, stops it, and says what the joint did."""
+"""The person beside the arm, as bring-up sees them: who confirms a motion, stops it, and reports what the joint did."""
 
 from typing import Protocol
 
 
 class Stopped(Exception):
-    """The operator did not allow a motion, or stopped one. The drive is off."""
+    """The operator did not confirm a motion, or stopped one. The drive is off."""
 
 
 class Operator(Protocol):
     """A person at a terminal, or one at a mock arm."""
 
     def say(self, text: str) -> None:
-        """Tell them something."""
+        """Show a text."""
         ...
 
     def allow(self, what: str) -> bool:
@@ -35,5 +35,5 @@ class Operator(Protocol):
         ...
 
     def let_go(self) -> None:
-        """Nothing needs support any more."""
+        """No link needs support any more."""
         ...

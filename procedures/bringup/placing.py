@@ -1,4 +1,4 @@
-"""Where index, home switch and end stops are, in the joint's own angle, and what that changes of a draft."""
+"""Where index, home switch and end stops are, in the joint's own angle, and the resulting changes of a draft."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,7 @@ SHORT_RANGE = 0.9  # of the draft's range
 
 
 def place_home(result: Diagnosis, found: Measured, offset_rad: float, scale: float) -> float:
-    """Index and switch by the readings; returns the angle where the joint stood first, by the index where it is believed."""
+    """Index and switch by the readings; returns the angle of the joint's first pose, from the index if it is trusted."""
     drive, name = result.drive, f"joint {result.drive.joint}"
     home = drive.home
     if home is None:
@@ -25,20 +25,20 @@ def place_home(result: Diagnosis, found: Measured, offset_rad: float, scale: flo
         if found.is_home_active and all(found.stops_rad):
             state = "active" if found.is_home_active[0] else "not active"
             result.problems.append(
-                f"{name}: NO HOME SWITCH: it was {state} from one end stop to the other: check switch, cam and wire, or take"
-                " [drive.home] out"
+                f"{name}: NO HOME SWITCH: it was {state} from one end stop to the other: check the switch, cam and"
+                " wire, or remove [drive.home]"
             )
         return offset_rad
     above = {(direction > 0) == is_active for _, direction, is_active in found.edges}
     if len(above) == 1 and above != {home.index_rad >= home.switch_rad}:
         result.problems.append(
-            f"{name}: HOME SWITCH INVERTED: it is active {'above' if above == {True} else 'below'} its edge, the draft wants it"
-            " on the side of index_rad: invert the switch, or give index_rad and switch_rad of the other side"
+            f"{name}: HOME SWITCH INVERTED: it is active {'above' if above == {True} else 'below'} its edge, expected"
+            " on the side of index_rad: invert the switch, or set index_rad and switch_rad for the other side"
         )
         return offset_rad
     if math.isnan(found.index_rad):
         result.notes.append(
-            f"{name}: no index pulse was seen behind the home switch: [drive.home] is the draft's, unchecked"
+            f"{name}: no index pulse was seen behind the home switch: [drive.home] was not checked and is the draft's"
         )
         return offset_rad
     return _place_index(result, found, home, offset_rad, scale)
@@ -54,9 +54,9 @@ def _place_index(result: Diagnosis, found: Measured, home: Home, offset_rad: flo
         if abs(read_rad - index_rad) > TURN_TOLERANCE * turn_rad:
             index_rad = round(read_rad, 4)
             result.changes.append(
-                f"{name}: INDEX MOVED: by the readings its index is at {math.degrees(read_rad):.2f} deg, the draft says"
-                f" {math.degrees(home.index_rad):.2f} deg (a motor turn is {math.degrees(turn_rad):.2f} deg): index_rad ="
-                f" {index_rad:g}; calibration makes the zero exact"
+                f"{name}: INDEX MOVED: the readings put its index at {math.degrees(read_rad):.2f} deg, the draft at"
+                f" {math.degrees(home.index_rad):.2f} deg (one motor turn is {math.degrees(turn_rad):.2f} deg):"
+                f" index_rad = {index_rad:g}; calibration refines the zero"
             )
     forth = 1 if home.index_rad >= home.switch_rad else -1
     edges = [edge for edge, direction, is_active in found.edges if direction == forth and is_active]
@@ -67,8 +67,8 @@ def _place_index(result: Diagnosis, found: Measured, home: Home, offset_rad: flo
         if abs(measured_rad - switch_rad) > SWITCH_TOLERANCE * turn_rad:
             switch_rad = measured_rad
             result.changes.append(
-                f"{name}: HOME SWITCH MOVED: its index comes {scale * (found.index_rad - fmean(edges)):.4f} rad behind it, by the"
-                f" draft {home.index_rad - home.switch_rad:.4f} rad: switch_rad = {round(switch_rad, 4):g}"
+                f"{name}: HOME SWITCH MOVED: its index comes {scale * (found.index_rad - fmean(edges)):.4f} rad"
+                f" behind it, draft {home.index_rad - home.switch_rad:.4f} rad: switch_rad = {round(switch_rad, 4):g}"
             )
         _warn_of_far_index(result, turn_rad, scale * (found.index_rad - fmean(edges)))
     result.drive = replace(
@@ -81,8 +81,8 @@ def _warn_of_far_index(result: Diagnosis, turn_rad: float, behind_rad: float) ->
     share = abs(behind_rad) / turn_rad % 1.0
     if min(share, 1.0 - share) < 0.15:
         result.notes.append(
-            f"joint {result.drive.joint}: its index comes {share:.2f} of a motor turn behind the home switch: a switch that moves"
-            " a little homes one turn off; shift it by half a motor turn"
+            f"joint {result.drive.joint}: its index comes {share:.2f} of a motor turn behind the home switch: a small"
+            " shift of the switch makes homing one turn off; move the switch by half a motor turn"
         )
 
 
@@ -102,14 +102,14 @@ def place_limits(result: Diagnosis, found: Measured, offset_rad: float, scale: f
         return
     stops = " and ".join(f"{math.degrees(stop):.1f} deg" for stop in measured if not math.isnan(stop))
     result.changes.append(
-        f"{name}: END STOPS are at {stops}: joint_lower_rad = {lower:g}, joint_upper_rad = {upper:g} (the draft has"
+        f"{name}: END STOPS are at {stops}: joint_lower_rad = {lower:g}, joint_upper_rad = {upper:g} (draft"
         f" {drive.joint_lower_rad:g} and {drive.joint_upper_rad:g})"
     )
     if math.isfinite(drive.joint_upper_rad - drive.joint_lower_rad) and upper - lower < SHORT_RANGE * (
         drive.joint_upper_rad - drive.joint_lower_rad
     ):
         result.notes.append(
-            f"{name}: that is less than the draft's range: was it a stop, or an obstacle, a cable, or a load too heavy for the"
-            " low current?"
+            f"{name}: this range is smaller than the draft's: check for an obstacle, a cable, or a load too heavy for"
+            " the low current"
         )
     result.drive = replace(drive, joint_lower_rad=lower, joint_upper_rad=upper)

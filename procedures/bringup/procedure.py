@@ -9,7 +9,7 @@ import numpy as np
 from control.dynamics.dynamics import Dynamics
 from control.errors import MissingModel
 from control.model.arm import Arm, Drive
-from procedures.bringup.bench import Bench, Surprise
+from procedures.bringup.bench import Bench, SafetyTrip
 from procedures.bringup.diagnosis import diagnose
 from procedures.bringup.driving import JointDriver
 from procedures.bringup.findings import Diagnosis
@@ -48,16 +48,16 @@ class Outcome:
 def bring_up(
     arm: Arm, bench: Bench, operator: Operator, journal: Journal, options: Options, say: Callable[[str], None]
 ) -> Outcome:
-    """Pulse, then measure the joints that have not passed yet. Raises Stopped and what boards raise; all drives are off then."""
+    """Pulse, then measure the joints that have not passed yet. Raises Stopped and board errors; all drives are off then."""
     outcome = Outcome()
     currents = {drive.joint: caution_of(arm, drive, options) for drive in arm.drives}
-    say("Which motor moves what: a short pulse on each motor board.")
+    say("Motor survey: a short pulse on each motor board.")
     pulses = []
     for drive in arm.drives:
         try:
             pulses.append(pulse(bench, operator, drive, currents[drive.joint], arm.joint_count))
-        except Surprise as surprise:
-            outcome.problems.append(f"motor board {drive.motor_node}: {surprise}")
+        except SafetyTrip as trip:
+            outcome.problems.append(f"motor board {drive.motor_node}: {trip}")
     journal.note_pulses(pulses)
     outcome.wiring = wiring_of(pulses, arm.drives)
     outcome.problems += outcome.wiring.problems
@@ -66,7 +66,7 @@ def bring_up(
         wiring = outcome.wiring.joints.get(joint)
         if wiring is None:
             outcome.problems.append(
-                f"joint {joint}: no motor board is known to move it, so nothing else was measured of it"
+                f"joint {joint}: no motor board was seen to move it, so it was not measured"
             )
             continue
         measure_joint(arm, bench, operator, journal, options, outcome, wiring, currents[joint], say)
@@ -84,13 +84,13 @@ def measure_joint(
     )
     try:
         found = measure(driver, operator, options.speed_rad_s, options.with_stops, wiring.joint)
-    except Surprise as surprise:
-        outcome.problems.append(f"joint {wiring.joint}: {surprise}")
-        say(f"  BAD   joint {wiring.joint}: {surprise}")
+    except SafetyTrip as trip:
+        outcome.problems.append(f"joint {wiring.joint}: {trip}")
+        say(f"  BAD   joint {wiring.joint}: {trip}")
         return
     identity = bench.encoders[wiring.channel[0]].identity
-    said_counts = identity.counts_per_turn[wiring.channel[1]] if identity else drive.encoder_counts_per_rev
-    result = diagnose(drive, wiring, found, said_counts)
+    board_counts = identity.counts_per_turn[wiring.channel[1]] if identity else drive.encoder_counts_per_rev
+    result = diagnose(drive, wiring, found, board_counts)
     outcome.diagnoses[wiring.joint] = result
     outcome.problems += result.problems
     journal.note_joint(wiring.joint, wiring, found, result)
@@ -105,7 +105,7 @@ def _say_all(say: Callable[[str], None], problems: Sequence[str], others: Sequen
 
 
 def caution_of(arm: Arm, drive: Drive, options: Options) -> Caution:
-    """A current that moves the joint and no more: what gravity takes by the draft's masses, and some for friction."""
+    """The current that just moves the joint: the gravity load by the draft's masses, with a margin for friction."""
     speed_rad_s = min(SURVEY_SPEED_rad_s, drive.joint_speed_limit_rad_s)
     if options.current_A is not None:
         return Caution(options.current_A, speed_rad_s)

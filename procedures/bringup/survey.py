@@ -1,6 +1,6 @@
 """Which motor moves which joint, and which encoder counts it: short pulses, one motor board after the other.
 
-Nothing is believed of the draft but roughly how a motor is made (resistance, constant, gear), which sets how far a pulse may go.
+Only the rough motor constants of the draft (resistance, constant, gear) are trusted; they limit a pulse.
 """
 
 import math
@@ -24,7 +24,7 @@ ANSWERING_SHARE = 0.3  # of the largest: a second channel that moves by more tha
 
 @dataclass(frozen=True, slots=True)
 class Caution:
-    """What a motor may get in bring-up."""
+    """Limits of a motor in bring-up."""
 
     current_A: float
     speed_rad_s: float
@@ -45,18 +45,18 @@ class Pulse:
     channel: Channel | None
     moved_count: int
     returned_count: int
-    """By how much the same channel moved under negative voltage."""
+    """Travel of the same channel under negative voltage."""
     others: tuple[Channel, ...]
-    """Channels that moved as well."""
+    """Other channels that moved."""
     peak_volts: float
     peak_current_A: float
     stall_ohm: float
     """Voltage over current before anything moved; NaN where no current flowed."""
     breakaway_A: float
     motor_board_count: int
-    """By how much the motor board's own counter moved."""
+    """Travel of the motor board's own counter."""
     lost: tuple[Channel, ...] = ()
-    """Channels whose signal the encoder board calls lost."""
+    """Channels whose signal the encoder board reports as lost."""
 
     def as_json(self) -> dict[str, object]:
         """For the journal."""
@@ -66,16 +66,16 @@ class Pulse:
 def pulse(bench: Bench, operator: Operator, drive: Drive, caution: Caution, joint_count: int) -> Pulse:
     """Ramp the voltage of the motor board that the draft gives to `drive` until something moves; ask what did; go back.
 
-    Raises Stopped, Surprise and what the boards raise; the drive is off then.
+    Raises Stopped, SafetyTrip and the errors of the boards; the drive is off then.
     """
     volts = caution.voltage_V(drive)
     per_rad = abs(JointMap(drive).counts_per_radian)
     if not operator.allow(
-        f"Motor board {drive.motor_node} (joint {drive.joint} by the draft): a pulse with at most {caution.current_A:.2f} A"
-        f" and {volts:.2f} V. One of the joints should turn by some {math.degrees(PULSE_RAD):.0f} deg,"
-        f" {math.degrees(BLIND_RAD):.0f} deg at most."
+        f"Motor board {drive.motor_node} (joint {drive.joint} in the draft): a pulse of at most"
+        f" {caution.current_A:.2f} A and {volts:.2f} V. One joint should turn by about {math.degrees(PULSE_RAD):.0f}"
+        f" deg, at most {math.degrees(BLIND_RAD):.0f} deg."
     ):
-        raise Stopped("the operator did not allow the pulse")
+        raise Stopped("the operator did not confirm the pulse")
     before_count = bench.motor_count(drive.motor_node)
     sinking = _drift(bench)
     limits = DriveLimits(caution.current_A, volts, travel_count=TRAVEL * PULSE_RAD * per_rad)
@@ -117,7 +117,7 @@ def _ramp(
 
 
 def _drift(bench: Bench) -> dict[Channel, float]:
-    """Counts a second of joints that sink on their shorted windings, before anything is driven."""
+    """Counts per second of joints that sink on their shorted windings, before anything is driven."""
     first = bench.observe(0.02)
     last = bench.observe(SETTLE_S)
     span_s = max(last.t_s - first.t_s, 1e-3)
@@ -125,7 +125,7 @@ def _drift(bench: Bench) -> dict[Channel, float]:
 
 
 def _moved(first: Sample, last: Sample, sinking: dict[Channel, float]) -> dict[Channel, int]:
-    """By how much channels moved beyond what they sank."""
+    """Travel of the channels, without the sinking."""
     span_s = last.t_s - first.t_s
     return {at: round(last.counts[at] - first.counts[at] - sinking[at] * span_s) for at in last.counts}
 

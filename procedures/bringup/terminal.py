@@ -15,11 +15,11 @@ NOTHING = ("0", "n", "no", "none", "nothing")
 
 
 class TerminalOperator:
-    """`procedures.bringup.operator.Operator`. A context manager: the terminal is left as it was found."""
+    """`procedures.bringup.operator.Operator`. A context manager: it restores the terminal."""
 
-    def __init__(self, goes_on_by_itself: bool = False) -> None:
-        """`goes_on_by_itself`: motions are announced and begin without Enter; questions are asked all the same."""
-        self._goes_on = goes_on_by_itself
+    def __init__(self, without_confirmation: bool = False) -> None:
+        """`without_confirmation`: motions are announced and begin without Enter; questions are still asked."""
+        self._without_confirmation = without_confirmation
         self._is_terminal = sys.stdin.isatty()
         self._settings = termios.tcgetattr(sys.stdin) if self._is_terminal else None
 
@@ -37,11 +37,11 @@ class TerminalOperator:
         sys.stdout.flush()
 
     def allow(self, what: str) -> bool:
-        """Enter begins; anything else does not."""
-        if self._goes_on:
+        """Enter begins; any other answer declines."""
+        if self._without_confirmation:
             self.say(f"  {what}")
         elif self._line(
-            f"  {what}\n  Enter: go, with a hand on the stop. Any key stops it. s and Enter: do not move. "
+            f"  {what}\n  Enter: go; keep a hand on the emergency stop. Any key stops the motion. s and Enter: do not move. "
         ).strip():
             return False
         self._by_keys()
@@ -55,35 +55,39 @@ class TerminalOperator:
         return True
 
     def what_moved(self, joint_count: int) -> tuple[int, int] | None:
-        """Asked until the answer makes sense."""
+        """Asked until the answer is valid."""
         while True:
-            said = self._line(
-                "  What moved, and which way by the drawing? A joint and a sign, such as 1+ or 2-; 0: nothing moved. "
+            answer = self._line(
+                "  Which joint moved, and in which direction of the drawing? Joint and sign, such as 1+ or 2-; 0:"
+                " nothing moved. "
             ).strip()
-            if said.lower() in NOTHING:
+            if answer.lower() in NOTHING:
                 return None
-            joint, sign = said[:-1].strip(), said[-1:]
+            joint, sign = answer[:-1].strip(), answer[-1:]
             if joint.isdigit() and 1 <= int(joint) <= joint_count and sign in ("+", "-"):
                 return int(joint), 1 if sign == "+" else -1
-            self.say(f"  Expected 1 to {joint_count} with + or -, or 0; got {said!r}.")
+            self.say(f"  Expected 1 to {joint_count} with + or -, or 0; got {answer!r}.")
 
     def angle_rad(self, joint: int) -> float | None:
         """Degrees are what protractors have."""
         while True:
-            said = self._line(
-                f"  Angle of joint {joint} by the drawing, in degrees (protractor or inclinometer; Enter: cannot be read): "
+            answer = self._line(
+                f"  Angle of joint {joint} as in the drawing, in degrees (protractor or inclinometer; Enter: cannot"
+                " be read): "
             ).strip()
-            if not said:
+            if not answer:
                 return None
             with contextlib.suppress(ValueError):
-                degrees = float(said.replace(",", "."))
+                degrees = float(answer.replace(",", "."))
                 if math.isfinite(degrees) and abs(degrees) <= 720.0:
                     return math.radians(degrees)
-            self.say(f"  Expected a number of degrees, got {said!r}.")
+            self.say(f"  Expected a number of degrees, got {answer!r}.")
 
     def support(self, joint: int) -> None:
-        """Say what is to be held."""
-        self.say(f"Joint {joint} is next. Support the links of the other joints: they are braked, not held.")
+        """Tell the operator which links to support."""
+        self.say(
+            f"Joint {joint} is next. Support the links of the other joints: they are braked, but not held."
+        )
 
     def let_go(self) -> None:
         """Nothing to do: a person sees that the motion is over."""

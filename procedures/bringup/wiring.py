@@ -1,4 +1,4 @@
-"""What the pulses say about the wiring: which motor board and which encoder channel belong to which joint, with which signs."""
+"""The wiring that the pulses reveal: which motor board and which encoder channel belong to which joint, with which signs."""
 
 import math
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ class JointWiring:
 
 @dataclass(slots=True)
 class WiringFound:
-    """Joints that are known, and what stands in the way of the others: sentences with a remedy each."""
+    """The identified joints, and the problems of the others: each a sentence with a remedy."""
 
     joints: dict[int, JointWiring] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
@@ -51,8 +51,8 @@ def wiring_of(pulses: Sequence[Pulse], drives: Sequence[Drive]) -> WiringFound:
 
 
 def _problem_of(pulse: Pulse, drive: Drive) -> str:
-    """Why a pulse tells nothing about a joint, or an empty text."""
-    name = f"motor board {pulse.node} (joint {drive.joint} by the draft)"
+    """Why a pulse does not identify a joint, or an empty text."""
+    name = f"motor board {pulse.node} (joint {drive.joint} in the draft)"
     is_counted, is_seen = pulse.channel is not None, pulse.joint > 0
     wanted_A = pulse.peak_volts / drive.resistance_ohm
     flowed = f"{pulse.peak_current_A:.2f} A at {pulse.peak_volts:.2f} V"
@@ -63,32 +63,32 @@ def _problem_of(pulse: Pulse, drive: Drive) -> str:
         and not follows
         and is_counted >= is_seen
     ):
-        moved = "what moved did so by its own weight" if is_counted else "nothing moves, nothing counts"
+        moved = "the motion came from gravity" if is_counted else "nothing moves or counts"
         return (
-            f"{name}: DEAD MOTOR: no current flows ({flowed}), {moved}: check the motor's cable and plug, its brushes, and the"
-            " fuse of this board"
+            f"{name}: DEAD MOTOR: no current flows ({flowed}), {moved}: check the motor's cable, plug and brushes,"
+            " and the board's fuse"
         )
     if is_counted and is_seen:
         return ""
     if not is_counted and not is_seen:
         return (
-            f"{name}: STUCK JOINT: the motor takes {flowed} and nothing moves or counts: look for a brake, a transport lock or a"
-            " jammed gear; if friction is that large, give a larger --current"
+            f"{name}: STUCK JOINT: the motor draws {flowed}, but nothing moves or counts: look for a brake, a"
+            " transport lock or a jammed gear; for high friction, give a larger --current"
         )
     if is_seen:
         alive = abs(pulse.motor_board_count) > 10
         hint = (
-            f"the motor board counted {pulse.motor_board_count:+d}, so the encoder lives: check the cable from it to the encoder"
-            " board"
+            f"the motor board counted {pulse.motor_board_count:+d}, so the encoder works: check the cable from the"
+            " encoder to the encoder board"
             if alive
             else "the motor board counted nothing either: check the encoder's supply, plug and coupling"
         )
         if pulse.lost:
             hint = f"the encoder board reports a lost signal on channel {', '.join(map(_named, pulse.lost))}; {hint}"
-        return f"{name}: DEAD ENCODER: joint {pulse.joint} moved and no encoder channel counted; {hint}"
+        return f"{name}: DEAD ENCODER: joint {pulse.joint} moved, but no encoder channel counted; {hint}"
     return (
-        f"{name}: channel {_named(pulse.channel)} counted {pulse.moved_count:+d} but no joint was seen to move: the motor turns"
-        " without its joint: check pinion, belt and set screws between them"
+        f"{name}: channel {_named(pulse.channel)} counted {pulse.moved_count:+d}, but no joint was seen to move: the"
+        " motor turns without its joint: check pinion, belt and set screws between them"
     )
 
 
@@ -97,15 +97,15 @@ def _take(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
         return
     if pulse.joint in found.joints:
         found.problems.append(
-            f"motor boards {found.joints[pulse.joint].node} and {pulse.node} both moved joint {pulse.joint}: are two motors"
-            " wired in parallel, or was an answer wrong? Run it again"
+            f"motor boards {found.joints[pulse.joint].node} and {pulse.node} both moved joint {pulse.joint}: two"
+            " motors are wired in parallel, or an answer was wrong; check and run again"
         )
         return
     if pulse.others:
         others = ", ".join(_named(at) for at in pulse.others)
         found.notes.append(
-            f"joint {pulse.joint}: channel {others} moved with it: a belt that couples joints (effect belt_coupling), or a joint"
-            " that is not supported"
+            f"joint {pulse.joint}: channel {others} moved with it: a belt couples the joints (effect belt_coupling),"
+            " or a joint is not supported"
         )
     encoder_direction = pulse.direction * (1 if pulse.moved_count > 0 else -1)
     found.joints[pulse.joint] = JointWiring(
@@ -120,62 +120,63 @@ def _compare_motor_board(found: WiringFound, pulse: Pulse, drive: Drive) -> None
     name = f"joint {pulse.joint}: motor board {pulse.node}"
     is_position = drive.pid.mode == "position"
     if counted < -10:
-        said = (
-            f"{name}: REVERSED MOTOR: its own encoder counts down with positive voltage, so its position control would run away:"
-            " change over the motor's two leads (or A and B of its encoder)"
+        text = (
+            f"{name}: REVERSED MOTOR: the board's own encoder counts down with positive voltage, so its position"
+            " control would run away: swap the motor's two leads (or A and B of its encoder)"
         )
         (found.problems if is_position else found.notes).append(
-            said if is_position else f'{said}, before [drive.pid] mode = "position" is used'
+            text if is_position else f'{text} before you use [drive.pid] mode = "position"'
         )
     elif abs(counted) <= 10:
-        said = f"{name}: its own encoder input counts nothing"
+        text = f"{name}: the board's own encoder input counts nothing"
         if is_position:
-            found.problems.append(f"{said}: connect it, or take another [drive.pid] mode")
+            found.problems.append(f"{text}: connect it, or choose another [drive.pid] mode")
         else:
-            found.notes.append(f'{said}; only mode = "position" needs it')
+            found.notes.append(f'{text}; only mode = "position" needs it')
     elif not math.isclose(abs(counted), abs(pulse.moved_count), rel_tol=SAME_COUNT, abs_tol=50):
         found.notes.append(
-            f"{name}: its own encoder counted {counted:+d}, the encoder board {pulse.moved_count:+d}: two different encoders?"
+            f"{name}: the board's own encoder counted {counted:+d}, the encoder board {pulse.moved_count:+d}: check"
+            " that both read the same encoder"
         )
 
 
 def _same_channel(found: WiringFound) -> None:
-    """Two joints on one channel cannot be."""
+    """Two joints cannot share one channel."""
     seen: dict[Channel, int] = {}
     for joint, wiring in sorted(found.joints.items()):
         if wiring.channel in seen:
             found.problems.append(
-                f"joints {seen[wiring.channel]} and {joint} both made channel {_named(wiring.channel)} count: was an answer"
-                " wrong? Run it again"
+                f"joints {seen[wiring.channel]} and {joint} both made channel {_named(wiring.channel)} count: an"
+                " answer was probably wrong; run again"
             )
         seen[wiring.channel] = joint
 
 
 def _changes(found: JointWiring, drive: Drive) -> list[str]:
-    """In which way the wiring is not the draft's; each is mended in the new file."""
-    said = []
+    """Differences of the wiring from the draft; each is corrected in the new file."""
+    changes = []
     name = f"joint {found.joint}"
     if found.node != drive.motor_node:
-        said.append(
-            f"{name}: SWAPPED MOTOR: motor board {found.node} moves it, the draft says {drive.motor_node}: motor_node corrected"
+        changes.append(
+            f"{name}: SWAPPED MOTOR: motor board {found.node} moves it, draft {drive.motor_node}: motor_node corrected"
         )
     if found.channel != (drive.encoder_board, drive.encoder_channel):
         draft = _named((drive.encoder_board, drive.encoder_channel))
-        said.append(
-            f"{name}: SWAPPED ENCODER: channel {_named(found.channel)} counts it, the draft says {draft}: encoder_channel"
+        changes.append(
+            f"{name}: SWAPPED ENCODER: channel {_named(found.channel)} counts it, draft {draft}: encoder_channel"
             " corrected"
         )
     if found.motor_direction != drive.motor_direction:
-        said.append(
-            f"{name}: REVERSED MOTOR: positive voltage turns it in its {_way(found.motor_direction)} direction: motor_direction ="
-            f" {found.motor_direction}"
+        changes.append(
+            f"{name}: REVERSED MOTOR: positive voltage turns it in the {_way(found.motor_direction)} direction:"
+            f" motor_direction = {found.motor_direction}"
         )
     if found.encoder_direction != drive.encoder_direction:
-        said.append(
+        changes.append(
             f"{name}: REVERSED ENCODER: it counts {'up' if found.encoder_direction > 0 else 'down'} in the joint's positive"
             f" direction: encoder_direction = {found.encoder_direction}"
         )
-    return said
+    return changes
 
 
 def _way(direction: int) -> str:

@@ -45,7 +45,7 @@ NO_NAMES = ("link_geometry", "base_frame")
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """One model's visits and paths: what the camera saw, and by how much the joints were off their set-points."""
+    """One model's visits and paths: camera measurements and following errors."""
 
     name: str
     survey: Survey
@@ -55,7 +55,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Circle:
-    """The whole circle: what was hidden, found, and how far off the tip was at each stage."""
+    """The whole demo: the hidden effect, the finding, and the tip error at each stage."""
 
     hidden: Hidden
     outcome: GapOutcome
@@ -74,7 +74,7 @@ class Circle:
 
     @property
     def is_right(self) -> bool:
-        """Whether what was named is what was hidden, no more and no less."""
+        """Whether exactly the hidden effect was named."""
         return [one.name for one in self.named] == [EffectName(self.hidden.effect, self.hidden.joint)]
 
 
@@ -102,14 +102,14 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
     if has_motions:  # poses alone tell nothing: what is missing shows in motion, if anywhere
         record(own, plans["motions"], out / "motions", lambda what, done: advance(what, 0.42 + 0.18 * done))
         recordings = read_recordings(arm, recordings.point_files, [out / "motions" / "log.csv"])
-    advance("driving by the nominal model", 0.6)
+    advance("moving by the nominal model", 0.6)
     before = _driven("nominal", arm, arm, programme, client, first, bench, out)
-    _put_away(arm, client, bench)
+    _shut_down(arm, client, bench)
 
     if has_motions:
         outcome = find_gap_in(arm, recordings, (), lambda what, done: advance(what, 0.65 + 0.15 * done))
     model = write_gap(outcome, arm, recordings, out / "gap")
-    advance("driving with the correction off", 0.8)
+    advance("moving with the correction off", 0.8)
     client = bench.start(model)
     client.enable()
     second = _newest(out)
@@ -117,9 +117,9 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
         model, effects=tuple(e for e in model.effects if e in arm.effects or e.effect in NO_NAMES)
     )
     off = _driven("off", bare, model, programme, client, second, bench, out)
-    advance("driving with the correction on", 0.87)
+    advance("moving with the correction on", 0.87)
     on = _driven("on", model, model, programme, client, second, bench, out)
-    _put_away(model, client, bench)
+    _shut_down(model, client, bench)
     advance("reporting", 0.95)
     return Circle(
         hidden,
@@ -140,7 +140,7 @@ def named_in(found: GapFinding) -> tuple[NamedEffect, ...]:
 
 
 def programme_of(arm: Arm) -> Programme:
-    """Places that no recording goes to, over the whole room, and a circle and a line above the table."""
+    """Places without recordings, over the whole workspace, and a circle and a line above the table."""
     room = collision_free_box(arm).inset(INSIDE_rad)
     poses = spread_poses((room.lower_rad, room.upper_rad), 4 * PLACES)[PLACES:]
     poses[:, 0] = np.clip(poses[:, 0], -TURN_rad, TURN_rad)
@@ -169,7 +169,7 @@ def _driven(
     bench: Bench,
     out: Path,
 ) -> Drive:
-    """Every place and every path once, by the model `arm` on a runtime that believes in `believed`."""
+    """Every place and every path once, by the model `arm` on a runtime that uses the model `believed`."""
     near = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
     model = Model(arm)
     runtime = model if arm is believed else Model(believed)
@@ -192,7 +192,7 @@ def _following_rad(recording: Path, first: int, last: int, joints: int) -> float
     return float(np.sqrt(np.mean(np.square(errors)))) if len(rows) else float("nan")
 
 
-def _put_away(arm: Arm, client: ArmClient, bench: Bench) -> None:
+def _shut_down(arm: Arm, client: ArmClient, bench: Bench) -> None:
     if arm.rest is not None:
         client.move_joints(arm.rest.q_rad, bench.speed)
     bench.stop()

@@ -55,7 +55,7 @@ KNOWN = (
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """The effect that the mock arm has and the run does not know of."""
+    """The effect in the mock arm that is unknown to the run."""
 
     effect: str
     joint: int | None
@@ -88,8 +88,8 @@ def drawn(seed: int, effect: str | None, joint: int | None) -> Hidden:
         raise CalibrationError(f'--effect: expected one of {", ".join(SIZES)}, got "{name}"')
     joints, sizes = SIZES[name]
     if joint is not None and joint not in joints:
-        places = f"joint {' or '.join(map(str, joints))}" if joints else "no joint: it is the whole arm's"
-        raise CalibrationError(f"--joint: {name} of this demo is on {places}, got {joint}")
+        places = f"joint {' or '.join(map(str, joints))}" if joints else "no joint (it acts on the whole arm)"
+        raise CalibrationError(f"--joint: expected {places} for {name}, got {joint}")
     at = joint or (draw.choice(joints) if joints else None)
     values = {key: draw.uniform(*between) for key, between in sizes.items()}
     rounded = {

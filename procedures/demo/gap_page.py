@@ -1,4 +1,4 @@
-"""What `armwright demo gap` says and shows: the circle from what was measured to an arm that is better."""
+"""The report of `armwright demo gap`: from the measurements to the corrected arm."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from procedures.demo.gap_hidden import ON_TIP
 
 
 def findings(circle: Circle) -> tuple[str, ...]:
-    """Sentences: what was named, whether it is right, and what the arm gained."""
+    """Sentences: the named effects, whether they are correct, and the improvement."""
     named = ", ".join(str(one.name) for one in circle.named) or "nothing"
-    right = "It is" if circle.is_right else "It is not"
+    right = "correct" if circle.is_right else "not correct"
     alone, after = (
         1e3 * summary.mean_m
         for summary in (circle.geometry_alone.of("all").before, circle.corrected.of("all").after)
     )
     before = 1e3 * circle.corrected.of("all").before.mean_m
     found = circle.outcome.finding
-    gap_after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "not looked at again"
-    said = [
-        f"Named by the run: {named}. Hidden was {circle.hidden}. {right} what was hidden.",
+    gap_after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "not measured"
+    notes = [
+        f"Named by the run: {named}. Hidden: {circle.hidden}. The result is {right}.",
         f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {gap_after} after.",
-        f"Mean tip error at {len(circle.corrected.point)} places that nothing was recorded at: {before:.2f} mm by the nominal"
-        f" model, {alone:.2f} mm with the geometry identified and the correction off, {after:.2f} mm with it on.",
+        f"Mean tip error at {len(circle.corrected.point)} held-out places: {before:.2f} mm with the nominal model,"
+        f" {alone:.2f} mm with identified geometry and the correction off, {after:.2f} mm with the correction on.",
     ]
     following = tuple(1e3 * value for value in circle.following_rad)
     if circle.hidden.effect not in ON_TIP:
-        said.append(
-            f"Following error on the paths: {following[0]:.3f} mrad before, {following[1]:.3f} mrad with what was named fed"
-            " forward."
+        notes.append(
+            f"Following error on the paths: {following[0]:.3f} mrad before, {following[1]:.3f} mrad with the named"
+            " effects fed forward."
         )
-    return tuple(said)
+    return tuple(notes)
 
 
 def write_page(circle: Circle, out: Path) -> Path:
@@ -47,7 +47,7 @@ def write_page(circle: Circle, out: Path) -> Path:
     date = datetime.datetime.now(datetime.UTC).date().isoformat()
     program = f"armwright {version('armwright')}"
     path = out / "report.html"
-    about = f"{date} · {program} · a mock arm with something hidden in it"
+    about = f"{date} · {program} · mock arm with a hidden effect"
     content = page("The gap, closed on the arm", circle.nominal.name, about, _parts(circle, date, program))
     write_whole(path, content)
     return path
@@ -56,11 +56,11 @@ def write_page(circle: Circle, out: Path) -> Path:
 def _parts(circle: Circle, date: str, program: str) -> Iterator[Section | str]:
     yield verdict(findings(circle))
     yield tiles(_tiles(circle))
-    yield list_section("What was done", _steps(circle))
+    yield list_section("Procedure", _steps(circle))
     yield _revealed(circle)
     yield verification_section(
         circle.geometry_alone,
-        "at places that nothing was recorded at: correction off (before) and on (after)",
+        "at held-out places: correction off (before) and on (after)",
     )
     yield paths_section(circle.paths)
     outcome = circle.outcome
@@ -90,14 +90,17 @@ def _tiles(circle: Circle) -> Iterator[tuple[str, str, str]]:
 def _steps(circle: Circle) -> Iterator[str]:
     minutes = sum(plan.duration_s for plan in circle.plans) / 60.0
     motions = sum(len(plan.runs) for plan in circle.plans)
-    more = f", and as these named nothing, {motions} motions" if motions else ""
+    more = f", then {motions} motions, since the poses named no effect" if motions else ""
     yield (
-        f"Recorded {len(circle.plans[0].visits)} poses on the mock arm by the nominal model{more}: {minutes:.1f} minutes of its"
-        " time."
+        f"Recorded {len(circle.plans[0].visits)} poses on the mock arm with the nominal model{more}: {minutes:.1f}"
+        " minutes of arm time."
     )
-    yield "Drove to places that nothing was recorded at, along a circle and a line, by the nominal model; the camera measured."
-    yield "Looked at the recordings with nothing but the nominal arm.toml: what is missing, named and added to a new arm.toml."
-    yield "Started the runtime with the new arm.toml and drove to the same places with the correction off, then on."
+    yield "Moved to held-out places and along a circle and a line with the nominal model; the camera measured."
+    yield (
+        "Analysed the recordings with the nominal arm.toml alone; named the missing effects and added them to a new"
+        " arm.toml."
+    )
+    yield "Started the runtime with the new arm.toml and moved to the same places with the correction off, then on."
 
 
 def _revealed(circle: Circle) -> Section:
@@ -118,6 +121,6 @@ def _revealed(circle: Circle) -> Section:
         )
     head = (("text", "parameter"), "hidden", "found", "sd")
     return Section(
-        "What was hidden",
-        paragraph(f"{circle.hidden}; the run was not told.") + table(head, rows),
+        "Hidden effect",
+        paragraph(f"{circle.hidden}; the run had no access to it.") + table(head, rows),
     )

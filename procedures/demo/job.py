@@ -1,6 +1,6 @@
 """The whole job of `armwright demo`: home, move, record the table, identify, verify, report.
 
-The arm that is told to move is never told what is hidden in it: what comes out was measured.
+The run has no access to the hidden errors: every result is measured.
 """
 
 import datetime
@@ -37,7 +37,7 @@ from procedures.verify.survey import Programme, Survey, compared, paired
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the demo found, and where it stands."""
+    """What the demo found, and the paths of its files."""
 
     verification: Comparison
     calibration: Comparison
@@ -78,7 +78,7 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     _drive(before, bench, client)
     for done, what in _session(arm, table, bench, client, out / "points.csv"):
         advance(what, 0.15 + 0.6 * done)
-    recording_before = _put_away(arm, bench, client)
+    recording_before = _shut_down(arm, bench, client)
 
     advance("identification", 0.77)
     calibrated = _calibrate(arm, table, out)
@@ -88,7 +88,7 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     client.enable()
     after = _survey(calibrated.arm, programme, out / "verification_after.csv")
     _drive(after, bench, client)
-    recording_after = _put_away(calibrated.arm, bench, client)
+    recording_after = _shut_down(calibrated.arm, bench, client)
 
     advance("report", 0.94)
     verification = compared(programme, before.points(), after.points())
@@ -109,7 +109,7 @@ def _survey(arm: Arm, programme: Programme, file: Path) -> Survey:
 
 
 def _drive(survey: Survey, bench: Bench, client: ArmClient) -> None:
-    """The survey's points and paths, on a runtime that believes in the same model."""
+    """The survey's points and paths, on a runtime that uses the same model."""
     for _ in survey.tour(1, survey.model, client, bench.speed):
         pass
     for _ in survey.run_ways(survey.model, client, bench.speed):
@@ -157,8 +157,8 @@ def _report(
     return Outcome(verification, calibration, found, paths, report, made.file)
 
 
-def _put_away(arm: Arm, bench: Bench, client: ArmClient) -> Path:
-    """To the rest pose, if the arm has one, where it need not sink far when its drives go off; returns the recording."""
+def _shut_down(arm: Arm, bench: Bench, client: ArmClient) -> Path:
+    """To the rest pose, if the arm has one, where it sinks little when the drives turn off; returns the recording."""
     if arm.rest is not None:
         client.move_joints(arm.rest.q_rad, bench.speed)
     return bench.stop()
@@ -185,12 +185,15 @@ def _identify(arm: Arm, table: Table, file: Path) -> tuple[Points, Identificatio
 
 def _steps(points_count: int, verified_count: int) -> tuple[str, ...]:
     return (
-        "Connected to the mock boards over serial and CAN, compared their identities, homed every joint.",
+        "Connected to the mock boards over serial and CAN, checked their identities, homed every joint.",
         f"Moved to {verified_count} verification points and ran circle and line with the nominal model; the camera"
         " measured.",
-        f"Seated the tip in {points_count} cavities (33 on the level, rolled and pitched board), averaged the encoders.",
+        (
+            f"Seated the tip in {points_count} cavities (33 each on the level, rolled and pitched board) and averaged the"
+            " encoders."
+        ),
         "Identified DH deviations within 5 mm and 2 degrees: sum of Euclidean distances (SpringerPlus 5:1771, eq. 4).",
-        "Started again with the calibrated arm, without homing: the boards still knew their zero.",
+        "Restarted with the calibrated arm, without homing: the boards still knew their zeros.",
         "Moved to the same verification points and ran the same paths with the calibrated model; the camera measured.",
     )
 
@@ -198,6 +201,6 @@ def _steps(points_count: int, verified_count: int) -> tuple[str, ...]:
 def _notes(verification: Comparison) -> tuple[str, ...]:
     worst = float(norms(verification.after_m).max())
     return (
-        f"Verification points were not used for the calibration; the worst of them is {1e3 * worst:.2f} mm off now.",
-        "What is left is backlash, seating and the camera's noise; the gap workflow names such effects.",
+        f"Calibration did not use the verification points; their largest error is now {1e3 * worst:.2f} mm.",
+        "The remaining error comes from backlash, seating and camera noise; the gap workflow names such effects.",
     )

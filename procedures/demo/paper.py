@@ -1,4 +1,4 @@
-"""`armwright demo paper`: the experiment of SpringerPlus 5:1771 on the mock arm, and what two more steps would have brought.
+"""`armwright demo paper`: the experiment of SpringerPlus 5:1771 on the mock arm, and the gain of two more steps.
 
 As there: 33 cavities on the level, rolled and pitched board, the tip seated by hand; DH deviations within 5 mm and 2 degrees by
 the sum of distances, from each tilt alone; the arm then sent to points that were not used, and seen by the camera. Past it:
@@ -37,7 +37,7 @@ BEFORE_SHARE, TABLE_SHARE, FREE_SHARE = 0.1, 0.42, 0.54  # of the whole time, at
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result and where it stands."""
+    """The result and its path."""
 
     replay: Replay
     report: Path
@@ -53,8 +53,8 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     client.enable()
     client.home()
     mover = Mover(arm, bench, client)
-    told = _Visits(mover, targets, out, advance)
-    before_m = told.visit(arm, "before", 0.02, BEFORE_SHARE)
+    visits = _Visits(mover, targets, out, advance)
+    before_m = visits.visit(arm, "before", 0.02, BEFORE_SHARE)
     _record(arm, table, mover, out / "points.csv", advance)
     points, _ = read_points(out / "points.csv", arm.joint_count)
     advance("identification", FREE_SHARE)
@@ -63,7 +63,7 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     for k, model in enumerate(models):
         shares = FREE_SHARE + (0.98 - FREE_SHARE) * np.array([k, k + 1]) / len(models)
         commanded_arm = with_friction(model, arm, points) if model.backlash else model.arm
-        reached[model.name] = told.visit(commanded_arm, model.name, *shares.tolist())
+        reached[model.name] = visits.visit(commanded_arm, model.name, *shares.tolist())
     if arm.rest is not None:
         client.move_joints(arm.rest.q_rad, bench.speed)
     bench.stop()
@@ -76,7 +76,7 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
 
 @dataclass(frozen=True, slots=True)
 class _Visits:
-    """Sends the tip to the targets by a model of the arm, and looks with the camera where it went."""
+    """Moves the tip to the targets by a model of the arm and measures it with the camera."""
 
     mover: Mover
     targets: Sequence[Target]
@@ -134,7 +134,7 @@ def _written(arm: Arm, replay: Replay, out: Path) -> Outcome:
 
 
 def _write_arm(file: Path, arm: Arm, model: Model, inputs: dict[str, str], date: str, program: str) -> None:
-    """The calibrated arm, with the play that was identified."""
+    """The calibrated arm, with the identified backlash."""
     known = {"points.csv": inputs["points.csv"]}
     write_calibrated_arm(file, arm, model.found, known, date, program)
 

@@ -23,7 +23,7 @@ TILTS, FREE, BACKLASH = "all tilts", "tilts and free", "with backlash"
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """An identification: the arm that it gives, from which points, and what it says of itself."""
+    """An identification: the arm that it gives, from which points, and its remarks."""
 
     name: str
     what: str
@@ -34,7 +34,7 @@ class Model:
 
     @property
     def backlash(self) -> tuple[Effect, ...]:
-        """What the model knows of play."""
+        """Backlash of the model."""
         return tuple(effect for effect in self.arm.effects if effect.effect == "backlash")
 
 
@@ -68,7 +68,7 @@ def _identified(
 
 
 def table_says(arm: Arm, points: Points) -> tuple[str, ...]:
-    """What the tilts alone would say of backlash: sentences on flanks that never change."""
+    """Findings of the tilts alone on backlash: sentences on flanks that never change."""
     tilts = points.chosen([k for k, setup in enumerate(points.setup) if setup in SETUPS])
     wanted = [f"backlash:{joint}" for joint in range(1, arm.joint_count + 1)]
     return unclear_flanks(arm, tilts, wanted)
@@ -106,7 +106,7 @@ def commands(arm: Arm, targets: Sequence[Target], start_rad: Sequence[float]) ->
 
 
 def _clear(arm: Arm, joint_rad: Array, direction: Array) -> Array:
-    """Directions (m, n) that leave no doubt about the flank."""
+    """Directions (m, n) with an unambiguous flank."""
     rest = resting(arm, joint_rad, direction)
     with_gravity = np.where(rest.gravity_Nm >= 0.0, 1.0, -1.0)
     return np.where(rest.flank == 0.0, with_gravity, direction)

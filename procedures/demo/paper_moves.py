@@ -38,7 +38,7 @@ class Pose:
 
 
 class Mover:
-    """The bench's arm, told in encoder angles: its runtime knows the nominal arm, what is identified is corrected here."""
+    """The bench's arm, commanded in encoder angles: its runtime knows the nominal arm; identified errors are corrected here."""
 
     def __init__(self, arm: Arm, bench: Bench, client: ArmClient) -> None:
         self._arm, self._client = arm, client
@@ -49,11 +49,11 @@ class Mover:
 
     @property
     def q_rad(self) -> tuple[float, ...]:
-        """Where the encoders say that the arm is."""
+        """The pose by the encoders."""
         return tuple(self._client.status()["q_rad"])
 
     def visit(self, poses: Sequence[Pose], writer: PointsWriter) -> Iterator[Record]:
-        """Each pose, approached gently, with what encoders, motors and camera say there."""
+        """Each pose, approached gently, with the readings of encoders, motors and camera."""
         for pose in poses:
             start = inside(self._arm, np.array(pose.q_rad) - APPROACH_rad * np.array(pose.direction))
             self._go(start)

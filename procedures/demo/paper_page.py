@@ -30,13 +30,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DIFFERS = (
-    "The mock arm's errors are drawn; as shipped DH deviations of up to 4 mm and 1.7 degrees, inside the bounds of 5 mm and 2"
-    " degrees, 3 to 6 mrad of play, friction, 0.1 mm of seating. What the authors' arm really had is not known.",
-    "The mock board stands exactly where the model has it; the authors measured theirs with the camera. The camera's noise is"
-    " 0.14 mm (one standard deviation) in both.",
-    "The verification points and the other trajectory are this project's own; the paper does not print theirs. The"
-    " trajectory is measured at stops, every one approached gently, so that no motion error is mixed in.",
-    "Each error is that of the arm sent to a point, as in the paper, not that of a prediction.",
+    "The mock arm's errors are random: by default DH deviations of up to 4 mm and 1.7 degrees (bounds: 5 mm and 2"
+    " degrees), 3 to 6 mrad of backlash, friction, and 0.1 mm of seating error. The true errors of the authors' arm"
+    " are unknown.",
+    "The mock board stands exactly where the model places it; the authors measured theirs with the camera. The"
+    " camera noise is 0.14 mm (one standard deviation) in both.",
+    "The verification points and the other trajectory are this project's own; the paper does not list its points."
+    " The trajectory is measured at stops after gentle approaches, to exclude motion errors.",
+    "As in the paper, each error is that of the arm moved to a point, not that of a prediction.",
 )
 COLOURS = ("#E69F00", "#56B4E9", "#CC79A7", "#009E73", "#8A929C", AFTER)
 MARKERS = "osD^Pv"
@@ -56,7 +57,7 @@ def paper_page(replay: Replay, arm: str, about: str, inputs: Mapping[str, str]) 
             _table_section(replay),
             _trajectory_section(replay),
             _backlash_section(replay),
-            list_section("In what this differs from the authors' experiment", DIFFERS),
+            list_section("Differences from the authors' experiment", DIFFERS),
             _models_section(replay),
             Section("Inputs", table(("file", "SHA-256"), [(n, ("text", h)) for n, h in inputs.items()])),
         ],
@@ -64,16 +65,16 @@ def paper_page(replay: Replay, arm: str, about: str, inputs: Mapping[str, str]) 
 
 
 def findings(replay: Replay) -> tuple[str, ...]:
-    """What came out, in sentences."""
+    """The results in sentences."""
     own = [f"{entry.percent:.1f} % ({s}; paper {theirs:.1f} %)" for s, entry, theirs in own_tilt(replay)]
     tilts, free, play = (_overall(replay, name) for name in (TILTS, FREE, BACKLASH))
     before = replay.of(replay.models[0].name, SETUPS[0]).before_m
     return (
-        f"Sent to points over the level board, the nominal arm misses them by {1e3 * before:.1f} mm (paper"
-        f" {1e3 * published.BEFORE_m:.2f} mm). Identified from one tilt and verified on it, the error shrinks by"
+        f"Over the level board, the nominal arm misses the points by {1e3 * before:.1f} mm (paper"
+        f" {1e3 * published.BEFORE_m:.2f} mm). Identification and verification on one tilt reduce the error by"
         f" {', '.join(own)}.",
-        f"Geometry alone leaves {1e3 * tilts:.2f} mm from all tilts, and {1e3 * free:.2f} mm with free poses as well; with"
-        f" backlash in model and commands {1e3 * play:.2f} mm are left (means over all places).",
+        f"Geometry alone leaves {1e3 * tilts:.2f} mm from all tilts, and {1e3 * free:.2f} mm with free poses added."
+        f" Backlash in model and commands reduces this to {1e3 * play:.2f} mm (means over all places).",
     )
 
 
@@ -86,7 +87,7 @@ def _tiles(replay: Replay) -> list[tuple[str, str, str]]:
     worst = max(_overall(replay, s) for s in SETUPS)
     return [
         ("before", f"{1e3 * before:.1f} mm", "mean error of the nominal arm, all places"),
-        ("", f"{1e3 * worst:.2f} mm", "after calibration on one tilt, the worst of three"),
+        ("", f"{1e3 * worst:.2f} mm", "after calibration on one tilt, worst of three"),
         ("", f"{1e3 * _overall(replay, TILTS):.2f} mm", "after calibration on all tilts"),
         ("after", f"{1e3 * _overall(replay, BACKLASH):.2f} mm", "with backlash in model and commands"),
     ]
@@ -128,7 +129,7 @@ def _table_section(replay: Replay) -> Section:
         rows.append(("", "", *(f"{e.percent:.1f} ± {e.percent_half:.1f} %" for e in each)))
     before = [replay.of(replay.models[0].name, place) for place in PLACES]
     first: Sequence[Cell] = (
-        "nothing yet",
+        "not calibrated",
         "",
         *(("before", _mm(b.before_m, b.before_half_m)) for b in before),
     )
@@ -136,9 +137,9 @@ def _table_section(replay: Replay) -> Section:
         "Every identification, verified everywhere",
         table(("identified from", "points", *(f"{place} [mm]" for place in PLACES)), [first, *rows])
         + paragraph(
-            "For a trajectory other than the verification one the paper reports: "
-            + ", ".join(f"{setup} {said}" for setup, said in published.OTHER_TRAJECTORY.items())
-            + "; it lays the last to backlash.",
+            "For another trajectory the paper reports: "
+            + ", ".join(f"{setup} {improvement}" for setup, improvement in published.OTHER_TRAJECTORY.items())
+            + "; it attributes the last to backlash.",
             "soft small",
         ),
     )
@@ -152,7 +153,7 @@ def _trajectory_section(replay: Replay) -> Section:
         + svg((10.4, 3.6), lambda figure: _draw_planes(figure, replay, shown))
         + svg((10.4, 3.2), lambda figure: _draw_errors(figure.subplots(), replay, shown))
         + paragraph(
-            "Actual errors after calibration are drawn 20 times too large, so that they can be seen.",
+            "Errors after calibration are drawn 20 times larger than they are.",
             "soft small",
         ),
     )
@@ -162,10 +163,10 @@ def _backlash_section(replay: Replay) -> Section:
     model = _named(replay, BACKLASH)
     return Section(
         "Backlash",
-        paragraph(f"Identified play: {widths_text(model)}.")
-        + paragraph("What the table alone says of it:")
-        + bullets(replay.table_says or ("nothing that would keep it from being identified",))
-        + paragraph("With the free poses, each reached from both sides:")
+        paragraph(f"Identified backlash: {widths_text(model)}.")
+        + paragraph("From the table alone:")
+        + bullets(replay.table_says or ("no obstacle to its identification",))
+        + paragraph("With the free poses, each approached from both sides:")
         + bullets(model.remarks),
     )
 

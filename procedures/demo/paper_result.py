@@ -88,7 +88,11 @@ def table_rows(replay: Replay) -> list[tuple[str, ...]]:
     names = [model.name for model in replay.models]
     before = [replay.of(names[0], place) for place in PLACES]
     rows.append(
-        ("nothing yet [mm]", "", *(f"{1e3 * b.before_m:.2f} ± {1e3 * b.before_half_m:.2f}" for b in before))
+        (
+            "not calibrated [mm]",
+            "",
+            *(f"{1e3 * b.before_m:.2f} ± {1e3 * b.before_half_m:.2f}" for b in before),
+        )
     )
     for model in replay.models:
         each = [replay.of(model.name, place) for place in PLACES]
@@ -110,7 +114,7 @@ def own_tilt(replay: Replay) -> list[tuple[str, Improvement, float]]:
 
 
 def document(replay: Replay, program: str, date: str, inputs: Mapping[str, str]) -> dict[str, object]:
-    """paper.json: SI units, improvements in percent; a number that there is not is null."""
+    """paper.json: SI units, improvements in percent; a missing number is null."""
     return {
         "format": "paper-replay/1",
         "program_version": program,
@@ -168,6 +172,6 @@ def _percent(entry: Improvement) -> str:
 
 
 def widths_text(model: Model) -> str:
-    """Play of each joint of a model, in mrad."""
+    """Backlash of each joint of a model, in mrad."""
     widths = (f"joint {e.joint} {1e3 * e.parameters['width_rad']:.2f} mrad" for e in model.backlash)
     return ", ".join(widths) or "none"

@@ -1,1 +1,1 @@
-"""What `armwright doctor` looks at: this machine, its ports and buses, the boards behind them, what their signals are worth."""
+"""The checks of `armwright doctor`: this machine, its ports and buses, the boards behind them, the quality of their signals."""

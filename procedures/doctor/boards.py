@@ -1,4 +1,4 @@
-"""The boards that arm.toml names: opened, asked who they are, compared. Each that fails is a finding; the others go on."""
+"""The boards that arm.toml names: opened, identified, compared. Each failure is a finding; the other boards are still checked."""
 
 import contextlib
 from collections.abc import Callable
@@ -20,7 +20,7 @@ OTHER_BAUDS = (1_000_000, 921_600, 500_000, 460_800, 230_400, 115_200)
 
 
 class CountedLink:
-    """A CAN bus that counts what passes, for the load that is really there."""
+    """A CAN bus that counts its frames, to measure the true load."""
 
     def __init__(self, link: FrameLink) -> None:
         self.name = link.name
@@ -69,16 +69,20 @@ class Boards:
 
 
 def open_boards(arm: Arm, clock: Clock) -> Boards:
-    """Open what arm.toml names and see who is there; nothing is enabled, nothing moves. Never raises LinkError."""
+    """Open the boards of arm.toml and identify them; nothing is enabled, nothing moves. Never raises LinkError."""
     boards = Boards()
     if not arm.encoder_boards:
         boards.note(
-            Level.BAD, "encoder boards", "arm.toml names none", "", "add [[encoder_board]], or give --encoder"
+            Level.BAD,
+            "encoder boards",
+            "arm.toml names none",
+            "",
+            "add [[encoder_board]] to arm.toml, or give --encoder",
         )
     for index, port in enumerate(arm.encoder_boards):
         _open_encoder(boards, arm, clock, index, port)
     if arm.can is None:
-        remedy = "add [can], or give --can-interface and --can-channel"
+        remedy = "add [can] to arm.toml, or give --can-interface and --can-channel"
         boards.note(Level.BAD, "CAN bus", "arm.toml names none", "", remedy)
         return boards
     _open_bus(boards, arm, clock)
@@ -101,7 +105,7 @@ def _open_encoder(boards: Boards, arm: Arm, clock: Clock, index: int, port: Enco
         boards.note(Level.BAD, what, str(error), "an IDENTITY", _silence_remedy(port, clock))
         return
     except LinkError as error:
-        boards.note(Level.BAD, what, str(error), "", "give this port to the right board")
+        boards.note(Level.BAD, what, str(error), "", "connect the right board to this port")
         return
     boards.encoders[index] = board
     firmware = f"{identity.firmware >> 8}.{identity.firmware & 255}"
@@ -118,7 +122,7 @@ def _compare_encoder(
     boards: Boards, arm: Arm, what: str, index: int, port: EncoderBoardPort, identity: encoder_wire.Identity
 ) -> None:
     if port.serial_number not in (None, identity.serial_number):
-        remedy = "change the plugs over, or correct [[encoder_board]] serial_number"
+        remedy = "swap the plugs, or correct [[encoder_board]] serial_number"
         boards.note(
             Level.BAD, f"{what}: serial number", str(identity.serial_number), str(port.serial_number), remedy
         )
@@ -132,7 +136,7 @@ def _compare_encoder(
                 f"a channel {drive.encoder_channel}", remedy,
             )  # fmt: skip
             continue
-        _same(boards, what, drive, "counts a motor turn", identity.counts_per_turn[drive.encoder_channel])
+        _same(boards, what, drive, "counts per motor turn", identity.counts_per_turn[drive.encoder_channel])
         if drive.encoder_bits != identity.encoder_bits:
             boards.note(
                 Level.BAD, f"{what}: joint {drive.joint}, counter bits", str(identity.encoder_bits),
@@ -145,26 +149,27 @@ def _same(boards: Boards, what: str, drive: Drive, name: str, found: int) -> Non
         return
     boards.note(
         Level.BAD, f"{what}: joint {drive.joint}, {name}", str(found), str(drive.encoder_counts_per_rev),
-        "correct encoder_counts_per_rev, or set the board up for its encoder; `armwright bringup` measures which is right",
+        (
+            "correct encoder_counts_per_rev, or configure the board for its encoder; `armwright bringup` measures the"
+            " true value"
+        ),
     )  # fmt: skip
 
 
 def _port_remedy(problem: str) -> str:
     if "ermission" in problem:
-        return (
-            "add yourself to the group that owns the port (`sudo usermod -aG dialout $USER`) and log in again"
-        )
+        return "add your user to the port's group (`sudo usermod -aG dialout $USER`) and log in again"
     if "exclusive" in problem or "busy" in problem or "lock" in problem:
-        return "another program has the port: end it (`armwright off --quit` ends a runtime)"
-    return "plug the board in, or correct its port in arm.toml"
+        return "another program uses the port: end it (`armwright off --quit` ends a runtime)"
+    return "connect the board, or correct its port in arm.toml"
 
 
 def _silence_remedy(port: EncoderBoardPort, clock: Clock) -> str:
-    """Somebody who answers at another baud rate is no dead board."""
+    """Try other baud rates: a board that answers there is not dead."""
     for baud in OTHER_BAUDS:
         if baud != port.baud and _answers(port, baud, clock):
             return f"it answers at {baud} baud: set baud = {baud} in [[encoder_board]]"
-    return "check its supply, its cable and that TX goes to RX; it answers at no usual baud rate"
+    return "it answers at no usual baud rate; check its supply and cable, and that TX goes to RX"
 
 
 def _answers(port: EncoderBoardPort, baud: int, clock: Clock) -> bool:
@@ -206,7 +211,7 @@ def _open_bus(boards: Boards, arm: Arm, clock: Clock) -> None:
     _judge_bus(boards, arm, before, found)
     boards.bus = MotorBus(counted, clock)
     for drive in arm.drives:
-        _meet_motor(boards, arm, drive, found)
+        _check_motor(boards, arm, drive, found)
 
 
 def _judge_bus(boards: Boards, arm: Arm, before: BusScan, found: BusScan) -> None:
@@ -216,31 +221,34 @@ def _judge_bus(boards: Boards, arm: Arm, before: BusScan, found: BusScan) -> Non
         boards.may_command = False
         nodes = ", ".join(map(str, commanded))
         boards.note(
-            Level.BAD, "CAN bus", f"somebody else commands node {nodes}", "one host a bus",
-            "end the other program (`armwright off --quit` ends a runtime); until then nothing is sent to the boards",
+            Level.BAD, "CAN bus", f"another host commands node {nodes}", "one host per bus",
+            (
+                "end the other program (`armwright off --quit` ends a runtime); the doctor sends nothing to the boards"
+                " until then"
+            ),
         )  # fmt: skip
     strangers = before.strangers + found.strangers
     if strangers:
         boards.note(
-            Level.WARN, "CAN bus", f"{strangers} frames of devices that are no motor boards", "none",
-            "take CANopen and other devices off this bus: id 0 stops the arm",
+            Level.WARN, "CAN bus", f"{strangers} frames of devices other than motor boards", "none",
+            "remove CANopen and other devices from this bus: id 0 stops the arm",
         )  # fmt: skip
     nodes = ", ".join(map(str, sorted(found.serial_numbers))) or "none"
-    boards.note(Level.OK, "CAN bus", f"{where}: nodes that answer: {nodes}")
+    boards.note(Level.OK, "CAN bus", f"{where}: answering nodes: {nodes}")
     known = {drive.motor_node for drive in arm.drives}
     for node in sorted(set(found.serial_numbers) - known):
         boards.note(
-            Level.WARN, f"node {node}", "a motor board that arm.toml does not know",
-            "", f"set motor_node = {node} where it belongs, or set another node id on the board",
+            Level.WARN, f"node {node}", "a motor board that is not in arm.toml",
+            "", f"set motor_node = {node} at its joint, or give the board another node id",
         )  # fmt: skip
 
 
-def _meet_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None:
+def _check_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None:
     what = f"motor board of joint {drive.joint} (node {drive.motor_node})"
     serials = found.serial_numbers.get(drive.motor_node, [])
     if not serials:
         unknown = sorted(set(found.serial_numbers) - {d.motor_node for d in arm.drives})
-        hint = f"; node {unknown[0]} answers and has no joint: is it this one?" if unknown else ""
+        hint = f"; node {unknown[0]} answers but has no joint and may be this board" if unknown else ""
         if found.serial_numbers:
             remedy = f"check its supply and its node id{hint}"
         else:
@@ -254,7 +262,7 @@ def _meet_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None:
             what,
             f"two boards answer: serial numbers {both}",
             "one",
-            "give each a node id of its own",
+            "give each board its own node id",
         )
         return
     if boards.bus is None:
@@ -264,14 +272,18 @@ def _meet_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None:
         identity = board.identify()
     except LinkError as error:
         boards.note(
-            Level.BAD, what, str(error), "", "update the board's firmware, or take the other host off the bus"
+            Level.BAD,
+            what,
+            str(error),
+            "",
+            "update the board's firmware, or remove the other host from the bus",
         )
         return
     boards.motors[drive.joint] = board
     firmware = f"{identity.firmware >> 8}.{identity.firmware & 255}"
     boards.note(Level.OK, what, f"serial number {identity.serial_number}, firmware {firmware}")
     if drive.motor_serial_number not in (None, identity.serial_number):
-        remedy = "are two boards or node ids swapped? correct motor_node or motor_serial_number"
+        remedy = "two boards or node ids may be swapped: correct motor_node or motor_serial_number"
         boards.note(
             Level.BAD,
             f"{what}: serial number",
@@ -279,4 +291,4 @@ def _meet_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None:
             str(drive.motor_serial_number),
             remedy,
         )
-    _same(boards, what, drive, "counts a motor turn", identity.encoder_counts_per_turn)
+    _same(boards, what, drive, "counts per motor turn", identity.encoder_counts_per_turn)

@@ -1,4 +1,4 @@
-"""One line of the doctor: what was looked at, what was measured, what is expected, what to do."""
+"""One line of the doctor: subject, measured value, expected value, remedy."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """`group` is host, ports, boards, timing, signals or arm; `remedy` is empty where all is well."""
+    """`group` is host, ports, boards, timing, signals or arm; `remedy` is empty where nothing needs doing."""
 
     level: Level
     group: str
@@ -32,7 +32,7 @@ class Finding:
 def graded(
     group: str, what: str, value: float, limits: tuple[float, float], words: tuple[str, str, str]
 ) -> Finding:
-    """A finding by a number: a warning above the first limit, bad above the second, or where it is none at all.
+    """A finding by a number: a warning above the first limit, bad above the second, or if it is NaN.
 
     `words` are measured, expected and remedy.
     """
@@ -70,14 +70,14 @@ def as_text(findings: Sequence[Finding]) -> str:
 
 
 def verdict(findings: Sequence[Finding]) -> str:
-    """What came out, in a sentence."""
+    """The result in one sentence."""
     bad = sum(finding.level is Level.BAD for finding in findings)
     warned = sum(finding.level is Level.WARN for finding in findings)
     if bad:
-        return f"{bad} to mend before the arm moves, {warned} to look at"
+        return f"{bad} to fix before the arm moves, {warned} to check"
     if warned:
-        return f"nothing stands in the way; {warned} to look at"
-    return "all is well"
+        return f"no errors; {warned} to check"
+    return "no problems found"
 
 
 def as_json(arm: str, findings: Sequence[Finding]) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""This machine: rights, how punctual it is, whether its disk takes the recordings, which ports and buses it has."""
+"""This machine: rights, timer lateness, disk speed for recordings, which ports and buses it has."""
 
 import os
 import shutil
@@ -55,7 +55,7 @@ def lateness(clock: Clock, duration_s: float) -> list[float]:
 def judge_lateness(late_s: list[float], period_s: float, watchdog_s: float) -> list[Finding]:
     """Typical lateness against the period, the longest pause against the boards' watchdog."""
     p99, longest = percentile(late_s, 0.99), max(late_s, default=float("nan"))
-    remedy = "end other programs, give the rights above, switch power saving off (`powerprofilesctl set performance`)"
+    remedy = "end other programs, grant the rights above, turn power saving off (`powerprofilesctl set performance`)"
     return [
         graded(
             GROUP, "timer lateness", p99, (0.5 * period_s, 5.0 * period_s),
@@ -65,8 +65,8 @@ def judge_lateness(late_s: list[float], period_s: float, watchdog_s: float) -> l
             GROUP, "longest pause of this host", longest, (0.25 * watchdog_s, 0.9 * watchdog_s),
             (
                 f"{1e3 * longest:.1f} ms in {len(late_s) * TICK_S:.1f} s",
-                f"below {250 * watchdog_s:.0f} ms; the boards' watchdog has {1e3 * watchdog_s:.0f} ms",
-                remedy + "; a machine that pauses so long trips the boards' watchdog",
+                f"below {250 * watchdog_s:.0f} ms; the boards' watchdog trips after {1e3 * watchdog_s:.0f} ms",
+                remedy + "; such a pause trips the boards' watchdog",
             ),
         ),
     ]  # fmt: skip
@@ -79,7 +79,7 @@ def look_at_disk(folder: Path, rate_bytes_s: float) -> list[Finding]:
         speed_bytes_s, stall_s = _written(place, time.perf_counter)
     except OSError as error:
         problem = f"cannot write there: {error.strerror or error}"
-        remedy = "give --log a folder that you may write to"
+        remedy = "give --log a writable folder"
         return [Finding(Level.BAD, GROUP, f"recordings in {folder}", problem, "", remedy)]
     free_hours = shutil.disk_usage(place).free / rate_bytes_s / 3600.0
     room_s = PIPE_bytes / rate_bytes_s
@@ -88,17 +88,17 @@ def look_at_disk(folder: Path, rate_bytes_s: float) -> list[Finding]:
             GROUP, "disk speed", rate_bytes_s / speed_bytes_s, (0.2, 0.8),
             (
                 f"{speed_bytes_s / 1e6:.0f} MB/s in {place}",
-                f"{rate_bytes_s / 1e6:.2g} MB/s for the recording, five times that to spare",
+                f"{rate_bytes_s / 1e6:.2g} MB/s for the recording, with a margin of five",
                 "record to another disk: `armwright serve --log DIR`",
             ),
         ),
         graded(
             GROUP, "longest stall of the disk", stall_s, (0.25 * room_s, room_s),
-            (f"{1e3 * stall_s:.0f} ms", f"below {room_s:.1f} s, which the recorder can hold", "record to another disk"),
+            (f"{1e3 * stall_s:.0f} ms", f"below {room_s:.1f} s, the recorder's buffer", "record to another disk"),
         ),
         graded(
-            GROUP, "room for recordings", 1.0 / max(free_hours, 1e-9), (1.0 / LEAST_FREE_HOURS, 10.0),
-            (f"{free_hours:.0f} hours", f"more than {LEAST_FREE_HOURS:g} hours", "make room, or record to another disk"),
+            GROUP, "space for recordings", 1.0 / max(free_hours, 1e-9), (1.0 / LEAST_FREE_HOURS, 10.0),
+            (f"{free_hours:.0f} hours", f"more than {LEAST_FREE_HOURS:g} hours", "free some space, or record to another disk"),
         ),
     ]  # fmt: skip
 
@@ -128,12 +128,12 @@ def _written(folder: Path, now_s: Callable[[], float]) -> tuple[float, float]:
 
 
 def look_at_ports() -> list[Finding]:
-    """What could be connected to; nothing is opened."""
+    """Ports and buses of this host; nothing is opened."""
     ports = [
         f"{port.path} ({port.description})" if port.description else port.path for port in serial_ports()
     ]
     buses = [f"{interface}:{channel}" for interface, channel in can_buses()]
     return [
         Finding(Level.OK, "ports", "serial ports here", ", ".join(ports) or "none"),
-        Finding(Level.OK, "ports", "CAN adapters here", ", ".join(buses) or "none that the system knows"),
+        Finding(Level.OK, "ports", "CAN adapters here", ", ".join(buses) or "none known to the system"),
     ]

@@ -1,4 +1,4 @@
-"""What the samples mean: each quantity against what control needs of it. Pure functions of `Samples` and the arm."""
+"""Judges the samples: each quantity against the needs of control. Pure functions of `Samples` and the arm."""
 
 import math
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ def judge(samples: Samples, arm: Arm) -> Iterator[Finding]:
                 yield _current(drive, seen)
             yield from _power(drive, seen)
     for problem in samples.problems[:MOST_NAMED]:
-        yield Finding(Level.BAD, "signals", "a board complained", problem, "", "mend that first")
+        yield Finding(Level.BAD, "signals", "a board reported a problem", problem, "", "fix this first")
 
 
 def _encoder_timing(
@@ -64,20 +64,25 @@ def _encoder_timing(
     missing = abs(1.0 - found.reports / wanted)
     yield graded(
         group, f"{what}: report rate", missing, (0.01, 0.05),
-        (f"{rate_Hz:.1f} Hz", f"{wanted / samples.duration_s:.0f} Hz", "look for bad frames, and at this host's load"),
+        (f"{rate_Hz:.1f} Hz", f"{wanted / samples.duration_s:.0f} Hz", "check for bad frames, and the load of this host"),
     )  # fmt: skip
     yield from _lost(what, found)
     drift_ppm, sd_ppm, residual_s = clock_drift(found.latched_s, found.arrived_s)
     sd_ppm = math.hypot(sd_ppm, 1e6 * samples.resolution_s / samples.duration_s)
     yield graded(
-        group, f"{what}: its clock against this host's", max(0.0, abs(drift_ppm) - 2.0 * sd_ppm), CLOCK_LIMITS_ppm,
+        group, f"{what}: clock drift against this host", max(0.0, abs(drift_ppm) - 2.0 * sd_ppm), CLOCK_LIMITS_ppm,
         (
             f"{drift_ppm:+.0f} ppm, sd {sd_ppm:.0f}", f"within {CLOCK_LIMITS_ppm[0]:.0f} ppm",
-            "speeds are off by as much: check the board's oscillator, and whether this host's clock is being set",
+            (
+                "measured speeds are wrong by as much: check the board's oscillator, and whether this host's clock was"
+                " adjusted"
+            ),
         ),
     )  # fmt: skip
     late_s = percentile(residual_s, 0.99)
-    remedy = "an FTDI adapter needs latency_timer = 1 (/sys/bus/usb-serial/devices/*/latency_timer); no hub in between"
+    remedy = (
+        "set latency_timer = 1 on an FTDI adapter (/sys/bus/usb-serial/devices/*/latency_timer); avoid a hub"
+    )
     yield graded(
         group, f"{what}: jitter of reports", late_s, (samples.period_s, arm.limits.stale_s),
         (f"99 % within {1e3 * late_s:.2f} ms", f"below {1e3 * samples.period_s:.2g} ms", remedy),
@@ -85,8 +90,8 @@ def _encoder_timing(
     baud = arm.encoder_boards[index].baud
     load = wire.REPORT_WIRE_BYTES * 10 / baud / period_s
     yield graded(
-        group, f"{what}: load of its line", load, (0.9, 1.0),
-        (f"{load:.0%} of {baud} baud", "below 90 %", "take a higher baud rate, or a lower --rate"),
+        group, f"{what}: load of its serial line", load, (0.9, 1.0),
+        (f"{load:.0%} of {baud} baud", "below 90 %", "choose a higher baud rate, or a lower --rate"),
     )  # fmt: skip
 
 
@@ -96,7 +101,7 @@ def _lost(what: str, found: EncoderSamples) -> Iterator[Finding]:
         "timing", f"{what}: frames lost or broken", max(found.lost, found.bad_frames) / max(total, 1), LOST_LIMITS,
         (
             f"{found.lost} lost, {found.bad_frames} with a bad CRC, of {total}", "none",
-            "check cable, shield and ground; keep it away from the motor cables",
+            "check the cable, shield and ground; route the cable away from the motor cables",
         ),
     )  # fmt: skip
 
@@ -134,7 +139,7 @@ def _reply_timing(what: str, found: MotorSamples, samples: Samples) -> Iterator[
         (
             f"{middle:.2f} ms, 99 % within {1e3 * p99:.2f} ms",
             f"within {1e3 * REPLY_S:g} ms and the host's own lateness",
-            "look at the CAN adapter (USB hubs, slcan at a low baud rate) and at the load of this host",
+            "check the CAN adapter (USB hubs, slcan at a low baud rate) and the load of this host",
         ),
     )  # fmt: skip
 
@@ -150,7 +155,7 @@ def _buses(samples: Samples, arm: Arm) -> Iterator[Finding]:
         "timing", "CAN bus load", load, (0.7, 0.9),
         (
             f"{measured:.0%} measured, {computed:.0%} computed at {1.0 / samples.period_s:.0f} Hz", "below 70 %",
-            "take a lower --rate or a higher bit rate, and take other devices off the bus",
+            "choose a lower --rate or a higher bit rate, and remove other devices from the bus",
         ),
     )  # fmt: skip
 
@@ -167,23 +172,21 @@ def _channel(drive: Drive, found: EncoderSamples) -> Iterator[Finding]:
         return
     if found.flags[at] & QUADRATURE_ERROR:
         remedy = "check the encoder's cable, shield and supply; then home again"
-        yield Finding(
-            Level.WARN, group, what, "an illegal transition was seen: the count may be off", "", remedy
-        )
+        yield Finding(Level.WARN, group, what, "illegal transition: the count may be wrong", "", remedy)
     counts = [row[at] for row in found.counts]
     spread = max(counts) - min(counts)
     if spread > MOVED_counts:
         yield Finding(
             Level.WARN, group, what, f"it moved by {spread} counts", "an arm at rest",
-            "let the arm rest on its support and look again; noise cannot be judged on a moving joint",
+            "let the arm rest on its support and run again; noise cannot be measured on a moving joint",
         )  # fmt: skip
         return
     noise = pstdev(counts)
-    homed = "its zero is set" if found.zero_set[at] else "not homed yet"
+    homed = "homed" if found.zero_set[at] else "not homed yet"
     yield graded(
         group, what, noise, NOISE_LIMITS_counts,
         (
-            f"noise {noise:.2f} counts at rest, {spread} from lowest to highest; {homed}",
+            f"noise {noise:.2f} counts at rest, {spread} peak to peak; {homed}",
             f"below {NOISE_LIMITS_counts[0]:g} count",
             "check shield and ground of the encoder's cable",
         ),
@@ -208,7 +211,7 @@ def _current(drive: Drive, found: MotorSamples) -> Finding:
         (
             f"{1e3 * offset_A:+.0f} mA, noise {1e3 * noise_A:.0f} mA",
             f"within {OFFSET_LIMITS[0] * limit_A * 1e3:.0f} mA",
-            "have the board measure its offset anew; look for ripple on its supply",
+            "let the board measure its offset again; check its supply for ripple",
         ),
     )  # fmt: skip
 
@@ -216,7 +219,7 @@ def _current(drive: Drive, found: MotorSamples) -> Finding:
 def _power(drive: Drive, found: MotorSamples) -> Iterator[Finding]:
     joint = f"joint {drive.joint}"
     supply_V = fmean(found.supply_V)
-    remedy = "check the supply, its fuse and the emergency stop; or correct supply_V in arm.toml"
+    remedy = "check the supply, its fuse and the emergency stop, or correct supply_V in arm.toml"
     yield graded(
         "signals", f"{joint}: supply", abs(supply_V / drive.supply_V - 1.0), SUPPLY_LIMITS,
         (f"{supply_V:.2f} V", f"{drive.supply_V:g} V", remedy),

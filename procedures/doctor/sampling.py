@@ -1,4 +1,4 @@
-"""Some seconds of what the loop would hear, with the drives off: reports, replies and when they came.
+"""Some seconds of the loop's traffic with the drives off: reports, replies and their times.
 
 The motor boards get the COMMAND that keeps them off, as often as the loop would send one; they answer it as any other.
 """
@@ -21,7 +21,7 @@ class EncoderSamples:
 
     arrived_s: list[float] = field(default_factory=list)
     latched_s: list[float] = field(default_factory=list)
-    """When, by the board's own clock."""
+    """Times by the board's own clock."""
     counts: list[tuple[int, ...]] = field(default_factory=list)
     flags: list[int] = field(default_factory=lambda: [0, 0, 0])
     """Those that were ever set."""
@@ -47,7 +47,7 @@ class MotorSamples:
 
 @dataclass(slots=True)
 class Samples:
-    """Everything that was heard in `duration_s`."""
+    """All samples of `duration_s`."""
 
     duration_s: float
     period_s: float
@@ -60,7 +60,7 @@ class Samples:
 
 
 def sample(boards: Boards, clock: Clock, period_s: float, duration_s: float) -> Samples:
-    """Listen for `duration_s`. What boards complain about is kept in `problems`; never raises LinkError."""
+    """Listen for `duration_s`. Problems reported by boards are collected in `problems`; never raises LinkError."""
     found = Samples(duration_s, period_s)
     for index, encoder in boards.encoders.items():
         found.encoders[index] = EncoderSamples()
@@ -123,7 +123,7 @@ def _hear(boards: Boards, found: Samples, now_s: float, sent_s: list[float]) -> 
 
 
 def _take_reply(seen: MotorSamples, motor: MotorBoard, now_s: float, sent_s: list[float]) -> None:
-    """A reply may be to a COMMAND of some cycles ago: its echoed sequence says which."""
+    """A reply may be to a COMMAND of some cycles ago: its echoed sequence number identifies it."""
     if motor.reply is None:
         return
     if motor.reply_lag < len(sent_s):

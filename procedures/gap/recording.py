@@ -1,4 +1,4 @@
-"""Takes the steps of a recording plan, one after the other, and keeps each on the disk before the arm goes on.
+"""Takes the steps of a recording plan, one after the other, and saves each to disk before the arm continues.
 
 points.csv grows by a line a pose; runs/NAME.csv holds a run as the runtime recorded it. log.csv is made of all runs so far
 when the recording ends, however it ends. A recording that was interrupted goes on where it was.
@@ -50,7 +50,8 @@ def note_plan(out: Path, plan: RecordingPlan, arm: Arm) -> None:
     wanted = json.dumps(plan_document(plan, arm), indent=1) + "\n"
     if path.exists() and path.read_text(encoding="utf-8") != wanted:
         raise CalibrationError(
-            f"{path}: the records here are of another plan or arm: give the same options to go on with it, or another --out"
+            f"{path}: contains the records of another plan or arm: give the same options to continue, or choose"
+            " another --out"
         )
     out.mkdir(parents=True, exist_ok=True)
     write_whole(path, wanted)
@@ -68,12 +69,12 @@ def plan_document(plan: RecordingPlan, arm: Arm) -> dict[str, object]:
 
 
 def record(bench: Bench, plan: RecordingPlan, out: Path, advance: Advance) -> None:
-    """Take every step that is not taken yet. On every way out log.csv is made of what there is."""
+    """Take every step that is not taken yet. log.csv is written from the recorded runs on every exit."""
     note_plan(out, plan, bench.arm)
     recorder = _Recorder(bench, out)
     try:
         for done, step in enumerate(plan.steps):
-            advance(_said(step), done / len(plan.steps))
+            advance(_step_name(step), done / len(plan.steps))
             recorder.take(step)
         recorder.take_off_load()
     finally:
@@ -103,7 +104,7 @@ class _Recorder:
             self._visit(step)
 
     def take_off_load(self) -> None:
-        """Nothing hangs at the tip any more, and the arm stands where every way is clear."""
+        """The load is removed, and the arm is at a pose from which every path is clear."""
         self._come_back(None)
         self._hang(0.0)
 
@@ -142,13 +143,13 @@ class _Recorder:
             if mean.tip_m is not None:
                 return mean
         raise ArmError(
-            f"no camera frame came within {CAMERA_PATIENCE * AVERAGE_s:g} s: is the camera on, and does it see the tip?"
+            f"no camera frame within {CAMERA_PATIENCE * AVERAGE_s:g} s: check that the camera is on and sees the tip"
         )
 
     _last: tuple[float, ...] | None = None
 
     def _come_back(self, stay_rad: tuple[float, ...] | None) -> None:
-        """From a pose outside of the room to its middle, before the arm goes anywhere else."""
+        """From a pose outside the workspace to its middle, before any other motion."""
         if self._stands_out_of is not None and stay_rad is None:
             self._port.move_to_q(self._stands_out_of)
             self._stands_out_of = None
@@ -165,7 +166,7 @@ class _Recorder:
         rows = self._rows.of_run(int(client.status()["run"]))
         if not len(rows):
             raise ArmError(
-                f"{self._bench.recording}: holds no rows of the run that has just ended: is the disk full?"
+                f"{self._bench.recording}: contains no rows of the run that just ended: check for a full disk"
             )
         rows = rows[rows["t_s"] <= rows["t_s"][0] + step.path.duration_s + REST_s]
         RunFile.write(file, rows, self._bench.arm.joint_count, step.payload_kg)
@@ -178,7 +179,7 @@ class _Recorder:
             self._load_kg = mass_kg
 
 
-def _said(step: Step) -> str:
+def _step_name(step: Step) -> str:
     load = f" with {step.payload_kg:g} kg" if step.payload_kg else ""
     return f"run {step.name}: {step.kind}{load}" if isinstance(step, Run) else f"pose {step.point}{load}"
 

@@ -24,7 +24,7 @@ class RunFile:
 
     @staticmethod
     def of(out: Path, name: str) -> Path:
-        """Where it stands."""
+        """Its path."""
         return out / "runs" / f"{name}.csv"
 
     @staticmethod

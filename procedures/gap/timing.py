@@ -1,4 +1,4 @@
-"""What of a recorded row belongs to which moment, so that angles, currents, voltages and tips of log.csv share one clock.
+"""Time alignment of a recording: angles, currents, voltages and tips of log.csv share one clock.
 
 A row holds the newest that had arrived: the current of the last cycle (a board answers a command with the mean of the last
 millisecond before it, docs/motor_board.md), an encoder report that is up to a cycle old, a camera frame that is older. While a
@@ -89,7 +89,10 @@ class Clocks:
         """What was taken out."""
         camera = "" if math.isnan(self.camera_s) else f", camera frames {1e3 * self.camera_s:.1f} ms"
         return (
-            f"Taken out of the log: angles were {1e3 * self.angle_age_s:.2f} ms old on average{camera}, currents one cycle.",
+            (
+                f"Delays removed from the log: angles {1e3 * self.angle_age_s:.2f} ms on average{camera}, currents one"
+                " cycle."
+            ),
         )
 
 

@@ -28,7 +28,7 @@ def evaluate_files(
 ) -> tuple[Evaluation, tuple[str, ...]]:
     """Evaluate, write iso9283.json and iso9283.html into `out`; returns the evaluation and warnings about the files."""
     require_recorded_of(arm, points)
-    groups, said, warnings = _poses(points, arm)
+    groups, point_notes, warnings = _poses(points, arm)
     for log in logs:
         if log.suffix == ".armlog":
             raise Iso9283Error(
@@ -37,7 +37,7 @@ def evaluate_files(
     runs: list[Run] = [run for log in logs for run in read_runs(log, arm)]
     visited = {str(other): _poses(other, arm)[0] for other in others}
     corners = read_rectangle(programme) if programme is not None else None
-    found = evaluate(groups, runs, visited, corners, band_m, arm.joint_count, (*said, *notes))
+    found = evaluate(groups, runs, visited, corners, band_m, arm.joint_count, (*point_notes, *notes))
     inputs = [
         input_file(points, "poses"),
         *(input_file(log, "runs") for log in logs),
@@ -52,10 +52,10 @@ def _poses(path: Path, arm: Arm) -> tuple[list[PoseGroup], tuple[str, ...], tupl
     if path.suffix == ".armlog":
         raise Iso9283Error(f"{path}: a recording, expected points.csv")
     points, warnings = read_points(path)
-    groups, said = pose_groups(points, arm, str(path))
+    groups, notes = pose_groups(points, arm, str(path))
     own = ("_set_m", "_set_rad", "a_rad", "b_rad", "c_rad", "_N")
     unknown = [n for n in points.extra if not n.endswith(own) and not n.endswith("_sd_rad")]
-    return groups, said, warnings if unknown else ()
+    return groups, notes, warnings if unknown else ()
 
 
 def _write(arm: Arm, found: Evaluation, inputs: Sequence[InputFile], out: Path) -> None:

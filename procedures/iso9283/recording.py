@@ -1,4 +1,4 @@
-"""Runs the test programmes on an arm and keeps what it measured: points.csv, log.csv, programme.json.
+"""Runs the test programmes on an arm and saves the measurements: points.csv, log.csv, programme.json.
 
 Each visit and each run is on the disk before the arm goes on, and a recording that was interrupted goes on where it was
 when it is started again with the same folder and programme.
@@ -38,7 +38,7 @@ _BOX = 4  # samples along each joint between two poses
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """An arm that holds and is homed: its client, the file that its runtime records, and who hangs loads."""
+    """An arm that holds and is homed: its client, the file that its runtime records, and who attaches loads."""
 
     arm: Arm
     client: ArmClient
@@ -71,7 +71,7 @@ def rated_speed_m_s(arm: Arm, cube: TestCube) -> float:
 
 
 def plan(arm: Arm, cube: TestCube, extent: Extent, rated_m_s: float) -> Planned:
-    """Solve every pose and plan every path; ArmError or Iso9283Error say what stands in the way, and nothing moves."""
+    """Solve every pose and plan every path; ArmError or Iso9283Error name the obstacle, and nothing moves."""
     solver = solver_of(arm, cube)
     todo = tuple(steps(cube, extent, rated_m_s))
     visits = [step for step in todo if isinstance(step, Visit)]
@@ -90,7 +90,7 @@ def plan(arm: Arm, cube: TestCube, extent: Extent, rated_m_s: float) -> Planned:
 
 
 def record(bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
-    """Run what was planned; records go to `out`. Goes on where an earlier recording of the same programme ended."""
+    """Run what was planned; records go to `out`. Resumes an earlier recording of the same programme."""
     out.mkdir(parents=True, exist_ok=True)
     _note_programme(out / "programme.json", planned.document)
     n = bench.arm.joint_count
@@ -101,7 +101,7 @@ def record(bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
         recorder = _Recorder(bench, planned, points, log)
         try:
             for done, step in enumerate(planned.steps):
-                advance(_said(step), done / len(planned.steps))
+                advance(_step_name(step), done / len(planned.steps))
                 recorder.take(step)
         finally:
             recorder.take_off_load()
@@ -130,7 +130,7 @@ class _Recorder:
             self._visit(step)
 
     def take_off_load(self) -> None:
-        """Nothing hangs at the tip any more."""
+        """Remove the load from the tip."""
         if self._load_kg:
             self._hang(0.0)
 
@@ -164,7 +164,7 @@ class _Recorder:
         rows = self._rows.of_run(int(client.status()["run"]))
         if not len(rows):
             raise ArmError(
-                f"{self._bench.recording}: holds no rows of the run that has just ended: is the disk full?"
+                f"{self._bench.recording}: contains no rows of the run that just ended: check for a full disk"
             )
         is_kept = np.isfinite(rows["x_m"]) if every > 1 else np.ones(len(rows), dtype=bool)
         is_kept[::every] = True
@@ -187,7 +187,7 @@ class _Recorder:
         if mass_kg == self._load_kg:
             return
         if self._bench.hang is None:
-            raise ArmError("nobody hangs loads at the tip: leave the programme `load` out")
+            raise ArmError("no operator can attach loads to the tip: omit the programme `load`")
         self._bench.hang(mass_kg)
         self._load_kg = mass_kg
 
@@ -210,7 +210,7 @@ def _points_row(step: Visit, mean: Average) -> Sequence[str]:
     ]  # fmt: skip
 
 
-def _said(step: Step) -> str:
+def _step_name(step: Step) -> str:
     if isinstance(step, PathRun):
         return f"{step.programme} at {step.speed_m_s:.3g} m/s, cycle {step.cycle}"
     return f"{step.setup}: {step.point}, {step.repeat}"
@@ -234,8 +234,8 @@ def _require_clear(arm: Arm, poses: Sequence[Sequence[float]]) -> None:
         lowest_m = float(kinematics.tips(between)[:, 2].min())
         if lowest_m < floor_m:
             raise Iso9283Error(
-                f"arm {arm.name}: a joint move between poses of the test could take the tip to {lowest_m:.3f} m, below the"
-                f" floor at {floor_m:g} m: choose a cube that stands higher (--cube-centre, --cube-edge)"
+                f"arm {arm.name}: a joint move between test poses could take the tip to z = {lowest_m:.3f} m, below"
+                f" the floor at {floor_m:g} m: choose a higher cube (--cube-centre, --cube-edge)"
             )
 
 
@@ -244,7 +244,7 @@ def _note_programme(path: Path, document: dict[str, object]) -> None:
     wanted = json.dumps(document, indent=2) + "\n"
     if path.exists() and path.read_text(encoding="utf-8") != wanted:
         raise Iso9283Error(
-            f"{path}: the records here are of another programme or cube: choose another folder with --out, or give the"
-            " same options to go on with it"
+            f"{path}: contains the records of another programme or cube: choose another folder with --out, or give"
+            " the same options to continue"
         )
     write_whole(path, wanted)

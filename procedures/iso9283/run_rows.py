@@ -9,7 +9,7 @@ from control.recording.record import Recording, has_part, next_part
 
 
 class RunRows:
-    """Reads a growing recording from where it was read last, on into the files that follow."""
+    """Reads the new rows of a growing recording, across its files."""
 
     def __init__(self, recording: Path) -> None:
         opened = self._open(recording)

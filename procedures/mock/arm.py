@@ -13,7 +13,7 @@ SHARED_MACHINE_LAG_S = 0.5
 
 
 def wired_to(arm: Arm, rig: MockArm) -> Arm:
-    """The arm with the mock's serial port, CAN bus and camera port, and with patience for boards on a shared machine."""
+    """The arm with the mock's serial port, CAN bus and camera port, and with longer timeouts for boards on a shared machine."""
     boards = tuple(
         replace(arm.encoder_boards[i], port=url)
         if i < len(arm.encoder_boards)

@@ -39,7 +39,7 @@ class Bench(Protocol):
         ...
 
     def start(self, arm: Arm) -> ArmClient:
-        """Start a runtime that believes in `arm`; drives are off."""
+        """Start a runtime with the model `arm`; drives are off."""
         ...
 
     def wait(self, duration_s: float) -> None:
@@ -56,7 +56,7 @@ class Bench(Protocol):
 
 
 class SteppedBench:
-    """Everything in this process; time passes only while somebody waits, many times faster than outside."""
+    """Everything in this process; time passes only during waits, much faster than real time."""
 
     speed = 1.0
 
@@ -161,7 +161,7 @@ class RealTimeBench:
                 return SocketChannel(self.socket_path)
             if self._runtime is not None and self._runtime.poll() is not None:
                 raise ArmError(
-                    f"the runtime ended at once with status {self._runtime.returncode}; it said why above"
+                    f"the runtime ended at once with status {self._runtime.returncode}; its message is above"
                 )
             if time.monotonic() > deadline_s:
                 raise ArmError(f"the runtime did not open its socket within {START_LIMIT_S:g} s")

@@ -1,4 +1,4 @@
-"""A mock arm in this process whose scenario is kept beside what is recorded with it, so that a recording can go on."""
+"""A mock arm in this process whose scenario is saved beside its recordings, so that a recording can be resumed."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,24 +14,24 @@ from procedures.mock.scenario_file import seeded_scenario
 
 
 @contextmanager
-def kept_mock(
+def saved_mock(
     arm: Arm, scenario: str, seed: int | None, out: Path, speed: float = 1.0
 ) -> Iterator[tuple[SteppedBench, ArmClient, Path]]:
-    """A mock of `arm`, homed and holding: its bench, its client, the file that its runtime records. Put away at the end.
+    """A mock of `arm`, homed and holding: its bench, its client, the file that its runtime records. Shut down at the end.
 
     `out` keeps scenario.toml, and the recordings in log. CalibrationError where it holds another scenario; nothing has moved.
     """
     can_home = all(drive.home is not None for drive in arm.drives)
     drawn = seeded_scenario(scenario, seed, was_homed=not can_home)
     out.mkdir(parents=True, exist_ok=True)
-    kept = out / "scenario.toml"
-    if kept.exists() and kept.read_bytes() != drawn:
+    file = out / "scenario.toml"
+    if file.exists() and file.read_bytes() != drawn:
         raise CalibrationError(
-            f"{kept}: the records here are of another mock arm: choose another folder with --out"
+            f"{file}: contains the records of another mock arm: choose another folder with --out"
         )
-    write_whole(kept, drawn)
+    write_whole(file, drawn)
     log = free_folder(out / "log")
-    bench = SteppedBench(arm, kept, log)
+    bench = SteppedBench(arm, file, log)
     try:
         client = bench.start(arm)
         client.enable()

@@ -1,8 +1,8 @@
-"""The scenario of a mock arm as the text of a file, to be kept beside what was measured with it."""
+"""The scenario of a mock arm as the text of a file, to be saved beside its measurements."""
 
 
 def seeded_scenario(name: str, seed: int | None, was_homed: bool) -> bytes:
-    """The scenario with its seed as the text of a file, kept beside the results so that the run can be repeated.
+    """The scenario with its seed as the text of a file, saved beside the results so that the run can be repeated.
 
     An arm whose file does not say how it homes begins with boards that know their zero (`was_homed`).
     """

@@ -1,4 +1,4 @@
-"""The operator's commands as text: what `armwright session` understands on a terminal, in a pipe and in a script."""
+"""The operator's commands as text: what `armwright session` accepts from a terminal, a pipe or a script."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from enum import Enum
 from calib.session.dialogue import GO, Command, Do, Jog
 
 HELP = """\
-  Enter                      yes: it is so, go on
-  skip [[SETUP] POINT [N]]   leave a point out (without a name: this one)
-  redo [[SETUP] POINT [N]]   take a point again (without a name: the last); its record is withdrawn and kept in the journal
-  bad  [[SETUP] POINT [N]]   withdraw a record for good; N is the repeat, all repeats without it
-  note TEXT                  keep a remark
+  Enter                      confirm and go on
+  skip [[SETUP] POINT [N]]   skip a point (without a name: this one)
+  redo [[SETUP] POINT [N]]   measure a point again (without a name: the last); the journal keeps the withdrawn record
+  bad  [[SETUP] POINT [N]]   withdraw a record; N is the repeat (default: all repeats)
+  note TEXT                  record a remark
   jog AXIS STEP              x, y or z in mm, j1, j2, ... in degrees: jog z -5
-  status, board              what is done and what is left; the board drawn
-  auto [N]                   with a mock arm: answer N questions, or all, with Enter
+  status, board              progress; a drawing of the board
+  auto [N]                   mock arm only: answer N questions, or all, with Enter
   quit                       stop here; the same command resumes
 """
 WORDS = {do.value: do for do in (Do.SKIP, Do.REDO, Do.BAD, Do.NOTE, Do.JOG, Do.QUIT)}
@@ -25,7 +25,7 @@ MM, DEGREE = 1e-3, math.pi / 180.0
 
 
 class View(Enum):
-    """What an operator wants to see; nothing changes by it."""
+    """What an operator wants to see; it changes nothing."""
 
     HELP = "help"
     STATUS = "status"
@@ -39,12 +39,12 @@ class Auto:
     count: int | None
 
 
-class NotUnderstood(Exception):
-    """A line that is no command; the text says what was expected."""
+class BadCommand(Exception):
+    """A line that is not a valid command; the text states what was expected."""
 
 
-def understood(line: str) -> Command | View | Auto:
-    """The command that a line means. NotUnderstood."""
+def parse_command(line: str) -> Command | View | Auto:
+    """The command of a line. BadCommand if it is not valid."""
     text = line.strip()
     if not text:
         return GO
@@ -59,7 +59,7 @@ def understood(line: str) -> Command | View | Auto:
     do = WORDS.get(word)
     if do is Do.NOTE:
         if not rest:
-            raise NotUnderstood("note: expected a text")
+            raise BadCommand("note: expected a text")
         return Command(do, text=rest)
     if do is Do.JOG:
         return Command(do, jog=_jog(rest))
@@ -67,7 +67,7 @@ def understood(line: str) -> Command | View | Auto:
         return Command(do)
     if do in (Do.SKIP, Do.REDO, Do.BAD):
         return _about_point(do, rest)
-    raise NotUnderstood(f"not understood: {text!r}; `help` lists what is")
+    raise BadCommand(f"unknown command: {text!r}; `help` lists the commands")
 
 
 def _about_point(do: Do, rest: str) -> Command:
@@ -75,9 +75,9 @@ def _about_point(do: Do, rest: str) -> Command:
     try:
         names = shlex.split(rest)
     except ValueError as error:
-        raise NotUnderstood(f"{do.value}: {error}") from None
+        raise BadCommand(f"{do.value}: {error}") from None
     if len(names) > 3:
-        raise NotUnderstood(f"{do.value}: expected [[SETUP] POINT [N]], got {rest!r}")
+        raise BadCommand(f"{do.value}: expected [[SETUP] POINT [N]], got {rest!r}")
     if not names:
         return Command(do)
     if len(names) == 1:
@@ -93,13 +93,13 @@ def _jog(rest: str) -> Jog:
     except ValueError:
         step = math.nan
     if not axis or not math.isfinite(step):
-        raise NotUnderstood(
-            "jog: expected an axis and a step, as in `jog z -5` (mm) or `jog j2 0.5` (degrees)"
+        raise BadCommand(
+            "jog: expected an axis and a step, such as `jog z -5` (mm) or `jog j2 0.5` (degrees)"
         )
     return Jog(axis, unit * step)
 
 
 def _count(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
-        raise NotUnderstood(f"expected a number from 1, got {text!r}")
+        raise BadCommand(f"expected a number from 1, got {text!r}")
     return int(text)

@@ -21,7 +21,7 @@ def board_text(
     marks = {name: _sign(state, setup, name, current) for name in cavities_m}
     shown = {name: cavities_m[name] for name, sign in marks.items() if sign}
     if not shown:
-        return f"setup {setup} has no cavities in this session\n"
+        return f"setup {setup}: this session has no cavities there\n"
     left, right = min(p[0] for p in shown.values()), max(p[0] for p in shown.values())
     low, high = min(p[1] for p in shown.values()), max(p[1] for p in shown.values())
     per_column = max((right - left) / (WIDTH - 1), (high - low) / (2 * (HEIGHT - 1)), 1e-6)

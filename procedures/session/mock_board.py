@@ -1,4 +1,4 @@
-"""Where the board really stands in a session with a mock arm whose operator does not know it."""
+"""The true place of the board in a mock session whose operator does not know it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SHIFT_m, TURN_rad = 0.02, 0.03
 
 
 def hidden_place(table: Table, seed: int) -> Callable[[Target], Vector]:
-    """Cavities in the base frame of a board that stands some centimetres and degrees beside its nominal place, in each
+    """Cavities in the base frame of a board some centimetres and degrees off its nominal place, in each
     setup elsewhere.
     """
     known = replace(table, known_pose=True, origin_m=table.origin_m or ORIGIN_m)

@@ -1,4 +1,4 @@
-"""A session with a stepped mock arm in this process: the bench, the hand, and where its scenario is kept."""
+"""A session with a stepped mock arm in this process: the bench, the hand, and its saved scenario."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ class MockSession:
 
 @contextmanager
 def mock_session(arm: Arm, folder: SessionFolder, boards: Boards, name: str | None) -> Iterator[MockSession]:
-    """Start the mock arm of a session's folder; the scenario is kept there, so that a session that is resumed has the
+    """Start the mock arm of a session's folder; the scenario is saved there, so that a resumed session has the
     same arm. SessionError where it is resumed with another scenario, or was one with a real arm.
     """
-    scenario = _kept_scenario(arm, folder, name)
+    scenario = _saved_scenario(arm, folder, name)
     bench = SteppedBench(arm, scenario, _free_log(folder.path))
     try:
         client = bench.start(arm)
@@ -57,15 +57,17 @@ def mock_session(arm: Arm, folder: SessionFolder, boards: Boards, name: str | No
         bench.close()
 
 
-def _kept_scenario(arm: Arm, folder: SessionFolder, name: str | None) -> Path:
+def _saved_scenario(arm: Arm, folder: SessionFolder, name: str | None) -> Path:
     file = folder.path / SCENARIO
     can_home = all(drive.home is not None for drive in arm.drives)
     if not file.exists():
         if folder.points() is not None:
-            raise SessionError(f"{folder.path} is the session of a real arm: leave --mock away")
+            raise SessionError(f"{folder.path}: this session belongs to a real arm: omit --mock")
         write_whole(file, seeded_scenario(name or DEFAULT_SCENARIO, None, was_homed=not can_home))
     elif name is not None and file.read_bytes() != seeded_scenario(name, None, was_homed=not can_home):
-        raise SessionError(f"{folder.path} was begun with another scenario ({file}): leave --scenario away")
+        raise SessionError(
+            f"{folder.path}: this session was started with another scenario ({file}): omit --scenario"
+        )
     return file
 
 

@@ -1,4 +1,4 @@
-"""The talk of a session on lines of text: a terminal, a pipe or a script, all the same."""
+"""The dialogue of a session as lines of text, from a terminal, a pipe or a script."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from calib.session.folder import SessionFolder
 from calib.session.plan import Target
 from calib.session.state import Mark
 from control.model.arm import Table
-from procedures.session.dialogue import HELP, Auto, NotUnderstood, View, understood
+from procedures.session.dialogue import HELP, Auto, BadCommand, View, parse_command
 from procedures.session.drawing import board_text, status_text
 
 Say = Callable[[str], None]
 
 
 class Operator:
-    """Says what a session says, and answers from lines. When they end, the answer is `quit`."""
+    """Prints the messages of a session and answers from lines. When they end, the answer is `quit`."""
 
     def __init__(
         self,
@@ -31,13 +31,13 @@ class Operator:
         table: Table | None = None,
         may_auto: bool = False,
     ) -> None:
-        """`may_auto`: a mock hand seats the tip, so that questions may be answered without looking."""
+        """`may_auto`: a mock hand seats the tip, so questions may be answered automatically."""
         self._folder, self._boards, self._lines, self._say = folder, boards, lines, say
         self._table, self._may_auto = table, may_auto
         self._auto: int | None = 0  # questions still to be answered by itself, None: all
 
     def run(self, talk: Talk) -> None:
-        """Carry the talk to its end."""
+        """Conduct the dialogue to its end."""
         try:
             saying = next(talk)
             while True:
@@ -51,7 +51,7 @@ class Operator:
         if isinstance(saying, Ask):
             return self._asked(saying)
         if isinstance(saying, Recorded):
-            self._say(self._kept(saying))
+            self._say(self._recorded(saying))
             if saying.verdict.is_suspect:
                 self._auto = 0
         else:
@@ -67,25 +67,25 @@ class Operator:
             if self._auto:
                 self._auto -= 1
                 return GO
-            line = next(self._lines, self._last_word(ask))
+            line = next(self._lines, self._answer_at_end(ask))
             try:
-                command = understood(line)
+                command = parse_command(line)
                 if isinstance(command, Command):
                     return command
                 if isinstance(command, View):
                     self._show(command, ask)
                 else:
                     self._start_auto(command)
-            except NotUnderstood as error:
+            except BadCommand as error:
                 self._say(f"! {error}")
 
-    def _last_word(self, ask: Ask) -> str:
-        """What is answered when the lines have ended: nothing is left to do with a mock arm, or nobody is there."""
+    def _answer_at_end(self, ask: Ask) -> str:
+        """The answer after the last line: the end of a mock session, or `quit`."""
         return "" if ask.question is Question.DONE and self._may_auto else "quit"
 
     def _start_auto(self, command: Auto) -> None:
         if not self._may_auto:
-            raise NotUnderstood("auto: only a mock arm's session goes on by itself")
+            raise BadCommand("auto: only a session with a mock arm can answer by itself")
         self._auto = command.count
 
     def _show(self, view: View, ask: Ask) -> None:
@@ -101,15 +101,18 @@ class Operator:
     def _prompt(self, ask: Ask) -> str:
         state, target = self._folder.state, ask.target
         if target is None:
-            return f"Nothing is left ({state.count(Mark.DONE)} recorded). Enter ends the session, `redo` takes a point again"
+            return (
+                f"All points are done ({state.count(Mark.DONE)} recorded). Enter ends the session, `redo` measures a"
+                " point again"
+            )
         done = len(state.targets) - len(state.left())
         where = f"[{done + 1}/{len(state.targets)}] {target.name}"
         return f"{where}: {self._question(ask.question, target)}"
 
     def _question(self, question: Question, target: Target) -> str:
-        """What the operator is asked for, in words."""
+        """The request to the operator as text."""
         if question is Question.BOARD:
-            return f"set the board to {self._tilt(target.setup)}. Enter when it stands"
+            return f"set the board to {self._tilt(target.setup)}; Enter when it is in place"
         if question is Question.NEXT:
             side = (
                 f" from side {target.approach}"
@@ -119,10 +122,10 @@ class Operator:
             where = "the pose" if target.is_free else f"above the cavity{side}"
             return f"hands off; Enter moves the arm to {where}"
         if question is Question.TAKE:
-            return "hold the arm by hand; Enter switches its drives off"
+            return "hold the arm by hand; Enter turns its drives off"
         if self._folder.plan.seat == "jog":
-            return f"jog the tip into cavity {target.point} (`jog z -5`); Enter when it sits"
-        return f"seat the tip in cavity {target.point} and keep it there; Enter when it sits"
+            return f"jog the tip into cavity {target.point} (`jog z -5`); Enter when it is seated"
+        return f"seat the tip in cavity {target.point} and hold it there; Enter when it is seated"
 
     def _tilt(self, setup: str) -> str:
         if self._table is None:
@@ -134,17 +137,17 @@ class Operator:
         }
         return angles.get(setup, setup)
 
-    def _kept(self, kept: Recorded) -> str:
-        """What was recorded, how far the model is off, and whether that fits the records before."""
-        record, verdict = kept.record, kept.verdict
+    def _recorded(self, recorded: Recorded) -> str:
+        """The record, the model error, and its agreement with earlier records."""
+        record, verdict = recorded.record, recorded.verdict
         text = f"{self._folder.state.targets[record.key].name} recorded"
         if np.isfinite(verdict.error_m).all():
-            text += f"; the model is {1e3 * float(np.linalg.norm(verdict.error_m)):.2f} mm off"
+            text += f"; model error {1e3 * float(np.linalg.norm(verdict.error_m)):.2f} mm"
         if np.isfinite(verdict.surprise):
-            text += f", {1e3 * verdict.off_m:.2f} mm from what the points before say"
+            text += f", {1e3 * verdict.off_m:.2f} mm from the prediction of the earlier points"
         if verdict.is_suspect:
             text = (
-                f"! {text}: {verdict.surprise:.0f} standard deviations. Does the tip sit in {record.point}, in the"
-                " right cavity? `redo` takes it again, Enter keeps it"
+                f"! {text}: {verdict.surprise:.0f} standard deviations. Check that the tip is seated in"
+                f" {record.point}, the right cavity. `redo` measures again, Enter keeps the record"
             )
         return text

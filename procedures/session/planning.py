@@ -27,8 +27,8 @@ OPTIONS = ("setups", "points", "repeats", "approaches", "free", "plan", "payload
 MOST_FREE = 500
 
 
-def wanted_plan(given: argparse.Namespace, arm: Arm) -> SessionPlan | None:
-    """The plan that the options ask for; None where none of them is given, which resumes what is there."""
+def plan_from_options(given: argparse.Namespace, arm: Arm) -> SessionPlan | None:
+    """The plan of the options; None if none is given, which resumes the session."""
     if all(getattr(given, name) is None for name in OPTIONS) and (Path(given.out) / "session.json").exists():
         return None
     targets = _from_file(Path(given.plan), given, arm) if given.plan else _from_options(given, arm)
@@ -83,7 +83,7 @@ def _from_file(path: Path, given: argparse.Namespace, arm: Arm) -> tuple[Target,
     """Rows of setup and point, in the file's order; q1_rad ... where a free pose goes, or the posture for a cavity."""
     for name in ("setups", "points", "free", "repeats", "approaches"):
         if getattr(given, name) is not None:
-            raise SessionError(f"--plan says which points and repeats: leave --{name} away")
+            raise SessionError(f"--plan sets the points and repeats: omit --{name}")
     angles = [f"q{j}_rad" for j in range(1, arm.joint_count + 1)]
     targets = []
     with opened_text(path) as file:
@@ -98,7 +98,7 @@ def _from_file(path: Path, given: argparse.Namespace, arm: Arm) -> tuple[Target,
                 raise SessionError(f"{where}, column repeat: got {repeat!r}, expected a whole number")
             q_rad = _posture(where, arm, [row.get(name) or "" for name in angles])
             if setup == FREE and q_rad is None:
-                raise SessionError(f"{where}: a free pose takes q1_rad to q{arm.joint_count}_rad")
+                raise SessionError(f"{where}: a free pose needs q1_rad to q{arm.joint_count}_rad")
             targets.append(Target(setup, point, int(repeat), 1, q_rad))
     return tuple(targets)
 
@@ -119,7 +119,7 @@ def _require_inside(where: str, arm: Arm, q_rad: Sequence[float]) -> None:
     for joint, (q, (lower, upper)) in enumerate(zip(q_rad, arm.limits_rad, strict=True), start=1):
         if not lower <= q <= upper:
             raise SessionError(
-                f"{where}: joint {joint} at {q:g} rad is outside of its range, {lower:g} to {upper:g} rad"
+                f"{where}: joint {joint} at {q:g} rad is outside its range, {lower:g} to {upper:g} rad"
             )
 
 
@@ -150,7 +150,7 @@ def _range(name: str, known: Iterable[str]) -> list[str]:
     if name in known or not (dash and first.isdecimal() and last.isdecimal()):
         return [name]
     if int(first) > int(last):
-        raise SessionError(f"--points: {name} runs backwards")
+        raise SessionError(f"--points: expected an ascending range, got {name}")
     return [str(number) for number in range(int(first), int(last) + 1)]
 
 

@@ -1,4 +1,4 @@
-"""The talk of a session for another program, such as the console's screen: a JSON object a line out, the same answers in.
+"""The dialogue of a session for another program, such as the console's screen: one JSON object per line out, the same answers in.
 
 {"ask": "SEATED", "prompt": "...", "setup": "normal", "point": "13", "done": 12, "left": 87,
  "board": [{"name": "13", "x_m": 0.02, "y_m": 0.0, "mark": "now"}, ...]}
@@ -44,7 +44,7 @@ class Reporter(Operator):
             {
                 "kept": self._folder.state.targets[saying.record.key].name,
                 "point": saying.record.point,
-                "text": self._kept(saying).removeprefix("! "),
+                "text": self._recorded(saying).removeprefix("! "),
                 "error_mm": _mm(float(np.linalg.norm(verdict.error_m))),
                 "off_mm": _mm(verdict.off_m),
                 "surprise": _finite(verdict.surprise),

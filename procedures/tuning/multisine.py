@@ -28,7 +28,7 @@ _TRIALS = 60  # of phases, for a signal without a high peak
 
 
 class PoorResponse(ArmError):
-    """What was measured is not good enough to put gains on."""
+    """The measurement is not good enough for a design."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def multisine(period_s: float, rate_Hz: float, seed: int = 0) -> Multisine:
         if best is None or np.abs(wave).max() < np.abs(best).max():
             best = wave
     if best is None:
-        raise ArmError("tuning: no signal was made")
+        raise ArmError("tuning: no excitation signal was found")
     return Multisine(best / np.abs(best).max(), lines, silent, rate_Hz)
 
 
@@ -69,9 +69,9 @@ class Measured:
     response: Response
     loop: NDArray[np.complex128]
     distortion: float
-    """Of the angle at lines that were left out, over that at the lines: what is not linear."""
+    """Nonlinear share: the angle's amplitude at unexcited lines over that at excited lines."""
     noise: float
-    """Of the response, from period to period, relative."""
+    """Relative noise of the response, from period to period."""
     span_rad: float
 
 
@@ -127,9 +127,10 @@ def usable(measured: Measured, least_coherence: float) -> Measured:
     good = int((keep & inside).sum())
     if good < LEAST_SHARE * int(inside.sum()):
         raise PoorResponse(
-            f"the response is poor: coherence reaches {least_coherence:g} at {good} of {int(inside.sum())} frequencies from"
-            f" {LOW_Hz:g} to {HIGH_Hz:g} Hz (noise {measured.noise:.1%}, not linear {measured.distortion:.1%}): friction or play"
-            " swallow the signal, or somebody touches the arm; give a larger --amplitude, look for play"
+            f"the response is poor: coherence reaches {least_coherence:g} at only {good} of {int(inside.sum())}"
+            f" frequencies from {LOW_Hz:g} to {HIGH_Hz:g} Hz (noise {measured.noise:.1%}, nonlinear"
+            f" {measured.distortion:.1%}): friction or backlash absorbs the signal, or somebody touches the arm; give"
+            " a larger --amplitude, check for backlash"
         )
     return Measured(
         Response(response.omega_rad_s[keep], response.plant[keep], response.coherence[keep]),

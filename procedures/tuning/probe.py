@@ -1,4 +1,4 @@
-"""Between the loop and the boards: adds a known signal to one joint's output, keeps what was commanded and what was counted."""
+"""Between the loop and the boards: adds a known signal to one joint's output, records commands and counts."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -31,7 +31,7 @@ CENTRE_SPEED = 0.3
 
 
 class NotTuned(ArmError):
-    """A joint was not tuned, and the message says why; nothing is written."""
+    """A joint was not tuned; the message gives the reason, and nothing is written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +70,14 @@ class Tuned:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The new arm, and how each joint came to its gains."""
+    """The new arm, and the tuning of each joint."""
 
     arm: Arm
     joints: tuple[Tuned, ...]
 
 
 def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
-    """Measure, design, try. Raises NotTuned, ArmFaulted, and what connecting raises; the drives are off then.
+    """Measure, design, try. Raises NotTuned, ArmFaulted, and the errors of connecting; the drives are off then.
 
     The gains belong to the runtimes that are started here: whatever ends them, the arm's own file is as it was.
     """
@@ -90,7 +90,7 @@ def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
     with Session(measuring, clock) as session:
         session.client.move_joints(pose, CENTRE_SPEED)
         for number, joint in enumerate(options.joints):
-            advance(f"joint {joint}: its response, and the gains that it has", (number + 0.5) / total)
+            advance(f"joint {joint}: response with the present gains", (number + 0.5) / total)
             before[joint], fitted = _try(session, measuring, joint, options)
             designs[joint] = _designed(measuring, joint, before[joint], fitted, options, pose)
     tuned = with_gains(arm, {joint: design.gains for joint, (_, design, _, _) in designs.items()})
@@ -109,7 +109,7 @@ def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
 
 
 def in_voltage_mode(arm: Arm) -> Arm:
-    """Where the board runs the PID, the loop does it meanwhile: same gains, same units, and its output can be heard."""
+    """Move the PID from the board to the loop: same gains and units, and its output is recorded."""
     drives = tuple(
         replace(drive, pid=replace(drive.pid, mode="voltage")) if drive.pid.mode == "position" else drive
         for drive in arm.drives
@@ -118,7 +118,7 @@ def in_voltage_mode(arm: Arm) -> Arm:
 
 
 def _pose(arm: Arm, options: Options) -> tuple[float, ...]:
-    """Where the arm shall stand: as asked, else at rest, else amid its ranges; with room for what the joints will do."""
+    """The pose for tuning: as given, else at rest, else mid-range; with enough range for the motions."""
     pose = options.pose_rad or (arm.rest.q_rad if arm.rest else None)
     if pose is None:
         pose = tuple(0.5 * (a + b) if math.isfinite(a + b) else 0.0 for a, b in arm.limits_rad)
@@ -128,8 +128,8 @@ def _pose(arm: Arm, options: Options) -> tuple[float, ...]:
         at = pose[joint - 1]
         if at - half_rad < lower or at + max(half_rad, MOVE_RAD + ROOM_RAD) > upper:
             raise NotTuned(
-                f"joint {joint}: at {at:.2f} rad it has no room: a pass takes {half_rad:.2f} rad to either side, its range is"
-                f" {lower:.2f} to {upper:.2f} rad; give another --pose"
+                f"joint {joint}: not enough range at {at:.2f} rad: a pass needs {half_rad:.2f} rad to either side,"
+                f" the range is {lower:.2f} to {upper:.2f} rad; give another --pose"
             )
     return tuple(pose)
 
@@ -151,7 +151,7 @@ def _try(session: Session, arm: Arm, joint: int, options: Options) -> tuple[Tria
         step = session.step(joint, STEP_RAD)
         move = session.move(joint, MOVE_RAD)
     except ArmFaulted as fault:
-        raise ArmFaulted(f"joint {joint} was not tuned, its old gains stay: {fault}") from None
+        raise ArmFaulted(f"joint {joint} was not tuned and keeps its old gains: {fault}") from None
     try:
         good = usable(measured, LEAST_COHERENCE)
     except PoorResponse as poor:
@@ -182,7 +182,7 @@ def _designed(
 
 
 def _rounded(tuner: Tuner, design: Design) -> Design:
-    """Gains as they will stand in the file."""
+    """Gains rounded as in the file."""
     gains = design.gains
     kp, ki, kd = (float(f"{value:.5g}") for value in (gains.kp, gains.ki, gains.kd))
     short = Gains(kp, ki, kd, gains.derivative_filter_s)
@@ -203,18 +203,18 @@ def inertia_ratios(arm: Arm, joint: int, pose: tuple[float, ...]) -> tuple[float
 
 
 def _cautions(joint: int, fit: MotorFit, measured: Measured) -> tuple[str, ...]:
-    said = []
+    cautions = []
     if measured.distortion > NOT_LINEAR:
-        said.append(
-            f"joint {joint}: {measured.distortion:.0%} of its response is not linear (play, friction): margins say less than they"
-            " seem to, so it was made slower than they allow"
+        cautions.append(
+            f"joint {joint}: {measured.distortion:.0%} of its response is nonlinear (backlash, friction): the margins"
+            " are less reliable, so the loop was tuned slower than they allow"
         )
     if fit.residual > MISFIT:
-        said.append(
-            f"joint {joint}: its response is {fit.residual:.0%} off that of a stiff joint: something gives between motor and"
-            " joint, so it was made slower than margins allow"
+        cautions.append(
+            f"joint {joint}: its response differs by {fit.residual:.0%} from that of a stiff joint: the drive train"
+            " is compliant, so the loop was tuned slower than the margins allow"
         )
-    return tuple(said)
+    return tuple(cautions)
 
 
 def with_gains(arm: Arm, gains: dict[int, Gains]) -> Arm:
@@ -229,10 +229,10 @@ def with_gains(arm: Arm, gains: dict[int, Gains]) -> Arm:
 
 
 def _require_margins(joint: int, after: Trial) -> None:
-    """What was designed must be what is there."""
+    """The measured margins must meet the design."""
     if not after.margins.meet(LEAST_GAIN_dB, LEAST_PHASE_deg):
         raise NotTuned(
-            f"joint {joint}: with the new gains {after.margins.gain_dB:.1f} dB and {after.margins.phase_deg:.0f} deg were"
-            f" measured, {LEAST_GAIN_dB:g} dB and {LEAST_PHASE_deg:g} deg are wanted: its response changes with motion; give a"
+            f"joint {joint}: the new gains gave {after.margins.gain_dB:.1f} dB and {after.margins.phase_deg:.0f} deg,"
+            f" expected {LEAST_GAIN_dB:g} dB and {LEAST_PHASE_deg:g} deg: the response changes with motion; give a"
             " lower --bandwidth"
         )

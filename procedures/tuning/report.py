@@ -1,4 +1,4 @@
-"""What tuning found, on one page: margins and steps before and after, Bode's and Nyquist's plots of what was measured."""
+"""The report of tuning: margins and steps before and after, Bode's and Nyquist's plots of what was measured."""
 
 from __future__ import annotations
 
@@ -68,21 +68,21 @@ def _dB(value: float) -> str:
 def _summary(result: Result) -> Section:
     lines = [line for tuned in result.joints for line in rows(tuned)]
     wanted = (
-        f"Margins are measured on the arm, by the loop's own output, delay and filters included; at least {LEAST_GAIN_dB:g} dB"
-        f" and {LEAST_PHASE_deg:g} deg are kept at every inertia that a joint meets by arm.toml. Overshoot and settling (5 %)"
-        " are of a step of the set-point of 5 mrad, which no motion of this arm makes; the following error is the largest of a"
-        " move at the joint's own limits."
+        f"Margins are measured on the arm and include delay and filters. They are at least {LEAST_GAIN_dB:g} dB and"
+        f" {LEAST_PHASE_deg:g} deg at every inertia that a joint can have by arm.toml. Overshoot and settling time (5"
+        " %) are those of a set-point step of 5 mrad, harsher than any planned motion. The following error is the"
+        " largest of a move at the joint's own limits."
     )
     notes = [worst_pose(tuned) for tuned in result.joints]
     notes += [caution for tuned in result.joints for caution in tuned.cautions]
-    return Section("What came out", paragraph(wanted) + table(header(result.arm), lines) + bullets(notes))
+    return Section("Results", paragraph(wanted) + table(header(result.arm), lines) + bullets(notes))
 
 
 def worst_pose(tuned: Tuned) -> str:
     """Margins where the joint's inertia is least favourable."""
     worst = tuned.design.worst
     return (
-        f"joint {tuned.joint}: {_dB(worst.gain_dB)} and {worst.phase_deg:.0f} deg at the least favourable inertia that it meets"
+        f"joint {tuned.joint}: {_dB(worst.gain_dB)} and {worst.phase_deg:.0f} deg at the least favourable inertia"
         f" ({min(tuned.inertia_ratios):.2g} to {max(tuned.inertia_ratios):.2g} times that of this pose, by arm.toml)"
     )
 
@@ -90,9 +90,9 @@ def worst_pose(tuned: Tuned) -> str:
 def _joint(tuned: Tuned) -> Section:
     fit = tuned.fit
     words = (
-        f"A motor with b = {fit.b:.2f} rad/(V s²), a = {fit.a_1_s:.1f} 1/s and {1e3 * fit.delay_s:.1f} ms of delay fits what was"
-        f" measured to {fit.residual:.1%}; {tuned.before.measured.distortion:.1%} of the response is not linear, noise is"
-        f" {tuned.before.measured.noise:.2%}."
+        f"A motor model with b = {fit.b:.2f} rad/(V s²), a = {fit.a_1_s:.1f} 1/s and {1e3 * fit.delay_s:.1f} ms of"
+        f" delay fits the measurement to {fit.residual:.1%}. {tuned.before.measured.distortion:.1%} of the response"
+        f" is nonlinear; noise is {tuned.before.measured.noise:.2%}."
     )
     pictures = pair(svg((5.1, 4.6), lambda f: _bode(f, tuned)), svg((5.1, 4.6), lambda f: _nyquist(f, tuned)))
     pictures += pair(
@@ -151,7 +151,7 @@ def _steps(figure: Figure, tuned: Tuned) -> None:
         axes.plot(1e3 * np.array(trial.step.t_s), trial.step.share, color=colour, label=name)
     axes.axhline(1.0, color=MEASURED, lw=0.6)
     axes.set_xlim(0.0, 400.0)
-    axes.set_title("step of the set-point, 5 mrad")
+    axes.set_title("set-point step of 5 mrad")
     axes.set_xlabel("time [ms]")
     axes.set_ylabel("angle over step")
     axes.legend(loc="lower right")
@@ -162,7 +162,7 @@ def _errors(figure: Figure, tuned: Tuned) -> None:
     for trial, colour, name in ((tuned.before, BEFORE, "before"), (tuned.after, AFTER, "after")):
         error = np.array(trial.move.set_rad) - np.array(trial.move.angle_rad)
         axes.plot(trial.move.t_s, 1e3 * error, color=colour, label=name)
-    axes.set_title("following error of a move of 0.2 rad")
+    axes.set_title("following error, move of 0.2 rad")
     axes.set_xlabel("time [s]")
     axes.set_ylabel("error [mrad]")
     axes.legend(loc="upper right")

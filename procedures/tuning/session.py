@@ -1,4 +1,4 @@
-"""A runtime of tune's own, in this process, with a probe between it and the boards; and what is done with a joint through it."""
+"""Tuning's own runtime in this process, with a probe between it and the boards, and the motions of a joint."""
 
 import contextlib
 from collections.abc import Sequence
@@ -39,9 +39,9 @@ class StepResponse:
     share: tuple[float, ...]
     overshoot: float
     rise_s: float
-    """From 10 to 90 %."""
+    """Rise time from 10 to 90 %."""
     settling_s: float
-    """Until it stays within 5 %, or two counts."""
+    """Time until it stays within 5 %, or two counts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class MoveResponse:
     peak_error_rad: float
     rms_error_rad: float
     settling_s: float
-    """After the set-point stands, until the error stays within 0.5 mrad."""
+    """Time after the end of the set-point's motion until the error stays within 0.5 mrad."""
 
 
 class Session:
@@ -84,7 +84,7 @@ class Session:
         self._leave()
 
     def _leave(self) -> None:
-        """Stop, hold, brake, off; where the runtime cannot, the boards are told to brake."""
+        """Stop, hold, brake, off; if the runtime cannot, the boards are commanded to brake."""
         self.probe.rest()
         try:
             with contextlib.suppress(ArmError):
@@ -118,7 +118,7 @@ class Session:
         return trace
 
     def excite(self, joint: int, wave: Multisine, amplitude: float) -> Measured:
-        """Passes to and fro around where the arm stands, with the signal on the joint."""
+        """Passes back and forth around the present pose, with the signal on the joint."""
         centre = at_rest(self.angles_rad())
         forth = _pass(centre, joint - 1)
         self.client.move_joints(forth[0].q_rad, 0.3)
@@ -138,7 +138,7 @@ class Session:
                 rows.append((angle, trace.output[inside], trace.added[inside]))
         if len(rows) < 2:
             raise ArmError(
-                "tuning: this host missed cycles in nearly every pass: `armwright doctor` says which rights it needs"
+                "tuning: this host missed cycles in nearly every pass: `armwright doctor` lists the rights it needs"
             )
         angle_rad, output, added = (np.array([row[k] for row in rows]) for k in range(3))
         return evaluate(wave, angle_rad, output, added)

@@ -1,4 +1,4 @@
-"""Drives an arm by a model of it, whatever model the runtime itself believes in, and looks with the camera.
+"""Drives an arm by either model, whichever the runtime uses, and measures with the camera.
 
 Points are joint moves to what the model's inverse kinematics says: the loop needs no geometry for these. A path goes to the
 runtime in Cartesian space and through the runtime's own inverse kinematics, so it is handed over as the path that takes the
@@ -46,7 +46,7 @@ def poses_at(places: Sequence[Place], model: Model, q_near_rad: Sequence[float])
             q_near_rad = model.inverse.nearest(model.in_base(place.tip_m), q_near_rad)
         except ArmError as error:
             raise ArmError(
-                f"verification point {place.setup} {place.point}: {error}; nothing was moved"
+                f"verification point {place.setup} {place.point}: {error}; nothing moved"
             ) from error
         poses.append(FreePose(place.setup, place.point, tuple(q_near_rad)))
     return tuple(poses)
@@ -94,7 +94,7 @@ def run(path: PlannedPath, model: Model, believed: Model, client: ArmClient, spe
 
 
 def handed_over(path: PlannedPath, model: Model, believed: Model) -> PlannedPath:
-    """The path in the base frame of the model that the runtime believes in: the same joint angles at the same times."""
+    """The path in the base frame of the runtime's model: the same joint angles at the same times."""
     if believed is model:
         return path
     motion = path.motion(model.inverse, model.kinematics)

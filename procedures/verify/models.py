@@ -21,7 +21,7 @@ SAME_TIP_m = 1e-6
 
 
 class Model:
-    """One model of the arm: what it takes to send the tip somewhere in the frame of table and camera."""
+    """One model of the arm: everything needed to move the tip in the frame of table and camera."""
 
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
@@ -39,7 +39,7 @@ class Model:
 
     @cached_property
     def gears(self) -> frozenset[tuple[object, ...]]:
-        """What the model knows between joints and encoders."""
+        """Effects of the model between joints and encoders."""
         return frozenset(
             (e.effect, e.joint, *sorted(e.parameters.items()))
             for e in self.arm.effects
@@ -47,7 +47,7 @@ class Model:
         )
 
     def has_gears_of(self, believed: "Model") -> bool:
-        """Whether the runtime that believes in the other model corrects what this one knows of its gears, no more, no less."""
+        """Whether a runtime with the other model corrects exactly this model's gear effects."""
         return self.gears == believed.gears
 
     def in_base(self, point_m: Sequence[float]) -> Vector3:
@@ -73,7 +73,7 @@ class Pair:
 
 
 def nominal_of(calibrated: Arm, against: str | None) -> Arm:
-    """The arm that a calibrated one is compared with: as asked, or the one that it says it was calibrated from.
+    """The arm that a calibrated one is compared with: as given, or the one it was calibrated from by its file.
 
     ArmError where it says nothing, where the file is not to be found, or where the two are not the same arm.
     """
@@ -89,7 +89,7 @@ def nominal_of(calibrated: Arm, against: str | None) -> Arm:
 def _source_of(calibrated: Arm) -> str:
     if calibrated.calibration is None:
         raise ArmError(
-            f"{calibrated.path}: has no [calibration], so what it was before is not known; name it with --against"
+            f"{calibrated.path}: has no [calibration], so its nominal arm is unknown; give it with --against"
         )
     source = calibrated.calibration.source
     beside = (calibrated.path or Path()).parent / source
@@ -99,19 +99,20 @@ def _source_of(calibrated: Arm) -> str:
     if Path(source).stem in arm_names():
         return Path(source).stem
     raise ArmError(
-        f"{calibrated.path}: was calibrated from {source}, which is neither beside it nor here; name it with --against"
+        f"{calibrated.path}: its nominal arm {source} was found neither beside it nor in this folder; give it with"
+        " --against"
     )
 
 
-def believed_by(status: Message, pair: Pair) -> Model:
-    """Which of the two models the runtime runs: the one by which its tip is where it says. ArmError if neither."""
+def active_model(status: Message, pair: Pair) -> Model:
+    """The model of the pair that the runtime uses. ArmError if neither."""
     if not status["is_homed"] or status["tip_m"] is None:
-        raise ArmError("the arm is not homed, so its angles mean nothing yet: `armwright home`")
+        raise ArmError("the arm is not homed, so its angles are unknown: run `armwright home`")
     for model in (pair.calibrated, pair.nominal):
         tip_m = model.kinematics.tip(*status["joint_rad"])
         if max(abs(a - b) for a, b in zip(tip_m, status["tip_m"], strict=True)) < SAME_TIP_m:
             return model
     raise ArmError(
-        f"the runtime was started with another arm than {pair.calibrated.arm.path} or {pair.nominal.arm.path}: its tip would"
-        " be elsewhere; start `armwright serve` with one of the two"
+        f"the runtime uses another arm than {pair.calibrated.arm.path} or {pair.nominal.arm.path}, so its tip"
+        " positions would differ; start `armwright serve` with one of the two"
     )

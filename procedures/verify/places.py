@@ -1,4 +1,4 @@
-"""Where a verification goes: points between the cavities and paths above every tilt of the board, 5 cm up.
+"""Places of a verification: points between the cavities and paths above every tilt of the board, 5 cm up.
 
 Calibration seats the tip in the cavities; no pose here is one of those. The board itself need not be there.
 """
@@ -23,7 +23,7 @@ _LEAST_RADIUS_m = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A verification point: where the tip is sent, in the frame of table and camera."""
+    """A verification point: the wanted tip position in the frame of table and camera."""
 
     setup: str
     point: str
@@ -84,7 +84,7 @@ def _radius_m(table: Table) -> float:
     radius = max((math.hypot(x, y) for x, y, _ in tables.board_cavities(table).values()), default=0.0)
     if radius < _LEAST_RADIUS_m:
         raise MissingModel(
-            f"the table's cavities reach {radius:.3f} m from the board's centre: a verification needs at least"
-            f" {_LEAST_RADIUS_m} m to draw its points and paths on"
+            f"the table's cavities reach {radius:.3f} m from the board's centre, expected at least {_LEAST_RADIUS_m}"
+            " m for the verification points and paths"
         )
     return radius

@@ -47,7 +47,7 @@ class Drive:
         )
 
     def run(self, believed: Model, client: ArmClient, speed: float, advance: Advance) -> None:
-        """Tours by the nominal and the calibrated model in turn, so that drift meets both alike; then the paths."""
+        """Tours by the nominal and the calibrated model in turn, so that drift affects both equally; then the paths."""
         places, ways = len(self.programme.places), len(self.programme.ways)
         total, done = 2 * (places * self.programme.repeats + 2 * ways), 0
         for what in self._steps(believed, client, speed):
@@ -89,13 +89,13 @@ def driven(
     """The verification of an arm that was driven."""
     programme = drive.programme
     how = [
-        f"Sent the tip to {len(programme.places)} points that no calibration seats it in, {programme.repeats} times by the"
-        " nominal model and as often by the calibrated one, in turn; the camera measured at rest.",
+        f"Moved the tip to {len(programme.places)} points that calibration did not use, {programme.repeats} times"
+        " with each model in turn (nominal, calibrated); the camera measured at rest.",
     ]
     if programme.ways:
         how.append(
-            f"Ran {len(programme.ways)} paths by either model at {programme.path_speed_m_s:g} m/s; the camera measured on the"
-            " way."
+            f"Ran {len(programme.ways)} paths with each model at {programme.path_speed_m_s:g} m/s; the camera"
+            " measured during motion."
         )
     used = already_used(pair.calibrated.arm, np.concatenate((drive.before.q_rad, drive.after.q_rad)))
     return _verification(pair, comparison, paths, tuple(how), used, notes, is_driven=True)
@@ -108,8 +108,8 @@ def on_recorded(pair: Pair, file: Path) -> Verification:
     comparison = compare_arms(nominal, calibrated, _with_tips(calibrated, points))
     used_file = input_file(file, "recorded poses and measured tips")
     how = (
-        f"Compared {len(points)} recorded poses of {file.name}: measured tips against those that the nominal and the calibrated"
-        " model predict from the encoders. Nothing moved.",
+        f"Compared {len(points)} recorded poses of {file.name}: measured tips against the predictions of the nominal"
+        " and the calibrated model from the encoders. Nothing moved.",
     )
     used = already_used(calibrated, points.q_rad, used_file.sha256)
     return _verification(pair, comparison, (), how, used, warnings, is_driven=False, more=(used_file,))
@@ -158,16 +158,17 @@ def _arm_files(nominal: Arm, calibrated: Arm) -> tuple[InputFile, ...]:
 
 
 def _left_out(nominal: Arm, calibrated: Arm, is_driven: bool) -> tuple[str, ...]:
-    """Effects that play no part: the runtime corrects and feeds forward what it can, predictions know the static ones."""
+    """Unused effects: the runtime corrects and feeds forward some, predictions use the static ones."""
     known = {"base_frame"} | (SIDE_EFFECTS | FED_FORWARD if is_driven else set(LAWS))
     notes = []
     names = [_named(effect) for effect in calibrated.effects if effect.effect not in known]
     if names:
-        notes.append(f"effects of the calibrated arm that play no part here: {', '.join(names)}")
+        notes.append(f"effects of the calibrated arm that were not used here: {', '.join(names)}")
     was = [_named(effect) for effect in nominal.effects if effect.effect in SIDE_EFFECTS]
     if is_driven and was and not Model(nominal).has_gears_of(Model(calibrated)):
         notes.append(
-            f"the nominal arm's {', '.join(was)} played no part when it was driven: the runtime corrects by one arm's file"
+            f"the nominal arm's {', '.join(was)} was not used for its motions: the runtime corrects with one arm file"
+            " only"
         )
     return tuple(notes)
 

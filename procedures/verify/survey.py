@@ -22,7 +22,7 @@ PATH_SPEED_m_s = 0.15
 
 @dataclass(frozen=True, slots=True)
 class Programme:
-    """Where a verification goes, and how often it visits each place."""
+    """The places of a verification, and the visits of each."""
 
     places: tuple[Place, ...]
     ways: tuple[Way, ...]

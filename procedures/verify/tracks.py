@@ -31,13 +31,13 @@ def track_of(recording: Path, model: Model, ran: Run, name: str) -> Track:
     rows = recorded(recording)
     rows = rows[(rows["run"] == ran.number) & (rows["mode"] == MOVING)]
     if not len(rows):
-        raise ArmError(f"{recording}: holds no run {ran.number}")
+        raise ArmError(f"{recording}: contains no run {ran.number}")
     time_s = np.asarray(rows["t_s"])
     planned_m = planned_tips_m(rows, model, ran)
     seen_m = np.column_stack([rows[name] for name in ("x_m", "y_m", "z_m")])
     seen = ~np.isnan(seen_m).any(axis=1)
     if not seen.any():
-        raise ArmError(f"{recording}: no camera frame in run {ran.number}: was the camera on?")
+        raise ArmError(f"{recording}: no camera frame in run {ran.number}: check that the camera was on")
     taken_s = time_s[seen] - _camera_delay_s(time_s, planned_m, time_s[seen], seen_m[seen])
     within = taken_s >= time_s[0]  # the first frames to arrive were taken before the run
     at_s = taken_s[within]
@@ -86,7 +86,7 @@ def wait_until_recorded(recording: Path, t_s: float, wait: Callable[[float], Non
         if len(newest) and newest["t_s"][-1] >= t_s:
             return
         wait(0.1)
-    raise ArmError(f"{recording}: does not grow any more; is its disk full?")
+    raise ArmError(f"{recording}: has stopped growing: check for a full disk")
 
 
 def _at(time_s: np.ndarray, times_s: np.ndarray, points_m: np.ndarray) -> np.ndarray:

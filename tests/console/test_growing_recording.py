@@ -49,7 +49,7 @@ def test_a_verification_reads_every_part_and_waits_for_the_newest(tmp_path: Path
         parts.append(rows(first, 4, run=1))
     assert recorded(tmp_path / "a.armlog")["cycle"].tolist() == list(range(12))
     wait_until_recorded(tmp_path / "a.armlog", 11.0, lambda duration_s: None)
-    with pytest.raises(ArmError, match="does not grow any more"):
+    with pytest.raises(ArmError, match="has stopped growing"):
         wait_until_recorded(tmp_path / "a.armlog", 12.0, lambda duration_s: None)
 
 

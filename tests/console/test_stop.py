@@ -121,4 +121,4 @@ def test_a_socket_that_a_killed_runtime_left_is_no_runtime(
     with socket.socket(socket.AF_UNIX) as left_over:
         left_over.bind(str(folder / "right.sock"))
     assert main(["stop"]) == 1
-    assert "no runtime is running" in capsys.readouterr().err
+    assert "no runtime found" in capsys.readouterr().err

@@ -47,8 +47,10 @@ def test_a_path_in_the_config_is_seen_from_its_folder(
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("arm = [\n", "not TOML"), ("arm = 3\n", "expected the path of an arm.toml"), ('arn = "left"\n', "unknown key 'arn'"),
-        ('arm = "none.toml"\n', "there is no file"), ('arm = ""\n', "expected the path"),
+        ("arm = [\n", "not valid TOML"),
+        ("arm = 3\n", "expected the path of an arm.toml"),
+        ('arn = "left"\n', "unknown key 'arn'"),
+        ('arm = "none.toml"\n', "no file"), ('arm = ""\n', "expected the path"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_the_config_is_one_sentence_that_names_it(
@@ -67,4 +69,4 @@ def test_an_environment_variable_that_leads_nowhere_is_named(
 ) -> None:
     monkeypatch.setenv("ARMWRIGHT_ARM", "/none.toml")
     assert main(["arm"]) == 2
-    assert capsys.readouterr().err == "armwright: ARMWRIGHT_ARM: there is no file /none.toml\n"
+    assert capsys.readouterr().err == "armwright: ARMWRIGHT_ARM: no file /none.toml\n"

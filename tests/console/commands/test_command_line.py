@@ -252,7 +252,7 @@ def test_check_names_every_board_of_an_arm_that_is_well(
         arguments = ["check", "--arm", str(tmp_path / "arm.toml"), "--camera-port", str(rig.camera_port)]
         assert main(arguments) == 0
     out = capsys.readouterr().out
-    for name in ("enc0", "joint 1", "joint 2", "joint 3", "all boards are there"):
+    for name in ("enc0", "joint 1", "joint 2", "joint 3", "all boards answer"):
         assert name in out
     with SteppedRig(RIGHT, scenario()) as rig:
         save_arm(wired_to(RIGHT, rig), tmp_path / "arm-2.toml")

@@ -12,9 +12,9 @@ import pytest
 from console.commands import script
 from console.commands.table import COMMANDS
 from console.lines.grammar import NOT_HERE, Grammar, LineError
-from console.lines.replay import Outcome, replay, understood
+from console.lines.replay import Outcome, parse_lines, replay
 from console.main import main
-from console.places import PlacesError, find_place, keep_place, read_places
+from console.places import PlacesError, find_place, read_places, save_place
 from control.model.arm import Effect
 from control.safety.table import Mode
 from hil_mocks.scenario import EffectTable
@@ -26,7 +26,7 @@ GRAMMAR = Grammar(COMMANDS, {"arm": "right", "socket": None})
 def played(cell: Cell, *lines: str) -> list[Outcome]:
     """Replay lines on a stepped mock arm."""
     outcomes: list[Outcome] = []
-    replay(understood(lines, GRAMMAR), lambda: cell.client, outcomes.append)
+    replay(parse_lines(lines, GRAMMAR), lambda: cell.client, outcomes.append)
     return outcomes
 
 
@@ -54,18 +54,18 @@ def test_remarks_are_no_lines(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        ("dance", "no such command"),
+        ("dance", "unknown command"),
         ("move --joints zero", "expected a number"),
         ("move --knots 1", "unrecognized arguments"),
         ("jog --joint 1 --by nan", "expected a number, got 'nan'"),
         ("move --tip 0.4 0 inf", "expected a number, got 'inf'"),
-        ("move --arm left --tip 0.4 0 0.4", "all lines run on --arm right"),
-        ("stop --socket /tmp/other.sock", "all lines run on --socket"),
+        ("move --arm left --tip 0.4 0 0.4", "all lines use --arm right"),
+        ("stop --socket /tmp/other.sock", "all lines use --socket"),
         ("jog --joint 1", "--by"),
         ("run 'unclosed", "No closing quotation"),
-        ("stop &", "`&` begins a motion"),
-        ("&", "begins a motion"),
-        *((f"{name}", "terminal of its own") for name in NOT_HERE if name in {c.name for c in COMMANDS}),
+        ("stop &", "`&` is only for motions"),
+        ("&", "is only for motions"),
+        *((f"{name}", "its own terminal") for name in NOT_HERE if name in {c.name for c in COMMANDS}),
     ],
 )
 def test_a_line_that_is_wrong_says_why(text: str, what: str) -> None:
@@ -75,7 +75,7 @@ def test_a_line_that_is_wrong_says_why(text: str, what: str) -> None:
 
 def test_every_wrong_line_of_a_file_is_named_before_anything_is_done() -> None:
     with pytest.raises(LineError) as error:
-        understood(["stop", "dance", "", "move --joints x"], GRAMMAR)
+        parse_lines(["stop", "dance", "", "move --joints x"], GRAMMAR)
     assert "line 2: dance" in str(error.value)
     assert "line 4: argument --joints" in str(error.value)
 
@@ -177,8 +177,8 @@ def test_a_place_that_is_marked_is_where_the_joints_are_and_not_their_encoders(t
         )
         assert [outcome.status for outcome in outcomes] == [0] * 5
         assert cell.rig.joint_rad() == pytest.approx((0.2, -1.2, 0.3), abs=2e-3)
-        assert "in the stead" in outcomes[4].said
-        assert "in the stead" not in outcomes[1].said
+        assert "replacing another" in outcomes[4].said
+        assert "replacing another" not in outcomes[1].said
 
 
 def test_an_error_is_seen_when_it_comes_and_not_again_with_the_output(
@@ -212,8 +212,8 @@ def test_check_says_what_would_be_done_and_needs_no_runtime(
     file.write_text("enable\nmve\n")
     assert main(["script", str(file), "--check"]) == 2
     error = capsys.readouterr().err
-    assert "line 2: mve: no such command" in error
-    assert "nothing was done" in error
+    assert "line 2: mve: unknown command" in error
+    assert "nothing was run" in error
 
 
 def test_json_carries_status_and_words_of_every_line(
@@ -246,7 +246,7 @@ def test_a_script_runs_a_whole_small_calibration(tmp_path: Path) -> None:
     def none() -> None:
         raise AssertionError("no line needs a runtime")
 
-    replay(understood(lines, GRAMMAR), none, outcomes.append)  # type: ignore[arg-type]
+    replay(parse_lines(lines, GRAMMAR), none, outcomes.append)  # type: ignore[arg-type]
     assert [outcome.status for outcome in outcomes] == [0, 0, 0], outcomes[-1].said
     assert (tmp_path / "c" / "calibration.json").exists()
     assert "16 points recorded" in outcomes[0].said
@@ -258,12 +258,12 @@ def test_a_script_runs_a_whole_small_calibration(tmp_path: Path) -> None:
 def test_a_place_is_kept_beside_the_others(tmp_path: Path) -> None:
     file = tmp_path / "places.toml"
     file.write_text("[corner]\ntip_m = [0.5, 0.1, 0.1]\n")
-    keep_place(file, "rest", (0.0, 0.15, 0.75))
-    keep_place(file, "rest", (0.1, 0.15, 0.75))
+    save_place(file, "rest", (0.0, 0.15, 0.75))
+    save_place(file, "rest", (0.1, 0.15, 0.75))
     places = read_places(file)
     assert places["corner"].tip_m == (0.5, 0.1, 0.1)
     assert places["rest"].q_rad == (0.1, 0.15, 0.75)
-    with pytest.raises(PlacesError, match="no place 'home'; there are corner, rest"):
+    with pytest.raises(PlacesError, match="no place 'home'; expected one of corner, rest"):
         find_place(file, "home")
 
 
@@ -282,8 +282,8 @@ def test_a_places_file_that_is_wrong_is_refused(tmp_path: Path, text: str) -> No
 def test_marking_in_a_file_that_is_no_places_file_leaves_it_as_it_is(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "places.toml"
     file.write_bytes(content)
-    with pytest.raises(PlacesError, match=r"places\.toml: no TOML"):
-        keep_place(file, "rest", (0.0,))
+    with pytest.raises(PlacesError, match=r"places\.toml: not valid TOML"):
+        save_place(file, "rest", (0.0,))
     assert file.read_bytes() == content
     assert list(tmp_path.iterdir()) == [file]
 
@@ -291,4 +291,4 @@ def test_marking_in_a_file_that_is_no_places_file_leaves_it_as_it_is(tmp_path: P
 @pytest.mark.parametrize("name", ["", "a b", "a.b", "[x]"])
 def test_a_name_that_toml_would_not_take_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(PlacesError, match="letters, digits"):
-        keep_place(tmp_path / "places.toml", name, (0.0,))
+        save_place(tmp_path / "places.toml", name, (0.0,))

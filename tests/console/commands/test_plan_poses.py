@@ -35,7 +35,7 @@ def points_file(path):
 def test_plan_is_printed_with_what_each_pose_brings(capsys):
     status, out, err = said(capsys, "--count", "5", "--only", "free")
     assert (status, err) == (0, "")
-    assert "The poses in the order of their worth" in out
+    assert "Poses by value" in out
     rows = [line.split() for line in out.splitlines() if line.startswith("  free") and " p" in line]
     assert len(rows) == 5
     assert sorted(int(row[2]) for row in rows) == [1, 2, 3, 4, 5]
@@ -46,7 +46,7 @@ def test_points_taken_are_counted_and_their_names_not_used_again(capsys, tmp_pat
     taken = points_file(tmp_path / "points.csv")
     status, out, _ = said(capsys, "--points", taken, "--free", "3", "--out", str(tmp_path / "plan"))
     assert status == 0
-    assert "30 points taken" in out
+    assert "30 points recorded" in out
     planned, warnings = read_points(tmp_path / "plan" / "plan.csv", 3)
     assert planned.point == ("p31", "p32", "p33")
     assert planned.setup == ("free",) * 3

@@ -318,7 +318,7 @@ def test_keys_and_the_command_box_do_what_lines_do(tmp_path: Path) -> None:
         await press(pilot, "n")
         await rested(pilot, served)
         await press(pilot, "colon", *"dance", "enter")
-        await until(pilot, lambda: "no such command" in said(app))
+        await until(pilot, lambda: "unknown command" in said(app))
         assert (tmp_path / "kept.txt").read_text().splitlines()[:5] == [
             "override 0.5",
             "override 0.7",

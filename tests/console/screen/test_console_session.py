@@ -35,7 +35,7 @@ async def record_some_and_leave(app: ConsoleApp, pilot: Pilot[Any], out: Path) -
     """Record, take back, skip, and escape."""
     app.open_session(f"--mock --out {out} --setups normal,roll --points 1,5,9,13,17,21,25,33")
     await until(pilot, lambda: isinstance(app.screen, SessionScreen))
-    await until(pilot, lambda: "Enter when it stands" in shown(app, "question"), LIMIT_s)
+    await until(pilot, lambda: "Enter when it is in place" in shown(app, "question"), LIMIT_s)
     assert shown(app, "board").count(".") == 7
     assert shown(app, "board").count("O") == 1
     await press(pilot, "enter")

@@ -201,7 +201,7 @@ def test_rows_of_nothing_but_nan_are_drawn(tmp_path: Path) -> None:
 
 def test_an_empty_recording_is_one_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = write_recording(tmp_path / "a.armlog", 0)
-    assert "recorded nothing" in refused(capsys, str(log))
+    assert "empty recording" in refused(capsys, str(log))
 
 
 def test_a_recording_of_one_cycle_is_drawn(tmp_path: Path) -> None:
@@ -217,7 +217,7 @@ def test_a_torn_recording_is_drawn_and_the_loss_said(
     assert main(["plot", str(torn), "--json"]) == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["samples"] == CYCLES - 1
-    assert "last row is torn" in said.err
+    assert "last row is incomplete" in said.err
 
 
 def test_a_cut_off_mcap_is_drawn_as_far_as_it_goes(tmp_path: Path) -> None:
@@ -255,7 +255,7 @@ def test_what_is_no_recording_is_one_message_that_names_the_file(
     [
         (["--what", "pie"], "tracking, errors"), (["--what", ","], "tracking, errors"), (["--joints", "4"], "from 1 to 3"),
         (["--joints", "0"], "from 1 to 3"), (["--joints", "one"], "from 1 to 3"), (["--run", "9"], "expected one of 0, 1"),
-        (["--from", "5"], "it holds 0.000 to"), (["--from", "2", "--to", "1"], "span of time"), (["--out", "a.gif"], ".svg"),
+        (["--from", "5"], "it contains 0.000 to"), (["--from", "2", "--to", "1"], "time span"), (["--out", "a.gif"], ".svg"),
     ],
 )  # fmt: skip
 def test_a_bad_option_is_one_message(

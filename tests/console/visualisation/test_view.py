@@ -18,10 +18,10 @@ from PIL import Image
 from console.commands import view
 from console.main import main
 from console.visualisation import render
-from console.visualisation.moments import Moment, live, moment_at, recorded
 from console.visualisation.reading import read_series
 from console.visualisation.scene import PREFIX, ArmScene
-from console.visualisation.traces import Traces, Trail, traces_of
+from console.visualisation.snapshots import Snapshot, live, recorded, snapshot_at
+from console.visualisation.traces import TipPath, Traces, traces_of
 from console.visualisation.window import DOWN, HOME, LEFT, RIGHT, SPACE, UP, Player, follow, play
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
@@ -171,20 +171,20 @@ def test_a_live_arm_is_followed_with_a_trail_until_its_runtime_ends() -> None:
         return answer
 
     window = Window(scene, 1000)
-    moments = live(SimpleNamespace(status=status), clock, 0.1)
+    snapshots = live(SimpleNamespace(status=status), clock, 0.1)
     with pytest.raises(RuntimeGone):
-        follow(scene, moments, lambda scene, key: window)
+        follow(scene, snapshots, lambda scene, key: window)
     assert window.is_closed
     assert len(window.tips) == 5
     assert clock.t == pytest.approx(100.5)
     np.testing.assert_allclose(window.tips[3][1], Kinematics(ARM).tips([[0.6, 0.0, 0.0]])[0], atol=1e-9)
-    assert window.geoms == [0, 2, 5, 7, 9]  # two lines a moment, and the mark
+    assert window.geoms == [0, 2, 5, 7, 9]  # two lines a snapshot, and the mark
 
 
 def test_a_trail_keeps_the_last_of_it() -> None:
-    trail = Trail(Kinematics(ARM), most=3)
+    trail = TipPath(Kinematics(ARM), most=3)
     for k in range(7):
-        traces = trail.add(Moment(0.1 * k, (0.0,) * 3, (0.0,) * 3, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        traces = trail.add(Snapshot(0.1 * k, (0.0,) * 3, (0.0,) * 3, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.0)))
     np.testing.assert_allclose(traces.measured_m, Kinematics(ARM).tips([[0.1 * k, 0, 0] for k in (4, 5, 6)]))
 
 
@@ -194,8 +194,8 @@ def test_moments_without_all_angles_are_passed_over(tmp_path: Path) -> None:
     rows, times = recorded(series, 0.002)
     assert not set(range(20, 40)) & set(rows.tolist())
     assert (np.diff(times) > 0.0).all()
-    moment = moment_at(series, 50)
-    assert moment.q_set_rad == moment.q_rad
+    snapshot = snapshot_at(series, 50)
+    assert snapshot.q_set_rad == snapshot.q_rad
 
 
 def test_what_means_nothing_before_homing_is_no_line(tmp_path: Path) -> None:
@@ -220,7 +220,7 @@ def test_without_opengl_the_pictures_are_lines_and_it_is_said(
 ) -> None:
     out = tmp_path / "last.png"
     assert main(["view", str(log), "--render", str(out)]) == 0
-    assert "MuJoCo finds no OpenGL here (no OpenGL)" in capsys.readouterr().err
+    assert "MuJoCo finds no OpenGL (no OpenGL)" in capsys.readouterr().err
     image = np.asarray(Image.open(out))
     assert image.shape == (720, 960, 3)
     for colour in ((0xD5, 0x5E, 0x00), (0x00, 0x72, 0xB2)):  # commanded and measured are both seen
@@ -285,14 +285,14 @@ def test_an_arm_that_is_not_known_or_another_one_is_one_message(
     assert "give it with --arm" in refused(capsys, str(log))
     assert "2 joints, but arm right has 3" in refused(capsys, str(log), "--arm", "right")
     empty = write_recording(tmp_path / "b.armlog", 0)
-    assert "recorded nothing" in refused(capsys, str(empty))
+    assert "empty recording" in refused(capsys, str(empty))
 
 
 def test_live_without_a_runtime_says_how_to_start_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert "armwright serve" in refused(capsys, "--socket", str(tmp_path / "none.sock"))
-    assert "of a LOG" in refused(capsys, "--from", "1")
+    assert "need a LOG" in refused(capsys, "--from", "1")
 
 
 @pytest.mark.usefixtures("no_gl")
@@ -329,7 +329,7 @@ def test_rerun_gets_every_moment_with_its_time(
     monkeypatch.setitem(sys.modules, "rerun", rerun)  # type: ignore[arg-type]
     file = tmp_path / "a.rrd"
     assert main(["view", str(log), "--rerun", str(file)]) == 0
-    assert "50 moments" in capsys.readouterr().out
+    assert "50 snapshots" in capsys.readouterr().out
     assert [call[:2] for call in rerun.calls if call[0] == "save"] == [("save", (file,))]
     times = [more["duration"] for name, _, more in rerun.calls if name == "set_time"]
     np.testing.assert_allclose(times, np.arange(50) * 0.02, atol=0.0021)

@@ -174,4 +174,4 @@ def test_the_command_says_what_it_wrote(
     assert main(["export", str(recording), "--out", str(tmp_path / "x")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert main(["export", str(tmp_path / "none.armlog"), "--out", str(tmp_path / "y")]) == 2
-    assert "there is no such recording" in capsys.readouterr().err
+    assert "no such recording" in capsys.readouterr().err

@@ -23,7 +23,7 @@ from firmware_iface.motor.cia402 import State
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
 from procedures.bringup import measuring
-from procedures.bringup.bench import Bench, DriveLimits, Surprise
+from procedures.bringup.bench import Bench, DriveLimits, SafetyTrip
 from procedures.bringup.diagnosis import rewired
 from procedures.bringup.journal import Journal, brought_up
 from procedures.bringup.measuring import Measured
@@ -234,14 +234,14 @@ def test_the_rewired_arm_homes(tmp_path: Path) -> None:
 BROKEN = [
     ((FaultTable("dead_motor", "motor1"),), ["motor board 1", "DEAD MOTOR", "check the motor's cable"]),
     ((FaultTable("stuck_joint", "motor1"),), ["motor board 1", "STUCK JOINT", "transport lock"]),
-    ((FaultTable("stuck_encoder", "encoder", channel=0),), ["DEAD ENCODER", "joint 1", "the encoder lives"]),
+    ((FaultTable("stuck_encoder", "encoder", channel=0),), ["DEAD ENCODER", "joint 1", "the encoder works"]),
     ((FaultTable("lost_wire", "encoder", channel=0),), ["DEAD ENCODER", "lost signal on channel 0"]),
     ((FaultTable("loose_encoder", "encoder", channel=0),), ["joint 1", "LOOSE ENCODER", "tighten"]),
     (
         (FaultTable("stuck_joint", "motor1"), FaultTable("dead_motor", "motor2")),
         [
-            "motor board 1 (joint 1 by the draft): STUCK JOINT",
-            "motor board 2 (joint 2 by the draft): DEAD MOTOR",
+            "motor board 1 (joint 1 in the draft): STUCK JOINT",
+            "motor board 2 (joint 2 in the draft): DEAD MOTOR",
         ],
     ),
 ]
@@ -353,7 +353,7 @@ def test_a_joint_that_is_pushed_too_fast_is_let_go_of() -> None:
     ):
         rig.robot.plant.push(0, 20.0)
         with (
-            pytest.raises(Surprise, match=r"RAN AWAY|ran on"),
+            pytest.raises(SafetyTrip, match=r"RAN AWAY|moved"),
             bench.driving(1, DriveLimits(1.0, 1.0, 8000.0, 5000.0)),
         ):
             [bench.cycle(0.0) for _ in range(1000)]
@@ -399,7 +399,7 @@ def test_the_command_writes_a_new_file_once_and_says_which_joints_are_unchecked(
 ) -> None:
     assert run_command(tmp_path, "--joint", "1") == 0
     said = capsys.readouterr().out
-    assert "Unchecked, as in the draft: joint 2, 3" in said
+    assert "Not checked, taken from the draft: joint 2, 3" in said
     assert load_arm(tmp_path / "new.toml").drive(1) == RIGHT.drive(1)
     assert run_command(tmp_path, "--joint", "2") == 2
     assert "never overwritten" in capsys.readouterr().err
@@ -445,7 +445,7 @@ def test_wrong_input_moves_nothing(
 def test_a_journal_of_another_draft_is_not_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "new.bringup.json").write_text('{"format": "bringup/1", "draft_sha256": "0"}')
     assert run_command(tmp_path) == 2
-    assert "the journal of another draft" in capsys.readouterr().err
+    assert "this journal belongs to another draft" in capsys.readouterr().err
     (tmp_path / "new.bringup.json").write_text("[]")
     assert run_command(tmp_path) == 2
-    assert "not a journal of bring-up" in capsys.readouterr().err
+    assert "not a bring-up journal" in capsys.readouterr().err

@@ -77,6 +77,6 @@ def test_a_key_stops_and_the_terminal_is_left_as_it_was(monkeypatch: pytest.Monk
 
 def test_motions_begin_by_themselves_where_that_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("0\n"))
-    operator = TerminalOperator(goes_on_by_itself=True)
+    operator = TerminalOperator(without_confirmation=True)
     assert operator.allow("a motion")
     assert operator.what_moved(2) is None

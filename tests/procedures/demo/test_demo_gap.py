@@ -71,9 +71,9 @@ def test_places_are_within_reach_inside_the_limits_and_above_the_floor() -> None
     ("effect", "joint", "says"),
     [
         ("ghost", None, 'got "ghost"'),
-        ("backlash", 4, "is on joint 1 or 2 or 3, got 4"),
-        ("joint_compliance", 1, "is on joint 2 or 3, got 1"),
-        ("belt_coupling", 1, "no joint: it is the whole arm's"),
+        ("backlash", 4, "expected joint 1 or 2 or 3 for backlash, got 4"),
+        ("joint_compliance", 1, "expected joint 2 or 3 for joint_compliance, got 1"),
+        ("belt_coupling", 1, r"no joint \(it acts on the whole arm\)"),
     ],
 )
 def test_what_cannot_be_hidden_is_said(effect: str, joint: int | None, says: str) -> None:
@@ -85,10 +85,10 @@ def test_what_cannot_be_hidden_is_said(effect: str, joint: int | None, says: str
     ("arguments", "says"),
     [
         (["gap", "--effect", "ghost"], 'got "ghost"'),
-        (["gap", "--scenario", "paper"], "--scenario belongs to the other demos"),
-        (["gap", "--realtime"], "--realtime belongs to the other demos"),
-        (["job", "--effect", "backlash"], "--effect belongs to `armwright demo gap`"),
-        (["paper", "--joint", "1"], "--joint belongs to `armwright demo gap`"),
+        (["gap", "--scenario", "paper"], "--scenario is not for `armwright demo gap`"),
+        (["gap", "--realtime"], "--realtime is not for `armwright demo gap`"),
+        (["job", "--effect", "backlash"], "--effect is only for `armwright demo gap`"),
+        (["paper", "--joint", "1"], "--joint is only for `armwright demo gap`"),
     ],
 )
 def test_options_that_do_not_go_together_are_one_clear_error(

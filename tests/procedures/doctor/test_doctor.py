@@ -57,7 +57,7 @@ def test_a_good_arm_is_well_and_every_quantity_was_looked_at() -> None:
     assert worst(findings) is Level.OK, as_text(findings)
     looked_at = " ".join(finding.what for finding in findings)
     for quantity in (
-        "report rate", "frames lost", "clock", "jitter", "load of its line", "replies", "latency", "CAN bus load",
+        "report rate", "frames lost", "clock", "jitter", "load of its serial line", "replies", "latency", "CAN bus load",
         "encoder", "current", "supply", "power stage",
     ):  # fmt: skip
         assert quantity in looked_at
@@ -87,7 +87,7 @@ def test_nothing_is_energised_and_no_board_leaves_switch_on_disabled() -> None:
         (FaultTable("lost_wire", "encoder", channel=1), "joint 2: encoder: its signal is lost"),
         (FaultTable("supply", "motor3", value=15.0), "joint 3: supply: 15.0"),
         (FaultTable("over_temperature", "motor1"), "joint 1: drive: reports a fault: over-temperature"),
-        (FaultTable("wrong_counts", "encoder", channel=2, value=4096.0), "joint 3, counts a motor turn: 4096"),
+        (FaultTable("wrong_counts", "encoder", channel=2, value=4096.0), "joint 3, counts per motor turn: 4096"),
         (FaultTable("wrong_protocol", "encoder", value=7.0), "speaks protocol version 7, expected 1"),
         (FaultTable("wrong_protocol", "motor1", value=7.0), "speaks protocol version 7, expected 1"),
         (FaultTable("quadrature_error", "encoder", channel=0, at_s=0.5), "illegal transition"),
@@ -111,7 +111,7 @@ def test_two_faults_at_once_are_both_named() -> None:
 
 def test_a_board_under_another_node_is_offered_for_the_one_that_is_missing() -> None:
     said = found_on(believed=with_drive(RIGHT, 2, motor_node=9))
-    assert any("joint 2 (node 9)" in line and "node 2 answers and has no joint" in line for line in said)
+    assert any("joint 2 (node 9)" in line and "node 2 answers but has no joint" in line for line in said)
     assert any(line.startswith("WARN node 2:") for line in said)
 
 
@@ -141,7 +141,7 @@ def test_a_bus_that_somebody_else_commands_is_only_listened_to() -> None:
             assert not second.may_command
             commands = sample(second, rig.clock, 0.002, 0.05).motors
             assert all(motor.commands == 0 for motor in commands.values())
-            assert any("somebody else commands node 1" in f.measured for f in second.findings)
+            assert any("another host commands node 1" in f.measured for f in second.findings)
         finally:
             first.close()
             second.close()
@@ -151,8 +151,8 @@ def test_an_arm_without_boards_says_what_to_add() -> None:
     bare = replace(RIGHT, encoder_boards=(), can=None)
     said = [f.remedy for f in open_boards(bare, MonotonicClock()).findings]
     assert said == [
-        "add [[encoder_board]], or give --encoder",
-        "add [can], or give --can-interface and --can-channel",
+        "add [[encoder_board]] to arm.toml, or give --encoder",
+        "add [can] to arm.toml, or give --can-interface and --can-channel",
     ]
 
 
@@ -212,9 +212,9 @@ def test_a_folder_that_cannot_be_written_to_is_bad(tmp_path: Path) -> None:
 
 def test_verdicts() -> None:
     ok, warned, bad = (Finding(level, "host", "x", "y") for level in Level)
-    assert verdict([ok]) == "all is well"
-    assert verdict([ok, warned]).startswith("nothing stands in the way; 1")
-    assert verdict([ok, warned, bad]).startswith("1 to mend")
+    assert verdict([ok]) == "no problems found"
+    assert verdict([ok, warned]).startswith("no errors; 1")
+    assert verdict([ok, warned, bad]).startswith("1 to fix")
 
 
 def test_the_command_says_json_and_fails_on_what_is_bad(
@@ -238,7 +238,7 @@ def test_the_command_says_json_and_fails_on_what_is_bad(
     ("options", "words"),
     [
         (["--mock", "--encoder", "/dev/x"], "--mock brings its own links"),
-        (["--scenario", "demo"], "--scenario is for a mock arm"),
+        (["--scenario", "demo"], "--scenario needs --mock"),
         (["--mock", "--rate", "5"], "--rate: expected 20 to 1200 Hz"),
         (["--mock", "--seconds", "0"], "--seconds: expected 0.1"),
         (["--mock", "--scenario", "nowhere"], "there is no such file"),

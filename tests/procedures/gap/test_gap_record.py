@@ -175,11 +175,11 @@ def test_the_plan_alone_is_said_and_nothing_is_made(
         (["--quick"], "--quick belongs to --record"),
         (["--minutes", "3"], "--minutes belongs to --record"),
         (["--seed", "0"], "--seed belongs to --record"),
-        (["--record", "--mock", "--points", "p.csv"], "leave --points and --log out"),
+        (["--record", "--mock", "--points", "p.csv"], "omit --points and --log"),
         (["--record", "--mock", "--minutes", "-1"], "--minutes: expected a number above 0"),
         (["--record", "--mock", "--minutes", "0.1"], "the least that tells anything takes"),
         (["--record", "--mock", "--payload", "-0.5"], "--payload: expected a mass"),
-        (["--record", "--scenario", "demo"], "give --mock, too"),
+        (["--record", "--scenario", "demo"], "need --mock"),
         (
             ["--record", "--socket", "/nowhere/at.all", "--only", "motion"],
             "no runtime answers at /nowhere/at.all",

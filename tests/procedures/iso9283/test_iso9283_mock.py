@@ -185,18 +185,18 @@ def test_the_plan_is_said_and_nothing_is_made(tmp_path: Path, capsys: pytest.Cap
     assert (
         main(["iso9283", "--mock", "--plan-only", "--programmes", "pose", "--out", str(tmp_path / "d")]) == 0
     )
-    assert "all of it is within reach" in capsys.readouterr().out
+    assert "everything is within reach" in capsys.readouterr().out
     assert not (tmp_path / "d").exists()
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ([], "give one of --points FILE, --record and --mock; got none"),
+        ([], "expected one of --points FILE, --record and --mock, got none"),
         (["--mock", "--record"], "got --record and --mock"),
         (["--mock", "--repeats", "1"], "at least 2 repeats"),
         (["--mock", "--programmes", "poses"], "expected some of pose, directions"),
-        (["--mock", "--cube-edge", "0.2"], "takes both --cube-centre X Y Z and --cube-edge"),
+        (["--mock", "--cube-edge", "0.2"], "give both --cube-centre X Y Z and --cube-edge"),
         (["--mock", "--cube-edge", "0.2", "--cube-centre", "2", "0", "1"], "not all within reach"),
         (
             ["--mock", "--rated-speed=-1"],

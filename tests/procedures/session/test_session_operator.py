@@ -21,7 +21,7 @@ from calib.session.state import Mark, SessionState
 from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
 from control.model.table import board_cavities, table_of
-from procedures.session.dialogue import HELP, Auto, NotUnderstood, View, understood
+from procedures.session.dialogue import HELP, Auto, BadCommand, View, parse_command
 from procedures.session.drawing import board_text, status_text
 from procedures.session.operator import Operator
 
@@ -52,7 +52,7 @@ CAVITIES = board_cavities(table_of(RIGHT))
     ],
 )
 def test_every_command_is_understood(line: str, meant: object) -> None:
-    assert understood(line) == meant
+    assert parse_command(line) == meant
 
 
 @pytest.mark.parametrize(
@@ -72,8 +72,8 @@ def test_every_command_is_understood(line: str, meant: object) -> None:
     ],
 )
 def test_what_is_no_command_is_refused_and_does_nothing(line: str) -> None:
-    with pytest.raises(NotUnderstood):
-        understood(line)
+    with pytest.raises(BadCommand):
+        parse_command(line)
 
 
 def test_help_names_every_command() -> None:
@@ -170,10 +170,12 @@ def test_the_operator_is_asked_told_and_obeyed(tmp_path: Path) -> None:
     answers, said = talked(tmp_path, ["what", "auto", "help", "board", "", "redo", "note x"], may_auto=False)
     assert [command.do for command in answers] == [Do.GO, Do.REDO, Do.NOTE, Do.QUIT]
     assert said[0] == "[1/3] normal 1: hands off; Enter moves the arm to above the cavity >"
-    assert said[1] == "! not understood: 'what'; `help` lists what is"
-    assert said[2] == "! auto: only a mock arm's session goes on by itself"
+    assert said[1] == "! unknown command: 'what'; `help` lists the commands"
+    assert said[2] == "! auto: only a session with a mock arm can answer by itself"
     assert said[3] == HELP
-    assert "normal 1 recorded; the model is 17.32 mm off, 4.00 mm from what the points before say" in said
+    assert (
+        "normal 1 recorded; model error 17.32 mm, 4.00 mm from the prediction of the earlier points" in said
+    )
     assert "all is well" in said
 
 

@@ -114,7 +114,7 @@ def test_a_joint_without_room_is_refused_before_anything_moves() -> None:
     arm = with_drive(RIGHT, 3, joint_upper_rad=1.0)
     with SteppedRig(RIGHT, HOMED) as rig:
         before = rig.clock.now_s()
-        with pytest.raises(NotTuned, match=r"joint 3: at 0\.75 rad it has no room"):
+        with pytest.raises(NotTuned, match=r"joint 3: not enough range at 0\.75 rad"):
             tune(wired_to(arm, rig), rig.clock, Options((3,)), lambda what, done: None)
         assert rig.clock.now_s() == before
 

@@ -25,7 +25,7 @@ from procedures.verify import places as verify_places
 from procedures.verify import procedure
 from procedures.verify.driving import Run, handed_over, planned, poses_at
 from procedures.verify.driving import run as run_way
-from procedures.verify.models import Model, Pair, believed_by, nominal_of
+from procedures.verify.models import Model, Pair, active_model, nominal_of
 from procedures.verify.places import places, ways
 from procedures.verify.tracks import MOVING, planned_tips_m, recorded, track_of, wait_until_recorded
 from tests.places import ARMS
@@ -297,12 +297,12 @@ def status(arm: Arm, **changes: object) -> dict[str, object]:
 
 
 def test_what_the_runtime_believes_is_found_out_and_never_assumed() -> None:
-    assert believed_by(status(RIGHT), PAIR) is PAIR.nominal
-    assert believed_by(status(TRUE), PAIR) is PAIR.calibrated
-    with pytest.raises(ArmError, match="started with another arm"):
-        believed_by(status(load_arm("left")), PAIR)
+    assert active_model(status(RIGHT), PAIR) is PAIR.nominal
+    assert active_model(status(TRUE), PAIR) is PAIR.calibrated
+    with pytest.raises(ArmError, match="uses another arm"):
+        active_model(status(load_arm("left")), PAIR)
     with pytest.raises(ArmError, match="not homed"):
-        believed_by(status(RIGHT, is_homed=False), PAIR)
+        active_model(status(RIGHT, is_homed=False), PAIR)
 
 
 def test_the_nominal_arm_is_found_beside_the_calibrated_one_first(tmp_path: Path) -> None:
@@ -313,7 +313,7 @@ def test_the_nominal_arm_is_found_beside_the_calibrated_one_first(tmp_path: Path
     save_arm(replace(RIGHT, name="mine"), tmp_path / "right.toml")
     assert nominal_of(arm, None).name == "mine"
     lost = replace(arm, calibration=replace(made, source="elsewhere.toml"))
-    with pytest.raises(ArmError, match="neither beside it nor here"):
+    with pytest.raises(ArmError, match="neither beside it nor in this folder"):
         nominal_of(lost, None)
 
 
@@ -343,7 +343,7 @@ def test_a_cameras_delay_is_no_error_of_the_arm(tmp_path: Path) -> None:
     error = track.measured_m - track.planned_m
     np.testing.assert_allclose(error, 0.004, atol=0.0002)
     assert len(track.time_s) == 197  # three frames were taken before the run
-    with pytest.raises(ArmError, match="holds no run 7"):
+    with pytest.raises(ArmError, match="contains no run 7"):
         track_of(tmp_path / "a.armlog", Model(RIGHT), Run(7), "run")
 
 
@@ -354,5 +354,5 @@ def test_a_growing_recording_is_read_as_far_as_it_is_whole(tmp_path: Path) -> No
         file.write(b"torn")
     assert len(recorded(path)) == 2000
     wait_until_recorded(path, 3.9, lambda duration_s: pytest.fail("it is there already"))
-    with pytest.raises(ArmError, match="does not grow"):
+    with pytest.raises(ArmError, match="has stopped growing"):
         wait_until_recorded(path, 5.0, lambda duration_s: None)

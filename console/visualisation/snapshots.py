@@ -1,4 +1,4 @@
-"""The arm at one moment after the other: of a recording, or live over the runtime's socket."""
+"""Snapshots of the arm, from a recording or live over the runtime's socket."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
-    """Where the arm is and where it was told to be; angles in rad, the camera's tip in m or None.
+class Snapshot:
+    """Measured and commanded pose of the arm; angles in rad, the camera's tip in m or None.
 
     Of the encoders, and of the joints, which are drawn.
 
-    `status` has currents and faults where the moment is live.
+    `status` has currents and faults of a live snapshot.
     """
 
     t_s: float
@@ -53,12 +53,12 @@ def recorded(series: Series, period_s: float) -> tuple[NDArray[np.int64], Array]
     return picked, series.t_s[picked]
 
 
-def moment_at(series: Series, row: int) -> Moment:
+def snapshot_at(series: Series, row: int) -> Snapshot:
     """One row of a series; without set-points they are where the arm is."""
     mode = series.mode[row]
     seen = tuple(series.tip_m[row].tolist())
     current_A = tuple(series.current_A[row].tolist())
-    return Moment(
+    return Snapshot(
         float(series.t_s[row]),
         *_angles(series.q_rad[row], series.q_set_rad[row]),
         *_angles(series.joint_rad[row], series.joint_set_rad[row]),
@@ -73,19 +73,19 @@ def _angles(measured: Array, wanted: Array) -> tuple[tuple[float, ...], tuple[fl
     return tuple(measured.tolist()), tuple(known.tolist())
 
 
-def live(source: StatusSource, clock: Clock, period_s: float) -> Iterator[Moment]:
-    """A moment each `period_s`, until whoever looks has enough. RuntimeGone when the runtime ends."""
+def live(source: StatusSource, clock: Clock, period_s: float) -> Iterator[Snapshot]:
+    """A snapshot each `period_s`, until the caller stops. RuntimeGone when the runtime ends."""
     next_s = clock.now_s()
     while True:
-        yield moment_of(source.status())
+        yield snapshot_of(source.status())
         next_s = max(next_s + period_s, clock.now_s())
         clock.wait_until_s(next_s)
 
 
-def moment_of(status: Message) -> Moment:
-    """What a status says of where the arm is."""
+def snapshot_of(status: Message) -> Snapshot:
+    """The snapshot in a status."""
     camera = status.get("camera_m")
-    return Moment(
+    return Snapshot(
         float(status["t_s"]),
         tuple(status["q_rad"]),
         tuple(status["q_set_rad"]),
