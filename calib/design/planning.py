@@ -146,16 +146,14 @@ def _offer_of(
 
 def _nothing_to_plan(arm: Arm, request: Request) -> str:
     if request.only == "free" and arm.camera is None:
-        return f"arm {arm.name} has no [camera], and free poses are worth nothing unless it sees the tip: add one"
+        return f"arm {arm.name} has no [camera], and free poses need a camera that measures the tip: add one"
     if arm.camera is None and arm.table is None:
-        return (
-            f"arm {arm.name} has neither a [table] nor a [camera]: there is nothing to measure the tip with"
-        )
+        return f"arm {arm.name} has neither a [table] nor a [camera]: nothing can measure the tip; add one"
     if request.only == "table" and arm.table is None:
-        return f"arm {arm.name} has no [table]: add one, or leave --only table away"
+        return f"arm {arm.name} has no [table]: add one, or omit --only table"
     return (
-        "no pose is left to plan: every cavity within reach is taken, or none is, and no free pose is clear of the"
-        " floor and in the camera's view"
+        "no pose is left to plan: no cavity within reach is left, and no free pose is clear of the floor and in the"
+        " camera's view"
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, frozen, norms
 from calib.identify.linear_fit import LinearFit, Mask
-from calib.identify.outlier_stories import Story, story_of
+from calib.identify.outlier_causes import OutlierCause, cause_of
 
 FALSE_ALARM = 0.02
 TRUSTED_SHARE = 0.55  # of the points: as many are taken to be right in the search; a slip may last to the end
@@ -37,7 +37,7 @@ class Outlier:
 
     `distance_m`: between its reference and where a fit to the others puts the tip; `score`: that over `noise_m`, the
     standard deviation of one axis: the known noise, or the scatter of the other points where that is larger.
-    `off_m` (3,): that as a vector, base frame. `story`: what it looks like, if the numbers fit one story and no other.
+    `off_m` (3,): that as a vector, base frame. `cause`: the probable cause, where exactly one fits.
     """
 
     row: int
@@ -47,15 +47,15 @@ class Outlier:
     score: float
     noise_m: float
     off_m: Array
-    story: Story
+    cause: OutlierCause
 
     @property
     def words(self) -> str:
         """A sentence."""
         where = f'point {self.point} of setup "{self.setup}"' if self.setup else f"point {self.point}"
         return (
-            f"{where} (pose {self.row + 1}) is {1e3 * self.distance_m:.2f} mm from where the other points put it,"
-            f" {self.score:.1f} times the scatter of one axis ({1e3 * self.noise_m:.3f} mm){self.story.words}"
+            f"{where} (pose {self.row + 1}) is {1e3 * self.distance_m:.2f} mm from the position predicted by the other points,"
+            f" {self.score:.1f} times the scatter of one axis ({1e3 * self.noise_m:.3f} mm){self.cause.words}"
         )
 
 
@@ -183,5 +183,5 @@ def _outlier(
         float(found.score[row]),
         found.noise_m,
         frozen(found.deleted_m[row]),
-        story_of(problem, x, row, found.deleted_m[row], found.noise_m, cavities),
+        cause_of(problem, x, row, found.deleted_m[row], found.noise_m, cavities),
     )

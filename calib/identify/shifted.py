@@ -101,7 +101,7 @@ def _solved(columns: Array, wanted: Array) -> tuple[float, int, Array]:
 def _words(name: str, shift_m: Array, turn_rad: Array, share: float) -> str:
     x, y, z = 1e3 * shift_m
     return (
-        f'setup "{name}" as a whole does not fit the others: as if its board (or the camera) stood {x:+.2f}, {y:+.2f},'
-        f" {z:+.2f} mm elsewhere and was turned by {math.degrees(float(np.linalg.norm(turn_rad))):.2f} deg, which explains"
-        f" {100 * share:.0f} % of the squared residuals; measure where the board stands, or free the table"
+        f'setup "{name}" does not fit the others: a shift of its board (or of the camera) by {x:+.2f}, {y:+.2f},'
+        f" {z:+.2f} mm and a rotation by {math.degrees(float(np.linalg.norm(turn_rad))):.2f} deg explain"
+        f" {100 * share:.0f} % of the squared residuals; measure the board's pose, or free the table"
     )

@@ -89,8 +89,8 @@ def _sightings(points: Points, boards: Boards) -> list[tuple[object, Sighting]]:
 def _described(setup: str, found: Registration) -> str:
     worst = max(zip(norms(found.residual_m), found.names, strict=True))
     text = (
-        f"board {setup}: placed by {len(found.names)} cavities, {1e3 * found.noise_m:.2f} mm per axis,"
-        f" worst {worst[1]} with {1e3 * float(worst[0]):.2f} mm"
+        f"board {setup}: pose from {len(found.names)} cavities, residual {1e3 * found.noise_m:.2f} mm per axis,"
+        f" largest {1e3 * float(worst[0]):.2f} mm at {worst[1]}"
     )
     if found.outliers:
         text += f"; not used: {', '.join(found.outliers)} (`redo` them)"

@@ -47,5 +47,5 @@ def wait_for_rest(
             raise SessionError(
                 f"the arm does not come to rest: a joint still moves by {still.motion_rad:.2g} rad within"
                 f" {duration_s:g} s after {patience_s:g} s (limit {limit_rad:.2g} rad);"
-                " is it pushed, or oscillating?"
+                " check whether it is pushed or oscillates"
             )

@@ -46,7 +46,7 @@ class ParameterChannel:
         if (second := self._answer_of(index)) is not None:
             raise ProtocolViolation(
                 f"{self._where()}: two boards answer, the second with serial number "
-                f"{second.value & 0xFFFFFFFF}; give each board a node id of its own",
+                f"{second.value & 0xFFFFFFFF}; give each board a unique node id",
                 second.pack(),
             )
 
@@ -79,7 +79,7 @@ class ParameterChannel:
                     return answer
         raise BoardSilent(
             f"{self._where()}: no answer for {_named(index)} within {ANSWER_TIMEOUT_s:.3f} s, "
-            f"asked {ATTEMPTS} times; is it powered and wired, and its node id right?"
+            f"asked {ATTEMPTS} times; check its supply, wiring and node id"
         )
 
     def _answer_of(self, index: int) -> ParameterAnswer | None:

@@ -178,7 +178,7 @@ def _checked(key: str, value: float, where: str) -> float:
         raise ScenarioError(f'{where}: parameter "{key}" must be finite, got {value}.')
     if (key in _POSITIVE and value <= 0.0) or (key in _NOT_NEGATIVE and value < 0.0):
         raise ScenarioError(
-            f'{where}: parameter "{key}" must not be negative or zero where it divides, got {value:g}.'
+            f'{where}: parameter "{key}" must be positive, or 0 where allowed, got {value:g}.'
         )
     return float(value)
 

@@ -45,7 +45,9 @@ class Hand:
         """Drag the tip to a point (frame of table and camera), seating noise and all; returns how long it takes, in s."""
         x, y, z = (float(value) + self._noise() for value in self._standing.in_base(point_m))
         if not all(map(math.isfinite, (x, y, z))):
-            raise UnreachableError(f"hand: cannot seat the tip at {tuple(point_m)}: not a point.")
+            raise UnreachableError(
+                f"hand: cannot seat the tip at {tuple(point_m)}: the coordinates are not finite."
+            )
         mujoco.mj_kinematics(self._model, self._data)
         here = self._data.site_xpos[self._tip_site]
         self._start, self._target = (float(here[0]), float(here[1]), float(here[2])), (x, y, z)
@@ -90,7 +92,7 @@ class Hand:
             place = ", ".join(f"{value:.3f}" for value in self._standing.in_world(self._target))
             self.state = "cannot reach"
             self.problem = (
-                f"hand: the arm cannot reach ({place}) m: {off_mm:.1f} mm short; the tip was let go."
+                f"hand: the arm cannot reach ({place}) m: {off_mm:.1f} mm short; the tip was released."
             )
 
     def _noise(self) -> float:

@@ -75,13 +75,13 @@ def test_tips_in_the_wrong_cavity_a_swap_and_a_slipped_encoder_are_told_by_name(
     problem, x = solved(with_rows(points, q_rad=q))
     found = {one.row: one for one in find_outliers(problem, x)}
     assert set(found) == {3, 10, 11, 40}
-    assert found[3].story.cavity == "7"
-    assert (found[10].story.cavity, found[11].story.cavity) == ("12", "11")
-    assert found[40].story.joint == 3
+    assert found[3].cause.cavity == "7"
+    assert (found[10].cause.cavity, found[11].cause.cavity) == ("12", "11")
+    assert found[40].cause.joint == 3
     # The encoder says 1.5 deg too much, so the joint stood at less.
-    assert np.degrees(found[40].story.slip_rad) == pytest.approx(-1.5, abs=0.1)
+    assert np.degrees(found[40].cause.slip_rad) == pytest.approx(-1.5, abs=0.1)
     assert 'point 4 of setup "normal" (pose 4)' in found[3].words
-    assert "as if it sat in cavity 7" in found[3].words
+    assert "the tip was probably in cavity 7" in found[3].words
 
 
 @pytest.mark.parametrize("size_m", [0.0012, 0.003])

@@ -163,7 +163,7 @@ def refused(files: Path, capsys: pytest.CaptureFixture[str], *options: str) -> s
         (("--free", "3"), "add --camera"),
         (("--free", "0", "--camera"), "expected 1 to 500 poses"),
         (("--free", "absent.csv", "--camera"), "absent.csv: cannot be read"),
-        (("--board", "measured"), "takes --camera"),
+        (("--board", "measured"), "needs --camera"),
         (("--seat", "jog", "--board", "unknown"), "guide the tip by hand"),
         (("--plan", "absent.csv"), "absent.csv: cannot be read"),
         (("--plan", "x.csv", "--points", "1"), "leave --points away"),
@@ -190,8 +190,8 @@ def test_a_session_is_not_resumed_with_another_arm_plan_or_kind_of_arm(
     (files / "arm.toml").write_text("# only a remark\n" + text, encoding="utf-8")
     assert session(files, "quit\n", "--mock") == 0
     (files / "arm.toml").write_text(text.replace("L_m = 0.4", "L_m = 0.401"), encoding="utf-8")
-    assert "is a session of arm 'right' as its file was then" in refused(files, capsys, "--mock")
-    assert "is a session of arm 'right' as its file was then" in refused(files, capsys, *wanted, "--mock")
+    assert "this session began with arm 'right'" in refused(files, capsys, "--mock")
+    assert "this session began with arm 'right'" in refused(files, capsys, *wanted, "--mock")
 
 
 def test_a_plan_file_says_which_cavities_and_free_poses(
