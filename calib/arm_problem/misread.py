@@ -26,7 +26,7 @@ NEARER = 4.0  # times nearer to its points that another reading must bring the a
 FAR_TIMES = 1.5  # the reach of all bounds together, some 0.1 m: no deviation explains a distance beyond
 WHOLE_PERMUTATIONS_JOINTS = 4  # up to here every order of the joints is tried, beyond only swapped pairs
 AS_GOOD = 1.5  # readings this near to the best cannot be told apart: a mirrored arm has mirrored deviations
-TOLD_LIMIT = 3
+REPORTED_LIMIT = 3
 ROWS_LIMIT = 300  # as many rows tell
 
 Reading = tuple[str, Array, Array]
@@ -46,7 +46,7 @@ def require_read_as_meant(arm: Arm, problem: ArmProblem) -> None:
     if best < as_read / NEARER:
         alike = [said for distance, said in tried if distance < AS_GOOD * best]
         raise UnusablePointsError(
-            f"{', or '.join(alike[:TOLD_LIMIT])}: the nominal arm would then be {1e3 * best:.1f} mm from the points (median);"
+            f"{', or '.join(alike[:REPORTED_LIMIT])}: the nominal arm would then be {1e3 * best:.1f} mm from the points (median);"
             f" with the file as given it is {_length(as_read)}; correct the file"
         )
     reach = _reach_m(problem)

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.design.boards import OTHER_TILTS
 from calib.design.candidates import FREE
-from calib.design.information import Standing
+from calib.design.information import Uncertainty
 from calib.design.plan import Alternative, Plan
 
 NOTICEABLE = 0.03  # two uncertainties that differ by less than this share are the same
@@ -14,7 +14,7 @@ NOTICEABLE = 0.03  # two uncertainties that differ by less than this share are t
 
 def in_words(plan: Plan) -> tuple[str, ...]:
     """What the plan brings, what else would, what stays open, what to mind."""
-    return (_gain(plan), *_alternatives(plan), *_open(plan), *_to_mind(plan))
+    return (_gain(plan), *_alternatives(plan), *_open(plan), *_notes(plan))
 
 
 def length(metres: float) -> str:
@@ -22,7 +22,7 @@ def length(metres: float) -> str:
     return f"{1e3 * metres:#.3g}".rstrip(".") + " mm"
 
 
-def known_to(state: Standing) -> str:
+def known_to(state: Uncertainty) -> str:
     """The parameter known least, as `theta3 to 0.042 deg`."""
     sd = state.least_known_sd
     if state.least_known_unit == "m":
@@ -91,7 +91,7 @@ def _open(plan: Plan) -> list[str]:
     ]
 
 
-def _to_mind(plan: Plan) -> list[str]:
+def _notes(plan: Plan) -> list[str]:
     said = []
     if not plan.is_tied:
         said.append(

@@ -60,7 +60,7 @@ class Outlier:
 
 
 @dataclass(frozen=True, slots=True)
-class Sorted:
+class OutlierTest:
     """Points held against each other: which agree, deleted residuals (m, 3) [m], scores (m,), noise of one axis [m]."""
 
     agrees: Mask
@@ -82,17 +82,17 @@ def find_outliers(
     `extra` (m, 3, e): columns of further unknowns, such as a board that is not where the table says. `noise_m`: of one axis,
     as far as it is known: where the points show less, that counts.
     """
-    found = sort_points(LinearFit.around(problem, x, extra), noise_m)
+    found = outlier_test(LinearFit.around(problem, x, extra), noise_m)
     rows = np.flatnonzero(~found.agrees)
     named = [_outlier(problem, x, int(row), found, cavities or {}) for row in rows]
     return tuple(sorted(named, key=lambda outlier: -outlier.score))
 
 
-def sort_points(fit: LinearFit, noise_m: float = RESOLUTION_m) -> Sorted:
+def outlier_test(fit: LinearFit, noise_m: float = RESOLUTION_m) -> OutlierTest:
     """Which points agree with each other, given noise of one axis that is at least noise_m; all, where too few tell."""
     m = len(fit)
     if 3 * m - fit.rank < 6:
-        return Sorted(np.ones(m, dtype=bool), fit.residuals, np.zeros(m), math.nan)
+        return OutlierTest(np.ones(m, dtype=bool), fit.residuals, np.zeros(m), math.nan)
     kept = _clearly_alike(fit, _most_alike(fit))
     seen: list[bytes] = []
     for _ in range(ROUNDS_LIMIT):
@@ -104,7 +104,7 @@ def sort_points(fit: LinearFit, noise_m: float = RESOLUTION_m) -> Sorted:
     return found
 
 
-def _tested(fit: LinearFit, kept: Mask, noise_m: float) -> Sorted:
+def _tested(fit: LinearFit, kept: Mask, noise_m: float) -> OutlierTest:
     """Every point against those of `kept`, without itself."""
     from scipy.special import fdtri
 
@@ -122,7 +122,7 @@ def _tested(fit: LinearFit, kept: Mask, noise_m: float) -> Sorted:
     ratio = np.where(is_testable, squares / 3.0 / variance, 0.0)
     agrees = ratio <= fdtri(3, np.maximum(others, 1), 1.0 - FALSE_ALARM / len(fit))
     deleted = np.where(kept[:, None], np.einsum("mij,mj->mi", inverse, residuals), residuals)
-    return Sorted(agrees, deleted, np.sqrt(3.0 * ratio), math.sqrt(max(total / freedom, noise_m**2)))
+    return OutlierTest(agrees, deleted, np.sqrt(3.0 * ratio), math.sqrt(max(total / freedom, noise_m**2)))
 
 
 def _most_alike(fit: LinearFit) -> Array:
@@ -169,7 +169,7 @@ def _clearly_alike(fit: LinearFit, squares: Array) -> Mask:
 
 
 def _outlier(
-    problem: ArmProblem, x: Array, row: int, found: Sorted, cavities: Mapping[str, Array]
+    problem: ArmProblem, x: Array, row: int, found: OutlierTest, cavities: Mapping[str, Array]
 ) -> Outlier:
     """One row, named and explained."""
     observed = problem.observed

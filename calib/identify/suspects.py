@@ -13,8 +13,8 @@ from calib.arrays import Array
 from calib.identify.outliers import Outlier, RESOLUTION_m, find_outliers
 from calib.identify.shifted import ShiftedSetup, moved_columns, shifted_setups
 
-TOLD_LIMIT = 10  # points told one by one
-TOLD_IF_SYSTEMATIC = 3
+REPORTED_LIMIT = 10  # points told one by one
+REPORTED_IF_SYSTEMATIC = 3
 SYSTEMATIC_COUNT = 12  # so many outliers without one slip behind them are an effect rather
 SYSTEMATIC_SHARE = 0.1
 SLIPPED_COUNT = 3  # points that it takes to speak of an encoder that slipped and stayed so
@@ -60,7 +60,7 @@ class Suspects:
         said = [] if self.is_systematic else [one.words for one in self.setups]
         said += [self.slip.words] if self.slip is not None else []
         single = self._single()
-        told = TOLD_IF_SYSTEMATIC if self.is_systematic else TOLD_LIMIT
+        told = REPORTED_IF_SYSTEMATIC if self.is_systematic else REPORTED_LIMIT
         said += [one.words for one in single[:told]]
         if len(single) > told:
             said.append(f"{len(single) - told} more points contradict the others, less than those listed")

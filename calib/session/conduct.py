@@ -241,10 +241,10 @@ class _Conductor:
         if not target.is_free and self._boards.kind == "known":
             cavity = self._boards.reference_m(target)
         record = take(target, cavity, self._arm, station.settings, station.camera, station.clock_offset_s)
-        sighting = self._survey.sighting(record)
-        verdict = station.watch.judge(sighting)
+        observation = self._survey.observation(record)
+        verdict = station.watch.judge(observation)
         kept = self._folder.record(record)
-        station.watch.add(kept.key, sighting)
+        station.watch.add(kept.key, observation)
         yield Recorded(kept, verdict)
         if not target.is_free:
             yield from self._survey.place(target.setup)

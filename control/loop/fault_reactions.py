@@ -1,6 +1,6 @@
 """What a fault does to the arm: the controlled stop or the brake that it asks for, and the cycles before it kept.
 
-Writes `fault_rows`, and ends what runs: `paced`, `jogging`, `homing`, `was_stopped`, `wants_hold`.
+Writes `fault_rows`, and ends what runs: `paced`, `jogging`, `homing`, `was_stopped`, `is_hold_pending`.
 """
 
 from dataclasses import replace
@@ -27,7 +27,7 @@ def fail(state: ArmState, fault: Fault) -> None:
         state.stillness.enter_mode(state.now_s)
         state.fault_rows = state.parts.recorder.last_rows()
         state.homing = state.jogging = None
-        state.wants_hold = False
+        state.is_hold_pending = False
     state.was_stopped = True
     if monitor.is_held_fault and is_first:
         stop_from(state, state.set_point if fault.code != "following_error" else set_points.measured(state))

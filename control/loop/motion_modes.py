@@ -93,7 +93,7 @@ def stop(state: ArmState) -> None:
     """Controlled stop; legal in every mode."""
     before = state.monitor.mode
     state.on(Event.STOP)
-    state.wants_hold = False
+    state.is_hold_pending = False
     if state.monitor.mode is Mode.STOPPING and before is not Mode.STOPPING:
         state.was_stopped = True
         state.homing = state.jogging = None
@@ -107,4 +107,4 @@ def brake(state: ArmState) -> None:
         fail(state, Fault("brake", "operator", "braked while moving", remedy, Reaction.BRAKE))
     else:
         state.on(Event.BRAKE)
-    state.wants_hold = False
+    state.is_hold_pending = False

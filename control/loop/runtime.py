@@ -90,7 +90,7 @@ class Runtime(ArmState):
         elif mode is not Mode.HOLDING:
             set_points.stay(self)
             shutdown.follow_hold(self)
-        if self.is_going_off:
+        if self.is_shutting_down:
             shutdown.follow(self)
 
     def _aim(self) -> None:

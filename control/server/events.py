@@ -49,7 +49,7 @@ class Events:
         if monitor.is_homed is not self._is_homed:
             self._is_homed = monitor.is_homed
             self._say("every joint is homed" if self._is_homed else "not homed: zeros unknown")
-        if runtime.is_going_off and runtime.now_s >= self._next_step_s:
+        if runtime.is_shutting_down and runtime.now_s >= self._next_step_s:
             self._say_step()
 
     def requested(self, do: str, client: int) -> None:

@@ -57,7 +57,7 @@ def step_of(runtime: Runtime) -> str:
     """What homing or the shutdown does now, in words; empty while neither runs."""
     if runtime.homing is not None:
         return runtime.homing.step_text
-    return SHUTDOWN_STEPS.get(runtime.monitor.mode, "") if runtime.is_going_off else ""
+    return SHUTDOWN_STEPS.get(runtime.monitor.mode, "") if runtime.is_shutting_down else ""
 
 
 def _angles(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:

@@ -23,7 +23,7 @@ __all__ = ["MotorBoard", "MotorBus", "MotorIdentity"]
 
 _STEP_s = 0.001
 _RESEND_s = 0.02  # a COMMAND without REPLY for this long is sent again while walking the states
-_TWIN_REPLIES = 3  # CAN itself doubles a frame now and then, not thrice in a row
+_SECOND_REPLIES = 3  # CAN itself doubles a frame now and then, not thrice in a row
 _OFF_STATES = (State.NOT_READY_TO_SWITCH_ON, State.SWITCH_ON_DISABLED)
 _KEEPS_OFF = (DriveCommand.DISABLE_VOLTAGE, DriveCommand.QUICK_STOP, DriveCommand.FAULT_RESET)
 
@@ -243,7 +243,7 @@ class MotorBoard:
                 "update the board's firmware or this program"
             )
         found = self.read(Parameter.BOARD_SERIAL_NUMBER) & 0xFFFFFFFF
-        self._parameters.look_for_twin(Parameter.BOARD_SERIAL_NUMBER)
+        self._parameters.require_single_board(Parameter.BOARD_SERIAL_NUMBER)
         if serial_number is not None and found != serial_number:
             raise WrongIdentity(
                 f"{self.where}: expected the board with serial number {serial_number}, found {found}; "
@@ -270,7 +270,7 @@ class MotorBoard:
             return
         reply = wire.unpack_reply(payload)
         if not self._order.is_newer(reply.sequence, self._sequence, self._commands_sent):
-            if self._order.doubled == _TWIN_REPLIES:
+            if self._order.doubled == _SECOND_REPLIES:
                 self._violation("answers each COMMAND twice: check for two boards with this node id", payload)
             return
         state = STATE_OF_STATUSWORD[reply.statusword]

@@ -11,7 +11,7 @@ from firmware_iface.motor.wire import Operation, Parameter, ParameterAnswer, Par
 ANSWER_TIMEOUT_s = 0.05  # the board answers within 5 ms; hosts are late by tens of milliseconds at times
 ATTEMPTS = 3
 _STEP_s = 0.001
-_TWIN_WAIT_s = 0.003  # how long a second board with the same node id may trail behind the first
+_SECOND_REPLY_WAIT_s = 0.003  # how long a second board with the same node id may trail behind the first
 
 
 class ParameterChannel:
@@ -38,10 +38,10 @@ class ParameterChannel:
         if kept != value and index != Parameter.POSITION_COUNT:  # the count is live: it may have moved on
             raise ProtocolViolation(f"{self._where()}: {_named(index)} is {kept} after {value} was written")
 
-    def look_for_twin(self, index: int) -> None:
+    def require_single_board(self, index: int) -> None:
         """Raises ProtocolViolation if the request for `index`, answered just now, is answered again."""
         self._answer = None
-        self._bus.clock.wait_until_s(self._bus.clock.now_s() + _TWIN_WAIT_s)
+        self._bus.clock.wait_until_s(self._bus.clock.now_s() + _SECOND_REPLY_WAIT_s)
         self._bus.update()
         if (second := self._answer_of(index)) is not None:
             raise ProtocolViolation(

@@ -140,11 +140,11 @@ class Operator:
         text = f"{self._folder.state.targets[record.key].name} recorded"
         if np.isfinite(verdict.error_m).all():
             text += f"; the model is {1e3 * float(np.linalg.norm(verdict.error_m)):.2f} mm off"
-        if np.isfinite(verdict.surprise):
+        if np.isfinite(verdict.off_sd):
             text += f", {1e3 * verdict.off_m:.2f} mm from what the points before say"
         if verdict.is_suspect:
             text = (
-                f"! {text}: {verdict.surprise:.0f} standard deviations. Does the tip sit in {record.point}, in the"
+                f"! {text}: {verdict.off_sd:.0f} standard deviations. Does the tip sit in {record.point}, in the"
                 " right cavity? `redo` takes it again, Enter keeps it"
             )
         return text

@@ -186,7 +186,7 @@ class TestStates:
 
     def test_no_way_leads_through_operation_enabled(self) -> None:
         board, _, _, _ = make([sent(0, 1), replied(DISABLED, 1)])
-        with pytest.raises(MisuseError, match="no way from SWITCH ON DISABLED to QUICK STOP ACTIVE"):
+        with pytest.raises(MisuseError, match="no transition from SWITCH ON DISABLED to QUICK STOP ACTIVE"):
             board.go_to(State.QUICK_STOP_ACTIVE)
 
 

@@ -22,7 +22,7 @@ from calib.arm_problem.frames import Frame
 from calib.design import Request, View, in_words, plan_json, plan_poses, write_plan
 from calib.design.boards import boards_in_the_way
 from calib.design.candidates import free_candidates, workspace_poses
-from calib.design.information import experiment_of, standing
+from calib.design.information import experiment_of, uncertainty_of
 from calib.errors import CalibrationError
 from calib.identify import LeastSquares, SumOfDistances
 from calib.points.points import make_points, read_points
@@ -35,7 +35,7 @@ PLAN = plan_poses(ARM, None, Request(count=12))
 def tip_m(points):
     """Predicted tip uncertainty [m] with these points."""
     experiment = experiment_of(ARM, points, EVERYWHERE, NOISE_m, Choice())
-    return standing(experiment, np.arange(len(points))).tip_m
+    return uncertainty_of(experiment, np.arange(len(points))).tip_m
 
 
 def test_planned_free_poses_leave_less_uncertainty_than_random_and_spread_ones():

@@ -145,7 +145,7 @@ def test_nothing_is_overwritten(recording: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="already exists: choose another folder"):
         export(recording, tmp_path)
     (tmp_path / "log.csv.gz").unlink()
-    with pytest.raises(RecordError, match=r"log\.mcap is there already"):
+    with pytest.raises(RecordError, match=r"log\.mcap already exists"):
         export(recording, tmp_path)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"log.mcap": before["log.mcap"]}
 
