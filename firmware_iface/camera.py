@@ -66,7 +66,7 @@ class CameraReceiver:
             self._socket.close()
             raise PortMissing(
                 f"camera: cannot listen on UDP port {port} of {host}: {problem}; "
-                "is another armwright running? Else choose another port"
+                "stop another running armwright, or choose another port"
             ) from None
         self.port: int = self._socket.getsockname()[1]
         self.name = f"udp://{host}:{self.port}"

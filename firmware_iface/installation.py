@@ -51,8 +51,8 @@ class _Beside:
         spec = PathFinder.find_spec(name, [str(ROOT)])
         if spec is None or spec.origin is None:
             raise ImportError(
-                f"armwright is damaged: {ROOT / name / '__init__.py'} is missing, as after `pip uninstall` of a package"
-                " of the same name; install armwright again (`pip install --force-reinstall --no-deps`)",
+                f"armwright is damaged: {ROOT / name / '__init__.py'} is missing, probably removed with a package of the"
+                " same name; install armwright again (`pip install --force-reinstall --no-deps`)",
                 name=name,
             )
         return spec
@@ -66,7 +66,7 @@ def _refuse_shared_environment() -> None:
             if os.path.exists(file):  # noqa: PTH110 - Path.exists raises where an entry of sys.path may not be read
                 raise ImportError(
                     f"armwright and the package {distribution} both install a folder `{package}` and cannot share an"
-                    f" environment (found {file}): give armwright a virtual environment of its own and install it there again",
+                    f" environment (found {file}): install armwright in a separate virtual environment",
                     name=package,
                     path=str(file),
                 )
@@ -82,7 +82,7 @@ def _refuse_imported() -> None:
         if Path(file).resolve().parent != ROOT / package:
             raise ImportError(
                 f"armwright needs its own package `{package}`, but this program has imported another one from {file}:"
-                " import armwright first, or rename that one",
+                " import armwright first, or rename the other package",
                 name=package,
                 path=file,
             )

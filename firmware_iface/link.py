@@ -125,7 +125,9 @@ def can_buses() -> list[tuple[str, str]]:
 def _ports_here() -> str:
     names = sorted(port.device for port in list_ports.comports())
     return (
-        f"ports here: {', '.join(names)}" if names else "no serial ports are here: is the board plugged in?"
+        f"ports here: {', '.join(names)}"
+        if names
+        else "no serial ports found: check that the board is plugged in"
     )
 
 
@@ -159,12 +161,12 @@ class _PosixByteLink:
                 left = left[os.write(self._fd, left) :]
             except BlockingIOError:
                 if not self._writable.poll(WRITE_TIMEOUT_ms):
-                    raise self._lost(f"it takes no bytes for {WRITE_TIMEOUT_ms} ms") from None
+                    raise self._lost(f"no byte accepted for {WRITE_TIMEOUT_ms} ms") from None
             except OSError as problem:
                 raise self._lost(problem) from None
 
     def _lost(self, problem: object) -> LinkLost:
-        return LinkLost(f"serial port {self.name}: lost: {problem}; was it unplugged?")
+        return LinkLost(f"serial port {self.name}: lost: {problem}; check the cable")
 
     def close(self) -> None:
         self._fd = -1  # the number may soon be somebody else's
@@ -208,7 +210,7 @@ class _PyserialByteLink:
             raise self._lost(problem) from None
 
     def _lost(self, problem: object) -> LinkLost:
-        return LinkLost(f"serial port {self.name}: lost: {problem}; was it unplugged?")
+        return LinkLost(f"serial port {self.name}: lost: {problem}; check the cable")
 
     def close(self) -> None:
         self._port.close()
@@ -242,9 +244,9 @@ def _can_remedy(interface: str, channel: str, bitrate: int) -> str:
         case "udp_multicast":
             return "the channel is a multicast address such as 239.74.163.2, and msgpack must be installed"
         case "virtual":
-            return "a virtual bus has any name"
+            return "any name is valid for a virtual bus"
         case known if known in can.VALID_INTERFACES:
-            return "is the adapter plugged in, and its driver installed?"
+            return "check that the adapter is plugged in and its driver installed"
         case _:
             return f"interfaces: {', '.join(sorted(can.VALID_INTERFACES))}"
 

@@ -53,7 +53,7 @@ def check_fault(fault: FaultTable, boards: Sequence[str], where: str) -> None:
         raise ScenarioError(f'{place}: no board "{fault.board}"; there are {", ".join(boards)}.')
     kinds = known[fault.board[0]]
     if fault.kind not in kinds:
-        raise ScenarioError(f'{place}: board "{fault.board}" knows {", ".join(sorted(kinds))}.')
+        raise ScenarioError(f"{place}: expected one of {', '.join(sorted(kinds))}.")
     if fault.kind in BUILT_IN and fault.at_s > 0.0:
         raise ScenarioError(f"{place}: is wired in before power-up; at_s must be 0, got {fault.at_s:g}.")
     if fault.kind in _NEED_VALUE and fault.value is None:

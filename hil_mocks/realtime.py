@@ -125,7 +125,7 @@ class RealTimeRig:
             raise RigError(str(answer["error"]))
         return answer
 
-    def hang_up(self) -> None:
+    def close_pipe(self) -> None:
         """What the process sees when this one dies: its standard input ends."""
         if self._process.stdin is not None:
             self._process.stdin.close()
@@ -153,7 +153,7 @@ class RealTimeRig:
 
     def _end_process(self) -> None:
         process = self._process
-        self.hang_up()
+        self.close_pipe()
         try:
             process.wait(_END_LIMIT_S)
         except subprocess.TimeoutExpired:

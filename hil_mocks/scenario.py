@@ -157,7 +157,7 @@ def load_scenario(path_or_name: str | Path) -> Scenario:
     path = Path(path_or_name)
     if not path.is_file():
         known = ", ".join(shipped_scenarios())
-        raise ScenarioError(f"scenario {where}: there is no such file, nor is it one of {known}.")
+        raise ScenarioError(f"scenario {where}: there is no such file; expected a file or one of {known}.")
     return parse_scenario(path.read_text("utf-8"), where)
 
 

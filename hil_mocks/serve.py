@@ -187,10 +187,10 @@ class Server:
 def main(arguments: list[str] | None = None) -> int:
     """Serve until told to end; exit status 2 with one line on stderr if it cannot start."""
     parser = argparse.ArgumentParser(prog="python -m hil_mocks.serve", description=__doc__)
-    parser.add_argument("--arm", default="right", help="arm.toml or the name of an arm that ships")
-    parser.add_argument("--scenario", default="ideal", help="scenario file or the name of one that ships")
+    parser.add_argument("--arm", default="right", help="arm.toml or the name of a shipped arm")
+    parser.add_argument("--scenario", default="ideal", help="scenario file or the name of a shipped one")
     parser.add_argument(
-        "--can-channel", default="", help="multicast group of the CAN bus; default: one of its own"
+        "--can-channel", default="", help="multicast group of the CAN bus; default: a new one"
     )
     chosen = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="armwright-mock-") as folder:

@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.calibration.chains import REFERENCE, board_session
 from calib.design import Request, plan_poses
 from calib.design.candidates import workspace_poses
-from calib.design.information import experiment_of, standing
+from calib.design.information import experiment_of, uncertainty_of
 from calib.identify import Choice, LeastSquares, SumOfDistances, identify, problem_of
 from calib.identify.objective import Objective
 from calib.points.points import Points, make_points
@@ -135,7 +135,7 @@ def counts() -> None:
 
     def tip_mm(points: Points) -> float:
         experiment = experiment_of(ARM, points, everywhere, NOISE_m, Choice())
-        return 1e3 * standing(experiment, np.arange(len(points))).tip_m
+        return 1e3 * uncertainty_of(experiment, np.arange(len(points))).tip_m
 
     random = [tip_mm(both(table, measured(dh, random_poses(rng, 12), rng))) for _ in range(20)]
     aims = {

@@ -71,7 +71,7 @@ class Choice:
                 " unless they are fixed"
             )
         if BASE in self.freed and BASE in self.fixed:
-            raise CalibrationError("the base frame cannot be fixed and free: leave one of the two out")
+            raise CalibrationError("the base frame cannot be both fixed and free: omit one of the two")
 
 
 def problem_of(arm: Arm, points: Points, choice: Choice | None = None) -> ArmProblem:
@@ -171,8 +171,8 @@ def _known_frame(arm: Arm, setup: str, choice: Choice) -> Frame:
     table = table_of(arm)
     if setup not in SETUPS:
         raise UnusablePointsError(
-            f'setup "{setup}": its poses have no measured tip, and where its board stands is known for'
-            f" {', '.join(SETUPS)} only; give x_m, y_m, z_m, markers of the board, or known_pose = false in [table]"
+            f'setup "{setup}": its poses have no measured tip, and the board\'s pose is known only for'
+            f" {', '.join(SETUPS)}; give x_m, y_m, z_m, markers of the board, or known_pose = false in [table]"
         )
     return Frame(f"table_{setup}", frozen(board_rotation(table, setup)), frozen(board_origin(table)))
 

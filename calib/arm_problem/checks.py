@@ -90,7 +90,7 @@ def _require_count(q_rad: Array, references_m: Array) -> None:
     poses = len(np.unique(np.hstack((q_rad, references_m)), axis=0))
     if poses < POINTS_MINIMUM_COUNT:
         raise UnusablePointsError(
-            f"{poses} different points are too few: take {POINTS_MINIMUM_COUNT} or more, or the whole board"
+            f"{poses} different points are too few: record {POINTS_MINIMUM_COUNT} or more, or the whole board"
         )
 
 
@@ -99,7 +99,7 @@ def _require_spread(q_rad: Array, references_m: Array) -> None:
     spread = np.linalg.svd(references_m - references_m.mean(axis=0), compute_uv=False)
     if spread[1] <= LINE_TOLERANCE * spread[0] and not _has_several_postures(q_rad, references_m):
         raise UnusablePointsError(
-            "all points lie on one straight line: take some that span an area, such as the circle"
+            "all points lie on one straight line: record points that span an area, such as the circle"
         )
 
 
@@ -116,7 +116,7 @@ def _require_radians(q_rad: Array) -> None:
     if largest > TURNS_LIMIT_rad:
         joint = int(np.argmax(np.max(np.abs(q_rad), axis=0))) + 1
         raise UnusablePointsError(
-            f"q{joint}_rad reaches {largest:.6g}, more than three turns: degrees or counts? Expected radians"
+            f"q{joint}_rad reaches {largest:.6g}, more than three turns: expected radians, not degrees or counts"
         )
 
 
@@ -136,15 +136,15 @@ def _copies(points: Points) -> tuple[str, ...]:
         f"{first + 1} and {row + 1} (lines {first + 2} and {row + 2})" for first, row in copies[:3]
     )
     more = f" and {len(copies) - 3} more" if len(copies) > 3 else ""
-    said = f"poses {told}{more} are the same to the last digit: copies, not repeats, and no evidence of their own"
+    said = f"poses {told}{more} are identical to the last digit: they are copies, not repeats, and add no information"
     if len(copies) >= COPIES_SHARE * len(points):
-        raise UnusablePointsError(f"{said}; leave the copies out")
+        raise UnusablePointsError(f"{said}; remove the copies")
     return (said,)
 
 
 def _still_joints(q_rad: Array) -> tuple[str, ...]:
     still = [f"q{j + 1}_rad" for j in np.flatnonzero(np.ptp(q_rad, axis=0) < STILL_rad)]
-    return (f"{_listed(still)} never changes: that joint is not tested by these points",) if still else ()
+    return (f"{_listed(still)} never changes: these points do not test that joint",) if still else ()
 
 
 def _listed(names: Sequence[str]) -> str:

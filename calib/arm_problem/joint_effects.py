@@ -90,14 +90,14 @@ def unphysical(values: Mapping[str, float]) -> tuple[str, ...]:
     for (name, joint), linear in _gathered(values).items():
         if LAWS[name].parameters(linear) is None:
             said.append(
-                f"{name} of joint {joint} came out as {linear[0]:.2g}, which no gear has: it is left out. These points do not"
-                " show it, or what they show is something else."
+                f"{name} of joint {joint}: the estimate {linear[0]:.2g} is physically impossible; it is omitted. Either these"
+                " points do not show the effect, or another effect is present."
             )
     return tuple(said)
 
 
 def unclear_flanks(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[str, ...]:
-    """A sentence for each wanted backlash whose flank cannot be told in some poses, or never changes."""
+    """A sentence for each wanted backlash whose flank is unknown in some poses, or never changes."""
     at = RestingPoints(arm, points)
     said = []
     for name, joint in (_key(text, arm.joint_count) for text in wanted):
@@ -111,13 +111,13 @@ def _about_flanks(flank: Array, joint: int) -> list[str]:
     said = []
     if open_count:
         said.append(
-            f"backlash of joint {joint}: currents, directions and gravity do not tell on which flank the gear lies in"
-            f" {open_count} of {len(flank)} poses; where in the play they lie on average is identified."
+            f"backlash of joint {joint}: currents, directions and gravity do not determine the gear's flank in {open_count} of"
+            f" {len(flank)} poses; their mean position in the play is identified."
         )
     if len(sides) < 2:
         said.append(
-            f"backlash of joint {joint}: the gear lies on one flank in every pose that tells, so that its play cannot be told"
-            " from the joint's zero; take poses from both sides, or where gravity turns round."
+            f"backlash of joint {joint}: the gear lies on the same flank in every pose whose flank is known; its play cannot be"
+            " distinguished from the joint's zero. Take poses from both sides, or where gravity changes sign."
         )
     return said
 
@@ -130,7 +130,7 @@ def _key(text: str, joint_count: int) -> Key:
     if name == COUPLING:
         if colon or joint_count < COUPLED:
             raise CalibrationError(
-                f'effect: expected {COUPLING} without a joint, of an arm of three or more, got "{text}" for {joint_count}'
+                f'effect: expected {COUPLING} without a joint, on an arm of three joints or more, got "{text}" for {joint_count}'
             )
         return name, None
     if not number.isdecimal() or not 1 <= int(number) <= joint_count:

@@ -26,7 +26,7 @@ NEARER = 4.0  # times nearer to its points that another reading must bring the a
 FAR_TIMES = 1.5  # the reach of all bounds together, some 0.1 m: no deviation explains a distance beyond
 WHOLE_PERMUTATIONS_JOINTS = 4  # up to here every order of the joints is tried, beyond only swapped pairs
 AS_GOOD = 1.5  # readings this near to the best cannot be told apart: a mirrored arm has mirrored deviations
-TOLD_LIMIT = 3
+REPORTED_LIMIT = 3
 ROWS_LIMIT = 300  # as many rows tell
 
 Reading = tuple[str, Array, Array]
@@ -46,14 +46,14 @@ def require_read_as_meant(arm: Arm, problem: ArmProblem) -> None:
     if best < as_read / NEARER:
         alike = [said for distance, said in tried if distance < AS_GOOD * best]
         raise UnusablePointsError(
-            f"{', or '.join(alike[:TOLD_LIMIT])}: read so, the nominal arm is {1e3 * best:.1f} mm from the points (median),"
-            f" as the file stands {_length(as_read)}; correct the file"
+            f"{', or '.join(alike[:REPORTED_LIMIT])}: the nominal arm would then be {1e3 * best:.1f} mm from the points (median);"
+            f" with the file as given it is {_length(as_read)}; correct the file"
         )
     reach = _reach_m(problem)
     if as_read > FAR_TIMES * reach:
         raise UnusablePointsError(
-            f"the nominal arm is {_length(as_read)} from the points (median), more than all deviations within their bounds"
-            f" together explain ({1e3 * reach:.0f} mm): are these points of this arm, and do they start at its zeros?"
+            f"the nominal arm is {_length(as_read)} from the points (median), expected at most {1e3 * reach:.0f} mm, which all"
+            " deviations within their bounds explain: check that the points are of this arm and use its zeros"
         )
 
 
@@ -110,14 +110,14 @@ def _joint_columns(q: Array, position: Array) -> Iterator[Reading]:
     for j in range(n):
         flipped = q.copy()
         flipped[:, j] *= -1.0
-        yield f"q{j + 1}_rad looks as if its sign were turned round", flipped, position
+        yield f"the sign of q{j + 1}_rad looks inverted", flipped, position
     if n > 1:
-        yield "all joint angles look as if their signs were turned round", -q, position
+        yield "the signs of all joint angles look inverted", -q, position
     for j, quarter in itertools.product(range(n), (1, 2, 3)):
         shifted = q.copy()
         shifted[:, j] += quarter * math.pi / 2
         yield (
-            f"q{j + 1}_rad looks {90 * quarter if quarter < 3 else -90} deg short of this arm's zero",
+            f"q{j + 1}_rad looks offset by {90 * quarter if quarter < 3 else -90} deg from this arm's zero",
             shifted,
             position,
         )
@@ -131,7 +131,7 @@ def _position_columns(q: Array, position: Array) -> Iterator[Reading]:
     for axis in range(3):
         flipped = position.copy()
         flipped[:, axis] *= -1.0
-        yield f"{'xyz'[axis]}_m looks as if its sign were turned round", q, flipped
+        yield f"the sign of {'xyz'[axis]}_m looks inverted", q, flipped
 
 
 def _orders(n: int) -> Iterator[list[int]]:

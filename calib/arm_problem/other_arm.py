@@ -83,8 +83,8 @@ def require_own_arm(arm: Arm, points: Points, choice: Choice | None = None) -> N
     if own.cost(scale_m, size) - costs[best] > SURE:
         other, fit = candidates[1 + best], others[best]
         raise UnusablePointsError(
-            f"these points fit {other.name} far better than arm {arm.name}: it needs far smaller deviations from nominal (it"
-            f" starts {1e3 * fit.nominal_m:.1f} mm from the points, arm {arm.name} {1e3 * own.nominal_m:.1f} mm); {other.advice}"
+            f"these points fit {other.name} far better than arm {arm.name} (nominal distance {1e3 * fit.nominal_m:.1f} mm against"
+            f" {1e3 * own.nominal_m:.1f} mm, and smaller deviations from nominal); {other.advice}"
         )
 
 
@@ -96,7 +96,7 @@ def _alternatives(arm: Arm) -> Iterator[_Candidate]:
             yield _Candidate(
                 arm.with_dh(other.dh),
                 f"the arm {name}",
-                f"give that arm's file with --arm, if they are of {name}",
+                f"if they are of {name}, give its file with --arm",
             )
     for links in _subsets([k for k in range(len(arm.dh)) if arm.dh[k, 0] != 0.0]):
         dh = arm.dh.copy()
@@ -105,7 +105,7 @@ def _alternatives(arm: Arm) -> Iterator[_Candidate]:
         yield _Candidate(
             arm.with_dh(dh),
             f"an arm with {wrong}",
-            "is that the sign in your arm, or are these points of its mirror image?",
+            "check the sign of this offset in arm.toml, and whether the points are of a mirrored arm",
         )
 
 

@@ -77,7 +77,7 @@ class Bounds:
         if not (math.isfinite(bound) and bound > 0):
             raise CalibrationError(
                 f"bound of {name}: expected a positive number of {unit}, got {bound};"
-                " to hold a parameter, fix it"
+                " to exclude a parameter, fix it"
             )
         return bound
 
@@ -99,6 +99,4 @@ def require_known_names(wanted: Collection[str], names: Collection[str]) -> None
     """CalibrationError that lists the valid names, if `wanted` holds another."""
     unknown = sorted(set(wanted) - set(names))
     if unknown:
-        raise CalibrationError(
-            f"no parameter of this calibration is called {', '.join(unknown)}; they are {', '.join(names)}"
-        )
+        raise CalibrationError(f"parameter: expected one of {', '.join(names)}; got {', '.join(unknown)}")

@@ -53,7 +53,7 @@ def read_markers(path: Path) -> Markers:
         places = _places(path, header)
         rows = [_row(path, reader.line_num, header, places, row) for row in reader if row]
     if not rows:
-        raise PointsFileError(f"{path}: a header and no markers: expected one line per sighting")
+        raise PointsFileError(f"{path}: a header and no markers: expected one line per measured marker")
     strange = [name for name in header if name not in REQUIRED]
     warnings = (f"{path}: unknown columns ignored: {', '.join(strange)}",) if strange else ()
     return Markers(

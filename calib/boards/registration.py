@@ -111,8 +111,8 @@ def _register_setup(markers: Markers, cavities: Cavities, setup: str) -> Registr
         raise RegistrationError(f"setup {setup}: {error}") from None
     if found.normal[2] < 0.0:
         raise RegistrationError(
-            f"setup {setup}: by these markers the board lies upside down (normal {_spelled(found.normal)}):"
-            " were names mirrored, counted clockwise in place of counter-clockwise?"
+            f"setup {setup}: the markers put the board upside down (normal {_spelled(found.normal)}):"
+            " check that names count counter-clockwise"
         )
     return found
 
@@ -123,10 +123,12 @@ def _require_shape(board_m: Array, seen_m: Array, names: Sequence[str]) -> None:
             f"markers on the board {board_m.shape} and seen {seen_m.shape}: expected (k, 3) twice"
         )
     if len(names) != len(board_m) or len(set(names)) != len(names):
-        raise RegistrationError(f"{len(board_m)} markers need as many different names, got {_few(names)}")
+        raise RegistrationError(
+            f"{len(board_m)} markers: expected a different name for each, got {_few(names)}"
+        )
     if len(board_m) < FEWEST:
         raise RegistrationError(
-            f"{len(board_m)} markers ({_few(names)}): where a board stands takes three or more that are not in line"
+            f"{len(board_m)} markers ({_few(names)}): a board's pose needs three or more that are not collinear"
         )
 
 
@@ -141,14 +143,12 @@ def _require_finite(board_m: Array, seen_m: Array, names: Sequence[str]) -> None
 
 def _require_area(board_m: Array, names: Sequence[str]) -> None:
     if len(board_m) < FEWEST:
-        raise RegistrationError(
-            f"only {_few(names)} agree with each other: where the board stands takes three"
-        )
+        raise RegistrationError(f"only {_few(names)} agree with each other: the board's pose needs three")
     spread = np.linalg.svd(board_m - board_m.mean(axis=0), compute_uv=False)
     if spread[1] <= LINE_TOLERANCE * spread[0]:
         raise RegistrationError(
-            f"markers {_few(names)} are in one line on the board: how it is turned about that line stays open;"
-            " take one beside it"
+            f"markers {_few(names)} are collinear on the board: its rotation about that line is undetermined;"
+            " add one off the line"
         )
 
 
@@ -161,7 +161,7 @@ def _require_match(board_m: Array, seen_m: Array, names: Sequence[str]) -> None:
     mirrored = float(squares_m2(best_motion(board_m, seen_m, True), board_m, seen_m).sum())
     if mirrored <= MISFIT**2 * spread_m2:
         raise RegistrationError(
-            "the markers seen are the board's mirror image: a coordinate has the wrong sign, or names were swapped"
+            "the markers seen are the board's mirror image: a coordinate has the wrong sign, or names are swapped"
         )
     raise RegistrationError(
         f"the markers seen do not have the board's shape: {_worst_pair(board_m, seen_m, names)}"
@@ -176,18 +176,24 @@ def _worst_pair(board_m: Array, seen_m: Array, names: Sequence[str]) -> str:
     pair = max(combinations(range(len(names)), 2), key=lambda p: abs(np.subtract(*distances_m(p))))
     on_board_m, seen_m_apart = distances_m(pair)
     return (
-        f"{names[pair[0]]} and {names[pair[1]]} are {on_board_m:.4f} m apart on it and were seen {seen_m_apart:.4f} m"
-        " apart; are names swapped, or positions not in metres?"
+        f"{names[pair[0]]} and {names[pair[1]]} are {on_board_m:.4f} m apart on the board and measured {seen_m_apart:.4f} m"
+        " apart; check for swapped names, and that positions are in metres"
     )
 
 
 def _notes(count: int, left_out: int) -> tuple[str, ...]:
     if count == FEWEST:
-        return ("three markers: a wrong one shows only if it changes their distances, and not which it is",)
+        return (
+            "three markers: a wrong one is detected only if it changes their distances, and cannot be identified",
+        )
     if count < FEWEST_TO_NAME:
-        return ("four markers: a wrong one shows in the residuals, but not which it is; five can tell",)
+        return (
+            "four markers: a wrong one is detected by the residuals but not identified; five can identify it",
+        )
     if left_out:
-        return (f"{left_out} of {count} markers disagree with the others and are not used; see them again",)
+        return (
+            f"{left_out} of {count} markers disagree with the others and are not used; measure them again",
+        )
     return ()
 
 

@@ -103,8 +103,8 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
 
 def _about_frame(arm: Arm) -> str:
     return (
-        f"the tips were measured in a frame that arm {arm.name}'s file does not tie to the arm's base (no base_frame, no table"
-        " of known place): where that frame is was identified too; --fix base takes it for the arm's own"
+        f"the file of arm {arm.name} does not tie the tips' frame to the arm's base (no base_frame, no table with known_pose):"
+        " the frame's pose was identified too; --fix base equates it with the arm's base"
     )
 
 

@@ -41,7 +41,7 @@ def _steps(made: Calibrated) -> tuple[str, ...]:
     return (
         f"Read {len(made.points)} points of the setups {setups}.",
         f"Identified {len(made.found.estimates)} parameters, {bounds} of them within bounds: {made.found.objective}.",
-        "Held every point against the others, left points out, and judged.",
+        "Tested every point against the others, and evaluated on held-out points.",
     )
 
 
@@ -61,12 +61,12 @@ def _sections(made: Calibrated) -> list[Section]:
     if made.held is not None:
         sections.append(_held_section(made.held))
     suspicious = made.suspects.in_words()
-    said = suspicious or ("None: no point contradicts the others by more than noise does.",)
+    said = suspicious or ("None: no point contradicts the others by more than the noise.",)
     sections.append(Section("Suspicious points", bullets(said)))
     if any(frame.is_free for frame in made.found.solution.frames):
         sections.append(frames_section(made.found))
     if made.found.accuracy is not None:
-        sections.append(Section("The accuracy that was asked for", paragraph(made.found.accuracy.in_words())))
+        sections.append(Section("Requested accuracy", paragraph(made.found.accuracy.in_words())))
     return sections
 
 
@@ -91,9 +91,9 @@ def _held_section(held: HeldOut) -> Section:
         f"{1e3 * float(np.sqrt(np.mean(held.after_m**2))):.3f}",
         f"{1e3 * float(held.after_m.max()):.3f}",
     )
-    header = ("left out", "points", "mean before [mm]", "mean after [mm]", "RMS after [mm]", "max after [mm]")
+    header = ("held out", "points", "mean before [mm]", "mean after [mm]", "RMS after [mm]", "max after [mm]")
     return Section(
-        "Points that were left out",
-        paragraph(f"Each row: identified from all other points, {what} of those that were left out.")
+        "Held-out points",
+        paragraph(f"Each row: {what} at the held-out points, identified from all others.")
         + table(header, [*rows, total]),
     )

@@ -17,7 +17,7 @@ UNIT = {"m": ("mm", 1e3, 3), "rad": ("deg", math.degrees(1.0), 4)}
 
 
 def summary_text(made: Calibrated) -> str:
-    """The answer first, then what it rests on."""
+    """The verdict first, then the evidence."""
     found = made.found
     lines = [
         *made.verdict.in_words(),
@@ -31,7 +31,7 @@ def summary_text(made: Calibrated) -> str:
     if suspicious:
         lines += [
             "",
-            "Suspicious, and used all the same (leave out with --without SETUP:POINT):",
+            "Suspicious, but used (exclude with --without SETUP:POINT):",
             *suspicious,
         ]
     lines += ["", *found.in_words(), "", parameter_text(made)]
@@ -39,12 +39,15 @@ def summary_text(made: Calibrated) -> str:
 
 
 def parameter_text(made: Calibrated) -> str:
-    """One line a parameter; then where the boards stood that were looked for."""
+    """One line a parameter; then the identified poses of boards."""
     rows = [f"{'parameter':<20}{'unit':<9}{'nominal':>12}{'identified':>12}{'deviation':>12}{'sd':>10}"]
     rows += [_parameter_line(one) for one in of_the_arm(made.found)]
     free = [frame for frame in made.found.solution.frames if frame.is_free]
     if free:
-        rows += ["", f"{'frame':<20}{'x [mm]':>10}{'y [mm]':>10}{'z [mm]':>10}   turned about x, y, z [deg]"]
+        rows += [
+            "",
+            f"{'frame':<20}{'x [mm]':>10}{'y [mm]':>10}{'z [mm]':>10}   rotation about x, y, z [deg]",
+        ]
         rows += [_frame_line(frame) for frame in free]
     return "\n".join(rows)
 

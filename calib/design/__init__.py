@@ -4,7 +4,7 @@ from calib.design.boards import OTHER_TILTS
 from calib.design.candidates import View
 from calib.design.criteria import CRITERIA
 from calib.design.files import plan_json, write_plan
-from calib.design.information import Standing
+from calib.design.information import Uncertainty
 from calib.design.observability import Indices, indices_of
 from calib.design.plan import Alternative, Plan, PlannedPose, Request
 from calib.design.planning import plan_poses
@@ -18,7 +18,7 @@ __all__ = [
     "Plan",
     "PlannedPose",
     "Request",
-    "Standing",
+    "Uncertainty",
     "View",
     "in_words",
     "indices_of",

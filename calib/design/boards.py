@@ -110,13 +110,13 @@ def _placed(arm: Arm, setup: str, points: Points | None, measured: Mapping[str, 
         return fitted
     if setup not in (*SETUPS, *OTHER_TILTS):
         raise CalibrationError(
-            f"setup: expected some of {', '.join((*SETUPS, *OTHER_TILTS))}, or one with a measured board or with"
-            f' points of its own; got "{setup}"'
+            f"setup: expected some of {', '.join((*SETUPS, *OTHER_TILTS))}, or a setup with a measured board or with"
+            f' recorded points; got "{setup}"'
         )
     if table.origin_m is None:
         raise CalibrationError(
-            f"setup {setup}: where the board stands is not known, not even about: take three cavities first and"
-            " give them with --points, or register the board, or write about where it is as origin_m in [table]"
+            f"setup {setup}: the board's position is unknown: record three cavities and give them with --points,"
+            " register the board, or write its approximate position as origin_m in [table]"
         )
     return PlacedBoard(
         setup, tilted(table, setup), np.array(table.origin_m), _all(arm), is_known=table.known_pose

@@ -74,7 +74,7 @@ def _greedy(
         chosen.append((row, group))
         open_count[group] -= 1
         left = [rows[rows != row] for rows in left]
-        information = information + _told(experiment, row)
+        information = information + _information_of(experiment, row)
     return chosen
 
 
@@ -101,6 +101,6 @@ def _exchange(
             return
 
 
-def _told(experiment: Experiment, row: int) -> Array:
+def _information_of(experiment: Experiment, row: int) -> Array:
     """J'J of one pose."""
     return np.asarray(experiment.rows[row].T @ experiment.rows[row])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.design.information import Standing
+from calib.design.information import Uncertainty
 from calib.design.plan import Plan
 from calib.design.words import in_words
 from calib.points.points import make_points
@@ -60,7 +60,7 @@ def plan_json(plan: Plan, arm: str) -> dict[str, object]:
     }
 
 
-def _state(state: Standing) -> dict[str, object]:
+def _state(state: Uncertainty) -> dict[str, object]:
     return {
         "points": state.points_count,
         "log_det": state.log_det,

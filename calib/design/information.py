@@ -65,7 +65,7 @@ class Experiment:
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class Uncertainty:
     """What is known after some poses.
 
     log_det: natural logarithm by which the parameters' uncertain volume has shrunk, squared. tip_m: root mean square
@@ -108,7 +108,7 @@ def experiment_of(arm: Arm, poses: Points, workspace_q: Array, noise_m: float, c
     )
 
 
-def standing(experiment: Experiment, chosen: Rows | list[int]) -> Standing:
+def uncertainty_of(experiment: Experiment, chosen: Rows | list[int]) -> Uncertainty:
     """What is known after the poses chosen."""
     r = experiment.rank
     information = experiment.information(chosen)
@@ -118,7 +118,7 @@ def standing(experiment: Experiment, chosen: Rows | list[int]) -> Standing:
     values = np.linalg.eigvalsh(experiment.visible.T @ shown @ experiment.visible)
     singular = np.sqrt(np.where(values > RANK_TOLERANCE**2 * _yardstick(experiment, shown), values, 0.0))
     name, sd, unit = _least_known(experiment, covariance)
-    return Standing(
+    return Uncertainty(
         points_count=len(chosen),
         log_det=0.0 - float(np.linalg.slogdet(covariance)[1]),
         indices=indices_of(singular, len(chosen)),

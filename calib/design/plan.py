@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from calib.design.candidates import View
-from calib.design.information import Standing
+from calib.design.information import Uncertainty
 from calib.points.points import Points
 
 USUAL_COUNT = 12
@@ -43,7 +43,7 @@ class PlannedPose:
     q_rad: tuple[float, ...]
     visit: int
     gain: float
-    after: Standing
+    after: Uncertainty
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Alternative:
     setup: str
     count: int
     gain: float
-    after: Standing
+    after: Uncertainty
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Plan:
     noise_m: float
     poses: tuple[PlannedPose, ...]
     points: Points
-    before: Standing
+    before: Uncertainty
     alternatives: tuple[Alternative, ...]
     candidates: Mapping[str, int]
     combinations_count: int
@@ -72,6 +72,6 @@ class Plan:
     blocked: tuple[tuple[str, str], ...]
 
     @property
-    def after(self) -> Standing:
+    def after(self) -> Uncertainty:
         """What is known with the whole plan."""
         return self.poses[-1].after

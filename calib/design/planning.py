@@ -22,7 +22,7 @@ from calib.design.candidates import (
 )
 from calib.design.criteria import criterion_of
 from calib.design.exchange import Group, select
-from calib.design.information import Experiment, experiment_of, standing
+from calib.design.information import Experiment, experiment_of, uncertainty_of
 from calib.design.order import clear_ways, visiting_order
 from calib.design.plan import Alternative, Plan, PlannedPose, Request
 from calib.design.reach import Rows
@@ -70,7 +70,7 @@ def plan_poses(arm: Arm, taken: Points | None, request: Request, choice: Choice 
         noise_m=noise_m,
         poses=_planned_poses(offer, chosen, points, order),
         points=points,
-        before=standing(offer.experiment, offer.taken),
+        before=uncertainty_of(offer.experiment, offer.taken),
         alternatives=tuple(sorted(alternatives, key=lambda one: one.after.tip_m)),
         candidates={setup: len(rows) for setup, rows in offer.by_setup.items() if setup not in others},
         combinations_count=offer.experiment.rank,
@@ -146,16 +146,14 @@ def _offer_of(
 
 def _nothing_to_plan(arm: Arm, request: Request) -> str:
     if request.only == "free" and arm.camera is None:
-        return f"arm {arm.name} has no [camera], and free poses are worth nothing unless it sees the tip: add one"
+        return f"arm {arm.name} has no [camera], and free poses need a camera that measures the tip: add one"
     if arm.camera is None and arm.table is None:
-        return (
-            f"arm {arm.name} has neither a [table] nor a [camera]: there is nothing to measure the tip with"
-        )
+        return f"arm {arm.name} has neither a [table] nor a [camera]: nothing can measure the tip; add one"
     if request.only == "table" and arm.table is None:
-        return f"arm {arm.name} has no [table]: add one, or leave --only table away"
+        return f"arm {arm.name} has no [table]: add one, or omit --only table"
     return (
-        "no pose is left to plan: every cavity within reach is taken, or none is, and no free pose is clear of the"
-        " floor and in the camera's view"
+        "no pose is left to plan: no cavity within reach is left, and no free pose is clear of the floor and in the"
+        " camera's view"
     )
 
 
@@ -206,7 +204,7 @@ def _equal_shares(offer: _Offer, kinds: tuple[str, ...], count: int) -> list[Gro
 
 def _worth(offer: _Offer, criterion: str, rows: list[int]) -> tuple[float, float]:
     """How good a choice is: by the criterion, then by log det."""
-    after = standing(offer.experiment, [*offer.taken, *rows])
+    after = uncertainty_of(offer.experiment, [*offer.taken, *rows])
     by_name = {"D": after.log_det, "tip": -after.tip_m, **after.indices.as_dict()}
     return by_name[criterion], after.log_det
 
@@ -222,10 +220,10 @@ def _alternatives(offer: _Offer, criterion: str, setup: str) -> list[Alternative
     choices = [select(offer.experiment, score, offer.taken, [Group(setup, rows, count)])] if count else []
     if setup != FREE and len(rows) > count:
         choices.append(rows.tolist())
-    before = standing(offer.experiment, offer.taken)
+    before = uncertainty_of(offer.experiment, offer.taken)
     found = []
     for chosen in choices:
-        after = standing(offer.experiment, [*offer.taken, *chosen])
+        after = uncertainty_of(offer.experiment, [*offer.taken, *chosen])
         found.append(Alternative(setup, len(chosen), after.log_det - before.log_det, after))
     return found
 
@@ -235,9 +233,9 @@ def _planned_poses(
 ) -> tuple[PlannedPose, ...]:
     """What each brings when taken after those before it; `points` are in the order of the visit."""
     found = []
-    before = standing(offer.experiment, offer.taken)
+    before = uncertainty_of(offer.experiment, offer.taken)
     for k in range(len(chosen)):
-        after, at = standing(offer.experiment, [*offer.taken, *chosen[: k + 1]]), order.index(k)
+        after, at = uncertainty_of(offer.experiment, [*offer.taken, *chosen[: k + 1]]), order.index(k)
         found.append(
             PlannedPose(
                 points.setup[at],

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.design.boards import OTHER_TILTS
 from calib.design.candidates import FREE
-from calib.design.information import Standing
+from calib.design.information import Uncertainty
 from calib.design.plan import Alternative, Plan
 
 NOTICEABLE = 0.03  # two uncertainties that differ by less than this share are the same
@@ -14,7 +14,7 @@ NOTICEABLE = 0.03  # two uncertainties that differ by less than this share are t
 
 def in_words(plan: Plan) -> tuple[str, ...]:
     """What the plan brings, what else would, what stays open, what to mind."""
-    return (_gain(plan), *_alternatives(plan), *_open(plan), *_to_mind(plan))
+    return (_gain(plan), *_alternatives(plan), *_open(plan), *_notes(plan))
 
 
 def length(metres: float) -> str:
@@ -22,7 +22,7 @@ def length(metres: float) -> str:
     return f"{1e3 * metres:#.3g}".rstrip(".") + " mm"
 
 
-def known_to(state: Standing) -> str:
+def known_to(state: Uncertainty) -> str:
     """The parameter known least, as `theta3 to 0.042 deg`."""
     sd = state.least_known_sd
     if state.least_known_unit == "m":
@@ -39,13 +39,11 @@ def kind(setup: str, count: int) -> str:
 
 def _gain(plan: Plan) -> str:
     before, after = plan.before, plan.after
-    start = (
-        length(before.tip_m) if before.points_count else f"{length(before.tip_m)} (nothing but the bounds)"
-    )
+    start = length(before.tip_m) if before.points_count else f"{length(before.tip_m)} (bounds only)"
     return (
-        f"These {len(plan.poses)} poses take the tip's uncertainty over the workspace from {start} to"
-        f" {length(after.tip_m)}, at its worst pose from {length(before.tip_worst_m)} to {length(after.tip_worst_m)};"
-        f" known least, standard deviation: {known_to(before)} before, {known_to(after)} after."
+        f"These {len(plan.poses)} poses reduce the tip's uncertainty over the workspace from {start} to"
+        f" {length(after.tip_m)}, at the worst pose from {length(before.tip_worst_m)} to {length(after.tip_worst_m)}."
+        f" Least certain parameter: {known_to(before)} before, {known_to(after)} after."
     )
 
 
@@ -56,7 +54,7 @@ def _alternatives(plan: Plan) -> list[str]:
     said = []
     if len(ranked) > 1:
         parts = ", ".join(f"{kind(one.setup, one.count)} {length(one.after.tip_m)}" for one in ranked)
-        said.append(f"One kind alone would leave: {parts}.")
+        said.append(f"Uncertainty with one kind alone: {parts}.")
     if FREE in few and set(plan.points.setup) != {FREE}:
         said += _free_alone(plan, few[FREE])
     if "roll" in few and "pitch" in few:
@@ -69,15 +67,15 @@ def _free_alone(plan: Plan, free: Alternative) -> list[str]:
     is_enough = free.after.tip_m <= (1.0 + NOTICEABLE) * plan.after.tip_m
     if not is_enough or free.count > len(plan.poses):
         return []
-    return [f"{kind(FREE, free.count)} alone would do as well, without setting up the board (--only free)."]
+    return [f"{kind(FREE, free.count)} alone are as good, without the board (--only free)."]
 
 
 def _compared(one: Alternative, other: Alternative) -> str:
     first, second = sorted((one, other), key=lambda a: a.after.tip_m)
     if first.after.tip_m > (1.0 - NOTICEABLE) * second.after.tip_m:
-        return f"A {first.setup} tilt brings as much as a {second.setup} tilt."
+        return f"A {first.setup} tilt gains as much as a {second.setup} tilt."
     return (
-        f"A {first.setup} tilt brings more than a {second.setup} tilt: {length(first.after.tip_m)} against"
+        f"A {first.setup} tilt gains more than a {second.setup} tilt: {length(first.after.tip_m)} against"
         f" {length(second.after.tip_m)}."
     )
 
@@ -88,26 +86,25 @@ def _open(plan: Plan) -> list[str]:
     if rank >= total:
         return []
     return [
-        f"With these poses {rank} of the {total} combinations of parameters that move the tip are determined; the"
-        " others keep their bounds as uncertainty."
+        f"These poses determine {rank} of the {total} parameter combinations that move the tip; the others keep their"
+        " bounds as uncertainty."
     ]
 
 
-def _to_mind(plan: Plan) -> list[str]:
+def _notes(plan: Plan) -> list[str]:
     said = []
     if not plan.is_tied:
         said.append(
-            "Nothing ties the arm's base to a known place: the uncertainty is that of the tip but for a move and"
-            " turn of the whole workspace."
+            "The arm's base is not tied to a known place: the uncertainty excludes a rigid motion of the whole workspace."
         )
     new = [setup for setup in OTHER_TILTS if setup in plan.points.setup]
     if new:
         said.append(
-            f"Of the board in {', '.join(new)} the identification must be told where it stands: `armwright"
-            " register`, or known_pose = false in [table]."
+            f"The identification needs the board's pose in {', '.join(new)}: use `armwright register`, or set"
+            " known_pose = false in [table]."
         )
     for before, after in plan.blocked:
         said.append(
-            f"Between free poses {before} and {after} a straight joint move goes through floor or board: go round."
+            f"Between free poses {before} and {after} a straight joint move hits the floor or the board: take a detour."
         )
     return said

@@ -35,7 +35,7 @@ def export(arm: Arm, form: str, path: Path) -> tuple[str, ...]:
     """
     text = export_text(arm, form)
     if path.exists():
-        raise CalibrationError(f"{path}: exists already, and an export overwrites nothing; name another file")
+        raise CalibrationError(f"{path}: already exists and is not overwritten; name another file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

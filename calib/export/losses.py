@@ -23,7 +23,7 @@ def losses(arm: Arm, form: str) -> tuple[str, ...]:
 
 def _effects(arm: Arm, form: str) -> list[str]:
     return [
-        f"{form} cannot hold the effect {_spelled(effect)}: left out"
+        f"{form} cannot express the effect {_spelled(effect)}: omitted"
         for effect in arm.effects
         if effect.effect not in HELD
     ]
@@ -42,12 +42,12 @@ def _masses(arm: Arm) -> list[str]:
     if bare:
         joints = ", ".join(map(str, bare))
         said.append(
-            f"masses behind joint {joints} are not known: the geometry is right, but dynamics mean nothing"
-            " (MuJoCo gets 1e-6 kg a link, or it would refuse the file)"
+            f"masses behind joint {joints} are unknown: the geometry is valid, the dynamics are not"
+            " (MuJoCo gets 1e-6 kg per link, since it refuses zero mass)"
         )
     vague = [body.number for body in bodies if body.link.mass_kg and not body.has_inertia]
     if vague:
-        said.append(f"link {', '.join(map(str, vague))}: mass without com_m and inertia_kg_m2 is left out")
+        said.append(f"link {', '.join(map(str, vague))}: mass without com_m and inertia_kg_m2 is omitted")
     return said
 
 
@@ -58,7 +58,7 @@ def _drives(arm: Arm, form: str) -> list[str]:
         ends = (figures.lower_rad, figures.upper_rad)
         if not figures.is_limited and any(abs(end) < 1e3 for end in ends):
             said.append(
-                f"{form} has no joint with one end: joint {joint}, {ends[0]:g} to {ends[1]:g} rad, turns freely"
+                f"{form} has no joint with a single limit: joint {joint}, {ends[0]:g} to {ends[1]:g} rad, is unlimited"
             )
         if form == "urdf" and figures.rotor_kg_m2:
             said.append(
@@ -70,7 +70,7 @@ def _drives(arm: Arm, form: str) -> list[str]:
             "limits, torque, speed and friction" if form == "urdf" else "limits, torque, friction and rotor"
         )
         said.append(
-            f"{form} holds {kept} of the drives; motors, gears, encoders, accelerations, jerk and gains are left out"
+            f"{form} contains {kept} of the drives; motors, gears, encoders, accelerations, jerk and gains are omitted"
         )
     return said
 
@@ -86,4 +86,4 @@ def _rest(arm: Arm, form: str) -> list[str]:
         )
         if part
     ]
-    return [f"{form} has no place for: {', '.join(parts)}"] if parts else []
+    return [f"{form} cannot express: {', '.join(parts)}; omitted"] if parts else []

@@ -1,8 +1,8 @@
-"""One finding of two: static poses and time series of the same arm must agree about what both can see.
+"""One finding of two: static poses and time series of the same arm must agree on the effects that both can detect.
 
-The same play, the same spring, the same encoder show at either level. What is ambiguous at one level and named at the other is
-resolved. What one level names and the other, which could name it, does not see, or calls another name on the same joint, is not
-named: one of the two recordings deceives, and nothing here can tell which.
+The same play, spring or encoder error appears at both levels. An effect that is ambiguous at one level and named at the other is
+resolved. An effect named at one level is dropped if the other could name it and does not, or names another effect of the same
+joint: one of the recordings is wrong, and the data do not say which.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Level:
 def brought_together(
     static: GapFinding | None, dynamic: GapFinding | None
 ) -> tuple[GapFinding, tuple[str, ...]]:
-    """One finding, and sentences about where the levels help or contradict each other. One level alone stays as it is."""
+    """One finding, and sentences about where the levels agree or contradict. One level alone is returned unchanged."""
     if static is None or dynamic is None:
         only = static or dynamic
         if only is None:
@@ -105,8 +105,8 @@ def disagreements(static: GapFinding, dynamic: GapFinding) -> tuple[str, ...]:
             limit = max(AGREE_sd * math.hypot(_known(sd), _known(also_sd)), AGREE_SHARE * abs(value))
             if abs(_apart(name, value, also)) > limit:
                 said.append(
-                    f"{effect.name}: poses say {name} = {value:.4g}, time series {also:.4g}; both cannot be right, look at how"
-                    " they were recorded."
+                    f"{effect.name}: {name} is {value:.4g} from poses and {also:.4g} from time series. They contradict each"
+                    " other; check how they were recorded."
                 )
     return tuple(said)
 
@@ -122,18 +122,18 @@ def _contradiction(name: EffectName, one: Level, other: Level) -> str | None:
     rival = other.rival_of(name)
     if rival is not None and not one.is_unsure_of(rival) and (other.would_see(name) or one.would_see(rival)):
         return (
-            f"The {one.name} show {name}, the {other.name} {rival} in its place; both cannot be right, so that neither is"
+            f"The {one.name} show {name}, the {other.name} show {rival} instead. They contradict each other; neither is"
             " named."
         )
     if rival is None and other.would_see(name) and other.is_explained:
-        return f"The {one.name} show {name}; the {other.name} would show it too, and do not, so that it is not named."
+        return f"The {one.name} show {name}. The {other.name} should show it and do not; it is not named."
     return None
 
 
 def _resolved(one: Level, other: Level) -> tuple[str, ...]:
     """A sentence for every set of `one` of which `other` names a member."""
     return tuple(
-        f"The {one.name} alone cannot tell {', '.join(map(str, names))} apart; the {other.name} name {found}."
+        f"The {one.name} alone cannot distinguish {', '.join(map(str, names))}; the {other.name} name {found}."
         for names in one.finding.ambiguous
         for found in names
         if found in other.names()
@@ -193,7 +193,7 @@ def _merged(
     if denied:
         names = " and ".join(map(str, denied))
         sentences.insert(
-            0, f"Record poses and motions again in one session to see which level is wrong about {names}."
+            0, f"Record poses and motions again in one session to find which level is wrong about {names}."
         )
     return GapFinding(
         arm=static.arm,

@@ -82,12 +82,12 @@ class GapFinding:
 
     @property
     def judged_on(self) -> str:
-        """Where the gap was looked at, in words."""
-        return "held-out recordings" if self.is_held_out else "what was fitted (none could be held out)"
+        """The recordings on which the gap was evaluated, in words."""
+        return "held-out recordings" if self.is_held_out else "the fitted recordings (none could be held out)"
 
 
 def write_gap_json(path: Path, found: GapFinding) -> None:
-    """Write gap.json; a number that there is not is null."""
+    """Write gap.json; an unknown number is null."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, json.dumps(gap_content(found), indent=2, allow_nan=False) + "\n")
 

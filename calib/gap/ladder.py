@@ -59,11 +59,11 @@ def _draw(figure: Figure, steps: Sequence[tuple[str, float]], judged_on: str) ->
     axes.set_xlim(min(0.5, 0.8 * min(gap for _, gap in steps)), max(2.0, 1.5 * most))
     axes.set_yticks(place, [name if k == 0 else f"+ {name}" for k, (name, _) in enumerate(steps)])
     axes.invert_yaxis()
-    axes.set_xlabel(f"gap on {judged_on}, over the noise (dashed: 1, nothing left to explain)")
+    axes.set_xlabel(f"gap over noise on {judged_on} (dashed: 1, noise only)")
 
 
 def ladder(found: GapFinding) -> str:
     """Picture and table; a sentence where there is nothing to draw."""
     if not steps_of(found):
-        return paragraph("The gap could not be told.") + channels_table(found)
+        return paragraph("The gap could not be determined.") + channels_table(found)
     return ladder_picture(found) + channels_table(found)

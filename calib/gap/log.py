@@ -214,7 +214,7 @@ class _Table:
     def warnings(self) -> tuple[str, ...]:
         """One sentence about columns that the format does not know, if there are any."""
         names = ", ".join(self._extra)
-        return (f"{self._path}: unknown columns kept and not used: {names}",) if names else ()
+        return (f"{self._path}: unknown columns ignored: {names}",) if names else ()
 
     def runs(self) -> tuple[Run, ...]:
         """The runs in the file's order."""

@@ -40,12 +40,12 @@ def gap_page(report: GapReport) -> str:
 
 
 def gap_parts(report: GapReport) -> Iterator[Section | str]:
-    """The page's parts, also for a page that tells more."""
+    """The page's sections, also for a longer page."""
     found = report.finding
     yield verdict(in_words(found))
     yield tiles(_tiles(found))
     if report.notes:
-        yield Section("To mind", bullets(report.notes))
+        yield Section("Notes", bullets(report.notes))
     yield from _ladders(report)
     yield _effects(found)
     if report.static is not None:
@@ -62,12 +62,12 @@ def _tiles(found: GapFinding) -> Iterator[tuple[str, str, str]]:
     after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "–"
     yield "after", after, "times the noise after"
     names = [one for one in found.effects if one.name.effect != "link_geometry"]
-    yield "", str(len(names)), f"effect{'s' if len(names) != 1 else ''} named beside the geometry"
-    yield "", "yes" if found.unknown is not None else "no", "something left that no effect explains"
+    yield "", str(len(names)), f"effect{'s' if len(names) != 1 else ''} named, apart from the geometry"
+    yield "", "yes" if found.unknown is not None else "no", "a residual that no known effect explains"
 
 
 def _ladders(report: GapReport) -> Iterator[Section]:
-    """One a level: their channels are not of one kind."""
+    """One per level: their channels differ in kind."""
     for level, name in ((report.static, "Static poses"), (report.dynamic, "Time series")):
         if level is not None:
             yield Section(f"{name}: the gap after each step", ladder(level.finding))
@@ -105,7 +105,7 @@ def _static(gap: StaticGap) -> Iterator[Section]:
     how = (
         f"{gap.split.recordings_count} recordings; {kept} of {len(gap.points)} poses were held out for the report."
         if gap.split.is_divided
-        else "Too few recordings to keep one apart: the gap is that of the poses which were fitted."
+        else "Too few recordings to hold one out: the gap is that of the fitted poses."
     )
     yield Section(
         "Static poses, by recording",
@@ -120,7 +120,7 @@ def _static(gap: StaticGap) -> Iterator[Section]:
 
 
 def _joints(gap: StaticGap) -> Sequence[int]:
-    """The joints that something was found on; the one with most left otherwise."""
+    """The joints with findings; else the joint with the largest range."""
     named = [3 if one.name.effect == "belt_coupling" else one.name.joint for one in gap.finding.effects]
     found = [joint for joint in dict.fromkeys(named) if joint is not None and joint <= gap.points.joint_count]
     if gap.finding.unknown is not None:
@@ -140,12 +140,12 @@ def _nameable(found: GapFinding) -> Section:
         )
         for one in sorted(found.nameable, key=lambda one: (one.name.effect, one.name.joint or 0))
     ]
-    header = ("effect", "detectability [sd]", ("text", "not to be told from"), ("text", "would be named"))
+    header = ("effect", "detectability [sd]", ("text", "indistinguishable from"), ("text", "would be named"))
     return Section(
-        "What this data could name at all",
+        "Effects that this data could name",
         paragraph(
-            "How far an effect of usual size would stand out beside the geometry, before any residual is looked at; it takes"
-            f" {NAMEABLE_sd:.1f} standard deviations to be named."
+            "Detectability: the size of a usual effect over its standard deviation, with the geometry free; computed before"
+            f" any residual is used. Naming needs {NAMEABLE_sd:.1f} standard deviations."
         )
         + table(header, rows),
     )

@@ -20,30 +20,30 @@ def in_words(found: GapFinding) -> tuple[str, ...]:
 def _sentences(found: GapFinding) -> Iterator[str]:
     named = [effect for effect in found.effects if effect.name.effect != GEOMETRY]
     if any(effect.name.effect == GEOMETRY for effect in found.effects):
-        yield "The nominal geometry is not that of this arm; it was identified with the rest (link_geometry)."
+        yield "The nominal geometry does not fit this arm; it was identified with the effects (link_geometry)."
     for effect in named:
         yield f"Named: {effect.name} ({parameters_text(effect)})."
     if not named and found.unknown is None and not found.ambiguous:
-        yield "Nothing is named: beside the geometry no effect of the list is needed to explain this data."
+        yield "Nothing is named: apart from the geometry, no known effect is needed to explain this data."
     for names in found.ambiguous:
-        yield f"This data cannot tell {listed(names)} apart; none of them is added."
+        yield f"This data cannot distinguish {listed(names)}; none of them is added."
     if found.unknown is not None:
         nearest = (
-            f" Nearest to it is {found.unknown.nearest}, which would explain {100 * found.unknown.explained:.0f} % of the"
-            " excess, and is not its name."
+            f" The nearest known effect, {found.unknown.nearest}, explains only {100 * found.unknown.explained:.0f} % of the"
+            " excess and is not named."
             if found.unknown.nearest is not None
             else ""
         )
-        yield f"Unknown: {found.unknown.where}; no effect of the list explains it.{nearest}"
+        yield f"Unknown: {found.unknown.where}; no known effect explains it.{nearest}"
     after = "at the noise" if found.gap_after <= AT_FLOOR else f"{found.gap_after:.2f} times the noise"
     if math.isnan(found.gap_after):
-        after = "not looked at again with what poses and time series name together"
+        after = "not evaluated for the joint findings of poses and time series"
     yield f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {after} after."
     blind = [one.name for one in found.nameable if not is_nameable(one)]
     if blind:
         yield (
-            f"This data could not name {listed(blind)} of usual size (below {NAMEABLE_sd:.1f} standard deviations, or not to be"
-            " told from others)."
+            f"This data could not name {listed(blind)} of usual size (below {NAMEABLE_sd:.1f} standard deviations, or"
+            " indistinguishable from others)."
         )
     if found.next_experiment:
         yield found.next_experiment

@@ -37,12 +37,11 @@ class Accuracy:
         wanted, reached = f"{1e3 * self.limit_m:.4g} mm", f"{1e3 * self.mean_m:.4g} mm"
         if not self.is_met:
             return (
-                f"The average accuracy asked for, {wanted}, cannot be met with these bounds: the least mean distance is"
-                f" {reached}, and that is what is given. Ask for less, widen the bounds, or look for what the geometry does"
-                " not explain."
+                f"The requested average accuracy of {wanted} cannot be met with these bounds. The result has the smallest"
+                f" possible mean distance, {reached}. Request less, widen the bounds, or look for effects other than geometry."
             )
         how = ", at some cost to the objective" if self.multiplier else ""
-        return f"The average accuracy asked for, {wanted}, is met{how}: the mean distance is {reached}."
+        return f"The requested average accuracy of {wanted} is met{how}: the mean distance is {reached}."
 
 
 @dataclass(frozen=True, slots=True)

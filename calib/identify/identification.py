@@ -145,21 +145,20 @@ def _sentences(result: Identification) -> list[str]:
     said += [f"{sentence}." for sentence in open_in_words(result.undetermined)]
     said += _about_bounds([estimate for estimate in result.estimates if estimate.is_at_bound])
     if not result.is_converged:
-        said.append("The search did not end by itself: take the result with care and try more starts.")
+        said.append("The solver did not converge: do not trust the result; try more starts.")
     return said
 
 
 def _about_bounds(bound: list[Estimate]) -> list[str]:
-    """Two sorts: the data want more, or the data hardly hold the parameter and noise took it to its bound."""
+    """Two cases: the data ask for more, or hardly determine the parameter and noise drove it to its bound."""
     wanting = [e.parameter.name for e in bound if e.is_determined]
     loose = [e.parameter.name for e in bound if not e.is_determined]
     said = []
     if wanting:
         said.append(
-            f"At the bound: {', '.join(wanting)}. The fit would go further if it could: the deviation is"
-            " larger than the bound, the data are too weak to hold it, or an effect other than geometry is"
-            " at work."
+            f"At the bound: {', '.join(wanting)}. Possible causes: the deviation is larger than the bound, the data"
+            " determine it too weakly, or an effect other than geometry is present."
         )
     if loose:
-        said.append(f"At the bound, though these points do not determine it alone: {', '.join(loose)}.")
+        said.append(f"At the bound, but not determined individually by these points: {', '.join(loose)}.")
     return said

@@ -199,7 +199,7 @@ class Huber:
     def bend_m(self) -> float:
         """The threshold; CalibrationError if it has not been settled."""
         if self.threshold_m is None:
-            raise CalibrationError("threshold of the objective huber: not settled yet; see settled_on")
+            raise CalibrationError("threshold of the objective huber: not set yet; see settled_on")
         return self.threshold_m
 
     def settled_on(self, residuals: Array) -> Huber:
@@ -246,7 +246,7 @@ def objective_named(name: str, threshold_m: float | None = None) -> Objective:
     """The objective called e2, e1, lsq or huber; `threshold_m` is huber's. CalibrationError for another."""
     if threshold_m is not None and name != "huber":
         raise CalibrationError(
-            f"a threshold of {threshold_m} m: only the objective huber has one, and {name} was asked for"
+            f"threshold of {threshold_m} m: only the objective huber has a threshold, got objective {name}"
         )
     known: dict[str, Objective] = {
         "e2": SumOfDistances(),

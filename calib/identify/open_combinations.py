@@ -95,7 +95,7 @@ def _alone(names: list[str], by: tuple[str, ...]) -> str:
     """Parameters that are open one by one."""
     if all(_is_of_a_body(name) for name in names):
         return (
-            f"{_listed(names)} {_has(names)} no effect on these points (they lie on one line there); nothing"
+            f"{_listed(names)} {_has(names)} no effect on these points, which lie on one line; no result"
             " depends on it"
         )
     stay = "it stays at nominal" if len(names) == 1 else "they stay at nominal"
@@ -110,13 +110,13 @@ def _together(names: tuple[str, ...], freedoms: int, trade: str, by: tuple[str, 
     left = len(names) - freedoms
     if all(_is_of_a_body(name) for name in names):
         return (
-            f"{_listed(names)}: {left} of these {len(names)} turns {'is' if left == 1 else 'are'} determined, as the"
-            " points lie on one line there; nothing depends on the rest"
+            f"{_listed(names)}: {left} of these {len(names)} rotations {'is' if left == 1 else 'are'} determined, as the"
+            " points lie on one line; no result depends on the rest"
         )
     aside = f" once {_where(by)} {'follows' if len(by) == 1 and by[0] == 'tool' else 'follow'}" if by else ""
     return (
         f"{_listed(names)} move together: these points determine {left} of their {len(names)} combinations"
-        f" (no tip moves{aside} when {trade}); of all that fit, the values nearest to nominal are given"
+        f" (no tip moves{aside} when {trade}); the values given are the solution nearest to nominal"
     )
 
 
@@ -128,11 +128,11 @@ def _where(by: tuple[str, ...]) -> str:
     """The bodies that take a change up, in few words."""
     said = ["the tool"] if "tool" in by else []
     if "base" in by:
-        said.append("where the base frame is")
+        said.append("the pose of the base frame")
     boards = [name for name in by if name not in ("tool", "base")]
     if boards:
         said.append(
-            "where the boards stand" if len(boards) > 1 else f"where {boards[0].replace('_', ' ', 1)} stands"
+            "the poses of the boards" if len(boards) > 1 else f"the pose of {boards[0].replace('_', ' ', 1)}"
         )
     return _listed(said)
 

@@ -18,7 +18,7 @@ import numpy as np
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, frozen, norms
 from calib.identify.linear_fit import LinearFit, Mask
-from calib.identify.outlier_stories import Story, story_of
+from calib.identify.outlier_causes import OutlierCause, cause_of
 
 FALSE_ALARM = 0.02
 TRUSTED_SHARE = 0.55  # of the points: as many are taken to be right in the search; a slip may last to the end
@@ -37,7 +37,7 @@ class Outlier:
 
     `distance_m`: between its reference and where a fit to the others puts the tip; `score`: that over `noise_m`, the
     standard deviation of one axis: the known noise, or the scatter of the other points where that is larger.
-    `off_m` (3,): that as a vector, base frame. `story`: what it looks like, if the numbers fit one story and no other.
+    `off_m` (3,): that as a vector, base frame. `cause`: the probable cause, where exactly one fits.
     """
 
     row: int
@@ -47,20 +47,20 @@ class Outlier:
     score: float
     noise_m: float
     off_m: Array
-    story: Story
+    cause: OutlierCause
 
     @property
     def words(self) -> str:
         """A sentence."""
         where = f'point {self.point} of setup "{self.setup}"' if self.setup else f"point {self.point}"
         return (
-            f"{where} (pose {self.row + 1}) is {1e3 * self.distance_m:.2f} mm from where the other points put it,"
-            f" {self.score:.1f} times the scatter of one axis ({1e3 * self.noise_m:.3f} mm){self.story.words}"
+            f"{where} (pose {self.row + 1}) is {1e3 * self.distance_m:.2f} mm from the position predicted by the other points,"
+            f" {self.score:.1f} times the scatter of one axis ({1e3 * self.noise_m:.3f} mm){self.cause.words}"
         )
 
 
 @dataclass(frozen=True, slots=True)
-class Sorted:
+class OutlierTest:
     """Points held against each other: which agree, deleted residuals (m, 3) [m], scores (m,), noise of one axis [m]."""
 
     agrees: Mask
@@ -82,17 +82,17 @@ def find_outliers(
     `extra` (m, 3, e): columns of further unknowns, such as a board that is not where the table says. `noise_m`: of one axis,
     as far as it is known: where the points show less, that counts.
     """
-    found = sort_points(LinearFit.around(problem, x, extra), noise_m)
+    found = outlier_test(LinearFit.around(problem, x, extra), noise_m)
     rows = np.flatnonzero(~found.agrees)
     named = [_outlier(problem, x, int(row), found, cavities or {}) for row in rows]
     return tuple(sorted(named, key=lambda outlier: -outlier.score))
 
 
-def sort_points(fit: LinearFit, noise_m: float = RESOLUTION_m) -> Sorted:
+def outlier_test(fit: LinearFit, noise_m: float = RESOLUTION_m) -> OutlierTest:
     """Which points agree with each other, given noise of one axis that is at least noise_m; all, where too few tell."""
     m = len(fit)
     if 3 * m - fit.rank < 6:
-        return Sorted(np.ones(m, dtype=bool), fit.residuals, np.zeros(m), math.nan)
+        return OutlierTest(np.ones(m, dtype=bool), fit.residuals, np.zeros(m), math.nan)
     kept = _clearly_alike(fit, _most_alike(fit))
     seen: list[bytes] = []
     for _ in range(ROUNDS_LIMIT):
@@ -104,7 +104,7 @@ def sort_points(fit: LinearFit, noise_m: float = RESOLUTION_m) -> Sorted:
     return found
 
 
-def _tested(fit: LinearFit, kept: Mask, noise_m: float) -> Sorted:
+def _tested(fit: LinearFit, kept: Mask, noise_m: float) -> OutlierTest:
     """Every point against those of `kept`, without itself."""
     from scipy.special import fdtri
 
@@ -122,7 +122,7 @@ def _tested(fit: LinearFit, kept: Mask, noise_m: float) -> Sorted:
     ratio = np.where(is_testable, squares / 3.0 / variance, 0.0)
     agrees = ratio <= fdtri(3, np.maximum(others, 1), 1.0 - FALSE_ALARM / len(fit))
     deleted = np.where(kept[:, None], np.einsum("mij,mj->mi", inverse, residuals), residuals)
-    return Sorted(agrees, deleted, np.sqrt(3.0 * ratio), math.sqrt(max(total / freedom, noise_m**2)))
+    return OutlierTest(agrees, deleted, np.sqrt(3.0 * ratio), math.sqrt(max(total / freedom, noise_m**2)))
 
 
 def _most_alike(fit: LinearFit) -> Array:
@@ -169,7 +169,7 @@ def _clearly_alike(fit: LinearFit, squares: Array) -> Mask:
 
 
 def _outlier(
-    problem: ArmProblem, x: Array, row: int, found: Sorted, cavities: Mapping[str, Array]
+    problem: ArmProblem, x: Array, row: int, found: OutlierTest, cavities: Mapping[str, Array]
 ) -> Outlier:
     """One row, named and explained."""
     observed = problem.observed
@@ -183,5 +183,5 @@ def _outlier(
         float(found.score[row]),
         found.noise_m,
         frozen(found.deleted_m[row]),
-        story_of(problem, x, row, found.deleted_m[row], found.noise_m, cavities),
+        cause_of(problem, x, row, found.deleted_m[row], found.noise_m, cavities),
     )

@@ -11,7 +11,7 @@ from calib.arm_problem.frames import cross_matrix
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.identify.linear_fit import LinearFit, Mask
-from calib.identify.outliers import sort_points
+from calib.identify.outliers import outlier_test
 
 FREE = "free"  # poses away from any board
 POINTS_MINIMUM_COUNT = 6  # of a setup, to tell its board's shift and turn from its points
@@ -42,7 +42,7 @@ def shifted_setups(problem: ArmProblem, x: Array) -> tuple[ShiftedSetup, ...]:
         return ()
     fixed = LinearFit.around(problem, x)
     everything = np.concatenate([moved_columns(problem, name) for name in names], axis=2)
-    agrees = sort_points(LinearFit.of(fixed.residuals, fixed.columns, everything)).agrees
+    agrees = outlier_test(LinearFit.of(fixed.residuals, fixed.columns, everything)).agrees
     while len(found) + 1 <= LARGEST_SHARE * len(names):
         taken = [moved_columns(problem, one.setup) for one in found]
         rest = [name for name in names if name not in [one.setup for one in found]]
@@ -101,7 +101,7 @@ def _solved(columns: Array, wanted: Array) -> tuple[float, int, Array]:
 def _words(name: str, shift_m: Array, turn_rad: Array, share: float) -> str:
     x, y, z = 1e3 * shift_m
     return (
-        f'setup "{name}" as a whole does not fit the others: as if its board (or the camera) stood {x:+.2f}, {y:+.2f},'
-        f" {z:+.2f} mm elsewhere and was turned by {math.degrees(float(np.linalg.norm(turn_rad))):.2f} deg, which explains"
-        f" {100 * share:.0f} % of the squared residuals; measure where the board stands, or free the table"
+        f'setup "{name}" does not fit the others: a shift of its board (or of the camera) by {x:+.2f}, {y:+.2f},'
+        f" {z:+.2f} mm and a rotation by {math.degrees(float(np.linalg.norm(turn_rad))):.2f} deg explain"
+        f" {100 * share:.0f} % of the squared residuals; measure the board's pose, or free the table"
     )

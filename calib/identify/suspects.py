@@ -13,8 +13,8 @@ from calib.arrays import Array
 from calib.identify.outliers import Outlier, RESOLUTION_m, find_outliers
 from calib.identify.shifted import ShiftedSetup, moved_columns, shifted_setups
 
-TOLD_LIMIT = 10  # points told one by one
-TOLD_IF_SYSTEMATIC = 3
+REPORTED_LIMIT = 10  # points told one by one
+REPORTED_IF_SYSTEMATIC = 3
 SYSTEMATIC_COUNT = 12  # so many outliers without one slip behind them are an effect rather
 SYSTEMATIC_SHARE = 0.1
 SLIPPED_COUNT = 3  # points that it takes to speak of an encoder that slipped and stayed so
@@ -24,7 +24,7 @@ EXPLAINED_SHARE = 0.9  # of their squared distances
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """An encoder that slipped by `angle_rad` and stayed so: the `rows` (from 0) that show it, one after the other."""
+    """A lasting encoder slip of `angle_rad`; `rows` (from 0) are the consecutive poses that show it."""
 
     joint: int
     angle_rad: float
@@ -34,14 +34,15 @@ class Slip:
     def words(self) -> str:
         """A sentence."""
         return (
-            f"{len(self.rows)} points between poses {self.rows[0] + 1} and {self.rows[-1] + 1}: as if the encoder of joint"
-            f" {self.joint} had slipped by {math.degrees(self.angle_rad):+.2f} deg there; home the joint and measure them again"
+            f"{len(self.rows)} points between poses {self.rows[0] + 1} and {self.rows[-1] + 1}: the encoder of joint"
+            f" {self.joint} probably slipped by {math.degrees(self.angle_rad):+.2f} deg; home the joint and measure these"
+            " points again"
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Suspects:
-    """Points and setups that the others contradict; they are told, never left out. `points_count`: of all."""
+    """Points and setups that contradict the others; reported, never excluded. `points_count`: of all."""
 
     setups: tuple[ShiftedSetup, ...]
     outliers: tuple[Outlier, ...]
@@ -50,19 +51,19 @@ class Suspects:
 
     @property
     def is_systematic(self) -> bool:
-        """Whether so many points contradict the others that an effect is missing rather than that hands slipped."""
+        """Whether too many points contradict the others for single mistakes: an effect is missing."""
         single = len(self._single())
         return single >= SYSTEMATIC_COUNT and single > SYSTEMATIC_SHARE * self.points_count
 
     def in_words(self) -> tuple[str, ...]:
-        """One sentence each, setups first; an encoder that slipped and stayed so is told once."""
+        """One sentence each, setups first; a lasting encoder slip is reported once."""
         said = [] if self.is_systematic else [one.words for one in self.setups]
         said += [self.slip.words] if self.slip is not None else []
         single = self._single()
-        told = TOLD_IF_SYSTEMATIC if self.is_systematic else TOLD_LIMIT
+        told = REPORTED_IF_SYSTEMATIC if self.is_systematic else REPORTED_LIMIT
         said += [one.words for one in single[:told]]
         if len(single) > told:
-            said.append(f"{len(single) - told} more points contradict the others, by less than these")
+            said.append(f"{len(single) - told} more points contradict the others, less than those listed")
         return tuple(said)
 
     def _single(self) -> list[Outlier]:

@@ -31,16 +31,14 @@ def path_criteria(runs: Runs) -> tuple[Criterion, list[PathTrace]]:
             points, attained = _attained(cycles)
             accuracy = path.path_accuracy(points, attained)
             remark = (
-                f"{accuracy.skipped} of {len(points)} calculation points not passed"
-                if accuracy.skipped
-                else ""
+                f"{accuracy.skipped} of {len(points)} calculation points skipped" if accuracy.skipped else ""
             )
             figures.append(Figure("AT_p", accuracy.total_m, "m", name, len(cycles), remark=remark))
             if len(cycles) >= 2:
                 scatter = path.path_repeatability(points, attained)
                 figures.append(Figure("RT_p", scatter.total_m, "m", name, len(cycles), remark=remark))
             else:
-                needs.append(f"for the path repeatability of {name} a second run; there is one")
+                needs.append(f"for the path repeatability of {name} at least two runs; got one")
             traces.append(PathTrace(name, frozen(points), frozen(attained)))
         except Iso9283Error as error:
             needs.append(f"{name}: {error}")
@@ -54,8 +52,8 @@ def reorientation_criterion(runs: Runs, joint_count: int) -> Criterion:
     """9: AT_p of runs on a straight path along which the orientation turns (programme reorientation)."""
     groups = _path_groups(runs, lambda run: run.programme == "reorientation")
     if not groups:
-        why = " (this arm's three joints are all taken by the tip's position)" if joint_count <= 3 else ""
-        need = f"an arm that turns the tip while it follows a line{why}: runs of programme reorientation in log.csv"
+        why = " (three joints only set the tip's position)" if joint_count <= 3 else ""
+        need = f"an arm that rotates the tip along a line{why}: runs of programme reorientation in log.csv"
         return criterion(9, (), (need,))
     figures, needs = [], []
     for name, cycles in groups.items():
@@ -72,9 +70,7 @@ def cornering_criterion(runs: Runs, corners: Sequence[Array] | None) -> Criterio
     groups = _path_groups(runs, lambda run: run.programme == "rectangle")
     if not groups or corners is None:
         need = NO_LOG + "runs around a rectangle (programme rectangle)"
-        return criterion(
-            10, (), (need if not groups else "programme.json, which says where the corners are",)
-        )
+        return criterion(10, (), (need if not groups else "programme.json, which holds the corners",))
     figures = []
     for name, cycles in groups.items():
         seen = [run.seen_m for run in cycles if len(run.seen_m) > 1]
@@ -125,10 +121,10 @@ def _velocity(cycles: Runs) -> tuple[velocity.PathVelocity, float, str]:
         at, speed = velocity.speeds(run.time_s, run.set_m, window_s)
         commanded.append(float(speed[(first <= at) & (at <= last)].mean()))
     wanted = float(np.mean(commanded))
-    remark = f"speeds by the camera over {window_s:.2f} s, on the middle half of the time"
+    remark = f"camera speeds over {window_s:.2f} s, in the middle half of the run"
     asked = cycles[0].speed_m_s
     if np.isfinite(asked) and wanted < 0.98 * asked:
-        remark += f"; {asked:.3f} m/s were asked for, and the planner slowed the path to the arm's limits"
+        remark += f"; {asked:.3f} m/s were requested; the planner slowed the path to the arm's limits"
     return velocity.path_velocity(wanted, measured), wanted, remark
 
 

@@ -134,7 +134,9 @@ def drift_criterion(groups: Groups) -> Criterion:
     n = min(len(first.attained_m), len(last.attained_m))
     figures = [
         Figure("dAP_p", change.accuracy_m, "m", where, n),
-        Figure("|barycentre shift|", change.barycentre_m, "m", where, n, remark="no figure of the standard"),
+        Figure(
+            "|barycentre shift|", change.barycentre_m, "m", where, n, remark="not defined in the standard"
+        ),
     ]
     if change.repeatability_m is not None:
         figures.insert(1, Figure("dRP_l", change.repeatability_m, "m", where, n))
@@ -148,7 +150,7 @@ def exchange_criterion(groups: Groups, others: Mapping[str, Groups]) -> Criterio
         []
         if len(others) >= 4
         else [
-            f"the same programme by other arms of this type in the same place, five in all (--other POINTS); got {len(others)}"
+            f"the same programme run by four other arms of this type in the same place (--other POINTS); got {len(others)}"
         ]
     )
     if own is None or not others:
@@ -161,7 +163,7 @@ def exchange_criterion(groups: Groups, others: Mapping[str, Groups]) -> Criterio
         away = float(np.linalg.norm(other.commanded_m - own.commanded_m))
         if away > SAME_POSE_m:
             raise Iso9283Error(
-                f"{name}: its P1 was commanded {1e3 * away:.3f} mm away from this arm's: exchangeability takes the same"
+                f"{name}: its commanded P1 is {1e3 * away:.3f} mm from this arm's: exchangeability needs the same"
                 " programme (--cube-centre and --cube-edge)"
             )
         clouds.append(other.attained_m)
@@ -236,7 +238,7 @@ def _unseen(groups: Groups) -> list[str]:
         return []
     visits = missing + sum(len(group.attained_m) for group in groups)
     where = _listed([_named(group) for group in groups if group.unseen])
-    return [f"a measured tip (x_m, y_m, z_m, by a camera) in {missing} of {visits} visits: of {where}"]
+    return [f"a tip measured by a camera (x_m, y_m, z_m) in {missing} of {visits} visits: of {where}"]
 
 
 def _listed(names: Sequence[str]) -> str:

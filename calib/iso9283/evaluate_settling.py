@@ -32,13 +32,13 @@ def settling_criteria(runs: Runs, bands: Bands | None) -> tuple[Criterion, Crite
     if not approaches or bands is None:
         need = NO_LOG + "approaches to P1 until the arm rests (programme approach)"
         if approaches:
-            need = "a limit band: --band-m, or repeated visits of P1, whose repeatability it is"
+            need = "a limit band: --band-m, or repeated visits of P1 (the band is their repeatability)"
         return criterion(4, (), (need,)), criterion(5, (), (need,)), []
     times, peaks, traces, needs = [], [], [], []
     is_seen = all(len(run.seen_m) > 2 for run in approaches)
     if not is_seen:
         needs.append(
-            "for the tip itself a measured position (x_m, y_m, z_m, by a camera); the encoders do not see it"
+            "for the tip itself a position measured by a camera (x_m, y_m, z_m); encoders do not measure it"
         )
     for source in (CAMERA, ENCODERS) if is_seen else (ENCODERS,):
         band_m, remark = _band(approaches, source, bands)
@@ -79,7 +79,7 @@ def _band(runs: Runs, source: str, bands: Bands) -> tuple[float, str]:
     if noise_m <= bands.wanted_m:
         return bands.wanted_m, f"limit band {1e3 * bands.wanted_m:.3f} mm ({bands.source})"
     return noise_m, (
-        f"limit band {1e3 * noise_m:.3f} mm: single measurements scatter that much at rest;"
+        f"limit band {1e3 * noise_m:.3f} mm: the scatter of single measurements at rest;"
         f" {bands.source} is {1e3 * bands.wanted_m:.3f} mm"
     )
 

@@ -50,7 +50,7 @@ class RecordFile:
         lines = list(csv.reader(io.StringIO(whole)))
         if lines[0] != self._header:
             raise Iso9283Error(
-                f"{path}: has other columns than this recording would write: choose another folder"
+                f"{path}: its columns differ from those of this recording: choose another folder"
             )
         self.rows = [dict(zip(self._header, line, strict=True)) for line in lines[1:]]
         if whole.encode() != content:

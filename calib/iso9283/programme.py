@@ -45,7 +45,7 @@ class Extent:
         """Iso9283Error for counts that make no test, or programmes that there are not."""
         if self.repeats < 2 or self.path_cycles < 2 or self.drift_sets < 2:
             raise Iso9283Error(
-                "a scatter takes at least 2 repeats, 2 path cycles and 2 drift sets:"
+                "repeatability needs at least 2 repeats, 2 path cycles and 2 drift sets:"
                 f" got {self.repeats}, {self.path_cycles} and {self.drift_sets}"
             )
         if not self.speed_shares or not all(0.0 < share <= 1.0 for share in self.speed_shares):

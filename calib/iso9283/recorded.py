@@ -135,11 +135,11 @@ def _commanded(points: Points, arm: Arm, path: str) -> tuple[Array, str]:
     """Commanded positions (m, 3): columns, or set-points or encoders through the arm's kinematics."""
     given = _columns(points, SET, path)
     if given is not None:
-        return given, "commanded positions are those of the columns x_set_m, y_set_m, z_set_m"
+        return given, "commanded positions: columns x_set_m, y_set_m, z_set_m"
     if points.joint_count != arm.joint_count:
         raise Iso9283Error(
-            f"{path}: no commanded positions: it has no columns {', '.join(SET)}, and angles of {points.joint_count} joints"
-            f" do not fit arm {arm.name} with {arm.joint_count}: give the columns, or the right --arm"
+            f"{path}: no commanded positions: columns {', '.join(SET)} are missing, and arm {arm.name} has {arm.joint_count}"
+            f" joints, the file {points.joint_count}: add the columns, or give the right --arm"
         )
     of_joints, of_encoders = (
         tuple(form.format(j) for j in range(1, arm.joint_count + 1))
@@ -147,9 +147,9 @@ def _commanded(points: Points, arm: Arm, path: str) -> tuple[Array, str]:
     )
     q_rad = _columns(points, of_joints, path)
     q_rad = _columns(points, of_encoders, path) if q_rad is None else q_rad
-    source = "set-points" if q_rad is not None else "encoder angles, where the arm stood,"
+    source = "set-points" if q_rad is not None else "encoder angles at rest"
     tips = Kinematics(arm).tips(points.q_rad if q_rad is None else q_rad)
-    return tips, f"commanded positions are the {source} through the kinematics of arm {arm.name}"
+    return tips, f"commanded positions: forward kinematics of arm {arm.name} at the {source}"
 
 
 def _columns(points: Points, names: Sequence[str], path: str) -> Array | None:

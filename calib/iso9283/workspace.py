@@ -35,8 +35,8 @@ def largest_cube(arm: Arm) -> TestCube:
     found = [cube for solver in solvers(arm) if (cube := _grown(arm, solver, reach_m(arm))) is not None]
     if not found:
         raise Iso9283Error(
-            f"arm {arm.name}: no test cube of {SMALLEST_EDGE_m:g} m fits into its workspace within the joint limits and"
-            f" {CLEARANCE_m:g} m above its floor: give one with --cube-centre and --cube-edge"
+            f"arm {arm.name}: no test cube of {SMALLEST_EDGE_m:g} m fits within the joint limits and {CLEARANCE_m:g} m above"
+            " the floor: give one with --cube-centre and --cube-edge"
         )
     return max(found, key=lambda cube: cube.edge_m)
 
@@ -53,8 +53,8 @@ def solver_of(arm: Arm, cube: TestCube) -> Solver:
             return solver
         reasons.append(reason)
     raise Iso9283Error(
-        f"arm {arm.name}: the test cube at {cube.centre_m} m with edge {cube.edge_m:g} m is not all within reach:"
-        f" {reasons[0]}; choose another with --cube-centre and --cube-edge, or leave both out"
+        f"arm {arm.name}: part of the test cube at {cube.centre_m} m with edge {cube.edge_m:g} m is out of reach:"
+        f" {reasons[0]}; choose another with --cube-centre and --cube-edge, or omit both"
     )
 
 
@@ -137,5 +137,5 @@ def _obstacle(arm: Arm, solver: Solver, cube: TestCube, clearance_m: float) -> s
         arm.joint_count >= 3
         and np.linalg.svd(jacobians, compute_uv=False)[:, -1].min() < LEAST_SINGULAR_M_RAD
     ):
-        return "the arm is near-singular in it"
+        return "the arm is near-singular inside it"
     return ""

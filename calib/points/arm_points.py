@@ -26,13 +26,13 @@ def points_for(arm: Arm, files: Sequence[Path]) -> tuple[Points, tuple[str, ...]
 
 
 def require_recorded_of(arm: Arm, file: Path) -> None:
-    """UnusablePointsError where what was kept beside a recording says that it is of an arm of another name."""
+    """UnusablePointsError where the record beside the points names another arm."""
     for name in RECORDS:
         recorded = _arm_in(file.parent / name)
         if recorded is not None and recorded != arm.name:
             raise UnusablePointsError(
-                f'{file}: recorded of arm "{recorded}" by {name} beside it, expected arm "{arm.name}": give the file of arm'
-                f' "{recorded}" with --arm, or points of "{arm.name}"'
+                f'{file}: expected points of arm "{arm.name}", got points of "{recorded}" according to {name} beside it: give'
+                f' the file of "{recorded}" with --arm, or points of "{arm.name}"'
             )
 
 

@@ -200,7 +200,7 @@ class _Columns:
     def warnings(self, path: Path) -> tuple[str, ...]:
         """One sentence about columns that the format does not know, if there are any."""
         strange = [name for name in self.extra if not OWN_EXTRAS.fullmatch(name)]
-        return (f"{path}: unknown columns kept and not used: {', '.join(strange)}",) if strange else ()
+        return (f"{path}: unknown columns ignored: {', '.join(strange)}",) if strange else ()
 
     @property
     def extra(self) -> tuple[str, ...]:
@@ -288,7 +288,7 @@ class _Table:
         if "x_m" in self._numeric:
             unknown = [name for name in TIP if math.isnan(self._numeric[name][1][-1])]
             if 0 < len(unknown) < 3:
-                raise self._bad(line, unknown[0], "", "a number, as the other coordinates have one")
+                raise self._bad(line, unknown[0], "", "a number, since the other coordinates are given")
         for name in _each(self._columns.joint_count, "dir{}"):
             if name in self._numeric and self._numeric[name][1][-1] not in (-1.0, 0.0, 1.0):
                 value = self._numeric[name][1]

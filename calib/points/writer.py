@@ -82,7 +82,7 @@ class PointsWriter:
     def __init__(self, path: Path, joint_count: int) -> None:
         """Open or create the file."""
         if path.name.endswith(".gz"):
-            raise SessionError(f"{path}: a session appends to plain .csv, not to .gz")
+            raise SessionError(f"{path}: a session writes plain .csv, not .gz; name another file")
         self._path, self._joint_count = path, joint_count
         self._header = _line(_header(joint_count))
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -136,9 +136,7 @@ class PointsWriter:
         warnings: tuple[str, ...] = ()
         if len(whole) < len(content):
             torn = content[len(whole) :].decode(errors="replace")
-            warnings = (
-                f'{self._path}: the last line was not written to its end and is dropped: "{torn[:60]}"',
-            )
+            warnings = (f'{self._path}: the last line is incomplete and is dropped: "{torn[:60]}"',)
         if not whole:
             whole = self._header.encode()
         first = whole.split(b"\n", 1)[0].decode(errors="replace").strip()
@@ -158,9 +156,7 @@ class PointsWriter:
         points, _ = read_points(self._path, self._joint_count)
         keys = list(zip(points.setup, points.point, points.repeat, strict=True))
         if len(keys) != len(lines) or len(set(keys)) < len(keys):
-            raise SessionError(
-                f"{self._path}: a point is there twice, or a line is empty: was it edited by hand?"
-            )
+            raise SessionError(f"{self._path}: a point appears twice, or a line is empty: undo manual edits")
         return dict(zip(keys, lines, strict=True))
 
     def _row(self, record: Record) -> list[str]:

@@ -36,7 +36,7 @@ def calibration_section(comparison: Comparison) -> Section:
     return Section(
         "At the calibration points",
         paragraph(
-            "These points made the result, so they flatter it; judge by points that were not used.", "soft"
+            "The fit used these points, so their errors are biased low; judge by points not used.", "soft"
         )
         + comparison_table(comparison)
         + vector_picture(comparison)
@@ -55,8 +55,8 @@ def paths_section(pairs: Sequence[TrackPair]) -> Section:
         comparison_table(along, "parts")
         + bullets(findings(along))
         + paragraph(
-            f"Each path counts as {PARTS} parts, each with its mean error vector: neighbouring camera frames miss by the"
-            " same amount, and their number would feign certainty.",
+            f"Each path counts as {PARTS} parts, each with its mean error vector: errors of neighbouring camera frames are"
+            " correlated and would make the interval too narrow.",
             "soft small",
         )
         + figures,

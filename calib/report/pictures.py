@@ -130,7 +130,7 @@ def _draw_histogram(axes: Axes, comparison: Comparison) -> None:
         axes.axvline(float(errors.mean()), color=colour, lw=1.5, ls="--" if label == "before" else "-")
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.set(xlabel="distance between wanted and measured tip [mm]", ylabel="points")
+    axes.set(xlabel="distance between commanded and measured tip [mm]", ylabel="points")
     axes.set_title("errors (lines: means)", loc="left")
     axes.legend()
 

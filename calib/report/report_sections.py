@@ -37,14 +37,14 @@ def parameters_section(found: Identification) -> Section:
     before, after = found.objective_before, found.objective_after
     return Section(
         "Parameters",
-        f"<p>Objective {said(found.objective)}: {before:.6g} before, {after:.6g} after (SI units). Left at the points"
-        f": {1e3 * found.noise_m:.3f} mm per axis (standard deviation).</p>"
-        + heading("What the data determine, and what they do not")
+        f"<p>Objective {said(found.objective)}: {before:.6g} before, {after:.6g} after (SI units). Residual"
+        f" {1e3 * found.noise_m:.3f} mm per axis (standard deviation).</p>"
+        + heading("What the data determine")
         + bullets(found.in_words())
         + table(header, [_parameter_row(estimate) for estimate in of_the_arm(found)])
         + paragraph(
-            "sd: standard deviation of what the data determine of this parameter. Where parameters move together, only"
-            " their combination has a meaning; the values given are those nearest to nominal.",
+            "sd: standard deviation of the part of this parameter that the data determine. Where parameters move together,"
+            " only their combination is meaningful; the values are those nearest to nominal.",
             "soft small",
         ),
     )
@@ -70,8 +70,8 @@ def frames_section(found: Identification) -> Section:
     ]
     header = ("frame", "x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
     return Section(
-        "Where boards and base stood",
-        paragraph("Identified with the rest; origin and rotation vector in the arm's base frame.")
+        "Poses of boards and base",
+        paragraph("Identified with the parameters; origin and rotation vector in the arm's base frame.")
         + table(header, rows),
     )
 
@@ -134,4 +134,4 @@ def _tool(nominal: Arm, calibrated: Arm) -> str:
     if before == after:
         return ""
     was, now = (", ".join(f"{1e3 * part:.3f}" for part in place) for place in (before, after))
-    return f"Tip in the last frame: {was} mm originally, {now} mm calibrated."
+    return f"Tip in the last frame: {was} mm nominal, {now} mm calibrated."

@@ -54,15 +54,13 @@ class Verification:
             f"The calibrated arm is {_spelled(entry.difference)} over {entry.after.count} points:"
             f" {before:.2f} mm before, {after:.2f} mm after ({entry.improvement_percent:+.1f} %)."
         ]
-        said += [
-            f"Board {one.setup}: worse, though all points together are not." for one in self._worse_alone()
-        ]
+        said += [f"Board {one.setup}: worse, although the total is not." for one in self._worse_alone()]
         along = compare_tracks(self.paths)
         if along is not None:
             said.append(f"Along trajectories: {along.of(ALL).difference.in_words()}.")
         if self.used_count:
             said.append(
-                f"The calibration had seen {self.used_count} of the poses: this flatters it, and is no verification."
+                f"{self.used_count} of the poses were used for the calibration: the result is biased and verifies nothing."
             )
         return tuple(said)
 

@@ -108,7 +108,7 @@ class Boards:
             return None
         found = register_boards(seen, self.cavities_m)[setup]
         if len(names) - len(found.outliers) < 3:
-            raise RegistrationError(f"setup {setup}: too few markers agree")
+            raise RegistrationError(f"setup {setup}: fewer than three markers agree; measure them again")
         self._place(setup, BoardPose(found.rotation, found.origin_m))
         return found
 
@@ -127,7 +127,7 @@ def _require_tilt(setup: str) -> None:
     tilts = (*tables.SETUPS, *OTHER_TILTS)
     if setup not in tilts:
         raise SessionError(
-            f'setup of a board whose place is known: expected one of {", ".join(tilts)}, got "{setup}"'
+            f'setup of a board with a known pose: expected one of {", ".join(tilts)}, got "{setup}"'
         )
 
 

@@ -38,5 +38,5 @@ def _meant(
 def _unnamed(state: SessionState, event: Event, asked: Target | None) -> Key:
     key = (asked.key if asked else None) if event is Event.SKIP else state.last
     if key is None:
-        raise SessionError(f"{event.value} what? Name the point: {event.value} [setup] point [repeat]")
+        raise SessionError(f"{event.value}: no point given; type {event.value} [setup] point [repeat]")
     return key

@@ -116,7 +116,7 @@ class _Conductor:
             for setup in self._boards.poses:
                 self._walk.stands_over(self._boards.origin_m(setup), self._boards.normal(setup))
         if self._walk.is_at_point:
-            yield Message("the tip may be at a point: the arm will first lift it straight off")
+            yield Message("the tip may be at a point: the arm first retracts it along the board's normal")
 
     def _next(self) -> Target | None:
         target = self._folder.state.next(self._standing or self._folder.standing)
@@ -241,10 +241,10 @@ class _Conductor:
         if not target.is_free and self._boards.kind == "known":
             cavity = self._boards.reference_m(target)
         record = take(target, cavity, self._arm, station.settings, station.camera, station.clock_offset_s)
-        sighting = self._survey.sighting(record)
-        verdict = station.watch.judge(sighting)
+        observation = self._survey.observation(record)
+        verdict = station.watch.judge(observation)
         kept = self._folder.record(record)
-        station.watch.add(kept.key, sighting)
+        station.watch.add(kept.key, observation)
         yield Recorded(kept, verdict)
         if not target.is_free:
             yield from self._survey.place(target.setup)
@@ -272,7 +272,7 @@ class _Conductor:
             yield Message("noted")
         elif command.jog is not None:
             if self._is_released:
-                raise SessionError("the drives are off: the hand moves the arm, not jog")
+                raise SessionError("the drives are off: move the arm by hand; jog needs the drives on")
             self._arm.creep_to_q(jogged(command.jog, self._arm, self._station.geometry))
         else:
             changed = done_to(self._folder, command, target, self._standing or self._folder.standing)

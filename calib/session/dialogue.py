@@ -11,12 +11,12 @@ from calib.session.residual_watch import Verdict
 
 
 class Question(Enum):
-    """What the session waits for. The answer GO says that it is so."""
+    """What the session waits for. The answer GO confirms it."""
 
-    BOARD = "the board stands as the setup says"
-    NEXT = "the arm may move: nobody touches it"
-    TAKE = "a hand has the tip, the drives may let go"
-    SEATED = "the tip sits in the cavity"
+    BOARD = "the board is placed for this setup"
+    NEXT = "nobody touches the arm; it may move"
+    TAKE = "a hand supports the tip; the drives may release"
+    SEATED = "the tip is seated in the cavity"
     DONE = "the session may end"
 
 

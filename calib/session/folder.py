@@ -156,11 +156,13 @@ class SessionFolder:
 
 def _begun(folder: Path, wanted: SessionPlan | None) -> SessionPlan:
     if wanted is None:
-        raise SessionError(f"{folder}: no session to resume: {PLAN} is not there")
+        raise SessionError(f"{folder}: no session to resume: {PLAN} is missing")
     for name in (POINTS, JOURNAL):
         file = folder / name
         if file.exists() and file.stat().st_size:
-            raise SessionError(f"{file} is there, but no {PLAN}: not a session's folder; name another --out")
+            raise SessionError(
+                f"{folder}: {file.name} exists without {PLAN}: not a session folder; name another --out"
+            )
     wanted.require_sound()
     folder.mkdir(parents=True, exist_ok=True)
     return wanted

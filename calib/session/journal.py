@@ -58,6 +58,4 @@ class Journal:
             entry = json.loads(line)
             if isinstance(entry, dict) and isinstance(entry.get("event"), str):
                 return entry
-        raise SessionError(
-            f"{self._path}, line {number}: not an entry of a session's journal: was it edited by hand?"
-        )
+        raise SessionError(f"{self._path}, line {number}: not a journal entry: undo manual edits")

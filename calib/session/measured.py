@@ -18,7 +18,7 @@ from calib.session.dialogue import Command, Message, Saying
 from calib.session.folder import SessionFolder
 from calib.session.moves.ports import Vector
 from calib.session.plan import FREE
-from calib.session.residual_watch import ResidualWatch, Sighting
+from calib.session.residual_watch import ResidualWatch, TipObservation
 
 MARKERS, BOARDS = "markers.csv", "boards.json"
 
@@ -35,16 +35,16 @@ class BoardSurvey:
         points = self._folder.points()
         if points is None:
             return
-        for key, sighting in _sightings(points, self._boards):
-            self._watch.add(key, sighting)
+        for key, observation in _observations(points, self._boards):
+            self._watch.add(key, observation)
         for setup in dict.fromkeys(points.setup):
             yield from self.place(setup)
 
-    def sighting(self, record: Record) -> Sighting:
+    def observation(self, record: Record) -> TipObservation:
         """A record as the watch sees it."""
         if record.tip_m is not None:
-            return Sighting(record.setup, record.q_rad, record.tip_m)
-        return Sighting(record.setup, record.q_rad, self._boards.cavities_m[record.point], True)
+            return TipObservation(record.setup, record.q_rad, record.tip_m)
+        return TipObservation(record.setup, record.q_rad, self._boards.cavities_m[record.point], True)
 
     def place(self, setup: str) -> Generator[Saying, Command, None]:
         """Register a board that the camera measures, and write what was found."""
@@ -73,24 +73,24 @@ class BoardSurvey:
         write_boards(self._folder.path / BOARDS, arm, self._found, {}, date, program)
 
 
-def _sightings(points: Points, boards: Boards) -> list[tuple[object, Sighting]]:
+def _observations(points: Points, boards: Boards) -> list[tuple[object, TipObservation]]:
     """The records of a file, by key, in order."""
-    found: list[tuple[object, Sighting]] = []
+    found: list[tuple[object, TipObservation]] = []
     for k in range(len(points)):
         setup, point, repeat = points.setup[k], points.point[k], points.repeat[k]
         x, y, z = points.tip_m[k].tolist()
         is_unknown = x != x
         place: Vector = boards.cavities_m[point] if is_unknown else (x, y, z)
-        sighting = Sighting(setup, tuple(points.q_rad[k].tolist()), place, is_unknown)
-        found.append(((setup, point, repeat), sighting))
+        observation = TipObservation(setup, tuple(points.q_rad[k].tolist()), place, is_unknown)
+        found.append(((setup, point, repeat), observation))
     return found
 
 
 def _described(setup: str, found: Registration) -> str:
     worst = max(zip(norms(found.residual_m), found.names, strict=True))
     text = (
-        f"board {setup}: placed by {len(found.names)} cavities, {1e3 * found.noise_m:.2f} mm per axis,"
-        f" worst {worst[1]} with {1e3 * float(worst[0]):.2f} mm"
+        f"board {setup}: pose from {len(found.names)} cavities, residual {1e3 * found.noise_m:.2f} mm per axis,"
+        f" largest {1e3 * float(worst[0]):.2f} mm at {worst[1]}"
     )
     if found.outliers:
         text += f"; not used: {', '.join(found.outliers)} (`redo` them)"

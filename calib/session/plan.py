@@ -79,21 +79,21 @@ class SessionPlan:
             raise SessionError("the session has no points: check --setups, --points, --plan and --free")
         for target in self.targets:
             if target.is_free and target.q_rad is None:
-                raise SessionError(f"{target.name}: a free pose takes joint angles")
+                raise SessionError(f"{target.name}: a free pose needs joint angles")
             if not (target.setup.strip() and target.point.strip()) or len(target.name.splitlines()) > 1:
-                raise SessionError(f"names of setups and points are one line of text, got {target.name!r}")
+                raise SessionError(f"setup and point: expected one line of text, got {target.name!r}")
         keys = [target.key for target in self.targets]
         if len(set(keys)) < len(keys):
             twice = next(key for k, key in enumerate(keys) if key in keys[:k])
             raise SessionError(f"{' '.join(map(str, twice))} is planned twice: use --repeats")
         if self.board == "measured" and not self.has_camera:
-            raise SessionError("a board that the camera is to measure takes --camera")
+            raise SessionError("a board measured by the camera needs --camera")
         if self.seat == "jog" and self.board != "known":
             raise SessionError(
-                f"--seat jog takes a board whose place is known, not {self.board}: guide the tip by hand"
+                f"--seat jog needs a board with a known pose, got {self.board}: guide the tip by hand"
             )
         if any(t.is_free for t in self.targets) and not self.has_camera:
-            raise SessionError("free poses are worth nothing unless the camera sees the tip: add --camera")
+            raise SessionError("free poses need a camera that measures the tip: add --camera")
 
 
 def board_targets(
@@ -172,11 +172,11 @@ def from_json(text: str, path: Path) -> tuple[SessionPlan, str]:
 
 
 def require_same(begun: SessionPlan, wanted: SessionPlan, where: Path) -> None:
-    """SessionError that says what differs where a session is resumed with another plan."""
+    """SessionError naming the difference where a session is resumed with another plan."""
     if begun.arm_sha256 != wanted.arm_sha256:
         raise SessionError(
-            f"{where} is a session of arm {begun.arm!r} as its file was then ({begun.arm_sha256[:12]}); now it is"
-            f" {wanted.arm!r} ({wanted.arm_sha256[:12]}): name the same arm, or another --out for a new session"
+            f"{where}: this session began with arm {begun.arm!r} (file {begun.arm_sha256[:12]}), got {wanted.arm!r} (file"
+            f" {wanted.arm_sha256[:12]}): give the same arm file, or another --out for a new session"
         )
     for what, before, now in (
         ("board", begun.board, wanted.board),
@@ -185,12 +185,14 @@ def require_same(begun: SessionPlan, wanted: SessionPlan, where: Path) -> None:
         ("payload in kg", begun.payload_kg, wanted.payload_kg),
     ):
         if before != now:
-            raise SessionError(f"{where} was begun with {what} {before}, now it is {now}: {_REMEDY}")
+            raise SessionError(f"{where}: this session began with {what} {before}, got {now}: {_REMEDY}")
     if begun.targets != wanted.targets:
-        raise SessionError(f"{where} was begun with another plan: {_difference(begun, wanted)}: {_REMEDY}")
+        raise SessionError(
+            f"{where}: this session began with another plan ({_difference(begun, wanted)}): {_REMEDY}"
+        )
 
 
-_REMEDY = "leave the options away to resume it, or name another --out"
+_REMEDY = "omit the options to resume it, or name another --out"
 
 
 def _difference(begun: SessionPlan, wanted: SessionPlan) -> str:

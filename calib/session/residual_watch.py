@@ -2,7 +2,7 @@
 
 An arm that is not calibrated is centimetres off, but not anyhow: its DH parameters are off by some millimetres and degrees.
 From the records before, the most likely DH deviations are estimated (Gauss-Newton, a normal prior of half the usual bounds),
-and with them where the new record should be and how surely. The surprise is the distance from there in standard deviations
+and with them where the new record should be and how surely. The result is the distance from there in standard deviations
 (the normalised innovation of a Kalman filter).
 """
 
@@ -35,22 +35,22 @@ CLIP = 3.0  # robust: a residual beyond this many times the noise counts no more
 class Verdict:
     """What a record says. error_m: tip minus model, (3,) at nominal; NaN where the board's place is unknown.
 
-    surprise: distance from what the records before say, in standard deviations; off_m: the same in m. Both NaN
-    where there are too few before.
+    off_sd: distance from the prediction of earlier records, in standard deviations; off_m: the same in m. Both NaN
+    where there are too few of them.
     """
 
     error_m: Array
     off_m: float = float("nan")
-    surprise: float = float("nan")
+    off_sd: float = float("nan")
 
     @property
     def is_suspect(self) -> bool:
-        """Whether it looks as if the tip sat beside its cavity."""
-        return self.surprise > SUSPECT
+        """Whether the tip was probably not in its cavity."""
+        return self.off_sd > SUSPECT
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
+class TipObservation:
     """One record as the watch sees it: the tip as table or camera says, or where the board is unknown in its frame."""
 
     setup: str
@@ -60,24 +60,24 @@ class Sighting:
 
 
 class ResidualWatch:
-    """Keeps sightings and judges new ones."""
+    """Keeps observations and judges new ones."""
 
     def __init__(self, arm: Arm) -> None:
         self._dh, self._base = np.array(arm.dh), base_frame_of(arm)
         self._model = (arm.joints, arm.dh_convention, arm.tool.position_m)
         prior = [PRIOR_LENGTH_m, PRIOR_ANGLE_rad, PRIOR_LENGTH_m, PRIOR_ANGLE_rad]
         self._prior = np.array(prior * len(self._dh))
-        self._seen: dict[object, Sighting] = {}
+        self._seen: dict[object, TipObservation] = {}
 
-    def add(self, key: object, sighting: Sighting) -> None:
+    def add(self, key: object, observation: TipObservation) -> None:
         """Believe it from now on."""
-        self._seen[key] = sighting
+        self._seen[key] = observation
 
     def forget(self, key: object) -> None:
         """Believe it no longer."""
         self._seen.pop(key, None)
 
-    def judge(self, new: Sighting) -> Verdict:
+    def judge(self, new: TipObservation) -> Verdict:
         """Compare a record with those before it."""
         before = [one for one in self._seen.values() if not one.is_on_unknown_board or one.setup == new.setup]
         error_m = self._error_m(new)
@@ -85,16 +85,16 @@ class ResidualWatch:
         if len(before) < FEWEST_BEFORE or (new.is_on_unknown_board and on_its_board < FEWEST_ON_UNKNOWN):
             return Verdict(error_m)
         innovation_m, spread_m2 = self._predicted(before, new)
-        surprise = float(np.sqrt(innovation_m @ np.linalg.solve(spread_m2, innovation_m)))
-        return Verdict(error_m, float(np.linalg.norm(innovation_m)), surprise)
+        off_sd = float(np.sqrt(innovation_m @ np.linalg.solve(spread_m2, innovation_m)))
+        return Verdict(error_m, float(np.linalg.norm(innovation_m)), off_sd)
 
-    def _error_m(self, new: Sighting) -> Array:
+    def _error_m(self, new: TipObservation) -> Array:
         if new.is_on_unknown_board:
             return np.full(3, np.nan)
         tip_m = self._base.to_base(np.array([new.place_m]))[0]
         return np.asarray(tip_m - self._tips(self._dh, [new])[0][0])
 
-    def _predicted(self, before: list[Sighting], new: Sighting) -> tuple[Array, Array]:
+    def _predicted(self, before: list[TipObservation], new: TipObservation) -> tuple[Array, Array]:
         """The new record's innovation (3,) [m] and its covariance (3, 3) [m2]."""
         pose = _fitted_pose(new.setup, before, self._tips(self._dh, before)[0])
         scales = np.concatenate((self._prior, np.repeat([PRIOR_POSE_m, PRIOR_POSE_rad], 3)))
@@ -113,27 +113,27 @@ class ResidualWatch:
         return innovation[0], covariance + noise_m**2 * np.eye(3)
 
     def _linearised(
-        self, sightings: list[Sighting], pose: BoardPose, scales: Array, x: Array
+        self, observations: list[TipObservation], pose: BoardPose, scales: Array, x: Array
     ) -> tuple[Array, Array]:
         """Residuals (m, 3), tip minus model, and by how much each unknown lowers them, (m, 3, unknowns)."""
         dh = self._dh + (x * scales)[: self._dh.size].reshape(self._dh.shape)
-        tips, by_dh = self._tips(dh, sightings)
-        places = np.array([one.place_m for one in sightings])
-        is_unknown = np.array([one.is_on_unknown_board for one in sightings])
+        tips, by_dh = self._tips(dh, observations)
+        places = np.array([one.place_m for one in observations])
+        is_unknown = np.array([one.is_on_unknown_board for one in observations])
         tip_m = np.where(is_unknown[:, None], pose.to_base(places), self._base.to_base(places))
         by_pose = -pose_jacobian(places @ pose.rotation.T) * is_unknown[:, None, None]
         return tip_m - tips, np.concatenate((by_dh, by_pose), axis=2) * scales
 
-    def _tips(self, dh: Array, sightings: list[Sighting]) -> tuple[Array, Array]:
-        return tips_and_dh_jacobian(dh, np.array([one.q_rad for one in sightings]), *self._model)
+    def _tips(self, dh: Array, observations: list[TipObservation]) -> tuple[Array, Array]:
+        return tips_and_dh_jacobian(dh, np.array([one.q_rad for one in observations]), *self._model)
 
 
-def _fitted_pose(setup: str, sightings: list[Sighting], tips_m: Array) -> BoardPose:
+def _fitted_pose(setup: str, observations: list[TipObservation], tips_m: Array) -> BoardPose:
     """Where the unknown board of a setup stands by the tips; anywhere if it is not unknown."""
-    rows = [k for k, one in enumerate(sightings) if one.is_on_unknown_board and one.setup == setup]
+    rows = [k for k, one in enumerate(observations) if one.is_on_unknown_board and one.setup == setup]
     if not rows:
         return BoardPose(np.eye(3), np.zeros(3))
-    motion = best_motion(np.array([sightings[k].place_m for k in rows]), tips_m[rows])
+    motion = best_motion(np.array([observations[k].place_m for k in rows]), tips_m[rows])
     return BoardPose(motion.rotation, motion.shift_m)
 
 

@@ -9,7 +9,7 @@ from calib.errors import SessionError
 from calib.session.moves.ports import ArmPort
 
 
-class StillStand:
+class StandstillWindow:
     """Fed with times and joint angles, says when the arm rests."""
 
     def __init__(self, limit_rad: float, duration_s: float) -> None:
@@ -36,7 +36,7 @@ def wait_for_rest(
     arm: ArmPort, limit_rad: float, duration_s: float, patience_s: float, window_s: float
 ) -> None:
     """Return when the arm rests; SessionError if it does not within patience_s. Reads means over window_s."""
-    still = StillStand(limit_rad, duration_s)
+    still = StandstillWindow(limit_rad, duration_s)
     began_s = arm.now_s()
     while True:
         sample = arm.average(window_s)
@@ -47,5 +47,5 @@ def wait_for_rest(
             raise SessionError(
                 f"the arm does not come to rest: a joint still moves by {still.motion_rad:.2g} rad within"
                 f" {duration_s:g} s after {patience_s:g} s (limit {limit_rad:.2g} rad);"
-                " is it pushed, or oscillating?"
+                " check whether it is pushed or oscillates"
             )

@@ -53,10 +53,10 @@ AFTER: Mapping[tuple[Mark, Event], Mark] = MappingProxyType(
     }
 )
 _ADVICE = {
-    (Mark.LEFT, Event.REDO): "it is still to be taken",
-    (Mark.LEFT, Event.BAD): "it is not recorded; `skip` leaves it out",
+    (Mark.LEFT, Event.REDO): "it is not recorded yet",
+    (Mark.LEFT, Event.BAD): "it is not recorded; `skip` omits it",
     (Mark.DONE, Event.RECORDED): "`redo` it first",
-    (Mark.DONE, Event.SKIP): "it is recorded; `bad` takes its record out",
+    (Mark.DONE, Event.SKIP): "it is recorded; `bad` removes the record",
     (Mark.SKIPPED, Event.SKIP): "it is skipped already",
     (Mark.BAD, Event.BAD): "it is marked already",
 }
@@ -84,7 +84,9 @@ class SessionState:
         now = self.marks[key]
         if (now, event) not in AFTER:
             advice = _ADVICE.get((now, event), "`redo` it first")
-            raise SessionError(f"{self.targets[key].name} is {now.value}, so not {event.value}: {advice}")
+            raise SessionError(
+                f"{self.targets[key].name} is {now.value} and cannot become {event.value}: {advice}"
+            )
         return self.marked(key, AFTER[now, event], is_last=event is Event.RECORDED)
 
     def marked(self, key: Key, mark: Mark, is_last: bool = False) -> SessionState:

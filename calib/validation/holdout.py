@@ -107,7 +107,7 @@ class HeldOut:
         """One sentence per fold."""
         what = "scatter" if self.is_scatter else "error"
         return tuple(
-            f"Left out {fold.name} ({len(fold.rows)} points): {what} mean {1e3 * fold.mean_before_m:.3f} mm before,"
+            f"Held out {fold.name} ({len(fold.rows)} points): {what} mean {1e3 * fold.mean_before_m:.3f} mm before,"
             f" {1e3 * fold.mean_after_m:.3f} mm after (rms {1e3 * fold.rms_after_m:.3f}, largest"
             f" {1e3 * fold.max_after_m:.3f})."
             for fold in self.folds
@@ -136,7 +136,7 @@ def held_out(
         if report is not None:
             report(len(folds), len(parts))
     if not folds:
-        raise CalibrationError("held-out error: nothing that was left out can be predicted from the rest")
+        raise CalibrationError("held-out error: no held-out point can be predicted from the others")
     return HeldOut("setup" if chosen == "setup" else f"every {chosen}th point", tuple(folds))
 
 
@@ -144,8 +144,8 @@ def _setups(points: Points) -> list[tuple[str, list[int]]]:
     names = list(dict.fromkeys(points.setup))
     if len(names) < 2:
         raise CalibrationError(
-            f'held-out error: there is one setup ("{names[0]}"), and leaving it out leaves nothing; leave out'
-            f" every {FOLDS_COUNT}th point"
+            f'held-out error: expected two setups or more, got one ("{names[0]}"); hold out every {FOLDS_COUNT}th point'
+            " instead"
         )
     parts = []
     for name in names:
@@ -170,7 +170,7 @@ def _every(points: Points, k: int) -> list[tuple[str, list[int]]]:
     """Interleaved; repeats of a point stay together where there are points enough."""
     if not 2 <= k <= len(points):
         raise CalibrationError(
-            f"held-out error: expected every k-th point to be left out with k from 2 to {len(points)}, got {k}"
+            f"held-out error: expected to hold out every k-th point, k from 2 to {len(points)}; got {k}"
         )
     keys: list[object] = list(zip(points.setup, points.point, strict=True))
     if len(set(keys)) < GROUPS_PER_FOLD * k:

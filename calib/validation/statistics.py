@@ -35,7 +35,7 @@ class Finding(Enum):
 
     BETTER = "better"
     WORSE = "worse"
-    NOTHING = "no difference that these points show"
+    NOTHING = "no significant difference"
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,9 +30,7 @@ class Track:
         """The samples at which the tip was seen; CalibrationError if it never was."""
         rows = np.flatnonzero(np.isfinite(self.measured_m).all(axis=1))
         if not len(rows):
-            raise CalibrationError(
-                f"track {self.name}: the tip was measured at no time; leave it out of the report"
-            )
+            raise CalibrationError(f"track {self.name}: the tip was never measured; omit it from the report")
         return self.chosen(rows)
 
     def chosen(self, rows: npt.NDArray[np.intp] | slice) -> Track:

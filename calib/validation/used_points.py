@@ -34,17 +34,15 @@ def already_used(calibrated: Arm, q_rad: Array, sha256: str = "") -> Used:
         return Used(
             0,
             (
-                f"arm {calibrated.name} does not say what it was calibrated with: whether these points were used for it"
-                " is not known",
+                f"arm {calibrated.name} does not name its calibration data: whether these points were used for it is"
+                " unknown",
             ),
         )
     name = next((name for name, digest in made.inputs.items() if sha256 and digest == sha256), None)
     if name is not None:
         return Used(
             len(q_rad),
-            (
-                f"these points are {name}, from which the arm was calibrated: they flatter it, and verify nothing",
-            ),
+            (f"these points are {name}, from which the arm was calibrated: they cannot verify it",),
         )
     said, missing, total = [], [], 0
     for name, digest in made.inputs.items():
@@ -61,8 +59,7 @@ def already_used(calibrated: Arm, q_rad: Array, sha256: str = "") -> Used:
             )
     if missing:
         said.append(
-            f"not beside the calibrated arm, or changed since: {', '.join(missing)}; whether its poses were used again is not"
-            " known"
+            f"missing beside the calibrated arm, or changed: {', '.join(missing)}; whether its poses were reused is unknown"
         )
     return Used(total, tuple(said))
 

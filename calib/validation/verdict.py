@@ -124,7 +124,7 @@ def verdict(
     suspects: Suspects | None = None,
     setups: Sequence[str] = (),
 ) -> Verdict:
-    """What a calibration is worth; `setups` names that of each point, for the advice."""
+    """The quality of a calibration; `setups` names the setup of each point, for the advice."""
     slips = _slips(suspects)
     held = held.without(slips) if held is not None else None
     grade = _grade(found, held, floor, slips)
@@ -133,18 +133,18 @@ def verdict(
         said += _on_held_out(held, floor, len(slips))
     if grade == "over-fitted" and held is not None:
         said.append(
-            f"The points of the fit are {1e3 * found.mean_after_m:.3f} mm off in the mean, those left out"
-            f" {1e3 * float(np.mean(held.after_m)):.3f} mm: parameters follow the noise, or the points left out are of a"
-            " sort that the others do not tell about."
+            f"The mean error is {1e3 * found.mean_after_m:.3f} mm at the points of the fit and"
+            f" {1e3 * float(np.mean(held.after_m)):.3f} mm at held-out points: parameters follow the noise, or the other"
+            " points do not cover the held-out ones."
         )
     if len(set(setups)) == 1 and grade in ("good", "noise not known", "not at the floor"):
-        said.append(f'That holds around the setup "{setups[0]}" alone: nothing elsewhere was tested.')
+        said.append(f'This applies only around the setup "{setups[0]}": nothing else was tested.')
     steps = (*_about_suspects(suspects), *_next(grade, found, floor, sorted(set(setups))))
     return Verdict(grade, tuple(said), steps)
 
 
 def _slips(suspects: Suspects | None) -> frozenset[int]:
-    """Rows of single points that are told to be wrong: they say nothing about the arm."""
+    """Rows of single outliers: they do not count against the arm."""
     if suspects is None or suspects.is_systematic:
         return frozenset()
     return frozenset(one.row for one in suspects.outliers)
@@ -165,7 +165,7 @@ def _grade(
 
 
 def _over_fit(found: Identification, held: HeldOut, slips: Collection[int] = ()) -> float:
-    """How many times farther off points left out are than noise alone would have them, given the fit."""
+    """RMS error at held-out points over its expectation from the fit's residual."""
     share = found.rank / (3.0 * len(found.error_after_m))
     fitted = np.delete(found.error_after_m, sorted(slips), axis=0)
     rms_m = float(np.sqrt(np.mean(np.sum(fitted**2, axis=1))))
@@ -174,21 +174,21 @@ def _over_fit(found: Identification, held: HeldOut, slips: Collection[int] = ())
 
 
 def _answer(grade: Grade, found: Identification) -> str:
-    """The first sentence; a good result with parameters at their bounds says so in it."""
+    """The first sentence; it names parameters at their bounds where the result is good."""
     bound = [estimate.parameter.name for estimate in found.estimates if estimate.is_at_bound]
     if grade == "good" and bound:
         rest = "rests on its bound" if len(bound) == 1 else "rest on their bounds"
         return (
-            f"The result is good on points not used: what is left is about the noise. But {', '.join(bound)} {rest}:"
+            f"The result is good on points not used: the residual is near the noise. But {', '.join(bound)} {rest}:"
             " elsewhere the geometry may be wrong."
         )
     return {
-        "noise not known": "The result is better than nominal; whether it is good is not known, as nothing tells the noise.",
-        "good": "The result is good: what is left on points not used is about the noise.",
-        "not at the floor": "The result is better than nominal, but something other than this geometry is at work.",
-        "over-fitted": "The result is over-fitted: it predicts points that it has not seen much worse than those it has.",
+        "noise not known": "The result is better than nominal; whether it is good is unknown, since the noise is unknown.",
+        "good": "The result is good: the residual on points not used is near the noise.",
+        "not at the floor": "The result is better than nominal, but effects other than this geometry remain.",
+        "over-fitted": "The result is over-fitted: it predicts points not used much worse than those used.",
         "worse": "The result is worse than nominal on points not used: keep the nominal arm.",
-        "too few points": "There are too few points to tell whether the result is good.",
+        "too few points": "There are too few points to judge the result.",
     }[grade]
 
 
@@ -198,19 +198,19 @@ def _on_held_out(held: HeldOut, floor: NoiseFloor | None, slips_count: int = 0) 
     what = "scatter of each cavity's predicted tips" if held.is_scatter else "error"
     change = "better" if held.improvement_percent >= 0.0 else "worse"
     how = "setup by setup" if held.by == "setup" else held.by
-    but = f", but for the {slips_count} that the others contradict" if slips_count else ""
+    but = f", without the {slips_count} that contradict the others" if slips_count else ""
     said = [
-        f"On points not used (left out {how}{but}), the mean {what} went from {before:.3f} to {after:.3f} mm:"
+        f"On points not used (held out {how}{but}), the mean {what} went from {before:.3f} to {after:.3f} mm:"
         f" {abs(held.improvement_percent):.1f} % {change}."
     ]
     if floor is not None:
         said.append(
-            f"The noise of one axis is {1e3 * floor.axis_m:.3f} mm (from {floor.source}), which alone makes a mean distance of"
-            f" {1e3 * floor.mean_m:.3f} mm: the error is {after / (1e3 * floor.mean_m):.2f} times that."
+            f"The noise of one axis is {1e3 * floor.axis_m:.3f} mm (from {floor.source}), a mean distance of"
+            f" {1e3 * floor.mean_m:.3f} mm; the error is {after / (1e3 * floor.mean_m):.2f} times that."
         )
     else:
         said.append(
-            "The noise was not measured: there are no repeats in one posture, and the arm's file gives no camera noise."
+            "The noise is unknown: there are no repeats in one posture, and the arm's file gives no camera noise."
         )
     return [*said, _against_paper(held)]
 
@@ -236,16 +236,16 @@ def _about_suspects(suspects: Suspects | None) -> list[str]:
     count = len(suspects.outliers)
     if suspects.is_systematic:
         return [
-            f"{count} points contradict the others, too many for slips of the hand: they have something in common (a payload,"
-            " a side of approach, a time). Run armwright gap."
+            f"{count} points contradict the others, too many for single mistakes: look for a common cause (payload, side of"
+            " approach, time). Run armwright gap."
         ]
     if suspects.slip is not None:
         return [f"{suspects.slip.words}, then calibrate again."]
     whole = [f'setup "{one.setup}"' for one in suspects.setups]
     single = [f"{count} point{'s' if count > 1 else ''}"] if count else []
     return [
-        f"Look at {' and '.join([*whole, *single])} that the others contradict: measure again or leave out, then calibrate"
-        " again."
+        f"Check {' and '.join([*whole, *single])} that contradict{'' if count != 1 or whole else 's'} the others: measure again"
+        " or exclude, then calibrate again."
     ]
 
 
@@ -254,30 +254,30 @@ def _next(grade: Grade, found: Identification, floor: NoiseFloor | None, setups:
     said = []
     if grade == "too few points":
         said.append(
-            "Take more points: all cavities of the board, in three tilts; armwright plan-poses says which."
+            "Take more points: all cavities of the board, in three tilts; armwright plan-poses chooses them."
         )
     if grade == "not at the floor":
         said.append(
-            "Run armwright gap: it looks for backlash, compliance and what else the residuals show. Poses approached from"
-            " both sides tell backlash."
+            "Run armwright gap: it looks for backlash, compliance and other effects in the residuals. Poses approached from"
+            " both sides show backlash."
         )
     if grade in ("over-fitted", "worse"):
         said.append(
-            "Take free poses away from the board, or more tilts, so that the points cover what the arm is used for; or fix"
+            "Take free poses away from the board, or more tilts, so that the points cover the arm's working volume; or fix"
             " parameters that the points hardly determine."
         )
     if not math.isfinite(found.condition_number) or found.condition_number > CONDITION_LIMIT:
         tilts = "more tilts of the board and " if len(setups) == 1 else ""
         said.append(
-            f"The points hold some parameters {found.condition_number:.0f} times worse than others: {tilts}a dozen poses"
-            " away from the board would hold them better (armwright plan-poses)."
+            f"The points determine some parameters {found.condition_number:.0f} times worse than others: add {tilts}a dozen"
+            " poses away from the board (armwright plan-poses)."
         )
     binding = [e.parameter.name for e in found.estimates if e.is_at_bound and e.is_determined]
     if binding:
         said.append(
-            f"{', '.join(binding)} rest{'s' if len(binding) == 1 else ''} on the bound: measure there, or give a wider bound"
-            " if the part can be that far off."
+            f"{', '.join(binding)} rest{'s' if len(binding) == 1 else ''} on the bound: measure the part, or widen the bound"
+            " if it can deviate that much."
         )
     if grade == "noise not known":
-        said.append("Take three points two or three times each: then the noise is known.")
+        said.append("Record three points two or three times each to measure the noise.")
     return said

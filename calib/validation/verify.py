@@ -94,10 +94,12 @@ def compare(
     """A Comparison; CalibrationError where the arrays do not belong together or hold no numbers."""
     shapes = {np.shape(tip_m), np.shape(before_m), np.shape(after_m), (len(setup), 3), (len(point), 3)}
     if len(shapes) != 1 or not len(setup):
-        raise CalibrationError(f"names, tips and errors of different shape, or none at all: {sorted(shapes)}")
+        raise CalibrationError(
+            f"names, tips and errors: expected equal shapes and at least one point, got {sorted(shapes)}"
+        )
     if not all(np.isfinite(values).all() for values in (tip_m, before_m, after_m)):
         raise CalibrationError(
-            "a tip or an error is not a finite number: leave points out that were not measured"
+            "a tip or an error is not a finite number: remove points that were not measured"
         )
     unknown = np.full(len(setup), np.nan)
     return Comparison(

@@ -36,8 +36,8 @@ def compare_arms(nominal: Arm, calibrated: Arm, points: Points) -> Comparison:
     rows = np.flatnonzero(np.isfinite(errors[0]).all(axis=1) & np.isfinite(errors[1]).all(axis=1))
     if not len(rows):
         raise CalibrationError(
-            "no pose has a tip to compare with: x_m, y_m, z_m are empty, and no setup has"
-            f" {LEAST_POSES} poses in named cavities of the arm's [table]"
+            f"no measured tips: expected x_m, y_m, z_m, or a setup with {LEAST_POSES} poses in named cavities of the arm's"
+            " [table]"
         )
     used = points.chosen(rows)
     tips = np.where(np.isfinite(used.tip_m), used.tip_m, predicted_tips(calibrated, used))

@@ -8,7 +8,7 @@ from pathlib import Path
 from calib.arm_problem.assembly import Choice
 from calib.arm_problem.frames import Frame
 from calib.boards.boards import read_boards
-from calib.design import Plan, Request, Standing, View, in_words, plan_json, plan_poses, write_plan
+from calib.design import Plan, Request, Uncertainty, View, in_words, plan_json, plan_poses, write_plan
 from calib.design.observability import NAMES
 from calib.design.words import known_to
 from calib.errors import CalibrationError
@@ -115,7 +115,7 @@ def described(plan: Plan, arm: str) -> str:
     return "".join([*lines, "\n", *(f"{sentence}\n" for sentence in in_words(plan))])
 
 
-def _figures(state: Standing) -> tuple[str, ...]:
+def _figures(state: Uncertainty) -> tuple[str, ...]:
     found = state.indices.as_dict()
     return (
         f"{1e3 * state.tip_m:.3f}",

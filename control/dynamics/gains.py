@@ -107,7 +107,7 @@ def _inertia_kg_m2(arm: Arm, joint: int) -> float:
     inertia = float(matrices[:, joint - 1, joint - 1].max())
     if inertia <= 0.0:
         raise MissingModel(
-            f"arm {arm.name}: joint {joint} has no inertia to derive gains from; "
+            f"arm {arm.name}: gains of joint {joint} cannot be derived, its inertia is zero; "
             "give rotor_inertia_kg_m2, or kp, ki, kd in [drive.pid]"
         )
     return inertia

@@ -123,7 +123,9 @@ def fit_motor(response: Response) -> MotorFit:
         if best is None or residual < best.residual:
             best = MotorFit(trial.b, trial.a_1_s, trial.delay_s, residual)
     if best is None or best.residual > NO_MOTOR:
-        raise ArmError("tuning: the measured response does not fall with frequency as a motor's does")
+        raise ArmError(
+            "tuning: the measured response is not that of a motor: it does not fall with frequency"
+        )
     return best
 
 
@@ -221,8 +223,8 @@ class Tuner:
         tried = [self.design_at(pole).worst for pole in poles.tolist()]
         most = max((worst.phase_deg for worst in tried if worst.gain_dB >= gain_dB), default=math.nan)
         raise MarginsUnmet(
-            f"no gains keep {gain_dB:g} dB and {phase_deg:g} deg: the largest phase margin with {gain_dB:g} dB is {most:.0f} deg;"
-            " look for play and compliance between motor and joint, and for delay in the loop"
+            f"no gains reach margins of {gain_dB:g} dB and {phase_deg:g} deg: the largest phase margin with {gain_dB:g} dB is"
+            f" {most:.0f} deg; check play and compliance between motor and joint, and delay in the loop"
         )
 
     def at_bandwidth(self, crossover_rad_s: float, gain_dB: float, phase_deg: float) -> Design:
@@ -238,6 +240,6 @@ class Tuner:
         if is_there and design.worst.meet(gain_dB, phase_deg):
             return design
         raise MarginsUnmet(
-            f"a bandwidth of {crossover_rad_s / (2 * math.pi):.2g} Hz leaves too little: {gain_dB:g} dB and {phase_deg:g} deg are"
-            f" kept up to {best.here.crossover_rad_s / (2 * math.pi):.2g} Hz"
+            f"a bandwidth of {crossover_rad_s / (2 * math.pi):.2g} Hz leaves too small margins: {gain_dB:g} dB and"
+            f" {phase_deg:g} deg are met up to {best.here.crossover_rad_s / (2 * math.pi):.2g} Hz"
         )

@@ -194,8 +194,8 @@ def _motors(
 def _compare(where: str, what: str, joint: int, expected: int, got: int) -> None:
     if expected != got:
         raise WrongIdentity(
-            f"{where}: says {got} {what}, but arm.toml says {expected} for joint {joint}; another board, or set up for"
-            " another encoder: correct the one that is wrong"
+            f"{where}: expected {expected} {what} (arm.toml, joint {joint}), got {got}; correct arm.toml, or the board's"
+            " settings"
         )
 
 

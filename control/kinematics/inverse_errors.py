@@ -32,7 +32,7 @@ def near_singular(
     """Return the error for a point that needs a pose `margin` from singular."""
     message = (
         f"arm {name}: {spelled(point)} is near-singular: the {which} would be {margin:.4f} {unit} from {pose} "
-        f"(at least {limit} {unit} are needed); choose a point further from there"
+        f"(least {limit} {unit}); choose a point further away from it"
     )
     return NearSingular(message, which, margin, limit, unit)
 

@@ -51,8 +51,8 @@ class ArmState:
         self.was_stopped = False  # the last motion, before its end
         self.is_weightless = False  # while a hand guides the arm: its drives carry it
         # the mode that is wanted (shutdown)
-        self.wants_hold = False
-        self.is_going_off = False
+        self.is_hold_pending = False
+        self.is_shutting_down = False
         self.is_quitting = False
         self.fault_rows: tuple[bytes, ...] = ()  # the cycles before the first fault (fault_reactions)
 

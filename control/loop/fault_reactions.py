@@ -1,6 +1,6 @@
 """What a fault does to the arm: the controlled stop or the brake that it asks for, and the cycles before it kept.
 
-Writes `fault_rows`, and ends what runs: `paced`, `jogging`, `homing`, `was_stopped`, `wants_hold`.
+Writes `fault_rows`, and ends what runs: `paced`, `jogging`, `homing`, `was_stopped`, `is_hold_pending`.
 """
 
 from dataclasses import replace
@@ -27,7 +27,7 @@ def fail(state: ArmState, fault: Fault) -> None:
         state.stillness.enter_mode(state.now_s)
         state.fault_rows = state.parts.recorder.last_rows()
         state.homing = state.jogging = None
-        state.wants_hold = False
+        state.is_hold_pending = False
     state.was_stopped = True
     if monitor.is_held_fault and is_first:
         stop_from(state, state.set_point if fault.code != "following_error" else set_points.measured(state))
@@ -52,19 +52,19 @@ def lose_motion(state: ArmState, error: Exception) -> None:
     fault = Fault(
         "motion",
         "motion",
-        f"it could not go on: {_said(error)}",
-        "plan it again; report it with the recording of this run if it was planned for this arm",
+        f"it could not continue: {_text_of(error)}",
+        "plan it again; if it was planned for this arm, report it with the recording of this run",
         Reaction.BRAKE if is_stop else Reaction.CONTROLLED,
     )
     fail(state, fault)
 
 
 def refuse(state: ArmState, clip: Clip) -> None:
-    """A motion asked for more than its limits, which held it back: a controlled stop."""
+    """A motion exceeded a limit and was clipped: a controlled stop."""
     fault = Fault(
         "set_point_limit",
         state.parts.joint_names[clip.joint - 1],
-        f"the motion asks for more than its limits: {clip}",
+        f"the motion exceeds a limit: {clip}",
         "plan the motion again with this arm.toml",
         Reaction.CONTROLLED,
     )
@@ -72,12 +72,12 @@ def refuse(state: ArmState, clip: Clip) -> None:
 
 
 def fault_of(error: Exception) -> Fault:
-    """The fault that something means which was raised within a cycle."""
+    """The fault for an exception that was raised within a cycle."""
     if isinstance(error, LinkError):
         return Fault("link", "links", str(error), "check cables and supply", Reaction.BRAKE)
     remedy = "report it with the recording of this run"
-    return Fault("internal", "control loop", _said(error), remedy, Reaction.BRAKE)
+    return Fault("internal", "control loop", _text_of(error), remedy, Reaction.BRAKE)
 
 
-def _said(error: Exception) -> str:
+def _text_of(error: Exception) -> str:
     return str(error) if isinstance(error, ArmError) else f"{type(error).__name__}: {error}"

@@ -45,7 +45,7 @@ STEPS = {
     Phase.RELEASE: "backing off its home switch",
     Phase.SEEK: "seeking its home switch",
     Phase.INDEX: "seeking its index pulse",
-    Phase.SETTLE: "coming to rest on its zero",
+    Phase.SETTLE: "coming to rest at its zero",
     Phase.SHIFTED: "zero set",
     Phase.DONE: "zero set",
 }
@@ -123,7 +123,7 @@ class JointHoming:
         if not is_active and self._since_active_rad >= self._home.backoff_rad:
             self._enter(Phase.SEEK)
         self._check(
-            self._home.travel_rad, "its home switch stays active", "look for a stuck or inverted switch"
+            self._home.travel_rad, "its home switch stays active", "check for a stuck or inverted switch"
         )
         return step
 
@@ -162,15 +162,15 @@ class JointHoming:
         return step
 
     def _check_turn(self) -> None:
-        """The latch must be in the motor turn that arm.toml says, clear of the two turns beside it."""
+        """The latch must be in the motor turn that arm.toml gives, clear of the two adjacent turns."""
         expected_rad = self._home.index_rad - self._home.switch_rad
         off = abs(self._travelled_rad - expected_rad) / self._home.turn_rad
         if off > TURN_TOLERANCE:
             raise HomingFailed(
                 self._home.name,
                 f"its index came {self._travelled_rad:.4f} rad after its home switch, expected {expected_rad:.4f} rad"
-                f" (tolerance {TURN_TOLERANCE * self._home.turn_rad:.4f} rad): the motor turn is not certain",
-                "the switch has moved: set it again, or correct [drive.home] in arm.toml",
+                f" (tolerance {TURN_TOLERANCE * self._home.turn_rad:.4f} rad): the motor turn is ambiguous",
+                "the switch has moved: adjust it, or correct [drive.home] in arm.toml",
             )
 
     def _enter(self, phase: Phase) -> None:

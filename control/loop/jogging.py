@@ -133,9 +133,7 @@ class Jogging:
         if isinstance(request, JointSpeeds | JointStep):
             return JointJog(set_point, self._limits.joints)
         if not self._is_homed:
-            raise ArmError(
-                "the tip can be jogged once every joint knows its zero: home it first (`armwright home`)"
-            )
+            raise ArmError("a tip jog needs every joint homed: home the arm first (`armwright home`)")
         return TipJog(
             set_point,
             self._inverse,

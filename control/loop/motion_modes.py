@@ -83,9 +83,9 @@ def jog(state: ArmState, request: JogRequest) -> None:
 
 
 def renew_jog(state: ArmState) -> None:
-    """Whoever jogs still wants it; ArmError where nothing is jogged."""
+    """Renew the running jog; ArmError where there is none."""
     if state.jogging is None or state.monitor.mode is not Mode.JOGGING:
-        raise ArmError(f"the arm is {state.monitor.mode.name}: there is no jog to go on with")
+        raise ArmError(f"the arm is {state.monitor.mode.name}: no jog to renew")
     state.jogging.renew(state.now_s)
 
 
@@ -93,7 +93,7 @@ def stop(state: ArmState) -> None:
     """Controlled stop; legal in every mode."""
     before = state.monitor.mode
     state.on(Event.STOP)
-    state.wants_hold = False
+    state.is_hold_pending = False
     if state.monitor.mode is Mode.STOPPING and before is not Mode.STOPPING:
         state.was_stopped = True
         state.homing = state.jogging = None
@@ -101,10 +101,10 @@ def stop(state: ArmState) -> None:
 
 
 def brake(state: ArmState) -> None:
-    """Windings shorted now: under control first to a stop where something moves would be `stop`."""
+    """Short the windings now, without a controlled stop first (that is `stop`)."""
     if state.monitor.mode in TRAVELLING_MODES or state.monitor.mode is Mode.STOPPING:
         remedy = "acknowledge when it is safe"
         fail(state, Fault("brake", "operator", "braked while moving", remedy, Reaction.BRAKE))
     else:
         state.on(Event.BRAKE)
-    state.wants_hold = False
+    state.is_hold_pending = False

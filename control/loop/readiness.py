@@ -48,7 +48,7 @@ class DriveReadiness:
         return Fault(
             "drive_not_enabled",
             self._names[joint],
-            f"its drive did not come to OPERATION ENABLED within {ENABLE_LIMIT_S:.1f} s (statusword"
+            f"its drive did not reach OPERATION ENABLED within {ENABLE_LIMIT_S:.1f} s (statusword"
             f" 0x{feedback.statusword[joint]:02x}, fault bits 0x{feedback.drive_faults[joint]:02x})",
             "check its supply and the emergency stop",
             Reaction.BRAKE,

@@ -90,7 +90,7 @@ class Runtime(ArmState):
         elif mode is not Mode.HOLDING:
             set_points.stay(self)
             shutdown.follow_hold(self)
-        if self.is_going_off:
+        if self.is_shutting_down:
             shutdown.follow(self)
 
     def _aim(self) -> None:
@@ -222,9 +222,7 @@ class Runtime(ArmState):
         """
         self.monitor.require(Event.GUIDE)
         if weightless and not self.monitor.is_homed:
-            raise ArmError(
-                "an arm that is not homed does not know its weight: home it first (`armwright home`)"
-            )
+            raise ArmError("gravity compensation needs a homed arm: home it first (`armwright home`)")
         self.is_weightless = weightless
         self.on(Event.GUIDE)
         self.run_number += 1

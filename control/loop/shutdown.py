@@ -1,6 +1,6 @@
 """The way from any mode to OFF, stop, hold, brake, off, a step whenever the arm is still; and from OFF back to holding.
 
-Writes `is_going_off`, `is_quitting` and `wants_hold`.
+Writes `is_shutting_down`, `is_quitting` and `is_hold_pending`.
 """
 
 from control.loop.arm_state import ArmState
@@ -12,21 +12,21 @@ from control.safety.table import Event, Mode
 
 def begin(state: ArmState, quits: bool) -> None:
     """Stop, hold, brake, off: begun here, carried on by the cycle."""
-    state.is_going_off = True
-    state.wants_hold = False
+    state.is_shutting_down = True
+    state.is_hold_pending = False
     state.is_quitting = state.is_quitting or quits
 
 
 def follow(state: ArmState) -> None:
     """The next step on the way off, when the arm is ready for it."""
-    if not state.is_going_off or (event := state.monitor.next_towards_off(state.is_still())) is None:
+    if not state.is_shutting_down or (event := state.monitor.next_towards_off(state.is_still())) is None:
         return
     if event is Event.STOP:
         stop(state)
         return
     state.on(event)
     if state.monitor.mode is Mode.OFF:
-        state.is_going_off = False
+        state.is_shutting_down = False
         state.drives.forget()
         state.parts.hardware.disable()
 
@@ -50,18 +50,18 @@ def want_hold(state: ArmState) -> None:
         state.on(Event.BRAKE)
     elif state.monitor.mode is not Mode.BRAKED:
         state.monitor.on(Event.ENABLE)  # says why not
-    state.is_going_off = False
-    state.wants_hold = True
+    state.is_shutting_down = False
+    state.is_hold_pending = True
 
 
 def follow_hold(state: ArmState) -> None:
     """The next step towards HOLDING, when it is wanted and the drives are ready."""
-    if not (state.wants_hold and state.drives.is_ready):
+    if not (state.is_hold_pending and state.drives.is_ready):
         return
     if state.monitor.mode is Mode.OFF:
         state.on(Event.CONNECT)
         take_known_zeros(state)
     elif state.monitor.mode is Mode.BRAKED:
-        state.wants_hold = False
+        state.is_hold_pending = False
         state.parts.servo.reset()
         state.on(Event.ENABLE)

@@ -17,13 +17,13 @@ ZERO_SET, QUADRATURE_ERROR, SIGNAL_LOST = 1 << 3, 1 << 4, 1 << 5  # channel flag
 OPERATION_ENABLED = 0x27  # statusword & 0x6F, docs/motor_board.md
 STATE_MASK = 0x6F
 DRIVE_FAULTS = {
-    0: ("over-current", "look for a blocked joint or a short; lower the acceleration"),
+    0: ("over-current", "check for a blocked joint or a short circuit; reduce the acceleration"),
     1: ("over-temperature", "let it cool; check the load and the fan"),
     2: ("supply too low", "check the supply and the emergency-stop switch"),
     3: ("supply too high", "a braking motor feeds the supply: add a brake resistor"),
-    4: ("watchdog", "the board heard nothing in time: look at late cycles and the CAN cable"),
+    4: ("watchdog", "the board received no command in time: check for late cycles, and the CAN cable"),
     5: ("its encoder", "check the motor encoder's cable at the drive"),
-    6: ("bad command", "firmware and program do not agree: compare protocol versions"),
+    6: ("bad command", "firmware and program do not match: compare protocol versions"),
     7: ("emergency stop", "release the emergency stop when it is safe"),
 }
 
@@ -203,7 +203,7 @@ class Watch:
                     "drive_left",
                     self._names[joint],
                     f"its drive left OPERATION ENABLED by itself (statusword 0x{feedback.statusword[joint]:02x})",
-                    "it was reset, or somebody else commands it: check its supply and the bus",
+                    "it was reset, or another program commands it: check its supply and the bus",
                     Reaction.BRAKE,
                 )
 
@@ -221,7 +221,7 @@ class Watch:
             yield Fault(
                 "encoder_miscount",
                 self._names[joint],
-                "its encoder made an illegal transition: the count may be off",
+                "its encoder made an illegal transition: the count may be wrong",
                 "check the encoder's cable and shield, then home again",
                 Reaction.BRAKE,
             )
@@ -249,7 +249,7 @@ class Watch:
                 "overspeed",
                 self._names[joint],
                 f"it moves at {speed_rad_s:.2f} rad/s (limit {limit.speed_rad_s:.2f} rad/s)",
-                "check gains, the sign of motor and encoder, and what pushes it",
+                "check gains, the signs of motor and encoder, and external forces",
                 Reaction.BRAKE,
             )
         excess_rad = following_error_excess(
@@ -262,7 +262,7 @@ class Watch:
                 self._names[joint],
                 f"following error {error_rad:.4f} rad (limit {abs(error_rad) - excess_rad:.4f} rad at"
                 f" {speed_set_rad_s:.2f} rad/s)",
-                "look for a collision, a loose belt or a load beyond the current limit",
+                "check for a collision, a loose belt or a load beyond the current limit",
                 Reaction.CONTROLLED,
             )
         if expected.is_homed:
@@ -273,8 +273,8 @@ class Watch:
             yield Fault(
                 "joint_range",
                 self._names[joint],
-                f"it stands at {q_rad:.4f} rad, outside {limit.lower_rad:.4f} to {limit.upper_rad:.4f} rad",
-                "guide it back by hand (`armwright guide`), then look at why it went there",
+                f"it is at {q_rad:.4f} rad, outside {limit.lower_rad:.4f} to {limit.upper_rad:.4f} rad",
+                "guide it back by hand (`armwright guide`), then find the cause",
                 Reaction.CONTROLLED,
             )
 
@@ -283,7 +283,7 @@ class Watch:
             "loop_late",
             "control loop",
             f"{missed_in_row} cycles missed in a row (limit {self._limits.missed_in_row})",
-            "stop other programs on this machine; give the operator real-time rights (`armwright check` says how)",
+            "stop other programs on this machine; give the operator real-time rights (see `armwright check`)",
             Reaction.CONTROLLED,
         )
 

@@ -23,7 +23,7 @@ def check_arm(arm: Arm) -> None:
     _check_rest(arm)
     _check_recording(arm)
     if arm.limits.jog_silence_s > LONGEST_JOG_SILENCE_S:
-        expected = f"{LONGEST_JOG_SILENCE_S} s at most: it is a dead man's switch"
+        expected = f"at most {LONGEST_JOG_SILENCE_S} s (a dead man's switch)"
         raise Rejected(("limits", "jog_silence_s"), expected, str(arm.limits.jog_silence_s))
     if arm.table is not None:
         _check_table(arm.table)
@@ -38,7 +38,7 @@ def _check_masses(arm: Arm) -> None:
                 ("link", index, "inertia_kg_m2"),
                 "principal moments of which none exceeds the sum of the others",
                 str(list(moments)),
-                "no body has these",
+                "these are physically impossible",
             )
 
 
@@ -60,21 +60,21 @@ def _check_drive(arm: Arm, drive: Drive, index: int) -> None:
 
 def _check_wiring(arm: Arm) -> None:
     drives = list(enumerate(arm.drives))
-    _check_unique(((("drive", i, "joint"), drive.joint) for i, drive in drives), "one [[drive]] a joint")
+    _check_unique(((("drive", i, "joint"), drive.joint) for i, drive in drives), "one [[drive]] per joint")
     _check_unique(
-        ((("drive", i, "motor_node"), drive.motor_node) for i, drive in drives), "one joint a motor node"
+        ((("drive", i, "motor_node"), drive.motor_node) for i, drive in drives), "one joint per motor node"
     )
     _check_unique(
         (
             (("drive", i, "encoder_channel"), (drive.encoder_board, drive.encoder_channel))
             for i, drive in drives
         ),
-        "one joint an encoder channel (board, channel)",
+        "one joint per encoder channel (board, channel)",
     )
     boards = len(arm.encoder_boards)
     _check_unique(
         ((("encoder_board", i, "name"), board.name) for i, board in enumerate(arm.encoder_boards)),
-        "a name of its own for every encoder board",
+        "a unique name for every encoder board",
     )
     for i, drive in drives:
         if boards and drive.encoder_board >= boards:
@@ -113,9 +113,7 @@ def _check_rest(arm: Arm) -> None:
 
 def _check_table(table: Table) -> None:
     if table.known_pose and table.origin_m is None:
-        raise Rejected(
-            ("table", "origin_m"), "where the board stands", "nothing", "or say known_pose = false"
-        )
+        raise Rejected(("table", "origin_m"), "the board's position", "nothing", "or set known_pose = false")
     if table.circle_points and table.circle_radius_m is None:
         raise Rejected(("table", "circle_radius_m"), "the circle's radius", "nothing")
     if table.line_points > 1 and table.line_pitch_m is None:
@@ -131,5 +129,5 @@ def _check_effects(arm: Arm) -> None:
         check_effect(effect.effect, effect.joint, effect.parameters, arm.joint_count, len(arm.links), fault)
     _check_unique(
         ((("effect", i, "effect"), (effect.effect, effect.joint)) for i, effect in enumerate(arm.effects)),
-        "each effect once a joint",
+        "each effect once per joint",
     )

@@ -75,7 +75,7 @@ def load_arm(path_or_name: str | Path) -> Arm:
     if str(path_or_name) not in arm_names():
         names = " or ".join(f'"{name}"' for name in arm_names())
         expected = f"a path to an arm.toml, or {names}"
-        raise ArmFileError(str(path_or_name), None, "", expected, "a name that no shipped arm has")
+        raise ArmFileError(str(path_or_name), None, "", expected, "an unknown name")
     with resources.as_file(shipped) as file:
         return parse_arm(shipped.read_text(encoding="utf-8"), file)
 
@@ -105,18 +105,18 @@ def parse_arm(text: str, path: Path) -> Arm:
 def save_arm(arm: Arm, path: str | Path) -> None:
     """Write the arm as a new file; a file that is there is never overwritten. Every number is kept exactly.
 
-    Keys that have their default value are left out. NotWritten where the disk is full: then there is no file.
+    Keys with their default value are omitted. NotWritten where the disk is full: then there is no file.
     """
     try:
         write_new(Path(path), arm_text(arm))
     except FileExistsError:
         raise ArmFileError(
-            path, None, "", "a new file", "one that is there already", "arms are never overwritten"
+            path, None, "", "a new file", "an existing one", "arms are never overwritten"
         ) from None
     except OSError as error:
         if error.errno in NO_ROOM:
             raise
-        raise ArmFileError(path, None, "", "a place to write to", error.strerror or str(error)) from None
+        raise ArmFileError(path, None, "", "a writable path", error.strerror or str(error)) from None
 
 
 def arm_text(arm: Arm) -> str:
@@ -131,10 +131,10 @@ def _text_of(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise ArmFileError(path, None, "", "UTF-8 text", f"a byte that is none at {error.start}") from None
+        raise ArmFileError(path, None, "", "UTF-8 text", f"an invalid byte at {error.start}") from None
     except OSError as error:
         got = error.strerror or type(error).__name__
-        raise ArmFileError(path, None, "", "a file that can be read", got) from None
+        raise ArmFileError(path, None, "", "a readable file", got) from None
 
 
 def _syntax_error(error: tomllib.TOMLDecodeError, text: str, path: Path) -> ArmFileError:

@@ -20,7 +20,7 @@ _RADIANS: Final = "angles are in radians: this looks like degrees"
 POSITIVE: Final = Rule("a positive number", lambda x: x > 0)
 NOT_NEGATIVE: Final = Rule("a number not below 0", lambda x: x >= 0)
 ZERO_OR_MORE: Final = Rule("a whole number not below 0", lambda n: n >= 0)
-ONE_OR_MORE: Final = Rule("a whole number from 1 on", lambda n: n >= 1)
+ONE_OR_MORE: Final = Rule("a whole number of 1 or more", lambda n: n >= 1)
 ROTATE_BYTES: Final = Rule("a size of at least 1000000 bytes", lambda n: n >= 1_000_000)
 DIRECTION: Final = Rule("1 or -1", lambda n: n in (1, -1))
 NODE: Final = Rule("a motor node from 1 to 15", lambda n: 1 <= n <= 15)

@@ -59,7 +59,7 @@ def board_origin(table: Table) -> Vector3:
     """
     if not table.known_pose or table.origin_m is None:
         raise MissingModel(
-            "where the calibration board stands is not known: it takes known_pose = true and origin_m in [table]"
+            "the calibration board's pose is unknown: set known_pose = true and origin_m in [table]"
         )
     return table.origin_m
 

@@ -77,7 +77,7 @@ class TipJog:
         """`limits`: of every motion, not of a jog; `tip_speed_m_s`: the most that the tip takes."""
         if len(start.q_rad) != 3:
             raise MotionError(
-                f"jog: the tip of an arm of {len(start.q_rad)} joints cannot be jogged, only of three: jog its joints"
+                f"jog: a tip jog needs an arm of 3 joints, got {len(start.q_rad)}: jog its joints"
             )
         self._inverse, self._kinematics, self._limits = inverse, kinematics, limits
         self._most_m_s = tip_speed_m_s
@@ -90,7 +90,7 @@ class TipJog:
         try:
             self._looked = self._look(TipState(tip, ZERO, ZERO), start.q_rad, 1.0)
         except ArmError as error:
-            raise MotionError(f"jog: {_in_words(error)}; jog joints instead, away from there") from error
+            raise MotionError(f"jog: {_in_words(error)}; jog joints away from this pose") from error
 
     @property
     def is_at_rest(self) -> bool:
@@ -136,7 +136,7 @@ class TipJog:
                 return self._looked.joints
             except ArmError as obstacle:
                 self._stopping = True
-                self.limited = f"the tip goes no further: {_in_words(obstacle)}"
+                self.limited = f"the jog stopped: {_in_words(obstacle)}"
         self._stop_s += elapsed_s
         tip = _sample(self._looked.stop, self._stop_s)
         self._looked = self._looked._replace(tip=tip, joints=self._joints(tip, self._looked.joints.q_rad))
@@ -148,10 +148,10 @@ class TipJog:
         self._stopping = False
 
     def _proposed(self, elapsed_s: float) -> _Looked:
-        """The next state, looked at. ArmError says what is in the way."""
+        """The next state, checked. ArmError names the obstacle."""
         last = self._looked
         share, ease = self._slowness(last)
-        self.limited = "slower: near a singular pose the joints turn ever faster" if share < 1.0 else ""
+        self.limited = "slowed near a singular pose: joint speeds are limited" if share < 1.0 else ""
         tip = _sample(_trajectory(last.tip, self._wanted, self._goal_m, share, ease), elapsed_s)
         return self._look(tip, last.joints.q_rad, ease)
 
@@ -179,7 +179,7 @@ class TipJog:
                 abs(speed) > _HARD * self._limits.speed_rad_s[joint]
                 or abs(acceleration) > _HARD * self._limits.acceleration_rad_s2[joint]
             ):
-                raise MotionError(f"joint {joint + 1} would have to turn too fast")
+                raise MotionError(f"joint {joint + 1} would exceed its speed or acceleration")
 
     def _slowness(self, looked: _Looked) -> tuple[float, float]:
         """Shares of the tip's wanted speed and of its acceleration that half of the joints' limits give."""
@@ -208,7 +208,7 @@ class TipJog:
 
 
 def _in_words(obstacle: ArmError) -> str:
-    """For an operator, who sees where the arm stands."""
+    """The obstacle in words for an operator."""
     if isinstance(obstacle, JointLimitViolated):
         return f"joint {obstacle.joint} would leave its range"
     if isinstance(obstacle, NearSingular):

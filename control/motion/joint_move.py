@@ -214,6 +214,6 @@ def _require_way_inside(trajectory: "ruckig.Trajectory", state: SetPoint, limits
         beyond = max(high - upper, lower - low)
         if beyond > _ROUNDING_RAD:
             raise MotionError(
-                f"joint move: joint {joint + 1} is so fast that it would leave its range by {beyond:.4f} rad:"
+                f"joint move: joint {joint + 1} is too fast and would leave its range by {beyond:.4f} rad:"
                 " stop first"
             )

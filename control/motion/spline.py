@@ -189,7 +189,7 @@ def timed(
     for i, pace in enumerate(paces):
         if pace <= 0.0:
             raise PathError(
-                f"way-points {i + 1} and {i + 2} both ask for 0 m/s, with no speed for the way between:"
+                f"way-points {i + 1} and {i + 2} both have 0 m/s, so the path between them has no speed:"
                 " give one of them a speed",
                 i + 1,
             )

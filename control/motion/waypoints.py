@@ -102,7 +102,7 @@ def _checked_header(file: Path, number: int, columns: list[str]) -> list[str]:
                 f' got "{column}"{hint}'
             )
         if columns.count(column) > 1:
-            raise WaypointFileError(f"{file}:{number}: column {column} stands there twice")
+            raise WaypointFileError(f"{file}:{number}: column {column} appears twice")
     for column in POSITION_COLUMNS:
         if column not in columns:
             raise WaypointFileError(f"{file}:{number}: column {column} is missing, got {', '.join(columns)}")

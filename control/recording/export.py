@@ -108,17 +108,18 @@ def export(
     `arm` is drawn in Foxglove's 3-D panel: by default the one of the recording's header. `report` is told the share done.
     """
     if every < 1:
-        raise RecordError(f"expected to keep every 1st, 2nd, ... cycle; got every {every}")
+        raise RecordError(f"every: expected a cycle count of 1 or more, got {every}")
     recording = Recording.open(path)
     drawn = arm or recorded_arm(recording)
     if arm is not None and arm.joint_count != recording.layout.joint_count:
         raise RecordError(
-            f"{path}: recorded of {recording.layout.joint_count} joints, but arm {arm.name} has {arm.joint_count}"
+            f"{path}: expected a recording of {arm.joint_count} joints, as arm {arm.name} has, got"
+            f" {recording.layout.joint_count}"
         )
     out.mkdir(parents=True, exist_ok=True)
     for name in ("log.csv.gz", "log.mcap"):
         if (out / name).exists():
-            raise RecordError(f"{out / name} is there already: choose another folder or remove it first")
+            raise RecordError(f"{out / name} already exists: choose another folder or remove it first")
     rows = max(1, recording.row_count)
     return {
         "log.csv.gz": make_whole(

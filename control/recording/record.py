@@ -249,9 +249,9 @@ class RecordError(ArmError):
 
 
 def _require_columns(layout: Layout) -> None:
-    """ValueError where the columns are not those of so many joints. What later versions added may be missing."""
+    """ValueError where the columns do not match the joint count. Columns of later versions may be missing."""
     if type(layout.joint_count) is not int or not 1 <= layout.joint_count <= len(layout.names):
-        raise ValueError(f"joint_count {layout.joint_count!r} does not go with {len(layout.names)} columns")
+        raise ValueError(f"joint_count {layout.joint_count!r} does not match {len(layout.names)} columns")
     later = {f"counted{joint}_s" for joint in range(1, layout.joint_count + 1)}
     for name in Layout.of(layout.joint_count).names:
         if name not in layout.names and name not in later:
@@ -261,7 +261,7 @@ def _require_columns(layout: Layout) -> None:
 def _require_numbers(header: dict[str, Any]) -> None:
     for key in ("started_unix_s", "period_s"):
         if not isinstance(header.get(key, 0.0), int | float):
-            raise ValueError(f"{key} is no number: {header[key]!r}")
+            raise ValueError(f"{key} is not a number: {header[key]!r}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +275,7 @@ class Recording:
 
     @classmethod
     def open(cls, path: Path) -> "Recording":
-        """Read the header. RecordError when the file is no recording."""
+        """Read the header. RecordError when the file is not a recording."""
         with path.open("rb") as file:
             start = file.read(len(MAGIC) + 4)
             if len(start) < len(MAGIC) + 4 or not start.startswith(MAGIC):

@@ -189,7 +189,7 @@ class Parts:
         self._lost_before = self._state.lost_rows
         self._state = replace(self._state, is_on=False, reason=reason, since_unix_s=time.time())
         self._say(
-            f"{self._path}: recording stopped: {reason}. The arm goes on; recording resumes when there is room"
+            f"{self._path}: recording stopped: {reason}. The arm keeps running; recording resumes when there is room"
         )
 
     def _go_on(self) -> None:
@@ -197,7 +197,7 @@ class Parts:
             return
         lost = self._state.lost_rows - self._lost_before
         self._state = replace(self._state, is_on=True, reason="", since_unix_s=time.time())
-        self._say(f"{self._path}: recording again; {lost} rows were lost")
+        self._say(f"{self._path}: recording resumed; {lost} rows were lost")
 
 
 def begin(path: Path, header: Mapping[str, object], pwrite: PWrite = os.pwrite) -> None:
@@ -237,7 +237,7 @@ def remove_oldest(current: Path, policy: Policy, say: Say) -> None:
             if total > policy.keep_bytes and _is_finished(path):
                 path.unlink()
                 total -= size
-                say(f"{path}: removed, the oldest recording; [recording] keeps {policy.keep_bytes:g} bytes")
+                say(f"{path}: removed as the oldest recording; [recording] keeps {policy.keep_bytes:g} bytes")
 
 
 def _arm_of(path: Path) -> str | None:

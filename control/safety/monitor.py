@@ -21,12 +21,12 @@ class IllegalTransition(ArmError):
         self.legal = legal
         self.why = why
         names = ", ".join(entry.name for entry in legal if entry not in _FAULT_EVENTS)
-        reason = f": {why}" if why else f"; it takes {names}"
-        super().__init__(f"the arm is in {mode.name} and does not take {event} now{reason}")
+        reason = f": {why}" if why else f"; accepted: {names}"
+        super().__init__(f"the arm is in {mode.name} and does not accept {event} now{reason}")
 
 
 class Monitor:
-    """Mode, faults and homing of one arm. Knows no time and no hardware: the loop raises events and obeys."""
+    """Mode, faults and homing of one arm. Independent of time and hardware: the loop raises events and obeys."""
 
     __slots__ = ("_faults", "_is_at_rest", "_is_homed", "_mode", "_reaction")
 
@@ -88,15 +88,13 @@ class Monitor:
         if event is Event.CONNECT:
             self.require_no_faults(event.name)
         if event is Event.MOVE and not self._is_homed:
-            raise self._refusal(
-                event.name, "not every joint knows its zero, home it first (`armwright home`)"
-            )
+            raise self._refusal(event.name, "not every joint is homed, home the arm first (`armwright home`)")
         return following
 
     def require_no_faults(self, event: str) -> None:
         """Raise IllegalTransition for `event` while faults wait to be acknowledged."""
         if self._faults:
-            raise self._refusal(event, "faults wait to be acknowledged (`armwright acknowledge`)")
+            raise self._refusal(event, "faults are not acknowledged (`armwright acknowledge`)")
 
     def fault(self, fault: Fault) -> Mode:
         """Go to FAULT, list `fault` (once per code and place) and take the more severe reaction. Always
@@ -124,9 +122,7 @@ class Monitor:
         if not self._faults:
             raise self._refusal("ACKNOWLEDGE", "there is no fault")
         if self.is_held_fault and not self._is_at_rest:
-            raise self._refusal(
-                "ACKNOWLEDGE", "the stop has not ended yet, try again when the arm is at rest"
-            )
+            raise self._refusal("ACKNOWLEDGE", "the stop has not ended, try again when the arm is at rest")
         event = Event.ACKNOWLEDGE_HELD if self.is_held_fault else Event.ACKNOWLEDGE_BRAKED
         self._mode = TRANSITIONS[(self._mode, event)]
         cleared, self._faults, self._reaction = self._faults, (), None

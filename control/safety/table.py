@@ -10,36 +10,36 @@ class Mode(Enum):
     """What the arm does now; the value is what the drives do in it."""
 
     OFF = "drives off: the boards short the windings, so a loaded arm sinks slowly and does not drop"
-    BRAKED = "0 V: shorted windings brake, nothing is controlled"
+    BRAKED = "0 V: shorted windings brake; no control"
     HOLDING = "position control at a constant set-point"
     MOVING = "position control along a checked motion"
-    HOMING = "position control in search of switches and index pulses"
+    HOMING = "position control; searches switches and index pulses"
     GUIDING = "a hand moves the arm: drives open circuit, or gravity compensation only"
     STOPPING = "position control along a jerk-limited stop"
-    FAULT = "stop and hold, or 0 V, by the fault; waits for acknowledgement"
-    JOGGING = "position control by a jog that a client keeps renewing"
+    FAULT = "stop and hold, or 0 V, depending on the fault; waits for acknowledgement"
+    JOGGING = "position control along a jog that a client keeps renewing"
     PAUSED = "position control: slowing to rest along the motion, then holding there"
 
 
 class Event(Enum):
-    """What may happen; the value says when it is raised and by whom."""
+    """An event; the value says who raises it and when."""
 
-    CONNECT = "all boards answered, identities are right, drives are at 0 V"
+    CONNECT = "all boards answered, their identities match, drives are at 0 V"
     ENABLE = "operator: hold the present position"
     HOME = "operator: search the reference positions"
-    HOMED = "loop: every joint has its zero (searched, or still known to the boards)"
-    MOVE = "operator: start a motion that was checked"
+    HOMED = "loop: every joint has its zero (found, or still stored in the boards)"
+    MOVE = "operator: start a checked motion"
     JOG = "operator: start or renew a jog"
     PAUSE = "operator: slow to rest along the motion and hold there"
     RESUME = "operator: continue the motion"
-    ARRIVED = "loop: the motion has ended at rest; a jog that was not renewed has come to rest"
+    ARRIVED = "loop: the motion, or a jog that was not renewed, has ended at rest"
     STOP = "operator, Ctrl-C, lost client: stop now"
     STOPPED = "loop: the jerk-limited stop has ended at rest"
     GUIDE = "operator: let a hand move the arm"
-    BRAKE = "operator or shutdown: from position control or hand to 0 V"
-    SWITCH_OFF = "shutdown: the arm is at rest, so drives may go off"
+    BRAKE = "operator or shutdown: from position control or hand guiding to 0 V"
+    SWITCH_OFF = "shutdown: the arm is at rest; drives may switch off"
     FAULT_CONTROLLED = "a fault while feedback is good"
-    FAULT_BRAKE = "a fault that makes feedback doubtful"
+    FAULT_BRAKE = "a fault that makes feedback unreliable"
     ACKNOWLEDGE_HELD = "operator has read the faults; the arm was held"
     ACKNOWLEDGE_BRAKED = "operator has read the faults; the arm was braked or off"
 
@@ -145,7 +145,7 @@ def as_markdown() -> str:
     """The table as docs/state_machine.md: modes, events, and a row per event with the next mode per mode."""
     lines = [
         "# Modes of the arm",
-        "What the drives do in each mode, and which event leads where. Printed by `control.safety.table.as_markdown()`.",
+        "What the drives do in each mode, and the next mode for each event. Printed by `control.safety.table.as_markdown()`.",
         "An event without an entry for the present mode raises `IllegalTransition` and changes nothing.",
         "",
         "| mode | drives |",
@@ -181,10 +181,10 @@ _NOTES: Final = (
     "| JOG | a client renews it at 10 Hz or faster; without renewal the arm slows to rest (ARRIVED) |",
     "| JOG, connection closed | STOP |",
     "| JOG before homing | joints only, slowly, with half of the current |",
-    "| PAUSED | begins while the arm still slows down along its motion; a motion that ends meanwhile has ARRIVED |",
+    "| PAUSED | begins while the arm still slows down; a motion that ends meanwhile raises ARRIVED |",
     "| fault in OFF, BRAKED, GUIDING | always brakes |",
     "| two faults | both stay listed; the more severe reaction wins: BRAKE never becomes CONTROLLED |",
     "| acknowledge | by a person, after the controlled stop: to HOLDING if the arm was held, to BRAKED if it was braked;"
-    " in OFF it clears the list |",
+    " in OFF it only clears the list |",
     "| shutdown (Ctrl-C, an error) | stop, hold, 0 V at rest, off when still at rest |",
 )

@@ -184,7 +184,7 @@ class ArmClient:
     def arrive(self, timeout_s: float, modes: Sequence[str] = ("HOLDING",)) -> None:
         """Wait for a motion's end. MotionStopped where it was not its own."""
         if self.until(modes, timeout_s)["was_stopped"]:
-            raise MotionStopped("the motion was stopped before its end; the arm holds where it came to rest")
+            raise MotionStopped("the motion was stopped before its end; the arm holds its position")
 
     def run_joints(self, path: Message, as_encoders: bool = False) -> None:
         """Run a path of the joints (JointPath.to_message()) from where the arm stands. `as_encoders`: as move_joints."""
@@ -258,7 +258,7 @@ class ArmClient:
             waited_s += POLL_S
             answer = self.ask("mode")
             if answer["mode"] == "FAULT":
-                raise ArmFaulted(f"acknowledged, but the cause lasts: {fault_text(self.status())}")
+                raise ArmFaulted(f"acknowledged, but the cause persists: {fault_text(self.status())}")
 
     def off(self, quit_runtime: bool = False, timeout_s: float = 60.0) -> None:
         """Stop, hold, brake until the arm has sunk to rest, drives off; then the runtime ends if it shall."""
@@ -274,7 +274,7 @@ class ArmClient:
         self._channel.wait(duration_s)
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._channel.close()
 
 

@@ -48,8 +48,8 @@ class Events:
             self._say_faults()
         if monitor.is_homed is not self._is_homed:
             self._is_homed = monitor.is_homed
-            self._say("every joint knows its zero" if self._is_homed else "not homed: zeros unknown")
-        if runtime.is_going_off and runtime.now_s >= self._next_step_s:
+            self._say("every joint is homed" if self._is_homed else "not homed: zeros unknown")
+        if runtime.is_shutting_down and runtime.now_s >= self._next_step_s:
             self._say_step()
 
     def requested(self, do: str, client: int) -> None:
@@ -59,7 +59,7 @@ class Events:
 
     def hung_up(self, client: int) -> None:
         """The client whose motion runs is gone."""
-        self._say(f"client {client} hung up: its motion is stopped")
+        self._say(f"client {client} disconnected: its motion is stopped")
 
     def _say_mode(self) -> None:
         before, self._mode = self._mode, self._runtime.monitor.mode

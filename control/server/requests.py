@@ -30,15 +30,15 @@ LONGEST_AVERAGE_S = 60.0
 LEAST_OVERRIDE = 0.01  # slower is a pause
 ADVICE = {
     Mode.OFF: "switch its drives on first (`armwright enable`)",
-    Mode.BRAKED: "let it hold first (`armwright enable`)",
-    Mode.HOLDING: "it holds already",
+    Mode.BRAKED: "switch position control on first (`armwright enable`)",
+    Mode.HOLDING: "it already holds",
     Mode.MOVING: "wait until it has arrived, or stop it (`armwright stop`)",
     Mode.HOMING: "wait until it is homed, or stop it (`armwright stop`)",
-    Mode.GUIDING: "let it hold first (`armwright hold`)",
+    Mode.GUIDING: "end hand guiding first (`armwright hold`)",
     Mode.STOPPING: "wait until it has stopped",
-    Mode.JOGGING: "let the jog end, or stop it (`armwright stop`)",
-    Mode.PAUSED: "let it go on (`armwright resume`), or stop it (`armwright stop`)",
-    Mode.FAULT: "read what is wrong (`armwright status`), make it safe, then `armwright acknowledge`",
+    Mode.JOGGING: "wait until the jog ends, or stop it (`armwright stop`)",
+    Mode.PAUSED: "resume the motion (`armwright resume`), or stop it (`armwright stop`)",
+    Mode.FAULT: "read the faults (`armwright status`), make the arm safe, then `armwright acknowledge`",
 }
 
 
@@ -181,7 +181,7 @@ class Requests:
         off_rad = max(abs(a - b) for a, b in zip(first_rad, self._seen(request).q_rad, strict=True))
         if off_rad > START_TOLERANCE_rad:
             raise ArmError(
-                f"the arm stands {off_rad:.4f} rad away from the path's first point (tolerance {START_TOLERANCE_rad} rad):"
+                f"the arm is {off_rad:.4f} rad away from the path's first point (tolerance {START_TOLERANCE_rad} rad):"
                 f" move there first, to {', '.join(f'{q:.4f}' for q in first_rad)} rad"
             )
 
@@ -203,7 +203,7 @@ class Requests:
 
     def _require_own_jog(self, client: int) -> None:
         if self._runtime.monitor.mode is Mode.JOGGING and client != self._owner:
-            raise ArmError("another client jogs the arm: let it end, or stop it (`armwright stop`)")
+            raise ArmError("another client jogs the arm: wait until it ends, or stop it (`armwright stop`)")
 
     def _jogged(self) -> Message:
         jogging = self._runtime.jogging
@@ -246,7 +246,7 @@ class Requests:
     def _average_result(self, request: Message, client: int) -> Message:
         averaging = self._runtime.averaging
         if averaging is None:
-            raise ArmError("no average was asked for: send `average` first")
+            raise ArmError("no average was requested: send `average` first")
         return {"average": averaging.result}
 
     def _payload(self, request: Message, client: int) -> Message:

@@ -40,7 +40,11 @@ def punctuality_remedy() -> str:
 def _remedy(is_fifo: bool, is_locked: bool) -> str:
     rights = {"rtprio (SCHED_FIFO)": is_fifo, "memlock (locked pages)": is_locked}
     missing = [name for name, is_granted in rights.items() if not is_granted]
-    return f"no right to {' and '.join(missing)}: cycles will be late under load; {LIMITS}" if missing else ""
+    return (
+        f"no permission for {' and '.join(missing)}: cycles will be late under load; {LIMITS}"
+        if missing
+        else ""
+    )
 
 
 def _ask_fifo() -> bool:

@@ -135,9 +135,15 @@ class Server:
         try:
             request = msgspec.json.decode(line)
         except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, nested without end
-            return {"ok": False, "error": f"a request is one JSON object a line; this is none: {error}"}
+            return {
+                "ok": False,
+                "error": f"request: expected one JSON object per line, got invalid JSON: {error}",
+            }
         if not isinstance(request, dict):
-            return {"ok": False, "error": f"a request is a JSON object with the key `do`; got {line[:80]!r}"}
+            return {
+                "ok": False,
+                "error": f"request: expected a JSON object with the key `do`, got {line[:80]!r}",
+            }
         answer = self._handle(request, number)
         if "id" in request:
             answer["id"] = request["id"]
@@ -163,7 +169,7 @@ def listen(path: Path) -> socket.socket:
         path.chmod(0o600)
     except OSError as error:
         listener.close()
-        raise SocketTaken(f"cannot listen at {path}: {error}; choose another place with --socket") from error
+        raise SocketTaken(f"cannot listen at {path}: {error}; choose another path with --socket") from error
     listener.listen(8)
     listener.setblocking(False)
     return listener
@@ -174,7 +180,7 @@ def require_free(path: Path) -> None:
     if not path.exists():
         return
     if not path.is_socket():
-        raise SocketTaken(f"{path} is no socket and is left alone: choose another place with --socket")
+        raise SocketTaken(f"{path} is not a socket and is not replaced: choose another path with --socket")
     with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)) as probe:
         if probe.connect_ex(str(path)) == 0:
             raise SocketTaken(

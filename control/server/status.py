@@ -57,7 +57,7 @@ def step_of(runtime: Runtime) -> str:
     """What homing or the shutdown does now, in words; empty while neither runs."""
     if runtime.homing is not None:
         return runtime.homing.step_text
-    return SHUTDOWN_STEPS.get(runtime.monitor.mode, "") if runtime.is_going_off else ""
+    return SHUTDOWN_STEPS.get(runtime.monitor.mode, "") if runtime.is_shutting_down else ""
 
 
 def _angles(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
@@ -131,14 +131,14 @@ def _warnings(runtime: Runtime) -> list[str]:
     if runtime.jogging is not None and runtime.jogging.limited:
         warnings.append(runtime.jogging.limited)
     if runtime.monitor.mode in CONTROLLED_MODES - {Mode.HOMING} and not runtime.monitor.is_homed:
-        warnings.append("not homed: joint angles mean nothing yet (`armwright home`)")
+        warnings.append("not homed: joint angles are not valid yet (`armwright home`)")
     if runtime.monitor.is_homed:
         warnings += _near_range(runtime)
     return warnings
 
 
 def _recorder_warnings(recorder: RecorderState) -> list[str]:
-    """Rows that are lost, why, and a disk that is full soon."""
+    """Lost rows with the reason, and a disk that will soon be full."""
     warnings = []
     if recorder.reason:
         since = time.strftime("%H:%M:%S", time.localtime(recorder.since_unix_s))
@@ -149,7 +149,7 @@ def _recorder_warnings(recorder: RecorderState) -> list[str]:
     elif recorder.lost_rows:
         warnings.append(f"{recorder.lost_rows} cycles were not recorded: the disk was full or too slow")
     if recorder.is_on and recorder.hours_left is not None and recorder.hours_left < FEW_HOURS:
-        warnings.append(f"{recorder.file}: the disk is full after {60.0 * recorder.hours_left:.0f} min more")
+        warnings.append(f"{recorder.file}: the disk will be full in {60.0 * recorder.hours_left:.0f} min")
     return warnings
 
 

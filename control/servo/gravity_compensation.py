@@ -42,8 +42,8 @@ class GravityCompensation:
                 return Fault(
                     "guided_too_fast",
                     name,
-                    f"it moves at {speed:.2f} rad/s while it is guided by hand (limit {FASTEST_rad_s:.2f} rad/s)",
-                    "guide it slower; if nobody did, look at masses and payload, or guide with the drives off",
+                    f"it moves at {speed:.2f} rad/s during hand guiding (limit {FASTEST_rad_s:.2f} rad/s)",
+                    "guide it slower; if nobody guided it, check masses and payload, or guide with the drives off",
                     Reaction.BRAKE,
                 )
         return None

@@ -112,7 +112,7 @@ class EncoderBoard:
         if serial_number is not None and answer.serial_number != serial_number:
             raise WrongIdentity(
                 f"{self.where}: expected the board with serial number {serial_number}, "
-                f"found {answer.serial_number}; are two boards swapped?"
+                f"found {answer.serial_number}; check for swapped boards"
             )
         self.identity = answer
         return answer
@@ -217,7 +217,7 @@ class EncoderBoard:
 
     def _noise(self) -> str:
         bad = self.crc_errors + self.framing_errors
-        return f"; {bad} bad frames came: is the baud rate of {self._link.baud} right?" if bad else ""
+        return f"; {bad} bad frames received: check the baud rate ({self._link.baud})" if bad else ""
 
     def _take_report(self, report: wire.Report, now_s: float) -> None:
         before = self.latest
@@ -233,7 +233,7 @@ class EncoderBoard:
 
     def _take_other(self, frame: wire.AnyFrame) -> None:
         if isinstance(frame, _REQUESTS):
-            self._violation("hears requests of a host; are TX and RX bridged?", wire.encode(frame))
+            self._violation("sent a host's request; check for a bridge between TX and RX", wire.encode(frame))
         elif isinstance(frame, wire.Foreign):
             self._take_foreign(frame.raw)
         else:
@@ -247,7 +247,7 @@ class EncoderBoard:
             except WrongIdentity as wrong:
                 self._problems.append(wrong)
         else:
-            self._violation("sent a frame that protocol version 1 does not have", raw)
+            self._violation("sent a frame unknown to protocol version 1", raw)
 
     def _take_answer(self, frame: wire.AnyFrame) -> None:
         if isinstance(frame, wire.Identity) and frame.request_sequence == 0:
@@ -295,7 +295,7 @@ class EncoderBoard:
         self._latches.clear()
         self._problems.append(
             BoardReset(
-                f"{self.where}: restarted by itself; its counts mean no position any more: "
+                f"{self.where}: restarted by itself; its counts are no longer valid positions: "
                 "check its supply, then home again"
             )
         )

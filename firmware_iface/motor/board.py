@@ -23,7 +23,7 @@ __all__ = ["MotorBoard", "MotorBus", "MotorIdentity"]
 
 _STEP_s = 0.001
 _RESEND_s = 0.02  # a COMMAND without REPLY for this long is sent again while walking the states
-_TWIN_REPLIES = 3  # CAN itself doubles a frame now and then, not thrice in a row
+_SECOND_REPLIES = 3  # CAN itself doubles a frame now and then, not thrice in a row
 _OFF_STATES = (State.NOT_READY_TO_SWITCH_ON, State.SWITCH_ON_DISABLED)
 _KEEPS_OFF = (DriveCommand.DISABLE_VOLTAGE, DriveCommand.QUICK_STOP, DriveCommand.FAULT_RESET)
 
@@ -146,7 +146,7 @@ class MotorBoard:
         """
         deadline_s = self._bus.clock.now_s() + timeout_s
         while not self.step_towards(state):
-            self._wait_step(deadline_s, f"does not go to {state.value}, stays {self._state_name()}")
+            self._wait_step(deadline_s, f"does not reach {state.value}, stays in {self._state_name()}")
 
     def step_towards(self, state: State) -> bool:
         """One step of `go_to` without waiting: sends what is due; True once a reply says that it is there.
@@ -172,7 +172,7 @@ class MotorBoard:
     def _step_from(self, now: State, state: State) -> None:
         command = next_command(now, state)
         if command is None:
-            raise MisuseError(f"{self.where}: no way from {now.value} to {state.value}")
+            raise MisuseError(f"{self.where}: no transition from {now.value} to {state.value}")
         if self._is_answered() or self._is_due():
             self._send_walking(command)
 
@@ -201,7 +201,7 @@ class MotorBoard:
                 return
             if self._bus.clock.now_s() >= deadline_s:
                 raise BoardFaulted(
-                    f"{self.where}: its fault ({self._fault_names()}) cannot be acknowledged: the cause lasts"
+                    f"{self.where}: its fault ({self._fault_names()}) cannot be acknowledged: the cause persists"
                 )
             self._send_and_wait(DriveCommand.FAULT_RESET, deadline_s)
 
@@ -218,12 +218,12 @@ class MotorBoard:
         clock = self._bus.clock
         now_s = clock.now_s()
         if now_s >= deadline_s:
-            raise BoardSilent(f"{self.where}: {what}; is it powered and wired, and its node id right?")
+            raise BoardSilent(f"{self.where}: {what}; check its supply, wiring and node id")
         clock.wait_until_s(now_s + _STEP_s)
         self._bus.update()
 
     def _state_name(self) -> str:
-        return self._last_state.value if self._last_state else "no state that we know"
+        return self._last_state.value if self._last_state else "an unknown state"
 
     def _fault_names(self) -> str:
         faults = self.reply.fault_flags if self.reply else wire.Fault(0)
@@ -243,11 +243,11 @@ class MotorBoard:
                 "update the board's firmware or this program"
             )
         found = self.read(Parameter.BOARD_SERIAL_NUMBER) & 0xFFFFFFFF
-        self._parameters.look_for_twin(Parameter.BOARD_SERIAL_NUMBER)
+        self._parameters.require_single_board(Parameter.BOARD_SERIAL_NUMBER)
         if serial_number is not None and found != serial_number:
             raise WrongIdentity(
                 f"{self.where}: expected the board with serial number {serial_number}, found {found}; "
-                "are two boards or node ids swapped?"
+                "check for swapped boards or node ids"
             )
         firmware = self.read(Parameter.FIRMWARE_VERSION)
         counts = self.read(Parameter.ENCODER_COUNTS_PER_TURN)
@@ -270,12 +270,12 @@ class MotorBoard:
             return
         reply = wire.unpack_reply(payload)
         if not self._order.is_newer(reply.sequence, self._sequence, self._commands_sent):
-            if self._order.doubled == _TWIN_REPLIES:
-                self._violation("answers each COMMAND twice: do two boards have this node id?", payload)
+            if self._order.doubled == _SECOND_REPLIES:
+                self._violation("answers each COMMAND twice: check for two boards with this node id", payload)
             return
         state = STATE_OF_STATUSWORD[reply.statusword]
         if state is None:
-            self._violation(f"sent a statusword that is no state ({reply.statusword:#04x})", payload)
+            self._violation(f"sent a statusword of no known state ({reply.statusword:#04x})", payload)
             return
         self.reply = reply
         self.reply_at_s = now_s

@@ -22,7 +22,7 @@ class MotorBus:
         self.name = link.name
         self.nodes: list[int] = []
         self.strangers = 0
-        """Frames from nodes that nobody here has asked for."""
+        """Frames from unknown nodes."""
         self.foreign_emergency_stops = 0
         self.problems: list[LinkError] = []
         self._handlers: dict[int, FrameHandler] = {}
@@ -77,7 +77,7 @@ class MotorBus:
         elif node in self.nodes and can_id - node in (wire.COMMAND_ID, wire.PARAMETER_REQUEST_ID):
             self.problems.append(
                 ProtocolViolation(
-                    f"CAN bus {self.name}: somebody else commands node {node} (id {can_id:#05x}); "
+                    f"CAN bus {self.name}: another program commands node {node} (id {can_id:#05x}); "
                     "stop the other program",
                     payload,
                 )

@@ -11,7 +11,7 @@ from firmware_iface.motor.wire import Operation, Parameter, ParameterAnswer, Par
 ANSWER_TIMEOUT_s = 0.05  # the board answers within 5 ms; hosts are late by tens of milliseconds at times
 ATTEMPTS = 3
 _STEP_s = 0.001
-_TWIN_WAIT_s = 0.003  # how long a second board with the same node id may trail behind the first
+_SECOND_REPLY_WAIT_s = 0.003  # how long a second board with the same node id may trail behind the first
 
 
 class ParameterChannel:
@@ -38,15 +38,15 @@ class ParameterChannel:
         if kept != value and index != Parameter.POSITION_COUNT:  # the count is live: it may have moved on
             raise ProtocolViolation(f"{self._where()}: {_named(index)} is {kept} after {value} was written")
 
-    def look_for_twin(self, index: int) -> None:
+    def require_single_board(self, index: int) -> None:
         """Raises ProtocolViolation if the request for `index`, answered just now, is answered again."""
         self._answer = None
-        self._bus.clock.wait_until_s(self._bus.clock.now_s() + _TWIN_WAIT_s)
+        self._bus.clock.wait_until_s(self._bus.clock.now_s() + _SECOND_REPLY_WAIT_s)
         self._bus.update()
         if (second := self._answer_of(index)) is not None:
             raise ProtocolViolation(
                 f"{self._where()}: two boards answer, the second with serial number "
-                f"{second.value & 0xFFFFFFFF}; give each board a node id of its own",
+                f"{second.value & 0xFFFFFFFF}; give each board a unique node id",
                 second.pack(),
             )
 
@@ -79,7 +79,7 @@ class ParameterChannel:
                     return answer
         raise BoardSilent(
             f"{self._where()}: no answer for {_named(index)} within {ANSWER_TIMEOUT_s:.3f} s, "
-            f"asked {ATTEMPTS} times; is it powered and wired, and its node id right?"
+            f"asked {ATTEMPTS} times; check its supply, wiring and node id"
         )
 
     def _answer_of(self, index: int) -> ParameterAnswer | None:

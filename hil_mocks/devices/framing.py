@@ -17,7 +17,7 @@ def frame(content: bytes) -> bytes:
     return b"".join([_CODE[len(run) + 1] + run for run in checked.split(b"\0")]) + b"\0"
 
 
-def unframe(coded: bytes) -> bytes | None:
+def deframe(coded: bytes) -> bytes | None:
     """Content of a frame without its delimiter; None if COBS, length or CRC is bad."""
     out = bytearray()
     at, end = 0, len(coded)
@@ -45,5 +45,5 @@ class Gatherer:
         *ended, self._gathered = (self._gathered + received).split(b"\0")
         if len(self._gathered) > _MAX_GATHERED:
             self._gathered = b"\x01" * (_MAX_GATHERED + 1)  # stays too long until a delimiter comes
-        contents = (unframe(coded) for coded in ended if 0 < len(coded) <= _MAX_GATHERED)
+        contents = (deframe(coded) for coded in ended if 0 < len(coded) <= _MAX_GATHERED)
         return [content for content in contents if content is not None]

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from hil_mocks.errors import ScenarioError
-from hil_mocks.plant.standing import NOMINAL, Standing
+from hil_mocks.plant.base_pose import NOMINAL, BasePose
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class PlantEffects:
     link_inertia_kg_m2: Mapping[int, float] = field(default_factory=dict)
     dh_deviation: Mapping[tuple[int, str], float] = field(default_factory=dict)  # (0-based link, DH key)
     link_EI_Nm2: Mapping[int, float] = field(default_factory=dict)  # of 0-based links that bend
-    standing: Standing = NOMINAL
+    base_pose: BasePose = NOMINAL
 
 
 # Effect of a joint -> {parameter of the file: field of JointEffects}. A parameter in OPTIONAL may be absent.
@@ -133,16 +133,16 @@ def _add(found: PlantEffects, entry: EffectEntry, joints: int, links: int, where
         (EI_Nm2,) = _renamed(entry, {"EI_Nm2": "EI_Nm2"}, where).values()
         return replace(found, link_EI_Nm2={**found.link_EI_Nm2, entry.joint - 1: EI_Nm2})
     if name == "base_frame":
-        return replace(found, standing=_standing(entry, where))
+        return replace(found, base_pose=_base_pose(entry, where))
     raise ScenarioError(f"{where} is unknown; known are {', '.join(sorted(KNOWN))}.")
 
 
-def _standing(entry: EffectEntry, where: str) -> Standing:
+def _base_pose(entry: EffectEntry, where: str) -> BasePose:
     """Where the world is in the base frame; parameters that are not given are 0."""
     given = {**dict.fromkeys(_BASE_FRAME, 0.0), **entry.parameters}
     checked = _renamed(EffectEntry(entry.effect, 0, given), {key: key for key in _BASE_FRAME}, where)
     x, y, z, rx, ry, rz = (checked[key] for key in _BASE_FRAME)
-    return Standing((x, y, z), (rx, ry, rz))
+    return BasePose((x, y, z), (rx, ry, rz))
 
 
 def _with_of_arm(found: PlantEffects, name: str, value: float) -> PlantEffects:
@@ -178,7 +178,7 @@ def _checked(key: str, value: float, where: str) -> float:
         raise ScenarioError(f'{where}: parameter "{key}" must be finite, got {value}.')
     if (key in _POSITIVE and value <= 0.0) or (key in _NOT_NEGATIVE and value < 0.0):
         raise ScenarioError(
-            f'{where}: parameter "{key}" must not be negative or zero where it divides, got {value:g}.'
+            f'{where}: parameter "{key}" must be positive, or 0 where allowed, got {value:g}.'
         )
     return float(value)
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import mujoco
 
 from hil_mocks.errors import UnreachableError
-from hil_mocks.plant.standing import Standing
+from hil_mocks.plant.base_pose import BasePose
 
 Point = tuple[float, float, float]
 HandState = Literal["away", "dragging", "holding", "cannot reach"]
@@ -29,9 +29,9 @@ class Hand:
         speed_m_s: float,
         noise_m: float,
         seed: int,
-        standing: Standing,
+        base_pose: BasePose,
     ) -> None:
-        self._standing = standing
+        self._base_pose = base_pose
         self._model, self._data, self._tip_site = model, state, tip_site
         self._speed_m_s, self._noise_m = speed_m_s, noise_m
         self._random = random.Random(f"hand {seed}")
@@ -43,9 +43,11 @@ class Hand:
 
     def seat(self, point_m: Sequence[float]) -> float:
         """Drag the tip to a point (frame of table and camera), seating noise and all; returns how long it takes, in s."""
-        x, y, z = (float(value) + self._noise() for value in self._standing.in_base(point_m))
+        x, y, z = (float(value) + self._noise() for value in self._base_pose.in_base(point_m))
         if not all(map(math.isfinite, (x, y, z))):
-            raise UnreachableError(f"hand: cannot seat the tip at {tuple(point_m)}: not a point.")
+            raise UnreachableError(
+                f"hand: cannot seat the tip at {tuple(point_m)}: the coordinates are not finite."
+            )
         mujoco.mj_kinematics(self._model, self._data)
         here = self._data.site_xpos[self._tip_site]
         self._start, self._target = (float(here[0]), float(here[1]), float(here[2])), (x, y, z)
@@ -87,10 +89,10 @@ class Hand:
         elif float(self._data.time) > self._begun_s + self._duration_s + _SETTLE_S:
             off_mm = self.residual_m() * 1e3
             self.let_go()
-            place = ", ".join(f"{value:.3f}" for value in self._standing.in_world(self._target))
+            place = ", ".join(f"{value:.3f}" for value in self._base_pose.in_world(self._target))
             self.state = "cannot reach"
             self.problem = (
-                f"hand: the arm cannot reach ({place}) m: {off_mm:.1f} mm short; the tip was let go."
+                f"hand: the arm cannot reach ({place}) m: {off_mm:.1f} mm short; the tip was released."
             )
 
     def _noise(self) -> float:

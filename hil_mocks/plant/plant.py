@@ -51,7 +51,7 @@ class Plant:
         self.joints = len(arm.drives)
         self.timestep_s = options.timestep_s
         self.effects = effects
-        self._stands_right = effects.standing.is_nominal
+        self._is_base_nominal = effects.base_pose.is_nominal
         self._at: PlantModel = build(
             arm, effects, options.timestep_s, options.link_share, options.end_stop_margin_rad
         )
@@ -71,7 +71,7 @@ class Plant:
             options.hand_speed_m_s,
             options.seating_noise_m,
             options.seed,
-            effects.standing,
+            effects.base_pose,
         )
         self._steps = 0
         self._free_damping: dict[int, float] = {}
@@ -151,7 +151,7 @@ class Plant:
         mujoco.mj_kinematics(self._model, self._data)
         self._data.qpos[:] = ahead
         x, y, z = self._data.site_xpos[self._at.tip_site].tolist()
-        return (x, y, z) if self._stands_right else self.effects.standing.in_world((x, y, z))
+        return (x, y, z) if self._is_base_nominal else self.effects.base_pose.in_world((x, y, z))
 
     def set_payload(self, mass_kg: float) -> None:
         """Hang a point mass at the tip, in place of the one there."""

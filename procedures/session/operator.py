@@ -143,11 +143,11 @@ class Operator:
         text = f"{self._folder.state.targets[record.key].name} recorded"
         if np.isfinite(verdict.error_m).all():
             text += f"; model error {1e3 * float(np.linalg.norm(verdict.error_m)):.2f} mm"
-        if np.isfinite(verdict.surprise):
+        if np.isfinite(verdict.off_sd):
             text += f", {1e3 * verdict.off_m:.2f} mm from the prediction of the earlier points"
         if verdict.is_suspect:
             text = (
-                f"! {text}: {verdict.surprise:.0f} standard deviations. Check that the tip is seated in"
+                f"! {text}: {verdict.off_sd:.0f} standard deviations. Check that the tip is seated in"
                 f" {record.point}, the right cavity. `redo` measures again, Enter keeps the record"
             )
         return text

@@ -47,7 +47,7 @@ class Reporter(Operator):
                 "text": self._recorded(saying).removeprefix("! "),
                 "error_mm": _mm(float(np.linalg.norm(verdict.error_m))),
                 "off_mm": _mm(verdict.off_m),
-                "surprise": _finite(verdict.surprise),
+                "surprise": _finite(verdict.off_sd),
                 "is_suspect": verdict.is_suspect,
             }
         )

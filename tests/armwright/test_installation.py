@@ -126,7 +126,7 @@ def test_beside_python_control_every_package_ends_in_one_sentence(
         "ImportError: armwright and the package control (python-control) both install a folder `control`"
     )
     assert str(shared / "control" / "xferfcn.py") in said
-    assert said.endswith("give armwright a virtual environment of its own and install it there again")
+    assert said.endswith("install armwright in a separate virtual environment")
 
 
 @pytest.mark.parametrize("order", ["ours last", "theirs last"])

@@ -164,7 +164,8 @@ class TestStates:
     def test_silence_is_said_after_the_time_out(self) -> None:
         board, _, _, clock = make([sent(0, number) for number in range(1, 30)])
         with pytest.raises(
-            BoardSilent, match=r"does not go to SWITCHED ON, stays no state.*powered and wired"
+            BoardSilent,
+            match=r"does not reach SWITCHED ON, stays in an unknown state.*check its supply, wiring",
         ):
             board.go_to(State.SWITCHED_ON)
         assert clock.now_s() == pytest.approx(100.5, abs=0.01)
@@ -185,7 +186,7 @@ class TestStates:
 
     def test_no_way_leads_through_operation_enabled(self) -> None:
         board, _, _, _ = make([sent(0, 1), replied(DISABLED, 1)])
-        with pytest.raises(MisuseError, match="no way from SWITCH ON DISABLED to QUICK STOP ACTIVE"):
+        with pytest.raises(MisuseError, match="no transition from SWITCH ON DISABLED to QUICK STOP ACTIVE"):
             board.go_to(State.QUICK_STOP_ACTIVE)
 
 
@@ -209,7 +210,7 @@ class TestFaults:
             script += [sent(0, number), replied(FAULT, number, Fault.OVER_TEMPERATURE)]
             script += [sent(0x80, number + 1), replied(FAULT, number + 1, Fault.OVER_TEMPERATURE)]
         board, _, _, _ = make(script)
-        with pytest.raises(BoardFaulted, match=r"over temperature.*the cause lasts"):
+        with pytest.raises(BoardFaulted, match=r"over temperature.*the cause persists"):
             board.acknowledge_fault()
 
     def test_emergency_stop_is_said_three_times_and_again_when_asked_again(self) -> None:
@@ -315,7 +316,7 @@ class TestReplies:
             link.push(0x181, reply(ENABLED, number))
             if number < 7:
                 bus.update()
-        with pytest.raises(ProtocolViolation, match="do two boards have this node id"):
+        with pytest.raises(ProtocolViolation, match="check for two boards with this node id"):
             bus.update()
 
     def test_doubled_replies_far_apart_are_noise(self) -> None:
@@ -339,14 +340,14 @@ class TestReplies:
         board, bus, link, _ = enabled()
         board.command_voltage(0.0)
         link.push(0x181, Reply(0x11, 1, 5, 0.0, 24.0, 30, 0).pack())
-        with pytest.raises(ProtocolViolation, match=r"no state \(0x11\) \(received: 11 29"):
+        with pytest.raises(ProtocolViolation, match=r"no known state \(0x11\) \(received: 11 29"):
             bus.update()
 
     @pytest.mark.parametrize("can_id", [0x101, 0x201])
     def test_somebody_else_who_commands_our_boards_is_a_violation(self, can_id: int) -> None:
         _, bus, link, _ = make()
         link.push(can_id, bytes(8))
-        with pytest.raises(ProtocolViolation, match="somebody else commands node 1"):
+        with pytest.raises(ProtocolViolation, match="another program commands node 1"):
             bus.update()
 
     def test_frames_of_nodes_that_are_not_ours_are_let_be(self) -> None:
@@ -364,7 +365,7 @@ class TestReplies:
         link.push(0x181, reply(ENABLED, 5))
         with pytest.raises(ProtocolViolation, match="not 8 bytes"):
             bus.update()
-        with pytest.raises(ProtocolViolation, match="somebody else"):
+        with pytest.raises(ProtocolViolation, match="another program"):
             bus.update()
         bus.update()
         assert board.reply_lag == 0

@@ -9,7 +9,7 @@ import pytest
 from firmware_iface.encoder.wire import Decoder, IndexLatch, Report
 from hil_mocks.devices import encoder_board as eb
 from hil_mocks.devices.encoder_board import EncoderBoardMock, EncoderBoardSetup
-from hil_mocks.devices.framing import Gatherer, frame, unframe
+from hil_mocks.devices.framing import Gatherer, deframe, frame
 
 SETUP = EncoderBoardSetup(serial_number=0xA1B2C3, counts_per_turn=(2048, 2048, 2048), firmware=0x0203)
 NOT_HOME = [False] * 3
@@ -63,7 +63,7 @@ GOLDEN = {
 @pytest.mark.parametrize(("content", "wire"), GOLDEN.items())
 def test_frames_are_the_golden_ones_of_the_document(content: str, wire: str) -> None:
     assert frame(bytes.fromhex(content)) == bytes.fromhex(wire)
-    assert unframe(bytes.fromhex(wire)[:-1]) == bytes.fromhex(content)
+    assert deframe(bytes.fromhex(wire)[:-1]) == bytes.fromhex(content)
 
 
 def test_any_flipped_bit_is_dropped_and_costs_only_its_frame() -> None:

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from control.model.description import load_arm
 from hil_mocks.errors import MockError
+from hil_mocks.plant.base_pose import BasePose
 from hil_mocks.plant.effects import EffectEntry, gather
 from hil_mocks.plant.parts import ArmParts, LinkParts, parts_of
 from hil_mocks.plant.plant import Plant
-from hil_mocks.plant.standing import Standing
 from tests.hil_mocks.pendulum import drive
 
 G, EI, L = 9.81, 150.0, 0.5
@@ -132,5 +132,5 @@ def test_camera_and_hand_see_the_arm_where_it_really_stands() -> None:
 
 
 def test_a_turned_world_and_back_is_the_same_point() -> None:
-    standing = Standing((0.1, 0.2, -0.3), (0.4, -1.1, 2.0))
-    assert standing.in_base(standing.in_world((1.0, 2.0, 3.0))) == pytest.approx((1.0, 2.0, 3.0))
+    base_pose = BasePose((0.1, 0.2, -0.3), (0.4, -1.1, 2.0))
+    assert base_pose.in_base(base_pose.in_world((1.0, 2.0, 3.0))) == pytest.approx((1.0, 2.0, 3.0))

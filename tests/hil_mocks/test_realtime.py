@@ -67,7 +67,7 @@ def test_a_signal_ends_it_cleanly(number: signal.Signals) -> None:
 @pytest.mark.realtime
 def test_it_ends_when_its_parent_dies() -> None:
     rig = RealTimeRig("right")
-    rig.hang_up()
+    rig.close_pipe()
     assert rig.wait_for_end(LIMIT_s) == 0
     rig.close()
 

@@ -47,7 +47,9 @@ def test_what_cannot_be_understood_names_file_and_key(text: str, message: str) -
 
 
 def test_a_missing_file_names_what_there_is(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match="there is no such file, nor is it one of demo, ideal, paper"):
+    with pytest.raises(
+        ScenarioError, match="there is no such file; expected a file or one of demo, ideal, paper"
+    ):
         load_scenario(tmp_path / "none.toml")
 
 
@@ -61,7 +63,7 @@ def test_a_missing_file_names_what_there_is(tmp_path: Path) -> None:
             'unknown parameter "width"; expected width_rad',
         ),
         ('effect = "backlash"\njoint = 1', 'parameter "width_rad" is missing'),
-        ('effect = "backlash"\njoint = 1\nparameters = {width_rad = -0.1}', "must not be negative"),
+        ('effect = "backlash"\njoint = 1\nparameters = {width_rad = -0.1}', "must be positive, or 0"),
     ],
 )
 def test_effects_are_checked_by_name_joint_and_parameter(effect: str, message: str) -> None:

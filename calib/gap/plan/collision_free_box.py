@@ -77,8 +77,8 @@ def collision_free_box(arm: Arm, clearance_m: float = CLEARANCE_m) -> CollisionF
             found = (worth, room)
     if found is None:
         raise CalibrationError(
-            f"arm {arm.name}: no room to record: no box of joint angles, each joint turning by {LEAST_rad:g} rad or more,"
-            f" keeps the arm {1e3 * clearance_m:g} mm clear of floor and board"
+            f"arm {arm.name}: no collision-free box of joint angles: expected {LEAST_rad:g} rad or more for each joint,"
+            f" {1e3 * clearance_m:g} mm clear of floor and board"
         )
     return found[1]
 

@@ -70,24 +70,24 @@ def in_short(arm: Arm, plan: RecordingPlan) -> str:
     loaded = f", some of them with {loads[0]:g} kg at the tip" if loads else ""
     return (
         f"Arm {arm.name}: {len(plan.visits)} poses and {len(plan.runs)} motions{loaded}: about {plan.duration_s / 60.0:.1f}"
-        " minutes. All of it is inside the joints' ranges and limits and clear of floor and board."
+        " minutes. All are inside the joints' ranges and limits, and clear of floor and board."
     )
 
 
 def in_words(arm: Arm, plan: RecordingPlan, payload_kg: float) -> tuple[str, ...]:
-    """The plan for an operator: what is recorded, how long it takes, what it would make nameable, what not and why."""
+    """The plan for an operator: what is recorded, its duration, what it could name, and what not and why."""
     said = [in_short(arm, plan)]
     ranges = ", ".join(
         f"q{j + 1} {math.degrees(a):.0f} to {math.degrees(b):.0f}"
         for j, (a, b) in enumerate(zip(plan.room.lower_rad, plan.room.upper_rad, strict=True))
     )
-    said.append(f"Room: {ranges} deg; a few poses outside of it are reached from its middle.")
+    said.append(f"Collision-free box: {ranges} deg; a few poses outside it are reached from its middle.")
     could = foreseen(arm, plan)
     if could:
         yes = [str(one.name) for one in could if is_nameable(one)]
-        said.append(f"The poses would name, of usual size: {', '.join(yes) or 'nothing'}.")
+        said.append(f"Of usual size, the poses could name: {', '.join(yes) or 'nothing'}.")
         said += [
-            f"They would not name {one.name}: {_why(one, payload_kg)}."
+            f"They could not name {one.name}: {_why(one, payload_kg)}."
             for one in could
             if not is_nameable(one)
         ]
@@ -96,15 +96,15 @@ def in_words(arm: Arm, plan: RecordingPlan, payload_kg: float) -> tuple[str, ...
         said.append("The motions show " + "; ".join(f"{SEEN_BY[kind]} ({kind})" for kind in kinds) + ".")
         if not payload_kg:
             said.append(
-                "Without --payload friction under load, torque constants and masses are hard to tell apart."
+                "Without --payload, load-dependent friction, torque constants and masses are hard to distinguish."
             )
     return tuple(said)
 
 
 def _why(one: Nameable, payload_kg: float) -> str:
     if one.confusable_with:
-        return f"it looks like {', '.join(map(str, one.confusable_with))}"
+        return f"it is indistinguishable from {', '.join(map(str, one.confusable_with))}"
     more = "" if payload_kg else "; a --payload would help" if one.name.effect == "joint_compliance" else ""
     if one.name.effect == "thermal_drift":
         more = "; a longer session (--minutes) would help"
-    return f"it would stand out by {one.detectability:.1f} standard deviations only{more}"
+    return f"its detectability is only {one.detectability:.1f} standard deviations{more}"

@@ -127,7 +127,7 @@ def _of_length(
         if length_s > wanted_s:
             if best is None:
                 raise CalibrationError(
-                    f"--minutes {request.minutes:g}: the least that tells anything takes {length_s / 60.0:.1f} minutes"
+                    f"--minutes {request.minutes:g}: the shortest useful recording takes {length_s / 60.0:.1f} minutes"
                 )
             break
         best = RecordingPlan(room, steps, length_s)
@@ -268,7 +268,7 @@ def _require_clear(arm: Arm, plan: RecordingPlan) -> None:
     for run in plan.runs:
         if not plan.room.holds(poses_of(run.path)) or demand(run.path, limits) > 1.0:
             raise CalibrationError(
-                f"run {run.name} ({run.kind}) leaves its room or a limit; nothing was moved"
+                f"run {run.name} ({run.kind}) leaves the collision-free box or exceeds a limit; nothing was moved"
             )
     visits = [np.array((visit.start_rad, visit.q_rad)) for visit in plan.visits]
     if not visits:

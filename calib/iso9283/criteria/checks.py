@@ -23,7 +23,7 @@ def positions(values: npt.ArrayLike, what: str, least: int = 1) -> Array:
     bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if len(bad):
         raise Iso9283Error(
-            f"{what}: measurement {bad[0] + 1} of {len(array)} is not finite: leave out what was not measured"
+            f"{what}: measurement {bad[0] + 1} of {len(array)} is not finite: remove rows that were not measured"
         )
     return array
 
@@ -43,7 +43,9 @@ def track(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, what: str, least: int = 2
         raise Iso9283Error(f"{what}: expected {len(tips)} finite times, got an array {times.shape}")
     if not (np.diff(times) > 0.0).all():
         at = int(np.argmax(np.diff(times) <= 0.0)) + 2
-        raise Iso9283Error(f"{what}: time does not increase at sample {at}: sort it, one recording at a time")
+        raise Iso9283Error(
+            f"{what}: time does not increase at sample {at}: sort it, and give one recording at a time"
+        )
     return times, tips
 
 

@@ -38,7 +38,7 @@ def corner_overshoot(
     arriving = position(first_direction, "first leg")
     outward = arriving - (arriving @ along) * along
     if np.linalg.norm(outward) < 1e-9 * np.linalg.norm(arriving):
-        raise Iso9283Error("corner: its legs lie on one line, so it is no corner")
+        raise Iso9283Error("corner: its two legs lie on one line")
     outward = direction(outward, "first leg")
     largest = []
     for path in _paths(attained_m):

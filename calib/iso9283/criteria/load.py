@@ -39,7 +39,7 @@ def static_compliance(force_N: npt.ArrayLike, tip_m: npt.ArrayLike) -> Complianc
     slope, _, rank, _ = np.linalg.lstsq(forces[:, loaded], tips, rcond=None)
     if rank < len(loaded):
         raise Iso9283Error(
-            "static compliance: loads along different axes always changed together: load one at a time"
+            "static compliance: loads along different axes always changed together: load one axis at a time"
         )
     compliance, sd = np.full((3, 3), np.nan), np.full((3, 3), np.nan)
     compliance[:, loaded] = slope.T

@@ -123,8 +123,8 @@ def _sections(
     used: npt.NDArray[np.bool_] = np.asarray(np.isfinite(attained).all(axis=(0, 2)))
     if 2 * used.sum() < len(points):
         raise Iso9283Error(
-            f"{what}: every attained path passes only {used.sum()} of {len(points)} calculation points: are"
-            " commanded and attained paths in the same frame, and recorded to their end?"
+            f"{what}: only {used.sum()} of {len(points)} calculation points are passed by every attained path: check that"
+            " commanded and attained paths are in the same frame and recorded to the end"
         )
     return points[used], attained[:, used], used
 

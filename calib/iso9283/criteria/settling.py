@@ -62,7 +62,7 @@ def posing_time(
 def mean_of_cycles(values: Sequence[float]) -> float:
     """The mean of repeated cycles; Iso9283Error for none."""
     if not len(values):
-        raise Iso9283Error("a mean of no cycles: record at least one")
+        raise Iso9283Error("mean over cycles: expected at least one cycle, got none")
     return float(np.mean(values))
 
 
@@ -74,7 +74,7 @@ def _distances(
     distance = norms(tips - position(attained_m, f"{what}, attained pose"))
     if distance[-1] > band_m:
         raise Iso9283Error(
-            f"{what}: the recording ends {1e3 * distance[-1]:.3f} mm from the attained pose, outside of the limit band"
+            f"{what}: the recording ends {1e3 * distance[-1]:.3f} mm from the attained pose, outside the limit band"
             f" of {1e3 * band_m:.3f} mm: record until the arm rests, or choose a wider band"
         )
     return times, distance

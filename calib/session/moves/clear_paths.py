@@ -49,8 +49,8 @@ class ClearPaths:
             if all(self._is_clear(a, b, board) for a, b in zip([start, *way[:-1]], way, strict=True)):
                 return way
         raise NoClearPath(
-            f"no clear way from {_spelled(start)} to {_spelled(end)} rad: straight, higher and over the rest pose the arm"
-            f" comes nearer than {1e3 * MARGIN_m:g} mm to the board, or to the floor; move the arm up, and `redo`"
+            f"no collision-free path from {_spelled(start)} to {_spelled(end)} rad: direct, raised and through the rest pose"
+            f" the arm comes within {1e3 * MARGIN_m:g} mm of the board or the floor; move the arm up, then `redo`"
         )
 
     def _candidates(self, start: Pose, end: Pose) -> list[list[Pose]]:

@@ -37,8 +37,8 @@ def chosen_free_poses(arm: Arm, count: int) -> dict[str, tuple[float, ...]]:
     is_clear &= reach_m < REACH * reach_m.max()
     if is_clear.sum() < count:
         raise SessionError(
-            f"--free {count}: arm {arm.name} has {int(is_clear.sum())} of {CANDIDATES} poses {CLEARANCE_m:g} m above"
-            " the table: give them in a file"
+            f"--free {count}: only {int(is_clear.sum())} of {CANDIDATES} candidate poses of arm {arm.name} are"
+            f" {CLEARANCE_m:g} m above the table: give the poses in a file"
         )
     rows = _spread(unit[is_clear], count)
     ordered = _ordered(arm, kinematics, q_rad[is_clear][rows])
@@ -57,7 +57,7 @@ def read_free_poses(path: Path, joint_count: int) -> dict[str, tuple[float, ...]
         for row in reader:
             name = (row.get("point") or "").strip() or f"f{len(poses) + 1}"
             if name in poses:
-                raise SessionError(f"{path}, line {reader.line_num}: pose {name} is there twice")
+                raise SessionError(f"{path}, line {reader.line_num}: pose {name} appears twice")
             poses[name] = tuple(_angle(path, reader.line_num, key, row[key]) for key in wanted)
     return poses
 

@@ -112,10 +112,10 @@ def test_with_three_or_four_markers_it_is_said_what_cannot_be_told() -> None:
     ("rows", "change", "said"),
     [
         ([0, 1], None, "2 markers .* three or more"),
-        ([24, 26, 28, 32], None, "in one line"),
+        ([24, 26, 28, 32], None, "collinear"),
         ([0, 8, 16, 3], lambda s: s * np.array([1.0, 1.0, np.nan]), "marker 1 seen: .* not a position"),
-        ([0, 8, 16, 3], lambda s: s[[1, 0, 2, 3]], "names swapped"),
-        ([0, 8, 16], lambda s: 1000.0 * s, "not in metres"),
+        ([0, 8, 16, 3], lambda s: s[[1, 0, 2, 3]], "swapped names"),
+        ([0, 8, 16], lambda s: 1000.0 * s, "in metres"),
     ],
 )
 def test_markers_that_determine_no_pose_are_refused_with_the_reason(

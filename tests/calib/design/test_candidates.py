@@ -156,7 +156,7 @@ def test_unknown_board_with_points_in_a_line_offers_only_those_cavities():
 
 def test_setup_that_nobody_can_place_is_one_error_with_the_remedy():
     loose = dataclasses.replace(ARM, table=dataclasses.replace(ARM.table, known_pose=False, origin_m=None))
-    with pytest.raises(CalibrationError, match="take three cavities first"):
+    with pytest.raises(CalibrationError, match="record three cavities"):
         placed_boards(loose, ("normal",), None, {})
     with pytest.raises(CalibrationError, match=r'expected some of normal, roll, pitch, roll-.*got "yaw"'):
         placed_boards(ARM, ("yaw",), None, {})

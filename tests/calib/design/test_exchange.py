@@ -7,7 +7,7 @@ import pytest
 
 from calib.design.criteria import CRITERIA, criterion_of
 from calib.design.exchange import Group, select
-from calib.design.information import standing
+from calib.design.information import uncertainty_of
 from calib.errors import CalibrationError
 from tests.calib.design.experiments import drawn, experiment
 
@@ -17,7 +17,7 @@ NOTHING = np.zeros(0, dtype=np.intp)
 
 
 def log_det(rows) -> float:
-    return standing(EXPERIMENT, rows).log_det
+    return uncertainty_of(EXPERIMENT, rows).log_det
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -45,7 +45,7 @@ def test_exchange_never_ends_below_the_greedy_choice_and_mostly_above():
 @pytest.mark.parametrize("name", CRITERIA)
 def test_every_criterion_beats_the_median_of_random_choices_by_its_own_measure(name):
     def worth(rows):
-        after = standing(EXPERIMENT, rows)
+        after = uncertainty_of(EXPERIMENT, rows)
         found = {"D": after.log_det, "tip": -after.tip_m, **after.indices.as_dict()}
         return found[name]
 

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.calibration.design_trial import ARM, table_points
 from calib.design.criteria import CRITERIA, criterion_of
-from calib.design.information import standing
+from calib.design.information import uncertainty_of
 from calib.design.observability import NAMES
 from calib.errors import CalibrationError
 from calib.identify import ArmModel, Bounds, Choice, identify, problem_of
@@ -23,7 +23,7 @@ def test_score_of_adding_a_pose_is_what_it_changes_when_all_is_computed_anew(arm
     taken, added = drawn(12, len(one.rows), 1), drawn(6, len(one.rows), 2)
     scores = criterion_of(name)(one, one.information(taken), one.rows[added])
     for score, row in zip(scores, added, strict=True):
-        before, after = standing(one, taken), standing(one, [*taken, row])
+        before, after = uncertainty_of(one, taken), uncertainty_of(one, [*taken, row])
         if name in ("D", "O1"):
             assert score == pytest.approx(after.log_det - before.log_det, rel=1e-6)
         elif name == "tip":
@@ -43,15 +43,15 @@ def test_uncertainty_that_no_pose_can_reduce_stays_in_the_tip():
     """A level board leaves a combination that moves the tip elsewhere by far more than the noise."""
     level, poses = experiment(setups=("normal",), free_count=0)
     tilted, _ = experiment(setups=("normal", "roll"), free_count=0)
-    assert standing(level, np.arange(len(poses))).tip_m > 0.010
-    assert standing(tilted, np.arange(66)).tip_m < 0.002
+    assert uncertainty_of(level, np.arange(len(poses))).tip_m > 0.010
+    assert uncertainty_of(tilted, np.arange(66)).tip_m < 0.002
 
 
 def test_board_that_nobody_knows_tells_less_about_the_arm_than_one_that_is_known():
     known, poses = experiment(free_count=0)
     unknown, _ = experiment(UNKNOWN, free_count=0)
     rows = np.arange(len(poses))
-    assert standing(unknown, rows).tip_m > standing(known, rows).tip_m
+    assert uncertainty_of(unknown, rows).tip_m > uncertainty_of(known, rows).tip_m
     assert known.is_tied
     assert not unknown.is_tied
 
@@ -60,19 +60,19 @@ def test_place_of_a_board_is_nothing_to_gain_by_itself():
     """Three cavities give nine numbers, six of which go into an unknown board: the arm gains what is left."""
     unknown, _ = experiment(UNKNOWN, setups=("normal",), free_count=0)
     known, _ = experiment(setups=("normal",), free_count=0)
-    assert 0.0 < standing(unknown, [0, 8, 16]).log_det < 0.7 * standing(known, [0, 8, 16]).log_det
+    assert 0.0 < uncertainty_of(unknown, [0, 8, 16]).log_det < 0.7 * uncertainty_of(known, [0, 8, 16]).log_det
 
 
 def test_what_no_board_at_an_unknown_place_can_show_is_no_uncertainty_of_the_arms_shape():
     """The height d1 and the zero theta1 of the base move the whole workspace: two combinations fewer count."""
     unknown, poses = experiment(UNKNOWN, free_count=0)
     assert unknown.rank == unknown.visible.shape[1] == 8
-    assert standing(unknown, np.arange(len(poses))).tip_m < 0.005
+    assert uncertainty_of(unknown, np.arange(len(poses))).tip_m < 0.005
 
 
 def test_without_any_pose_parameters_are_known_by_their_bounds():
     one, _ = experiment()
-    nothing = standing(one, [])
+    nothing = uncertainty_of(one, [])
     assert nothing.log_det == pytest.approx(0.0, abs=1e-9)
     assert nothing.rank == 0
     assert set(nothing.indices.as_dict()) == set(NAMES)
@@ -107,7 +107,7 @@ def test_predicted_uncertainty_is_what_identifications_scatter_by():
         found = identify(problem_of(ARM, points), objective=LeastSquares(), starts_count=1)
         miss = model.tips(found.dh, WORKSPACE) - model.tips(dh, WORKSPACE)
         squares.append(np.mean(np.sum(miss**2, axis=1)))
-    predicted = standing(one, np.arange(len(poses))).tip_m
+    predicted = uncertainty_of(one, np.arange(len(poses))).tip_m
     assert np.sqrt(np.mean(squares)) == pytest.approx(predicted, rel=0.4)
 
 

@@ -22,7 +22,7 @@ from calib.arm_problem.frames import Frame
 from calib.design import Request, View, in_words, plan_json, plan_poses, write_plan
 from calib.design.boards import boards_in_the_way
 from calib.design.candidates import free_candidates, workspace_poses
-from calib.design.information import experiment_of, standing
+from calib.design.information import experiment_of, uncertainty_of
 from calib.errors import CalibrationError
 from calib.identify import LeastSquares, SumOfDistances
 from calib.points.points import make_points, read_points
@@ -35,7 +35,7 @@ PLAN = plan_poses(ARM, None, Request(count=12))
 def tip_m(points):
     """Predicted tip uncertainty [m] with these points."""
     experiment = experiment_of(ARM, points, EVERYWHERE, NOISE_m, Choice())
-    return standing(experiment, np.arange(len(points))).tip_m
+    return uncertainty_of(experiment, np.arange(len(points))).tip_m
 
 
 def test_planned_free_poses_leave_less_uncertainty_than_random_and_spread_ones():
@@ -89,9 +89,7 @@ def test_roll_tilt_brings_more_than_pitch_and_free_poses_more_than_any_tilt():
     kinds = [one.setup for one in PLAN.alternatives]
     assert kinds[0] == "free"
     assert kinds.index("roll") < kinds.index("pitch")
-    assert any(
-        sentence.startswith("A roll tilt brings more than a pitch tilt") for sentence in in_words(PLAN)
-    )
+    assert any(sentence.startswith("A roll tilt gains more than a pitch tilt") for sentence in in_words(PLAN))
 
 
 def test_points_that_are_taken_count_and_are_not_planned_again():
@@ -143,7 +141,7 @@ def test_unknown_board_is_planned_on_and_is_said_not_to_tie_the_base():
     request = Request(count=6, only="table", setups=("normal",))
     plan = plan_poses(UNKNOWN, None, request)
     assert not plan.is_tied
-    assert any("Nothing ties" in sentence for sentence in in_words(plan))
+    assert any("not tied" in sentence for sentence in in_words(plan))
     seen = {"normal": Frame("table_normal", np.eye(3), np.array([0.5, 0.0, 0.0]))}
     assert plan_poses(UNKNOWN, None, request, Choice(boards=seen)).is_tied
 

@@ -163,7 +163,7 @@ def test_a_gear_that_never_leaves_one_flank_is_said() -> None:
     gravity = Dynamics(ARM).torques(points.q_rad, 0.0 * points.q_rad, 0.0 * points.q_rad)[:, 1]
     hanging = points.chosen(np.flatnonzero(gravity > 3.0))
     (said,) = unclear_flanks(ARM, hanging, ["backlash:2"])
-    assert "cannot be told from the joint's zero" in said
+    assert "cannot be distinguished from the joint's zero" in said
 
 
 def test_friction_against_gravity_leaves_the_flank_open_unless_gravity_is_far_stronger() -> None:

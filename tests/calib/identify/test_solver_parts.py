@@ -79,7 +79,7 @@ def test_huber_bends_where_least_squares_keep_95_percent_of_their_efficiency() -
     ("name", "threshold_m", "says"),
     [
         ("l2", None, 'objective "l2": expected one of e2, e1, lsq, huber'),
-        ("lsq", 0.001, "only the objective huber has one"),
+        ("lsq", 0.001, "only the objective huber has a threshold"),
         ("huber", 0.0, "expected a positive length in m, got 0.0"),
         ("huber", float("nan"), "expected a positive length"),
     ],

@@ -164,7 +164,7 @@ def test_a_corner_that_is_cut_is_rounded_off_and_one_that_is_overrun_overshoots(
     assert cornering.corner_round_off(corner, [over]) == pytest.approx(0.0)  # it passes through the corner
     assert cornering.corner_overshoot(corner, first, second, 0.1, [over]) == pytest.approx(0.005)
     assert cornering.corner_overshoot(corner, first, second, 0.1, [over, cut]) == pytest.approx(0.0025)
-    with pytest.raises(Iso9283Error, match="no corner"):
+    with pytest.raises(Iso9283Error, match="lie on one line"):
         cornering.corner_overshoot(corner, first, first, 0.1, [cut])
 
 

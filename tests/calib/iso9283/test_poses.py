@@ -147,7 +147,7 @@ def test_the_standard_deviation_of_a_compliance_is_that_of_its_scatter() -> None
         (lambda: pose.distance_repeatability(SQUARE, SQUARE[:3]), "expected pairs, got 4 and 3"),
         (lambda: pose.distance_repeatability(SQUARE[:1], SQUARE[:1]), "at least 2"),
         (lambda: static_compliance([(0, 0, 1.0)] * 3, SQUARE[:3]), "two different loads"),
-        (lambda: static_compliance([(0, 0, 0.0), (0, 1, 1), (0, 2, 2)], SQUARE[:3]), "one at a time"),
+        (lambda: static_compliance([(0, 0, 0.0), (0, 1, 1), (0, 2, 2)], SQUARE[:3]), "one axis at a time"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_said(call: object, says: str) -> None:

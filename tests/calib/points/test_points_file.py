@@ -51,7 +51,7 @@ def test_written_points_come_back(tmp_path: Path, name: str, n: int) -> None:
     for field in ("q_rad", "tip_m", "direction", "current_A", "t_s", "payload_kg"):
         np.testing.assert_allclose(getattr(back, field), getattr(points, field), atol=1e-6, err_msg=field)
     assert dict(back.extra) == dict(points.extra)
-    assert warnings == (f"{tmp_path / name}: unknown columns kept and not used: remark",)
+    assert warnings == (f"{tmp_path / name}: unknown columns ignored: remark",)
 
 
 def test_only_required_columns_are_needed(tmp_path: Path) -> None:
@@ -194,5 +194,5 @@ def test_a_file_of_another_arm_is_not_continued(tmp_path: Path) -> None:
         pass
     with pytest.raises(SessionError, match="2 joints"):
         PointsWriter(tmp_path / "points.csv", 2)
-    with pytest.raises(SessionError, match="appends to plain"):
+    with pytest.raises(SessionError, match="writes plain"):
         PointsWriter(tmp_path / "points.csv.gz", 2)

@@ -10,7 +10,7 @@ from calib.errors import SessionError, UnusablePointsError
 from calib.points.points import read_points
 from calib.points.writer import PointsWriter
 from calib.session import FreePose, SessionSettings, Stage, step_through, table, take_free_poses
-from calib.session.standstill import StillStand, wait_for_rest
+from calib.session.standstill import StandstillWindow, wait_for_rest
 from tests.calib.session.session_arm import SEED, NumericGeometry, ScriptedArm, board
 
 
@@ -131,7 +131,7 @@ def test_free_poses_are_measured_by_the_camera(tmp_path: Path) -> None:
 
 
 def test_still_stand_needs_its_whole_time_below_the_limit() -> None:
-    still = StillStand(limit_rad=1e-4, duration_s=0.1)
+    still = StandstillWindow(limit_rad=1e-4, duration_s=0.1)
     assert not any(still.update(0.02 * k, (0.0, 0.0)) for k in range(5))
     assert still.update(0.10, (0.0, 0.9e-4))
     assert not still.update(0.12, (0.0, 1.1e-4))

@@ -141,7 +141,7 @@ def test_a_session_resumed_with_the_tip_at_a_point_lifts_straight_off_before_it_
     normal = np.array(Boards(RIGHT, session.plan).normal("roll"))
     up = np.subtract(session.arm.tips[:2], cavities(TABLE, "roll")["1"])
     np.testing.assert_allclose(up, np.outer([0.01, 0.06], normal), atol=1e-6)
-    assert any("lift it straight off" in text for text in session.told)
+    assert any("first retracts it" in text for text in session.told)
 
 
 def test_skip_redo_bad_and_note_do_what_they_say(tmp_path: Path) -> None:
@@ -223,7 +223,7 @@ def test_jogging_takes_the_tip_down_with_the_drives_on(tmp_path: Path) -> None:
 def test_jog_is_refused_while_the_drives_are_off(tmp_path: Path) -> None:
     session = bench(tmp_path, points=("1",), has_hand=False)
     session.run([GO, GO, GO, Command(Do.JOG, jog=Jog("z", 0.01)), GO])
-    assert "the drives are off: the hand moves the arm, not jog" in session.told
+    assert "the drives are off: move the arm by hand; jog needs the drives on" in session.told
     assert "creep" not in session.arm.log
 
 

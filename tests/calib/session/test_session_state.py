@@ -86,7 +86,7 @@ def test_rounds_go_over_all_points_and_approaches_alternate() -> None:
         ({"targets": ()}, "no points"),
         ({"targets": (Target("a", "1"), Target("a", "1"))}, "a 1 1 is planned twice"),
         ({"targets": (Target("a", "1\n2"),)}, "one line of text"),
-        ({"board": "measured"}, "takes --camera"),
+        ({"board": "measured"}, "needs --camera"),
         ({"seat": "jog", "board": "unknown"}, "guide the tip by hand"),
         ({"targets": free_targets({"f1": (0.1, 0.2)})}, "add --camera"),
     ],
@@ -168,7 +168,7 @@ def test_another_arm_or_plan_is_refused_with_what_differs(tmp_path: Path) -> Non
     with SessionFolder(tmp_path, PLAN):
         pass
     for change, said in (
-        ({"arm_sha256": "11", "arm": "left"}, "session of arm 'right' as its file was then"),
+        ({"arm_sha256": "11", "arm": "left"}, "session began with arm 'right'"),
         ({"payload_kg": 1.0}, r"begun with payload in kg 0\.0, now it is 1\.0"),
         ({"targets": PLAN.targets[:4]}, "roll 2 is not in the new one"),
         ({"targets": (*PLAN.targets, Target("roll", "4"))}, "roll 4 is new"),

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, board_points, board_session
 from calib.arm_problem.frames import rotation_of
-from calib.session.residual_watch import ResidualWatch, Sighting
+from calib.session.residual_watch import ResidualWatch, TipObservation
 from control.model.arm import Effect
 from tests.calib.session.session_arm import RIGHT
 
@@ -26,9 +26,9 @@ def judged(seed: int, is_unknown: bool, play_rad: float = 0.0):
     for k in range(0, 66, 2):
         place = BOARD[k % 33] + rng.normal(0.0, 1e-4, 3) if is_unknown else tips[k]
         here, there = (
-            Sighting(names[k], tuple(q_rad[k]), tuple(p), is_unknown) for p in (place, place + BESIDE)
+            TipObservation(names[k], tuple(q_rad[k]), tuple(p), is_unknown) for p in (place, place + BESIDE)
         )
-        good.append(watch.judge(here).surprise)
+        good.append(watch.judge(here).off_sd)
         beside.append(watch.judge(there).is_suspect)
         watch.add(k, here)
     return np.array(good), np.array(beside)
@@ -57,7 +57,7 @@ def test_what_table_and_camera_call_base_may_be_another_frame() -> None:
     q_rad = np.random.default_rng(1).uniform((-0.3, -1.2, -0.1), (0.3, -0.8, 0.4), (8, 3))
     seen = (REFERENCE.tips(REFERENCE_DH, q_rad) - shift) @ rotation_of(turn)
     for q, tip in zip(q_rad, seen, strict=True):
-        verdict = watch.judge(Sighting("free", tuple(q), tuple(tip)))
+        verdict = watch.judge(TipObservation("free", tuple(q), tuple(tip)))
         np.testing.assert_allclose(verdict.error_m, 0.0, atol=1e-12)
-        assert not verdict.surprise > 1e-6
-        watch.add(tuple(q), Sighting("free", tuple(q), tuple(tip)))
+        assert not verdict.off_sd > 1e-6
+        watch.add(tuple(q), TipObservation("free", tuple(q), tuple(tip)))

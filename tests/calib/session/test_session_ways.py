@@ -67,7 +67,7 @@ def test_where_the_straight_way_is_blocked_another_one_is_found_and_is_clear() -
 def test_where_no_way_is_clear_it_is_said() -> None:
     start, end = across_the_board(np.random.default_rng(2))
     high = BoardPose(np.eye(3), np.array((0.45, 0.0, 0.9)))  # nothing passes over it
-    with pytest.raises(NoClearPath, match="no clear way from"):
+    with pytest.raises(NoClearPath, match="no collision-free path from"):
         ClearPaths(replace(RIGHT, rest=None), GEOMETRY).stops(start, end, high)
 
 

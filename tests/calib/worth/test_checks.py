@@ -34,7 +34,7 @@ WRONG_ANGLES = {
     "counts": (turned(lambda q: np.round(q * COUNTS)), "look like encoder counts"),
     "swapped": (turned(lambda q: q[:, [1, 0, 2]]), "columns q1_rad and q2_rad look swapped"),
     "turned in a ring": (turned(lambda q: q[:, [2, 0, 1]]), "columns q1_rad, q2_rad and q3_rad look swapped"),
-    "sign": (turned(lambda q: q * [1, 1, -1]), "q3_rad looks as if its sign were turned round"),
+    "sign": (turned(lambda q: q * [1, 1, -1]), "the sign of q3_rad looks inverted"),
     "zero": (turned(lambda q: q + np.array([0, np.pi / 2, 0])), "q2_rad looks -90 deg short"),
 }
 WRONG_TIPS = {
@@ -46,7 +46,7 @@ WRONG_TIPS = {
 @pytest.mark.parametrize("name", [*WRONG_ANGLES, *WRONG_TIPS])
 def test_columns_that_mean_something_else_are_recognised(name) -> None:
     change, says = (WRONG_ANGLES | WRONG_TIPS)[name]
-    with pytest.raises(UnusablePointsError, match=f"{says}.*read so, the nominal arm is .* mm"):
+    with pytest.raises(UnusablePointsError, match=f"{says}.*the nominal arm would then be .* mm"):
         checked(change(POINTS))
 
 
@@ -75,7 +75,7 @@ def test_two_readings_that_fit_alike_are_both_named() -> None:
 
 def test_points_of_another_arm_are_refused() -> None:
     q = np.random.default_rng(0).uniform(-1, 1, (99, 3))
-    with pytest.raises(UnusablePointsError, match="are these points of this arm"):
+    with pytest.raises(UnusablePointsError, match="check that the points are of this arm"):
         checked(with_rows(POINTS, q_rad=q))
 
 
@@ -110,7 +110,7 @@ def test_a_few_copies_are_told_and_most_being_copies_is_refused() -> None:
     said = checked(POINTS.chosen([*range(99), 0, 5]))
     assert len(said) == 1
     assert "poses 1 and 100 (lines 2 and 101), 6 and 101 (lines 7 and 102)" in said[0]
-    with pytest.raises(UnusablePointsError, match=r"and 96 more are the same.*leave the copies out"):
+    with pytest.raises(UnusablePointsError, match=r"and 96 more are identical.*remove the copies"):
         checked(POINTS.chosen([*range(99), *range(99)]))
 
 

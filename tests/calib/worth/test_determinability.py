@@ -61,7 +61,7 @@ def test_what_unknown_boards_make_up_for_stays_at_nominal_and_is_told_in_one_sen
     found = identify(problem, starts_count=1)
     deviation = {e.parameter.name: e.deviation for e in found.estimates}
     assert max(abs(deviation[name]) for name in ("d1", "theta1")) < 1e-6
-    said = [sentence for sentence in found.in_words() if "where the boards stand" in sentence]
+    said = [sentence for sentence in found.in_words() if "the poses of the boards" in sentence]
     assert any(sentence.startswith("d1") and "cannot be told apart from" in sentence for sentence in said)
     assert len(found.in_words()) <= 7
 
@@ -96,7 +96,7 @@ def test_a_board_whose_points_lie_on_a_line_has_a_turn_that_nothing_depends_on()
     assert found.rank == 1
     said = open_in_words(found.undetermined)
     assert said == (
-        "board_front_rx has no effect on these points (they lie on one line there); nothing depends on it",
+        "board_front_rx has no effect on these points, which lie on one line; no result depends on it",
     )
 
 

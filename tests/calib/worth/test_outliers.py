@@ -5,7 +5,7 @@ import pytest
 
 from calib.identify import ArmModel
 from calib.identify.linear_fit import LinearFit
-from calib.identify.outliers import FALSE_ALARM, find_outliers, sort_points
+from calib.identify.outliers import FALSE_ALARM, find_outliers, outlier_test
 from calib.identify.suspects import find_suspects
 from control.model.table import cavities, table_of
 from tests.calib.simulated import RIGHT, NOISE_m, board_points, seated, solved, true_dh, with_rows
@@ -23,7 +23,7 @@ def linear(rng, m: int, rank: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(("m", "rank"), [(33, 9), (99, 10)])
 def test_clean_sessions_name_a_point_as_seldom_as_the_level_says(m, rank) -> None:
     rng = np.random.default_rng(1)
-    false = sum((~sort_points(LinearFit.of(*linear(rng, m, rank))).agrees).any() for _ in range(30))
+    false = sum((~outlier_test(LinearFit.of(*linear(rng, m, rank))).agrees).any() for _ in range(30))
     # 30 sessions at 2 %: 0.6 expected, more than 3 have a probability of 0.3 %.
     assert FALSE_ALARM <= 0.05
     assert false <= 3
@@ -38,7 +38,7 @@ def test_up_to_a_fifth_of_wrong_points_are_all_found(share, size) -> None:
         wrong = rng.choice(99, max(1, int(share * 99)), replace=False)
         way = rng.normal(size=(len(wrong), 3))
         noise[wrong] += 0.001 * size * way / np.linalg.norm(way, axis=1, keepdims=True)
-        found = set(np.flatnonzero(~sort_points(LinearFit.of(noise, columns)).agrees).tolist())
+        found = set(np.flatnonzero(~outlier_test(LinearFit.of(noise, columns)).agrees).tolist())
         assert set(wrong.tolist()) <= found
         assert len(found) <= len(wrong) + 1
 
@@ -48,9 +48,9 @@ def test_a_wrong_point_that_the_fit_leans_on_is_found() -> None:
     noise, columns = linear(rng, 40, 6)
     columns[7] *= 4.0  # leverage near a half
     noise[7] += 0.02
-    sorted_points = sort_points(LinearFit.of(noise, columns))
-    assert np.flatnonzero(~sorted_points.agrees).tolist() == [7]
-    assert np.linalg.norm(sorted_points.deleted_m[7]) == pytest.approx(0.02 * np.sqrt(3), rel=0.3)
+    found = outlier_test(LinearFit.of(noise, columns))
+    assert np.flatnonzero(~found.agrees).tolist() == [7]
+    assert np.linalg.norm(found.deleted_m[7]) == pytest.approx(0.02 * np.sqrt(3), rel=0.3)
 
 
 def test_a_point_that_nothing_else_tells_about_is_not_accused() -> None:
@@ -59,7 +59,7 @@ def test_a_point_that_nothing_else_tells_about_is_not_accused() -> None:
     columns = np.concatenate((columns, np.zeros((40, 3, 3))), axis=2)
     columns[5, :, 6:] = np.eye(3)  # three unknowns of its own
     noise[5] += 0.05
-    assert sort_points(LinearFit.of(noise, columns)).agrees.all()
+    assert outlier_test(LinearFit.of(noise, columns)).agrees.all()
 
 
 def test_tips_in_the_wrong_cavity_a_swap_and_a_slipped_encoder_are_told_by_name() -> None:
@@ -75,13 +75,13 @@ def test_tips_in_the_wrong_cavity_a_swap_and_a_slipped_encoder_are_told_by_name(
     problem, x = solved(with_rows(points, q_rad=q))
     found = {one.row: one for one in find_outliers(problem, x)}
     assert set(found) == {3, 10, 11, 40}
-    assert found[3].story.cavity == "7"
-    assert (found[10].story.cavity, found[11].story.cavity) == ("12", "11")
-    assert found[40].story.joint == 3
+    assert found[3].cause.cavity == "7"
+    assert (found[10].cause.cavity, found[11].cause.cavity) == ("12", "11")
+    assert found[40].cause.joint == 3
     # The encoder says 1.5 deg too much, so the joint stood at less.
-    assert np.degrees(found[40].story.slip_rad) == pytest.approx(-1.5, abs=0.1)
+    assert np.degrees(found[40].cause.slip_rad) == pytest.approx(-1.5, abs=0.1)
     assert 'point 4 of setup "normal" (pose 4)' in found[3].words
-    assert "as if it sat in cavity 7" in found[3].words
+    assert "the tip was probably in cavity 7" in found[3].words
 
 
 @pytest.mark.parametrize("size_m", [0.0012, 0.003])
@@ -143,12 +143,12 @@ def test_without_noise_nothing_is_named() -> None:
 def test_too_few_points_accuse_nobody() -> None:
     rng = np.random.default_rng(11)
     noise, columns = linear(rng, 5, 10)
-    assert sort_points(LinearFit.of(noise, columns)).agrees.all()
+    assert outlier_test(LinearFit.of(noise, columns)).agrees.all()
 
 
 def test_scores_allow_for_what_the_fit_has_taken_out_of_each_residual() -> None:
     rng = np.random.default_rng(12)
-    squares = [sort_points(LinearFit.of(*linear(rng, 30, 30))).score ** 2 for _ in range(10)]
+    squares = [outlier_test(LinearFit.of(*linear(rng, 30, 30))).score ** 2 for _ in range(10)]
     # Three times F(3, 57): 3 * 57 / 55 = 3.1; with a third of the squares taken out and not put back it would be 2.
     assert np.mean(squares) == pytest.approx(3.1, rel=0.15)
 

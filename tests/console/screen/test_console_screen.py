@@ -254,11 +254,11 @@ def test_a_runtime_that_is_there_and_does_not_answer_is_a_lost_link(tmp_path: Pa
 
 def test_a_fault_is_said_with_its_remedy_and_acknowledged_by_hand(tmp_path: Path) -> None:
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
-        fault = Fault("x", "joint 2", "following error 0.2 rad", "look for a collision", Reaction.CONTROLLED)
+        fault = Fault("x", "joint 2", "following error 0.2 rad", "check for a collision", Reaction.CONTROLLED)
         served.cell.runtime.fail(fault)
         await until(pilot, lambda: "FAULT" in shown(app, "head"))
         news = shown(app, "status")
-        assert "joint 2: following error 0.2 rad; look for a collision" in news
+        assert "joint 2: following error 0.2 rad; check for a collision" in news
         assert "`a` acknowledges" in news
         await press(pilot, "right")
         assert served.cell.mode is Mode.FAULT

@@ -81,7 +81,7 @@ def test_only_true_switches_the_carrying_on() -> None:
 
 def test_an_arm_that_does_not_know_its_angles_is_not_carried() -> None:
     with holding_cell(scenario(homed=False)) as cell:
-        assert "does not know its weight" in cell.refusal(do="guide", weightless=True)
+        assert "needs a homed arm" in cell.refusal(do="guide", weightless=True)
         assert cell.mode is Mode.HOLDING
 
 

@@ -65,7 +65,7 @@ def test_homing_is_told_and_polling_is_not() -> None:
         cell.client.status()
         cell.client.home(again=True)
         assert said == ["client 0: home", "homing begun", *said[2:]]
-        assert {"homing ended: holding", "every joint knows its zero"} <= set(said)
+        assert {"homing ended: holding", "every joint is homed"} <= set(said)
         assert len(said) <= 6
 
 
@@ -74,7 +74,7 @@ def test_a_client_that_hangs_up_is_told_where_its_motion_ran(cell: Cell) -> None
     cell.start_move((0.2, -0.4, 0.3))
     cell.run(0.1)
     cell.client.close()
-    assert said[-1] == "client 0 hung up: its motion is stopped"
+    assert said[-1] == "client 0 disconnected: its motion is stopped"
 
 
 def test_what_is_said_is_printed_before_the_printer_ends() -> None:

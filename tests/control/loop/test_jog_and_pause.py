@@ -107,7 +107,7 @@ def test_while_the_arm_is_jogged_nothing_else_begins(cell: Cell, do: str) -> Non
 
 
 def test_there_is_nothing_to_renew_where_nothing_is_jogged(cell: Cell) -> None:
-    assert "there is no jog to go on with" in cell.refusal(do="jog_on")
+    assert "no jog to renew" in cell.refusal(do="jog_on")
 
 
 # ---- what limits a jog
@@ -147,8 +147,8 @@ def test_a_step_of_the_tip_ends_where_it_was_to(cell: Cell) -> None:
 
 def test_an_arm_that_knows_no_zero_is_jogged_with_half_of_the_current_and_slowly() -> None:
     with holding_cell(scenario(homed=False)) as cell:
-        assert "home it first" in cell.refusal(do="jog", tip_velocity_m_s=[0.0, 0.0, 0.1])
-        assert "home it first" in cell.refusal(do="jog", axis="z", by_m=0.01)
+        assert "home the arm first" in cell.refusal(do="jog", tip_velocity_m_s=[0.0, 0.0, 0.1])
+        assert "home the arm first" in cell.refusal(do="jog", axis="z", by_m=0.01)
         fractions: list[float] = []
         update = cell.runtime.parts.servo.update
         cell.runtime.parts.servo.update = lambda *a: (fractions.append(a[4]), update(*a))[1]  # type: ignore[method-assign]

@@ -78,7 +78,7 @@ def test_a_file_that_is_not_there_is_named() -> None:
 
 
 def test_a_directory_and_a_binary_file_are_no_arm(tmp_path: Path) -> None:
-    with pytest.raises(ArmFileError, match="a file that can be read"):
+    with pytest.raises(ArmFileError, match="a readable file"):
         load_arm(tmp_path)
     (tmp_path / "x.toml").write_bytes(b'name = "\xff"')
     with pytest.raises(ArmFileError, match="UTF-8"):
@@ -148,7 +148,7 @@ def test_drives_come_in_the_order_of_the_joints_whatever_the_file_has() -> None:
             "motor_node = 2",
             "motor_node = 1",
             "motor_node of [[drive]] 2",
-            "one joint a motor node",
+            "one joint per motor node",
             "1 a second",
         ),
         ("motor_node = 2", "motor_node = 16", "motor_node of [[drive]] 2", "1 to 15", "16"),
@@ -156,13 +156,13 @@ def test_drives_come_in_the_order_of_the_joints_whatever_the_file_has() -> None:
             "encoder_channel = 1",
             "encoder_channel = 0",
             "encoder_channel of [[drive]] 2",
-            "one joint an",
+            "one joint per",
             "second",
         ),
         ("encoder_channel = 1", "encoder_channel = 3", "encoder_channel of [[drive]] 2", "0, 1 or 2", "3"),
         ("encoder_channel = 1", "encoder_board = 1", "encoder_board of [[drive]] 2", "below 1", "1"),
         ("joint = 2\n", "joint = 4\n", "joint of [[drive]] 2", "from 1 to 3", "4"),
-        ("joint = 2\n", "joint = 1\n", "joint of [[drive]] 2", "one [[drive]] a joint", "1 a second"),
+        ("joint = 2\n", "joint = 1\n", "joint of [[drive]] 2", "one [[drive]] per joint", "1 a second"),
         ("joint = 2\n", "joint = 2.0\n", "joint of [[drive]] 2", "whole number", "2.0"),
         ('mode = "voltage"', 'mode = "torque"', "pid.mode of [[drive]] 1", '"voltage" or', "'torque'"),
         (
@@ -174,7 +174,7 @@ def test_drives_come_in_the_order_of_the_joints_whatever_the_file_has() -> None:
         ),
         ("[0.50, 0.0, 0.0]", "[0.50, 0.0]", "table.origin_m", "a list of 3", "2 of them"),
         ("[0.50, 0.0, 0.0]", "[0.5, 0.0, nan]", "table.origin_m[3]", "a finite number", "nan"),
-        ("origin_m = [0.50, 0.0, 0.0]", "", "table.origin_m", "where the board stands", "nothing"),
+        ("origin_m = [0.50, 0.0, 0.0]", "", "table.origin_m", "the board's position", "nothing"),
         ("circle_radius_m = 0.09", "", "table.circle_radius_m", "the circle's radius", "nothing"),
         ("0.20420352248333654", "11.7", "table.roll_tilt_rad", "within +-pi/2", "11.7"),
         (
@@ -333,7 +333,7 @@ def test_saving_never_overwrites(tmp_path: Path) -> None:
     with pytest.raises(ArmFileError, match="never overwritten"):
         save_arm(load_arm("right"), path)
     assert path.read_text() == "mine"
-    with pytest.raises(ArmFileError, match="a place to write to"):
+    with pytest.raises(ArmFileError, match="a writable path"):
         save_arm(load_arm("right"), tmp_path / "no" / "arm.toml")
 
 

@@ -81,5 +81,5 @@ def test_a_joint_without_inertia_is_named() -> None:
     )
     drives = tuple(dataclasses.replace(d, rotor_inertia_kg_m2=0.0) for d in RIGHT.drives)
     weightless = dataclasses.replace(RIGHT, links=links, drives=drives)
-    with pytest.raises(MissingModel, match="joint 1 has no inertia"):
+    with pytest.raises(MissingModel, match="its inertia is zero"):
         gains_of(weightless, 1)

@@ -135,7 +135,7 @@ def test_a_bandwidth_is_reached_or_refused_with_the_one_that_could_be() -> None:
     tuner = Tuner(measured(), MOTOR, T, 0.001)
     design = tuner.at_bandwidth(2.0 * math.pi * 6.0, 6.0, 45.0)
     assert design.here.crossover_rad_s == pytest.approx(2.0 * math.pi * 6.0, rel=0.05)
-    with pytest.raises(MarginsUnmet, match="6 dB and 45 deg are kept up to"):
+    with pytest.raises(MarginsUnmet, match="6 dB and 45 deg are met up to"):
         tuner.at_bandwidth(2.0 * math.pi * 60.0, 6.0, 45.0)
 
 

@@ -127,7 +127,7 @@ def test_before_a_stretched_pose_the_tip_slows_down_and_stops_in_words(speed_m_s
     hand.jogging = Jogging(*with_elbow_to(1.7), True)
     hand.ask(TipVelocity((speed_m_s, 0.0, 0.0)))
     hand.hold(0.6 / speed_m_s)
-    assert "the tip goes no further: " in hand.jogging.limited
+    assert "the jog stopped: " in hand.jogging.limited
     assert "singular pose" in hand.jogging.limited or "out of reach" in hand.jogging.limited
     assert max(map(abs, hand.state.speed_rad_s)) < 1e-9
     shoulder_m = math.dist(TIP(*hand.state.q_rad), (0.0, 0.0, 0.076))
@@ -167,7 +167,7 @@ def test_a_singular_pose_lets_joints_be_jogged_and_says_so():
     hand = Hand((0.0, -0.5, math.pi / 2 - 0.04))
     hand.guards = [*GUARDS[:2], replace(GUARDS[2], upper_rad=1.7)]
     hand.jogging = Jogging(*with_elbow_to(1.7), True)
-    with pytest.raises(ArmError, match=r"nearly stretched .* jog joints instead"):
+    with pytest.raises(ArmError, match=r"nearly stretched .* jog joints away"):
         hand.ask(TipVelocity((-0.1, 0.0, 0.0)))
     hand.ask(JointStep(2, -0.2, 1.0))
     hand.hold(1.0)
@@ -182,7 +182,7 @@ def test_the_tip_does_not_cross_axis_1():
     hand = Hand(INVERSE.nearest((0.15, 0.0, 0.5), (0.0, 0.0, 0.5)))
     hand.ask(TipVelocity((-0.2, 0.0, 0.0)))
     hand.hold(2.0)
-    assert hand.jogging.limited.startswith("the tip goes no further: ")
+    assert hand.jogging.limited.startswith("the jog stopped: ")
     assert max(map(abs, hand.state.speed_rad_s)) < 1e-9
 
 

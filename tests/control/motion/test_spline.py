@@ -275,8 +275,8 @@ def test_a_message_that_is_no_path_is_refused(message):
         ([(0, 0, 0), (1, 0, 0)], -0.1, "way-point 1: expected a speed", 1),
         ([(0, 0, 0), (1, 0, 0)], [0.1, math.nan], "way-point 2: expected a speed", 2),
         ([(0, 0, 0), (1, 0, 0)], [0.1], "one for each of the 2 way-points, got 1", None),
-        ([(0, 0, 0), (1, 0, 0)], 0.0, "way-points 1 and 2 both ask for 0 m/s", 1),
-        ([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [0.1, 0.0, 0.0], "way-points 2 and 3 both ask for 0 m/s", 2),
+        ([(0, 0, 0), (1, 0, 0)], 0.0, "way-points 1 and 2 both have 0 m/s", 1),
+        ([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [0.1, 0.0, 0.0], "way-points 2 and 3 both have 0 m/s", 2),
     ],
 )
 def test_impossible_way_points_are_refused_by_number(points, speeds, pattern, number):

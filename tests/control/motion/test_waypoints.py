@@ -41,7 +41,7 @@ def test_columns_may_come_in_any_order_and_without_speeds(tmp_path):
         ("x_m,y_m\n1,2\n1,2\n", "csv:1: column z_m is missing"),
         ("x_m,y_m,z_m,color\n", 'csv:1: expected columns .* got "color"'),
         ("x_mm,y_mm,z_mm\n", 'got "x_mm": write metres'),
-        ("x_m,y_m,z_m,x_m\n", "column x_m stands there twice"),
+        ("x_m,y_m,z_m,x_m\n", "column x_m appears twice"),
         ("0.5,0.1,0.2\n0.5,0.1,0.2\n", 'expected columns .* got "0.5"'),
         ("x_m,y_m,z_m\n1,2\n1,2,3\n", "csv:2: expected 3 values, got 2"),
         ("x_m,y_m,z_m\n1,2,3\n1,2,three\n", 'csv:3: z_m: expected a finite number, got "three"'),

@@ -195,7 +195,7 @@ def test_a_writer_whose_file_may_grow_no_more_says_so_and_goes_on_when_it_may(tm
     _, said = writer.communicate(timeout=120)
     first, second = said.decode().splitlines()
     assert first.startswith(f"armwright: {tmp_path}/a.armlog: recording stopped: File too large")
-    assert second.startswith(f"armwright: {tmp_path}/a.armlog: recording again")
+    assert second.startswith(f"armwright: {tmp_path}/a.armlog: recording resumed")
     assert len(list(Recording.open(tmp_path / "a.armlog").rows())) >= 3
 
 

@@ -182,7 +182,7 @@ def test_an_arm_that_is_not_homed_does_not_move_and_says_so():
     assert not monitor.is_homed
     monitor.on(Event.STOP)
     monitor.on(Event.STOPPED)
-    with pytest.raises(IllegalTransition, match="home it first"):
+    with pytest.raises(IllegalTransition, match="home the arm first"):
         monitor.on(Event.MOVE)
     assert monitor.mode is Mode.HOLDING
     monitor.on(Event.HOME)

@@ -272,7 +272,7 @@ def test_the_socket_that_a_dead_runtime_left_is_replaced(tmp_path: Path) -> None
 def test_a_file_that_is_no_socket_is_never_removed(tmp_path: Path) -> None:
     path = tmp_path / "arm.toml"
     path.write_text("name = 'mine'")
-    with pytest.raises(SocketTaken, match="is no socket"):
+    with pytest.raises(SocketTaken, match="is not a socket"):
         Bench(path)
     assert path.read_text() == "name = 'mine'"
 

@@ -65,7 +65,7 @@ def test_every_width_comes_back(outcome: Outcome) -> None:
 def test_the_table_alone_is_said_not_to_show_the_play(outcome: Outcome) -> None:
     said = " ".join(outcome.replay.table_says)
     assert all(f"backlash of joint {joint}" in said for joint in (1, 2))
-    assert "cannot be told from the joint's zero" in said
+    assert "cannot be distinguished from the joint's zero" in said
 
 
 def test_no_model_but_that_with_backlash_knows_of_play(outcome: Outcome) -> None:

@@ -177,7 +177,7 @@ def test_the_plan_alone_is_said_and_nothing_is_made(
         (["--seed", "0"], "--seed belongs to --record"),
         (["--record", "--mock", "--points", "p.csv"], "omit --points and --log"),
         (["--record", "--mock", "--minutes", "-1"], "--minutes: expected a number above 0"),
-        (["--record", "--mock", "--minutes", "0.1"], "the least that tells anything takes"),
+        (["--record", "--mock", "--minutes", "0.1"], "the shortest useful recording takes"),
         (["--record", "--mock", "--payload", "-0.5"], "--payload: expected a mass"),
         (["--record", "--scenario", "demo"], "need --mock"),
         (

@@ -197,7 +197,7 @@ def test_the_plan_is_said_and_nothing_is_made(tmp_path: Path, capsys: pytest.Cap
         (["--mock", "--repeats", "1"], "at least 2 repeats"),
         (["--mock", "--programmes", "poses"], "expected some of pose, directions"),
         (["--mock", "--cube-edge", "0.2"], "give both --cube-centre X Y Z and --cube-edge"),
-        (["--mock", "--cube-edge", "0.2", "--cube-centre", "2", "0", "1"], "not all within reach"),
+        (["--mock", "--cube-edge", "0.2", "--cube-centre", "2", "0", "1"], "out of reach"),
         (
             ["--mock", "--rated-speed=-1"],
             "--rated-speed: expected a rated path speed in m/s above 0 and up to 1, got -1",

@@ -163,7 +163,7 @@ def refused(files: Path, capsys: pytest.CaptureFixture[str], *options: str) -> s
         (("--free", "3"), "add --camera"),
         (("--free", "0", "--camera"), "expected 1 to 500 poses"),
         (("--free", "absent.csv", "--camera"), "absent.csv: cannot be read"),
-        (("--board", "measured"), "takes --camera"),
+        (("--board", "measured"), "needs --camera"),
         (("--seat", "jog", "--board", "unknown"), "guide the tip by hand"),
         (("--plan", "absent.csv"), "absent.csv: cannot be read"),
         (("--plan", "x.csv", "--points", "1"), "leave --points away"),

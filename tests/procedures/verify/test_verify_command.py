@@ -86,7 +86,7 @@ def test_recorded_points_show_that_the_calibrated_arm_is_better(
     assert main(["verify", "--arm", str(calibrated), "--points", str(measured), "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert "The calibrated arm is better by" in said
-    assert "note: not beside the calibrated arm, or changed since: table.csv" in said
+    assert "note: missing beside the calibrated arm, or changed: table.csv" in said
     content = json.loads((out / "verify.json").read_text("utf-8"))
     assert content["driven"] is False
     assert len(content["points"]) == 40

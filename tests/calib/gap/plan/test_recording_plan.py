@@ -50,7 +50,7 @@ def test_gravity_pulls_joints_two_and_three_both_ways_in_the_room(room) -> None:
 
 def test_an_arm_without_room_is_told_so() -> None:
     high = dataclasses.replace(RIGHT, limits=dataclasses.replace(RIGHT.limits, floor_z_m=0.7))
-    with pytest.raises(CalibrationError, match="no room to record"):
+    with pytest.raises(CalibrationError, match="no collision-free box"):
         collision_free_box(high)
 
 
@@ -173,7 +173,7 @@ def test_the_time_that_is_given_is_used_and_not_passed() -> None:
     assert short.duration_s <= 96.0
     assert 144.0 < longer.duration_s <= 180.0
     assert len(longer.visits) > len(short.visits)
-    with pytest.raises(CalibrationError, match="the least that tells anything takes"):
+    with pytest.raises(CalibrationError, match="the shortest useful recording takes"):
         recording_plan(RIGHT, PlanRequest(minutes=0.2))
 
 
@@ -190,7 +190,7 @@ def test_what_a_plan_would_make_nameable_is_said_before_anything_moves(quick) ->
     few = dataclasses.replace(
         quick, steps=tuple(v for v in quick.visits if v.point == REFERENCE or v.point < "a3")
     )
-    assert "They would not name" in " ".join(in_words(RIGHT, few, 0.0))
+    assert "They could not name" in " ".join(in_words(RIGHT, few, 0.0))
 
 
 def test_an_arm_without_masses_is_planned_for_all_the_same() -> None:

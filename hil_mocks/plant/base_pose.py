@@ -1,4 +1,4 @@
-"""Where the arm stands in the world of camera, table and hand: the effect `base_frame`.
+"""Pose of the arm's base in the world of camera, table and hand: the effect `base_frame`.
 
 The world is the frame of table and camera; the effect is its pose in the arm's base frame: an origin, and a turn as a rotation
 vector. The physics runs in the base frame, where gravity is as arm.toml says; what is seen and touched goes through here.
@@ -17,8 +17,8 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
-    """The world's frame in the arm's base frame; the default is an arm that stands where it is said to stand."""
+class BasePose:
+    """The world's frame in the arm's base frame; the default is an arm at its nominal base pose."""
 
     origin_m: Point = (0.0, 0.0, 0.0)
     turn_rad: Point = (0.0, 0.0, 0.0)
@@ -46,7 +46,7 @@ class Standing:
         return _point(turned)
 
 
-NOMINAL: Final = Standing()
+NOMINAL: Final = BasePose()
 
 
 def _point(values: np.ndarray) -> Point:

@@ -1,4 +1,4 @@
-"""What may have happened to a point that the others contradict, where its numbers fit one story and no other."""
+"""The probable cause of an outlier, where its residual fits one cause and no other."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from calib.arrays import Array, norms
 
 ALIKE = 4.0  # noise standard deviations within which two places are the same
 LEAST_SLIP_rad = 1e-3
-NOT_SEATED_m = 0.006  # a tip that is not quite in its cavity is no farther off
+NOT_SEATED_m = 0.006  # a badly seated tip is at most this far from its cavity
 
 
 @dataclass(frozen=True, slots=True)
-class Story:
-    """What a point looks like: in another `cavity`, or with the encoder of `joint` slipped by `slip_rad`, or off its seat."""
+class OutlierCause:
+    """A wrong `cavity`, an encoder of `joint` slipped by `slip_rad`, or (`is_near`) a badly seated tip."""
 
     cavity: str = ""
     joint: int = 0
@@ -27,29 +27,27 @@ class Story:
 
     @property
     def words(self) -> str:
-        """As `: as if it sat in cavity 7`; empty if no single story fits."""
+        """As `: the tip was probably in cavity 7`; empty if no single cause fits."""
         if self.cavity:
-            return f": as if it sat in cavity {self.cavity}"
+            return f": the tip was probably in cavity {self.cavity}"
         if self.joint:
             angle = math.degrees(self.slip_rad)
-            return f": as if the encoder of joint {self.joint} had slipped by {angle:+.2f} deg in this pose"
-        return (
-            ": as if the tip had not sat in its cavity, or the camera had missed it" if self.is_near else ""
-        )
+            return f": the encoder of joint {self.joint} probably slipped by {angle:+.2f} deg in this pose"
+        return ": the tip was probably not seated, or the camera misread it" if self.is_near else ""
 
 
-def story_of(
+def cause_of(
     problem: ArmProblem, x: Array, row: int, deleted_m: Array, noise_m: float, cavities: Mapping[str, Array]
-) -> Story:
-    """The story of a row whose reference minus tip is `deleted_m` (3,)."""
+) -> OutlierCause:
+    """The cause of a row whose reference minus tip is `deleted_m` (3,)."""
     near = ALIKE * noise_m
     cavity = _other_cavity(problem, x, row, deleted_m, near, cavities)
     if cavity:
-        return Story(cavity=cavity)
+        return OutlierCause(cavity=cavity)
     joints = _slipped_joints(problem, x, row, deleted_m, near)
     if len(joints) == 1:
-        return Story(joint=joints[0][0], slip_rad=joints[0][1])
-    return Story(is_near=bool(np.linalg.norm(deleted_m) < NOT_SEATED_m))
+        return OutlierCause(joint=joints[0][0], slip_rad=joints[0][1])
+    return OutlierCause(is_near=bool(np.linalg.norm(deleted_m) < NOT_SEATED_m))
 
 
 def _other_cavity(
