@@ -12,13 +12,13 @@ from textual.app import App
 from textual.binding import Binding, BindingType
 from textual.widgets import Input
 
-from console.commands.table import COMMANDS
 from console.lines.grammar import Grammar
 from console.screen.link import Message, RuntimeLink
 from console.screen.operating import OperatingScreen
 from console.screen.operator import MOVING, Operator
 from console.screen.picture import Skeleton
 from console.screen.session import SessionScreen
+from console.specs.table import COMMANDS
 from control.model.arm import Arm
 from control.motion.jog_limits import JogLimits
 

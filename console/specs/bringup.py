@@ -34,6 +34,7 @@ BRINGUP = (
             JSON,
         ),
         "Nothing is energised, nothing moves. Exit status 1 when something must be mended first.",
+        module="bringup.doctor",
     ),
     CommandSpec(
         "bringup",
@@ -63,6 +64,7 @@ BRINGUP = (
             ),
         ),
         "Somebody stands beside the arm with the emergency stop. Interrupted, the same command goes on where it was.",
+        module="bringup.bringup",
     ),
     CommandSpec(
         "tune",
@@ -96,5 +98,6 @@ BRINGUP = (
             option("--yes", action="store_true", help="begin without asking"),
         ),
         "At least 6 dB and 45 degrees, delay included, or nothing is written. Starts a runtime of its own: end others first.",
+        module="bringup.tune",
     ),
 )

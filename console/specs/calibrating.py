@@ -80,6 +80,7 @@ CALIBRATING = (
             JSON,
         ),
         "Writes arm.toml, calibration.json and report.html to the folder; nothing is overwritten.",
+        module="calibration.calibrate",
     ),
     CommandSpec(
         "verify",
@@ -127,6 +128,7 @@ CALIBRATING = (
         ),
         "The arm must be homed and hold; the tip goes above the board by either model and the camera measures. Exit status 1"
         " where the calibrated arm is worse by more than chance.",
+        module="calibration.verify",
     ),
     CommandSpec(
         "gap",
@@ -184,6 +186,7 @@ CALIBRATING = (
         " `armwright gap --points points.csv --log log.csv --out out/gap` looks at files;"
         " `armwright gap --record --plan-only --out out/gap` says what it would record;"
         " `armwright gap --record --mock --quick --out out/gap` tries it on a mock arm.",
+        module="calibration.gap",
     ),
     CommandSpec(
         "iso9283",
@@ -283,5 +286,6 @@ CALIBRATING = (
         "Give one of --points, --record and --mock. Writes iso9283.json and iso9283.html; recording adds points.csv,"
         " log.csv and programme.json, line by line, and goes on where it was interrupted. docs/iso9283.md says what each"
         " criterion takes.",
+        module="calibration.iso9283",
     ),
 )

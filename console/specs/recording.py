@@ -53,6 +53,7 @@ RECORDING = (
             SOCKET,
         ),
         "Each record is on disk before it is acknowledged. The same command resumes; docs/session.md.",
+        module="calibration.session",
     ),
     CommandSpec(
         "plan-poses",
@@ -102,6 +103,7 @@ RECORDING = (
             JSON,
         ),
         "Nothing moves. plan.csv is in visiting order, for `armwright session --plan`.",
+        module="calibration.plan_poses",
     ),
     CommandSpec(
         "register",
@@ -118,5 +120,6 @@ RECORDING = (
             JSON,
         ),
         "Prints the residual of every marker, names those that disagree, writes boards.json.",
+        module="calibration.register",
     ),
 )
