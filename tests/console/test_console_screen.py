@@ -114,11 +114,10 @@ def test_a_button_jogs_while_the_mouse_holds_it_and_a_lost_focus_lets_go(
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
         buttons = list(app.operating.query(".held"))
         mouse(pilot, buttons[1], events.MouseDown)
-        await asyncio.sleep(0.6)
+        await until(pilot, lambda: served.cell.runtime.set_point.q_rad[0] > STRETCHED[0] + 0.005)
         assert served.cell.mode is Mode.JOGGING
         mouse(pilot, buttons[1], events.MouseUp)
         await rested(pilot, served)
-        assert served.cell.runtime.set_point.q_rad[0] > STRETCHED[0] + 0.005
         mouse(pilot, buttons[0], events.MouseDown)
         await moved(pilot, served, 2)
         app.post_message(events.AppBlur())
