@@ -42,6 +42,8 @@ def of_columns(
 
     numbers, run_names = _numbered_runs(column("run"), run_names)
     joints = {key: group(form) for key, form in JOINT_FORMS.items()}
+    for key, form, same in JOINT_SIDE_FORMS:
+        joints[key] = group(form) if form.format(1) in columns else joints[same]
     mode = np.nan_to_num(column("mode"), nan=-1.0).astype(np.int64) if modes else np.full(count, -1)
     return Series(
         name=name,
@@ -57,10 +59,6 @@ def of_columns(
         arm=arm,
         notes=notes,
         **joints,
-        **{
-            key: group(form) if form.format(1) in columns else joints[same]
-            for key, form, same in JOINT_SIDE_FORMS
-        },
     )
 
 
