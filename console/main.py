@@ -13,8 +13,8 @@ import threading
 from collections.abc import Sequence
 
 from console import options
-from console.commands.table import COMMANDS
 from console.plain_text import prepare_streams
+from console.specs.table import COMMANDS
 
 
 def parser() -> argparse.ArgumentParser:

@@ -19,7 +19,11 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class CommandSpec:
-    """One subcommand; `module` where it shares one with others, which then tell it by `given.command`."""
+    """One subcommand.
+
+    `module` names the one that runs it where that is not named as the command is: it stands in a folder, or is shared with
+    other commands, which `given.command` then tells apart.
+    """
 
     name: str
     summary: str

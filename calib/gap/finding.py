@@ -10,6 +10,7 @@ from pathlib import Path
 
 from control.files import write_whole
 
+GEOMETRY = "link_geometry"  # the effect: the links' lengths and axes are others than the model's
 ON_LINKS = ("link_flexure", "link_inertia")  # the key is still `joint`, and carries the link's number
 
 

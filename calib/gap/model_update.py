@@ -7,8 +7,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 from calib.arrays import Array
-from calib.gap.finding import EffectName, GapFinding
-from calib.gap.words import GEOMETRY
+from calib.gap.finding import GEOMETRY, EffectName, GapFinding
 from control.model.arm import Arm, Calibration, Effect
 
 Parameters = Mapping[str, float]

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from calib.gap.finding import EffectName, GapFinding, NamedEffect
+from calib.gap.finding import GEOMETRY, EffectName, GapFinding, NamedEffect
 from calib.gap.static.nameable import NAMEABLE_sd, is_nameable
 
-GEOMETRY = "link_geometry"
 AT_FLOOR = 1.1  # times the floor, up to which a gap counts as closed
 
 

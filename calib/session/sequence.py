@@ -109,8 +109,7 @@ def step_through(
         walk.stands_at(point.normal)
         with seated(point.tip_m, arm, seat):
             yield _progress(Stage.SEATED, done - 1, points, point)
-            target = Target(point.setup, point.point, point.repeat)
-            record = take(target, point.tip_m, arm, how, camera)
+            record = take(_target(point), point.tip_m, arm, how, camera)
             writer.append(record)
         yield _progress(Stage.RECORDED, done, points, point, record)
     walk.lift()
@@ -130,7 +129,7 @@ def take_free_poses(
             yield _progress(Stage.KEPT, done, poses, pose)
             continue
         arm.move_to_q(pose.q_rad)
-        record = take(Target(pose.setup, pose.point, pose.repeat), None, arm, how, camera)
+        record = take(_target(pose), None, arm, how, camera)
         writer.append(record)
         yield _progress(Stage.RECORDED, done, poses, pose, record)
 
@@ -149,6 +148,10 @@ def seated(tip_m: Vector, arm: ArmPort, seat: TipSeat) -> Iterator[None]:
             arm.hold()
         finally:
             seat.let_go()
+
+
+def _target(point: BoardPoint | FreePose) -> Target:
+    return Target(point.setup, point.point, point.repeat)
 
 
 def _progress(

@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 from console.commands.connection import connected
-from console.commands.table import COMMANDS
 from console.lines.grammar import Grammar, LineError
 from console.lines.replay import Outcome, parse_lines, replay
+from console.specs.table import COMMANDS
 
 
 def run(given: argparse.Namespace) -> int:

@@ -25,11 +25,29 @@ def described(status: Message) -> str:
     homed = "homed" if status["is_homed"] else "not homed"
     done = f", {100 * status['progress']:.0f} % of run {status['run']}" if status["run"] else ""
     pace = f", speed override {100 * status['override']:.0f} %" if status["override"] < 1.0 else ""
-    encoder, drive = status["encoder_stale_s"], status["drive_stale_s"]
     step = f", {status['step']}" if status["step"] else ""
     lines = [
         f"arm {status['arm']}: {status['mode']}, {homed}{done}{pace}{step}",
         "",
+        *_joint_rows(status),
+        "",
+        *stale_lines(status),
+        *_tip_lines(status),
+        f"loop: {1e3 * status['period_s']:g} ms, p99 {1e6 * status['late_p99_s']:.0f} us late,"
+        f" {1e6 * status['busy_p50_s']:.0f} us busy, {status['missed_cycles']} cycles missed",
+    ]
+    if status["recording"]:
+        lines.append(_recording(RecorderState.of(status["recorder"])))
+    lines += [f"warning: {warning}" for warning in status["warnings"]]
+    lines += [f"FAULT {f['where']}: {f['message']}; {f['remedy']}" for f in status["faults"]]
+    if status["faults"]:
+        lines.append("when it is safe: `armwright acknowledge`, then `armwright enable`")
+    return "\n".join(lines)
+
+
+def _joint_rows(status: Message) -> list[str]:
+    encoder, drive = status["encoder_stale_s"], status["drive_stale_s"]
+    return [
         _row("joint", [f"{joint + 1}" for joint in range(len(status["q_rad"]))]),
         _row("angle [rad]", _marked(_numbers(status["q_rad"], 4), encoder)),
         _row("set-point [rad]", _numbers(status["q_set_rad"], 4)),
@@ -42,25 +60,17 @@ def described(status: Message) -> str:
         _row("supply [V]", _marked(_numbers(status["supply_V"], 1), drive)),
         _row("temperature [°C]", _marked(_numbers(status["temperature_C"], 0), drive)),
         _row("drive", _marked(status["drive_state"], drive)),
-        "",
-        *stale_lines(status),
     ]
+
+
+def _tip_lines(status: Message) -> list[str]:
+    lines = []
     if status["tip_m"]:
-        mark = STALE if any(age is not None for age in encoder) else ""
+        mark = STALE if any(age is not None for age in status["encoder_stale_s"]) else ""
         lines.append(f"tip at {', '.join(_numbers(status['tip_m'], 4))} m{mark} by the arm's model")
     if status["camera_m"]:
         lines.append(f"tip at {', '.join(_numbers(status['camera_m'], 4))} m by the camera")
-    lines.append(
-        f"loop: {1e3 * status['period_s']:g} ms, p99 {1e6 * status['late_p99_s']:.0f} us late,"
-        f" {1e6 * status['busy_p50_s']:.0f} us busy, {status['missed_cycles']} cycles missed"
-    )
-    if status["recording"]:
-        lines.append(_recording(RecorderState.of(status["recorder"])))
-    lines += [f"warning: {warning}" for warning in status["warnings"]]
-    lines += [f"FAULT {f['where']}: {f['message']}; {f['remedy']}" for f in status["faults"]]
-    if status["faults"]:
-        lines.append("when it is safe, run `armwright acknowledge`, then `armwright enable`")
-    return "\n".join(lines)
+    return lines
 
 
 def _recording(recorder: RecorderState) -> str:

@@ -13,7 +13,6 @@ from textual.binding import Binding, BindingType
 from textual.filter import LineFilter
 from textual.widgets import Input
 
-from console.commands.table import COMMANDS
 from console.lines.grammar import Grammar
 from console.screen.dashboard import Dashboard
 from console.screen.drawing.plain import AsciiFilter, is_plain
@@ -24,6 +23,7 @@ from console.screen.link import Message, RuntimeLink
 from console.screen.operating import OperatingScreen
 from console.screen.operator import MOVING, Operator
 from console.screen.session import SessionScreen
+from console.specs.table import COMMANDS
 from control.model.arm import Arm
 
 __all__ = ["ConsoleApp", "Files"]

@@ -34,6 +34,7 @@ BRINGUP = (
             JSON,
         ),
         "Nothing is energised and nothing moves. Exit status 1 if a fault must be fixed first.",
+        module="bringup.doctor",
     ),
     CommandSpec(
         "bringup",
@@ -63,6 +64,7 @@ BRINGUP = (
             ),
         ),
         "Stand beside the arm with the emergency stop in hand. After an interruption, the same command continues.",
+        module="bringup.bringup",
     ),
     CommandSpec(
         "tune",
@@ -99,5 +101,6 @@ BRINGUP = (
             "Writes gains only with margins of at least 6 dB and 45 degrees, delay included. Starts its own runtime: end"
             " others first."
         ),
+        module="bringup.tune",
     ),
 )

@@ -76,6 +76,7 @@ CALIBRATING = (
             JSON,
         ),
         "Writes arm.toml, calibration.json and report.html; never overwrites.",
+        module="calibration.calibrate",
     ),
     CommandSpec(
         "verify",
@@ -123,6 +124,7 @@ CALIBRATING = (
         ),
         "The arm must be homed and holding. The tip moves above the board with each model, and the camera measures."
         " Exit status 1 if the calibrated arm is significantly worse.",
+        module="calibration.verify",
     ),
     CommandSpec(
         "gap",
@@ -181,6 +183,7 @@ CALIBRATING = (
         "Writes gap.json, an arm.toml with the named effects, and report.html; never overwrites. `armwright gap"
         " --points points.csv --log log.csv --out out/gap` analyses files. `armwright gap --record --plan-only --out"
         " out/gap` prints the plan. `armwright gap --record --mock --quick --out out/gap` tries it on a mock arm.",
+        module="calibration.gap",
     ),
     CommandSpec(
         "iso9283",
@@ -282,5 +285,6 @@ CALIBRATING = (
         "Give one of --points, --record and --mock. Writes iso9283.json and iso9283.html. Recording also writes"
         " points.csv, log.csv and programme.json, and resumes after an interruption. docs/iso9283.md describes each"
         " criterion.",
+        module="calibration.iso9283",
     ),
 )

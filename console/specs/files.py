@@ -17,6 +17,7 @@ FILES = (
             ),
             JSON,
         ),
+        module="recordings.export",
     ),
     CommandSpec(
         "export-arm",

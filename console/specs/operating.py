@@ -26,6 +26,7 @@ OPERATING = (
         "check",
         "find the boards that arm.toml names and compare their identities; nothing moves",
         (ARM, *LINKS, JSON),
+        module="bringup.check",
     ),
     CommandSpec(
         "console",

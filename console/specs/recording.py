@@ -60,6 +60,7 @@ RECORDING = (
             SOCKET,
         ),
         "Each record is on disk before it is confirmed. The same command resumes; docs/session.md.",
+        module="calibration.session",
     ),
     CommandSpec(
         "plan-poses",
@@ -112,6 +113,7 @@ RECORDING = (
             JSON,
         ),
         "Nothing moves. plan.csv lists the poses in visiting order for `armwright session --plan`.",
+        module="calibration.plan_poses",
     ),
     CommandSpec(
         "register",
@@ -128,5 +130,6 @@ RECORDING = (
             JSON,
         ),
         "Prints the residual of every marker, names outliers, writes boards.json.",
+        module="calibration.register",
     ),
 )

@@ -30,6 +30,7 @@ SEEING = (
         ),
         "Prints following errors, currents, saturation, tip error and cycle timing. --json without --out draws"
         " nothing. docs/visualisation.md.",
+        module="recordings.plot",
     ),
     CommandSpec(
         "view",
@@ -65,6 +66,7 @@ SEEING = (
             ),
         ),
         "Moves nothing: the live view only asks the runtime for its status. docs/visualisation.md.",
+        module="recordings.view",
     ),
     CommandSpec(
         "completion",

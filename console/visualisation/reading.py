@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from console.visualisation.series import Array, Series, joined_runs
+from console.visualisation.columns import JOINT_FORMS, Report, of_columns
+from console.visualisation.series import Array, Series
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.recording.record import MAGIC, Recording
@@ -18,14 +17,6 @@ from control.safety.table import Mode
 
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 NUMPY_OF_CODE: Final = {"d": "<f8", "f": "<f4", "I": "<u4", "i": "<i4", "H": "<u2", "h": "<i2", "B": "u1", "b": "i1"}  # fmt: skip
-JOINT_FORMS: Final = {
-    "q_rad": "q{}_rad", "q_set_rad": "q{}_set_rad", "current_A": "i{}_A", "voltage_V": "u{}_V",
-    "supply_V": "supply{}_V", "temperature_C": "temperature{}_C",
-}  # fmt: skip
-JOINT_SIDE_FORMS: Final = (
-    ("joint_rad", "joint{}_rad", "q_rad"), ("joint_set_rad", "joint{}_set_rad", "q_set_rad"),
-)  # fmt: skip
-Report = Callable[[float], None]
 
 
 def read_series(path: Path, arm: Arm | None = None, report: Report = lambda done: None) -> Series:
@@ -112,49 +103,3 @@ def _numbers(texts: list[str]) -> Array:
         return np.array([text or "nan" for text in texts], dtype=np.float64)
     except ValueError:
         return np.full(len(texts), np.nan)
-
-
-def of_columns(
-    name: str,
-    columns: Mapping[str, NDArray[Any]],
-    joint_count: int,
-    modes: tuple[str, ...],
-    arm: Arm | None,
-    notes: tuple[str, ...] = (),
-    run_names: tuple[str, ...] | None = None,
-) -> Series:
-    """Columns by the names of log.csv as a series; columns that are absent are NaN."""
-    count = len(columns["t_s"])
-
-    def column(key: str) -> Array:
-        found = columns.get(key)
-        return np.full(count, np.nan) if found is None else np.asarray(found, dtype=np.float64)
-
-    def group(form: str) -> Array:
-        return np.stack([column(form.format(joint)) for joint in range(1, joint_count + 1)], axis=1)
-
-    numbers = np.nan_to_num(column("run")).astype(np.int64)
-    if run_names is None:
-        found, numbers = np.unique(numbers, return_inverse=True)
-        run_names = tuple(str(number) for number in found)
-    joints = {key: group(form) for key, form in JOINT_FORMS.items()}
-    mode = np.nan_to_num(column("mode"), nan=-1.0).astype(np.int64) if modes else np.full(count, -1)
-    return Series(
-        name=name,
-        t_s=joined_runs(column("t_s"), numbers),
-        run=numbers,
-        runs=run_names,
-        mode=mode,
-        modes=modes,
-        tip_m=np.stack([column(axis) for axis in ("x_m", "y_m", "z_m")], axis=1),
-        late_s=column("late_s"),
-        busy_s=column("busy_s"),
-        missed=column("missed"),
-        arm=arm,
-        notes=notes,
-        **joints,
-        **{
-            key: group(form) if form.format(1) in columns else joints[same]
-            for key, form, same in JOINT_SIDE_FORMS
-        },
-    )

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 import msgspec
 import numpy as np
 
-from console.visualisation.reading import Report, of_columns
+from console.visualisation.columns import Report, of_columns
 from console.visualisation.series import Array, Series
 from control.errors import ArmError
 from control.model.arm import Arm

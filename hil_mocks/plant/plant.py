@@ -64,15 +64,7 @@ class Plant:
         self.bridges = Bridges(
             self._model, self._data, _windings(arm, effects), self._at.bridge, effects.supply_resistance_ohm
         )
-        self.hand = Hand(
-            self._model,
-            self._data,
-            self._at.tip_site,
-            options.hand_speed_m_s,
-            options.seating_noise_m,
-            options.seed,
-            effects.base_pose,
-        )
+        self.hand = self._free_hand(options)
         self._steps = 0
         self._free_damping: dict[int, float] = {}
         self._blocked_by: dict[int, set[str]] = {}
@@ -83,6 +75,17 @@ class Plant:
         )
         self._apply_asymmetry()
         self._read()
+
+    def _free_hand(self, options: PlantOptions) -> Hand:
+        return Hand(
+            self._model,
+            self._data,
+            self._at.tip_site,
+            options.hand_speed_m_s,
+            options.seating_noise_m,
+            options.seed,
+            self.effects.base_pose,
+        )
 
     @property
     def time_s(self) -> float:

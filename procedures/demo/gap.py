@@ -17,7 +17,7 @@ from calib.design.reach import spread_poses
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
 from calib.gap.plan.collision_free_box import collision_free_box
 from calib.gap.plan.plan import PlanRequest, RecordingPlan, recording_plan
-from calib.gap.workflow import GapOutcome, find_gap_in, read_recordings, write_gap
+from calib.gap.workflow import GapOutcome, Recordings, find_gap_in, read_recordings, write_gap
 from calib.validation.tracks import TrackPair
 from calib.validation.verify import Comparison
 from control.errors import ArmError
@@ -80,14 +80,7 @@ class Circle:
 
 def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> Circle:
     """Do it all on the bench's arm; `arm` is the nominal one. Results in `out`."""
-    plans = {
-        "poses": recording_plan(
-            arm, PlanRequest(has_motions=False, payload_kg=PAYLOAD_kg, is_quick=True), bench.speed
-        ),
-        "motions": recording_plan(
-            arm, PlanRequest(has_poses=False, payload_kg=PAYLOAD_kg, is_quick=True), bench.speed
-        ),
-    }
+    plans = _plans(arm, bench.speed)
     programme = programme_of(arm)
     advance("homing", 0.0)
     client = bench.start(arm)
@@ -95,43 +88,66 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
     client.home()
     first = _newest(out)
     own = RecordingBench(arm, client, first, bench.rig.set_payload, speed=bench.speed)
-    record(own, plans["poses"], out / "poses", lambda what, done: advance(what, 0.02 + 0.38 * done))
-    recordings = read_recordings(arm, [out / "poses" / "points.csv"], [])
-    outcome = find_gap_in(arm, recordings, (), lambda what, done: advance(what, 0.4 + 0.02 * done))
-    has_motions = not named_in(outcome.finding)
-    if has_motions:  # poses alone tell nothing: what is missing shows in motion, if anywhere
-        record(own, plans["motions"], out / "motions", lambda what, done: advance(what, 0.42 + 0.18 * done))
-        recordings = read_recordings(arm, recordings.point_files, [out / "motions" / "log.csv"])
+    recordings, outcome = _recorded(own, plans, out, advance)
     advance("moving by the nominal model", 0.6)
     before = _driven("nominal", arm, arm, programme, client, first, bench, out)
     _shut_down(arm, client, bench)
 
-    if has_motions:
+    if recordings.log_files:
         outcome = find_gap_in(arm, recordings, (), lambda what, done: advance(what, 0.65 + 0.15 * done))
     model = write_gap(outcome, arm, recordings, out / "gap")
-    advance("moving with the correction off", 0.8)
-    client = bench.start(model)
-    client.enable()
-    second = _newest(out)
-    bare = dataclasses.replace(
-        model, effects=tuple(e for e in model.effects if e in arm.effects or e.effect in NO_NAMES)
-    )
-    off = _driven("off", bare, model, programme, client, second, bench, out)
-    advance("moving with the correction on", 0.87)
-    on = _driven("on", model, model, programme, client, second, bench, out)
-    _shut_down(model, client, bench)
+    off, on = _driven_off_and_on(arm, model, programme, bench, out, advance)
     advance("reporting", 0.95)
     return Circle(
         hidden,
         outcome,
         model,
         arm,
-        (plans["poses"], plans["motions"]) if has_motions else (plans["poses"],),
+        plans if recordings.log_files else plans[:1],
         compared(programme, off.survey.points(), on.survey.points()),
         compared(programme, before.survey.points(), on.survey.points()),
         paired(programme, before.survey.tracks(before.recording), on.survey.tracks(on.recording)),
         (before.following_rad, on.following_rad),
     )
+
+
+def _plans(arm: Arm, speed: float) -> tuple[RecordingPlan, RecordingPlan]:
+    """The poses' plan and the motions'."""
+    poses = PlanRequest(has_motions=False, payload_kg=PAYLOAD_kg, is_quick=True)
+    motions = PlanRequest(has_poses=False, payload_kg=PAYLOAD_kg, is_quick=True)
+    return recording_plan(arm, poses, speed), recording_plan(arm, motions, speed)
+
+
+def _recorded(
+    bench: RecordingBench, plans: tuple[RecordingPlan, RecordingPlan], out: Path, advance: Advance
+) -> tuple[Recordings, GapOutcome]:
+    """The poses and what they tell; the motions too where the poses name nothing."""
+    poses, motions = plans
+    record(bench, poses, out / "poses", lambda what, done: advance(what, 0.02 + 0.38 * done))
+    recordings = read_recordings(bench.arm, [out / "poses" / "points.csv"], [])
+    outcome = find_gap_in(bench.arm, recordings, (), lambda what, done: advance(what, 0.4 + 0.02 * done))
+    if not named_in(outcome.finding):  # what poses do not show can still show in motion
+        record(bench, motions, out / "motions", lambda what, done: advance(what, 0.42 + 0.18 * done))
+        recordings = read_recordings(bench.arm, recordings.point_files, [out / "motions" / "log.csv"])
+    return recordings, outcome
+
+
+def _driven_off_and_on(
+    arm: Arm, model: Arm, programme: Programme, bench: Bench, out: Path, advance: Advance
+) -> tuple[Drive, Drive]:
+    """On a runtime that believes in `model`: by its geometry without the effects that were added, and by all of it."""
+    advance("moving with the correction off", 0.8)
+    client = bench.start(model)
+    client.enable()
+    recording = _newest(out)
+    bare = dataclasses.replace(
+        model, effects=tuple(e for e in model.effects if e in arm.effects or e.effect in NO_NAMES)
+    )
+    off = _driven("off", bare, model, programme, client, recording, bench, out)
+    advance("moving with the correction on", 0.87)
+    on = _driven("on", model, model, programme, client, recording, bench, out)
+    _shut_down(model, client, bench)
+    return off, on
 
 
 def named_in(found: GapFinding) -> tuple[NamedEffect, ...]:

@@ -245,25 +245,8 @@ def _judge_bus(boards: Boards, arm: Arm, before: BusScan, found: BusScan) -> Non
 
 def _check_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None:
     what = f"motor board of joint {drive.joint} (node {drive.motor_node})"
-    serials = found.serial_numbers.get(drive.motor_node, [])
-    if not serials:
-        unknown = sorted(set(found.serial_numbers) - {d.motor_node for d in arm.drives})
-        hint = f"; node {unknown[0]} answers but has no joint and may be this board" if unknown else ""
-        if found.serial_numbers:
-            remedy = f"check its supply and its node id{hint}"
-        else:
-            remedy = "no board answers: check supply, emergency stop, CAN-H and CAN-L, termination, and [can] bitrate"
-        boards.note(Level.BAD, what, "does not answer", "an answer within 5 ms", remedy)
-        return
-    if len(serials) > 1:
-        both = " and ".join(map(str, serials))
-        boards.note(
-            Level.BAD,
-            what,
-            f"two boards answer: serial numbers {both}",
-            "one",
-            "give each board its own node id",
-        )
+    if len(found.serial_numbers.get(drive.motor_node, [])) != 1:
+        _note_not_one(boards, arm, drive, found, what)
         return
     if boards.bus is None:
         return
@@ -292,3 +275,24 @@ def _check_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None
             remedy,
         )
     _same(boards, what, drive, "counts per motor turn", identity.encoder_counts_per_turn)
+
+
+def _note_not_one(boards: Boards, arm: Arm, drive: Drive, found: BusScan, what: str) -> None:
+    serials = found.serial_numbers.get(drive.motor_node, [])
+    if not serials:
+        unknown = sorted(set(found.serial_numbers) - {d.motor_node for d in arm.drives})
+        hint = f"; node {unknown[0]} answers but has no joint and may be this board" if unknown else ""
+        if found.serial_numbers:
+            remedy = f"check its supply and its node id{hint}"
+        else:
+            remedy = "no board answers: check supply, emergency stop, CAN-H and CAN-L, termination, and [can] bitrate"
+        boards.note(Level.BAD, what, "does not answer", "an answer within 5 ms", remedy)
+    else:
+        both = " and ".join(map(str, serials))
+        boards.note(
+            Level.BAD,
+            what,
+            f"two boards answer: serial numbers {both}",
+            "one",
+            "give each board its own node id",
+        )

@@ -48,11 +48,10 @@ def judge(samples: Samples, arm: Arm) -> Iterator[Finding]:
 def _encoder_timing(
     what: str, found: EncoderSamples, samples: Samples, arm: Arm, index: int
 ) -> Iterator[Finding]:
-    group = "timing"
     if len(found.latched_s) < 10:
         text = f"{found.reports} in {samples.duration_s:.1f} s"
         yield Finding(
-            Level.BAD, group, f"{what}: reports", text, "a stream", "check supply, cable and baud rate"
+            Level.BAD, "timing", f"{what}: reports", text, "a stream", "check supply, cable and baud rate"
         )
         return
     spans = [b - a for a, b in zip(found.latched_s, found.latched_s[1:], strict=False)]
@@ -63,14 +62,24 @@ def _encoder_timing(
     rate_Hz = found.reports / samples.duration_s
     missing = abs(1.0 - found.reports / wanted)
     yield graded(
-        group, f"{what}: report rate", missing, (0.01, 0.05),
+        "timing", f"{what}: report rate", missing, (0.01, 0.05),
         (f"{rate_Hz:.1f} Hz", f"{wanted / samples.duration_s:.0f} Hz", "check for bad frames, and the load of this host"),
     )  # fmt: skip
     yield from _lost(what, found)
+    yield from _encoder_clock(what, found, samples, arm.limits.stale_s)
+    baud = arm.encoder_boards[index].baud
+    load = wire.REPORT_WIRE_BYTES * 10 / baud / period_s
+    yield graded(
+        "timing", f"{what}: load of its serial line", load, (0.9, 1.0),
+        (f"{load:.0%} of {baud} baud", "below 90 %", "choose a higher baud rate, or a lower --rate"),
+    )  # fmt: skip
+
+
+def _encoder_clock(what: str, found: EncoderSamples, samples: Samples, stale_s: float) -> Iterator[Finding]:
     drift_ppm, sd_ppm, residual_s = clock_drift(found.latched_s, found.arrived_s)
     sd_ppm = math.hypot(sd_ppm, 1e6 * samples.resolution_s / samples.duration_s)
     yield graded(
-        group, f"{what}: clock drift against this host", max(0.0, abs(drift_ppm) - 2.0 * sd_ppm), CLOCK_LIMITS_ppm,
+        "timing", f"{what}: clock drift against this host", max(0.0, abs(drift_ppm) - 2.0 * sd_ppm), CLOCK_LIMITS_ppm,
         (
             f"{drift_ppm:+.0f} ppm, sd {sd_ppm:.0f}", f"within {CLOCK_LIMITS_ppm[0]:.0f} ppm",
             (
@@ -84,14 +93,8 @@ def _encoder_timing(
         "set latency_timer = 1 on an FTDI adapter (/sys/bus/usb-serial/devices/*/latency_timer); avoid a hub"
     )
     yield graded(
-        group, f"{what}: jitter of reports", late_s, (samples.period_s, arm.limits.stale_s),
+        "timing", f"{what}: jitter of reports", late_s, (samples.period_s, stale_s),
         (f"99 % within {1e3 * late_s:.2f} ms", f"below {1e3 * samples.period_s:.2g} ms", remedy),
-    )  # fmt: skip
-    baud = arm.encoder_boards[index].baud
-    load = wire.REPORT_WIRE_BYTES * 10 / baud / period_s
-    yield graded(
-        group, f"{what}: load of its serial line", load, (0.9, 1.0),
-        (f"{load:.0%} of {baud} baud", "below 90 %", "choose a higher baud rate, or a lower --rate"),
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from calib.session.state import Event, Mark
 PLAN = SessionPlan("right", "00", 2, board_targets(["normal", "roll"], ["1", "2", "3"]))
 KEYS = [target.key for target in PLAN.targets]
 REDONE, SKIPPED, BAD = KEYS[1], KEYS[2], KEYS[4]
-WATCHED = ("folder.py", "journal.py", "points_writer.py")
+WATCHED = ("session/folder.py", "session/journal.py", "points/writer.py")
 WHOLE = [Mark.DONE, Mark.DONE, Mark.SKIPPED, Mark.DONE, Mark.BAD, Mark.DONE]
 # After an acknowledgement the killed session may have gone on, but not back.
 MAY_FOLLOW = {

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from console.commands.table import COMMANDS
 from console.main import main
 from console.options import CommandSpec
+from console.specs.table import COMMANDS
 from control.model.description import load_arm, save_arm
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
@@ -40,7 +40,7 @@ def test_no_help_imports_anything_heavy_and_each_says_what_its_command_does() ->
     # One process for all: a module that one help had imported would be found by the check after the last.
     program = f"""
 import sys, io, contextlib
-from console.commands.table import COMMANDS
+from console.specs.table import COMMANDS
 from console.main import main
 for arguments in [["--help"], *([command.name, "--help"] for command in COMMANDS)]:
     out = io.StringIO()
@@ -67,7 +67,11 @@ def test_every_command_has_a_module_that_runs_it(command: CommandSpec) -> None:
 
 def test_every_module_of_a_command_is_in_the_table() -> None:
     folder = ROOT / "console" / "commands"
-    modules = {path.stem for path in folder.glob("*.py") if "def run(given" in path.read_text("utf-8")}
+    modules = {
+        ".".join(path.relative_to(folder).with_suffix("").parts)
+        for path in folder.rglob("*.py")
+        if "def run(given" in path.read_text("utf-8")
+    }
     assert modules == {command.module_name for command in COMMANDS}
 
 
@@ -230,7 +234,7 @@ def test_a_wrong_board_is_one_message_and_nothing_moves(
     arm = with_drive(RIGHT, 2, motor_serial_number=0xD0002)
     with SteppedRig(arm, scenario(fault=(fault,))) as rig:
         save_arm(wired_to(arm, rig), tmp_path / "arm.toml")
-        for module in ("console.commands.check", "control.server.process"):
+        for module in ("console.commands.bringup.check", "control.server.process"):
             monkeypatch.setattr(f"{module}.MonotonicClock", lambda: rig.clock)
         options = (
             ["--socket", str(tmp_path / "a.sock"), "--log", str(tmp_path / "log")]
@@ -248,7 +252,7 @@ def test_check_names_every_board_of_an_arm_that_is_well(
 ) -> None:
     with SteppedRig(RIGHT, scenario()) as rig:
         save_arm(wired_to(RIGHT, rig), tmp_path / "arm.toml")
-        monkeypatch.setattr("console.commands.check.MonotonicClock", lambda: rig.clock)
+        monkeypatch.setattr("console.commands.bringup.check.MonotonicClock", lambda: rig.clock)
         arguments = ["check", "--arm", str(tmp_path / "arm.toml"), "--camera-port", str(rig.camera_port)]
         assert main(arguments) == 0
     out = capsys.readouterr().out
@@ -256,7 +260,7 @@ def test_check_names_every_board_of_an_arm_that_is_well(
         assert name in out
     with SteppedRig(RIGHT, scenario()) as rig:
         save_arm(wired_to(RIGHT, rig), tmp_path / "arm-2.toml")
-        monkeypatch.setattr("console.commands.check.MonotonicClock", lambda: rig.clock)
+        monkeypatch.setattr("console.commands.bringup.check.MonotonicClock", lambda: rig.clock)
         arguments = ["check", "--arm", str(tmp_path / "arm-2.toml"), "--camera-port", str(rig.camera_port)]
         assert main([*arguments, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from console.commands.completion import script
-from console.commands.table import COMMANDS
 from console.main import main
+from console.specs.table import COMMANDS
 
 BASH = shutil.which("bash")
 needs_bash = pytest.mark.skipif(BASH is None, reason="bash is not installed here")

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from console.commands import script
-from console.commands.table import COMMANDS
 from console.lines.grammar import NOT_HERE, Grammar, LineError
 from console.lines.replay import Outcome, parse_lines, replay
 from console.main import main
 from console.places import PlacesError, find_place, read_places, save_place
+from console.specs.table import COMMANDS
 from control.model.arm import Effect
 from control.safety.table import Mode
 from hil_mocks.scenario import EffectTable

@@ -136,7 +136,7 @@ async def hold_key(pilot: Pilot[Any], key: str, is_so: Callable[[], bool], limit
 def mouse(pilot: Pilot[Any], widget: Widget, kind: type[events.MouseEvent]) -> None:
     """A mouse event in the middle of a widget."""
     x, y = widget.region.x + widget.region.width // 2, widget.region.y
-    pilot.app.screen._forward_event(kind(widget, x, y, 0, 0, 1, False, False, False, x, y))
+    pilot.app.post_message(kind(widget, x, y, 0, 0, 1, False, False, False, x, y))
 
 
 def said(app: Any) -> str:

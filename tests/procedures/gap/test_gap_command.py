@@ -6,12 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.gap.dynamic.cases import Asked, Conditions, made, write
 from benchmarks.gap.static.cases import Hidden, case
 from calib.points.points import Points
 from console.main import main
 from control.model.description import load_arm
-
-STRIBECK = Path(__file__).parents[3] / "shared" / "data" / "gap_samples" / "dynamic_stribeck2"
 
 
 def written(path: Path, points: Points) -> Path:
@@ -85,13 +84,15 @@ def test_neither_poses_nor_time_series_is_an_error(tmp_path, capsys) -> None:
     assert "give --points for static poses, --log for time series" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(not STRIBECK.exists(), reason="the labelled samples are not part of a clone")
 def test_a_log_alone_names_a_hidden_friction(tmp_path, capsys) -> None:
-    arguments = ["gap", "--arm", str(STRIBECK / "arm.toml"), "--log", str(STRIBECK / "log.csv.gz")]
-    assert main([*arguments, "--out", str(tmp_path)]) == 0
+    (hidden,) = made([Asked(113, "stribeck_friction", 2)], Conditions(seconds=2.0))
+    write(hidden, tmp_path)
+    arguments = ["gap", "--arm", str(tmp_path / "arm.toml"), "--log", str(tmp_path / "log.csv.gz")]
+    assert main([*arguments, "--out", str(tmp_path / "gap")]) == 0
     assert "Named: stribeck_friction on joint 2" in capsys.readouterr().out
-    added = [e for e in load_arm(tmp_path / "arm.toml").effects if e.effect == "stribeck_friction"]
-    assert added[0].parameters["torque_Nm"] == pytest.approx(1.1974, rel=0.05)  # truth.json
+    added = [e for e in load_arm(tmp_path / "gap" / "arm.toml").effects if e.effect == "stribeck_friction"]
+    truth = hidden.truth[0]["parameters"]
+    assert added[0].parameters["torque_Nm"] == pytest.approx(truth["torque_Nm"], rel=0.05)
 
 
 def test_a_result_is_never_overwritten(points, tmp_path, capsys) -> None:

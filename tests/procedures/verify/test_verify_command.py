@@ -12,7 +12,7 @@ import pytest
 
 from calib.points.points import make_points, read_points
 from calib.points.writer import write_points
-from console.commands import verify as verify_command
+from console.commands.calibration import verify as verify_command
 from console.main import main
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics

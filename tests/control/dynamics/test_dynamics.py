@@ -12,7 +12,7 @@ from control.errors import ArmError, BadTarget, MissingModel
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Drive, Link
 from control.model.description import load_arm
-from tests.control.model.mujoco_arm import model_of
+from tests.control.dynamics.mujoco_arm import model_of
 from tests.places import ARMS
 
 RIGHT = load_arm("right")
