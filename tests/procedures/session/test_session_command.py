@@ -166,7 +166,7 @@ def refused(files: Path, capsys: pytest.CaptureFixture[str], *options: str) -> s
         (("--board", "measured"), "takes --camera"),
         (("--seat", "jog", "--board", "unknown"), "guide the tip by hand"),
         (("--plan", "absent.csv"), "absent.csv: cannot be read"),
-        (("--plan", "x.csv", "--points", "1"), "leave --points away"),
+        (("--plan", "x.csv", "--points", "1"), "omit --points"),
         (("--mock", "--scenario", "nonsense"), "scenario nonsense"),
         (("--socket", "/nowhere/s"), "no runtime answers at /nowhere/s"),
     ],
