@@ -261,8 +261,8 @@ def test_without_a_display_the_way_without_a_window_is_named(
     ("options", "said"),
     [
         (["--render", "film.mp4"], "ffmpeg"), (["--speed", "0"], "--speed"), (["--fps", "0"], "--fps"),
-        (["--render", "a.png", "--rerun"], "contradict"), (["--render", "x"], "at most 3:"),
-        (["--from", "9"], "it holds"), (["--rerun", "b.armlog"], "expected FILE.rrd"),
+        (["--render", "a.png", "--rerun"], "contradict"), (["--render", "x"], "at most 3 pictures"),
+        (["--from", "9"], "it contains"), (["--rerun", "b.armlog"], "expected FILE.rrd"),
     ],
 )  # fmt: skip
 def test_a_bad_option_is_one_message(
@@ -329,7 +329,7 @@ def test_rerun_gets_every_moment_with_its_time(
     monkeypatch.setitem(sys.modules, "rerun", rerun)  # type: ignore[arg-type]
     file = tmp_path / "a.rrd"
     assert main(["view", str(log), "--rerun", str(file)]) == 0
-    assert "50 snapshots" in capsys.readouterr().out
+    assert "50 samples" in capsys.readouterr().out
     assert [call[:2] for call in rerun.calls if call[0] == "save"] == [("save", (file,))]
     times = [more["duration"] for name, _, more in rerun.calls if name == "set_time"]
     np.testing.assert_allclose(times, np.arange(50) * 0.02, atol=0.0021)
