@@ -205,7 +205,7 @@ def test_a_journal_torn_at_any_byte_is_mended_and_one_edited_is_refused(tmp_path
         with SessionFolder(tmp_path) as again:
             assert [again.state.marks[key] for key in KEYS[:2]] == [Mark.SKIPPED, Mark.LEFT]
     journal.write_bytes(b"nonsense\n" + content)
-    with pytest.raises(SessionError, match="line 1: not an entry"):
+    with pytest.raises(SessionError, match="line 1: not a journal entry"):
         SessionFolder(tmp_path)
 
 
