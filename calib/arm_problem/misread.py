@@ -117,7 +117,7 @@ def _joint_columns(q: Array, position: Array) -> Iterator[Reading]:
         shifted = q.copy()
         shifted[:, j] += quarter * math.pi / 2
         yield (
-            f"q{j + 1}_rad looks offset by {90 * quarter if quarter < 3 else -90} deg from this arm's zero",
+            f"q{j + 1}_rad looks {90 * quarter if quarter < 3 else -90} deg short of this arm's zero",
             shifted,
             position,
         )

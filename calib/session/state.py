@@ -84,9 +84,7 @@ class SessionState:
         now = self.marks[key]
         if (now, event) not in AFTER:
             advice = _ADVICE.get((now, event), "`redo` it first")
-            raise SessionError(
-                f"{self.targets[key].name} is {now.value} and cannot become {event.value}: {advice}"
-            )
+            raise SessionError(f"{self.targets[key].name} is {now.value}, so not {event.value}: {advice}")
         return self.marked(key, AFTER[now, event], is_last=event is Event.RECORDED)
 
     def marked(self, key: Key, mark: Mark, is_last: bool = False) -> SessionState:

@@ -108,7 +108,7 @@ def test_a_board_that_stood_elsewhere_is_told_as_a_setup_and_its_points_are_not_
     # Shift and turn of one board trade in part against the arm's own parameters.
     assert found.setups[0].shift_m == pytest.approx([-0.0012, 0.0005, -0.0008], abs=0.0004)
     assert rows_of(found.outliers) == {5}
-    assert found.in_words()[0].startswith('setup "roll" as a whole')
+    assert found.in_words()[0].startswith('setup "roll" does not fit the others')
 
 
 def test_a_clean_session_has_no_suspects() -> None:

@@ -302,7 +302,7 @@ def test_a_board_that_is_measured_is_placed_by_spread_cavities_and_then_visited(
     places = np.array([cavities(TABLE)[name] for name in guided])
     assert len(guided) == 5
     assert np.linalg.svd(places - places.mean(axis=0))[1][1] > 0.08, "not in line, not in a corner"
-    assert any("placed by 5 cavities" in text for text in session.told)
+    assert any("pose from 5 cavities" in text for text in session.told)
     pose = read_boards(tmp_path / "s" / "boards.json")["normal"]
     np.testing.assert_allclose(pose.origin_m, np.add(TABLE.origin_m, (0.03, -0.02, 0.01)), atol=1e-6)
     session.run([GO] * 4)  # resumed: it is placed already

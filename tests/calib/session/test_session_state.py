@@ -169,7 +169,7 @@ def test_another_arm_or_plan_is_refused_with_what_differs(tmp_path: Path) -> Non
         pass
     for change, said in (
         ({"arm_sha256": "11", "arm": "left"}, "session began with arm 'right'"),
-        ({"payload_kg": 1.0}, r"begun with payload in kg 0\.0, now it is 1\.0"),
+        ({"payload_kg": 1.0}, r"began with payload in kg 0\.0, got 1\.0"),
         ({"targets": PLAN.targets[:4]}, "roll 2 is not in the new one"),
         ({"targets": (*PLAN.targets, Target("roll", "4"))}, "roll 4 is new"),
         ({"targets": PLAN.targets[::-1]}, "the same points in another order"),
@@ -187,7 +187,7 @@ def test_two_sessions_cannot_share_a_folder(tmp_path: Path) -> None:
 
 def test_a_folder_with_points_of_something_else_is_not_taken(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text("setup,point\n")
-    with pytest.raises(SessionError, match=r"but no session\.json"):
+    with pytest.raises(SessionError, match=r"without session\.json"):
         SessionFolder(tmp_path, PLAN)
     with pytest.raises(SessionError, match="no session to resume"):
         SessionFolder(tmp_path / "absent")
@@ -205,7 +205,7 @@ def test_a_journal_torn_at_any_byte_is_mended_and_one_edited_is_refused(tmp_path
         with SessionFolder(tmp_path) as again:
             assert [again.state.marks[key] for key in KEYS[:2]] == [Mark.SKIPPED, Mark.LEFT]
     journal.write_bytes(b"nonsense\n" + content)
-    with pytest.raises(SessionError, match="line 1: not an entry"):
+    with pytest.raises(SessionError, match="line 1: not a journal entry"):
         SessionFolder(tmp_path)
 
 

@@ -81,7 +81,7 @@ def test_without_a_choice_setups_are_left_out_if_there_are_several_else_every_fi
 def test_one_setup_cannot_be_left_out() -> None:
     rng = np.random.default_rng(6)
     points = board_points(rng, true_dh(rng), ("normal",))
-    with pytest.raises(CalibrationError, match=r"one setup \(\"normal\"\).*every 5th point"):
+    with pytest.raises(CalibrationError, match=r"got one \(\"normal\"\).*every 5th point"):
         held_out(build, points, "setup")
     with pytest.raises(CalibrationError, match="k from 2 to 33, got 1"):
         held_out(build, points, 1)

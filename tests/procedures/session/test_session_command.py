@@ -116,7 +116,7 @@ def test_a_board_that_the_camera_measures_is_found_where_it_was_hidden(
     options = ("--setups", "normal", "--points", "1-6", "--board", "measured", "--camera", "--mock")
     assert session(files, "auto\n", *options, "--scenario", str(files / "quick.toml")) == 0
     said = capsys.readouterr().out
-    assert "placed by 5 cavities" in said
+    assert "pose from 5 cavities" in said
     assert said.count("hold the arm by hand") == 5
     entry = json.loads((files / "s" / "boards.json").read_text())["boards"]["normal"]
     assert len(entry["residual_m"]) == 6
