@@ -85,7 +85,7 @@ def test_neither_poses_nor_time_series_is_an_error(tmp_path, capsys) -> None:
 
 
 def test_a_log_alone_names_a_hidden_friction(tmp_path, capsys) -> None:
-    (hidden,) = made([Asked(113, "stribeck_friction", 2)], Conditions(seconds=2.0))
+    (hidden,) = made([Asked(113, "stribeck_friction", 2)], Conditions(seconds=3.0))
     write(hidden, tmp_path)
     arguments = ["gap", "--arm", str(tmp_path / "arm.toml"), "--log", str(tmp_path / "log.csv.gz")]
     assert main([*arguments, "--out", str(tmp_path / "gap")]) == 0
