@@ -108,6 +108,12 @@ def test_every_option_in_a_page_is_one_of_some_command(page: Path) -> None:
     assert set(OPTION.findall(elsewhere)) <= known
 
 
+def test_every_option_is_in_some_page() -> None:
+    known = set.union(*(options_of(command) for command in subcommands().values())) - {"-h", "--help"}
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert sorted(option for option in known if not re.search(rf"{option}\b", text)) == []
+
+
 def test_every_page_is_reached_from_the_readme_or_the_commands() -> None:
     entries = (ROOT / "README.md", ROOT / "docs" / "commands.md")
     reached = {file for entry in entries for _, file, _ in links(entry)}
