@@ -250,7 +250,7 @@ def test_every_key_of_the_status_is_documented_and_every_documented_one_is_there
 
 
 def test_every_argument_of_a_request_is_documented() -> None:
-    folder = ROOT / "control" / "loop"
+    folder = ROOT / "control" / "server"
     source = "".join((folder / name).read_text("utf-8") for name in ("requests.py", "jog_requests.py"))
     asked = set(re.findall(r'request(?:\.get\(|\[)"(\w+)"', source)) | set(
         re.findall(r'\b(?:numbers?|flag)\(request, "(\w+)"', source)
