@@ -44,6 +44,9 @@ coverage-study: install  ## do 95 % intervals of the calibration cover the truth
 solver-study: install  ## is the optimum of an identification a real one? 200 fresh cases an objective, some 40 minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.solver_study
 
+screenshots: install  ## the pictures of docs/console.md, from the mock arm without a terminal; some minutes
+	$(BIN)/python -m tests.console.screen.screenshots docs
+
 gap-score: install  ## how often the gap workflow is right on poses, time series and the mock arm: fresh cases, six minutes; CASES=60 of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap.score $(if $(CASES),--cases $(CASES))
 
@@ -53,4 +56,4 @@ lock: install  ## pin again what pyproject.toml names (needs uv)
 clean:  ## remove what make made
 	rm -rf .venv .venv-peers out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help install demo demo-gap lint test format bench coverage-study solver-study gap-score lock clean
+.PHONY: help install demo demo-gap lint test format bench coverage-study solver-study screenshots gap-score lock clean

@@ -1,45 +1,41 @@
 """The console as a Textual application: the link, the operator, and the space bar before everything else."""
 
 import asyncio
+import os
 import shlex
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar
 
 from textual import events
 from textual.app import App
 from textual.binding import Binding, BindingType
+from textual.filter import LineFilter
 from textual.widgets import Input
 
 from console.commands.table import COMMANDS
 from console.lines.grammar import Grammar
+from console.screen.dashboard import Dashboard
+from console.screen.files import Files
+from console.screen.jogging import Jogger
 from console.screen.link import Message, RuntimeLink
 from console.screen.operating import OperatingScreen
 from console.screen.operator import MOVING, Operator
-from console.screen.picture import Skeleton
+from console.screen.plain import AsciiFilter, is_plain
 from console.screen.session import SessionScreen
+from console.screen.theme import THEME
 from control.model.arm import Arm
-from control.motion.jog_limits import JogLimits
 
+__all__ = ["ConsoleApp", "Files"]
 COMMAND_KEYS = ("colon", "slash")
-
-
-@dataclass(frozen=True, slots=True)
-class Files:
-    """Where the console reads and writes: named places, way-points taught, lines done, sessions."""
-
-    places: Path
-    taught: Path
-    kept: Path | None = None
-    sessions: Path = Path("sessions")
 
 
 class ConsoleApp(App[None]):
     """`armwright console`. Exits with the arm held: its connection ends, and with it its motion."""
 
     CSS_PATH = "style.tcss"
-    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (100, "-wide")]  # noqa: RUF012 - as Textual declares it
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide"), (160, "-huge")]  # noqa: RUF012 - as Textual declares it
+    VERTICAL_BREAKPOINTS = [(0, "-short"), (34, "-tall")]  # noqa: RUF012 - as Textual declares it
     ENABLE_COMMAND_PALETTE = False
     TITLE = "armwright"
     BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+q,ctrl+c", "quit", show=False, priority=True)]
@@ -47,16 +43,22 @@ class ConsoleApp(App[None]):
     def __init__(self, arm: Arm, socket: Path, files: Files, shared: Mapping[str, str]) -> None:
         """`shared`: options that every subcommand is given, such as --arm and --socket."""
         super().__init__(ansi_color=False)
-        self.arm, self.files = arm, files
-        self.arm_name = shared.get("--arm", arm.name)
+        self.register_theme(THEME)
+        self.theme = THEME.name
+        self._arm_name = shared.get("--arm", arm.name)
         self._shared = dict(shared)
-        self.jog_limits = JogLimits.of(arm)
-        self.has_jogged = False
+        self._filter = AsciiFilter(is_plain(os.environ))
         self.link = RuntimeLink(socket, self._on_status)
         grammar = Grammar(COMMANDS, {flag.lstrip("-"): value for flag, value in shared.items()})
         words = [word for pair in shared.items() for word in pair]
-        self.operator = Operator(self.link, grammar, words, self.say, files.kept)
-        self.operating = OperatingScreen(Skeleton(arm))
+        self.operator = Operator(self.link, grammar, words, self.say, files.lines)
+        self.jogger = Jogger(arm, self.operator, self.say)
+        dashboard = Dashboard(arm, self.operator, self.jogger)
+        self.operating = OperatingScreen(dashboard, self.operator, self.jogger, files, self.open_session)
+
+    def get_line_filters(self) -> Sequence[LineFilter]:
+        """Textual's, and ASCII where the terminal shows nothing else."""
+        return [*super().get_line_filters(), *([self._filter] if self._filter.enabled else [])]
 
     def on_mount(self) -> None:
         """The main screen, and the link."""
@@ -95,19 +97,20 @@ class ConsoleApp(App[None]):
             self.screen.end()
         self.exit()
 
-    def say(self, text: str, is_bad: bool = False) -> None:
+    def say(self, text: str, is_error: bool = False) -> None:
         """A line in the log."""
         if self.operating.is_mounted:
-            self.operating.say(text, is_bad)
+            self.operating.say(text, is_error)
 
     def open_session(self, line: str) -> None:
-        """The calibration session that the options of `armwright session` say."""
+        """The calibration session with these options of `armwright session`."""
         words = shlex.split(line)
         if "--out" not in words[:-1]:
             self.say("session: expected --out FOLDER among its options", True)
             return
         known = [word for flag, value in self._shared.items() if flag not in words for word in (flag, value)]
-        self.push_screen(SessionScreen(shlex.join([*words, *known]), Path(words[words.index("--out") + 1])))
+        folder = Path(words[words.index("--out") + 1])
+        self.push_screen(SessionScreen(shlex.join([*words, *known]), folder, self._arm_name, self.say))
 
     def _is_resting(self) -> bool:
         return self.link.status is not None and self.link.status["mode"] not in MOVING
@@ -115,10 +118,10 @@ class ConsoleApp(App[None]):
     async def _on_status(self, status: Message | None) -> None:
         if status is None:
             await self.operating.let_go()
-        elif self.has_jogged and status["mode"] not in ("JOGGING", "STOPPING"):
-            self.has_jogged = False
+        elif self.jogger.has_jogged and status["mode"] not in ("JOGGING", "STOPPING"):
+            self.jogger.has_jogged = False
             if status["is_homed"] and status["mode"] == "HOLDING":
                 angles = " ".join(f"{q:.5f}" for q in status["joint_rad"])
-                self.operator.kept(f"move --joints {angles} --speed 0.2")
+                self.operator.record(f"move --joints {angles} --speed 0.2")
         if self.operating.is_mounted:
             self.operating.show(status)

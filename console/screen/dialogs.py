@@ -16,13 +16,14 @@ HELP = """\
 [b]1[/]-[b]9[/]       jog joint 1 ...          [b]x y z[/]   jog the tip on an axis
 [b]← →[/]       jog: hold the key; it moves while the key repeats
 [b]t[/]         step or hold             [b], .[/]     step smaller, larger
-[b]- +[/]       jog slower, faster       [b]< >[/]     pace of motions
+[b]- +[/]       jog slower, faster       [b]< >[/]     speed override
 [b]n[/]         drives on, and hold      [b]o[/]       stop, lower, drives off
 [b]h[/]         home                     [b]g[/]       go to a named place
 [b]f[/]         run a way-point file     [b]p[/]       pause on path, go on
 [b]u[/]         guide by hand            [b]r[/]       record a way-point
 [b]k[/]         keep this place by name  [b]a[/]       acknowledge faults
 [b]c[/]         calibration session      [b]:[/]       command box
+[b]v[/]         plots or the arm         [b]pgup[/] [b]pgdn[/]   scroll the events
 [b]ctrl+q[/], [b]ctrl+c[/]   leave: the motion is stopped, the arm is held
 
 Escape closes this."""
@@ -57,9 +58,9 @@ class Confirm(ModalScreen[bool]):
             yield Static(self._question)
             yield Static("\n[b]Enter[/] yes    [b]Escape[/] no    [b]space[/] stop")
 
-    def action_answer(self, is_so: bool) -> None:
+    def action_answer(self, is_yes: bool) -> None:
         """Close with the answer."""
-        self.dismiss(is_so)
+        self.dismiss(is_yes)
 
 
 class AskText(ModalScreen[str | None]):

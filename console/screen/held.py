@@ -8,7 +8,7 @@ switch ends it), repeats keep it moving, and when they cease, for whatever reaso
 from dataclasses import dataclass
 
 REPEAT_s = 0.2  # presses of one key nearer than this are one holding
-THRIFT_s = 0.04  # renewals nearer than this say nothing new
+RENEWAL_least_s = 0.04  # renewals nearer than this say nothing new
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,15 +24,15 @@ class HeldKey:
 
     def __init__(self) -> None:
         self._key = ""
-        self._pressed_s = self._said_s = -1e9
+        self._pressed_s = self._sent_s = -1e9
 
     def press(self, key: str, now_s: float) -> Press:
         """A press of `key` at a time of any steady clock."""
         is_new = key != self._key or now_s - self._pressed_s > REPEAT_s
-        is_due = is_new or now_s - self._said_s >= THRIFT_s
+        is_due = is_new or now_s - self._sent_s >= RENEWAL_least_s
         self._key, self._pressed_s = key, now_s
         if is_due:
-            self._said_s = now_s
+            self._sent_s = now_s
         return Press(is_new, is_due)
 
     def forget(self) -> None:

@@ -30,6 +30,7 @@ class RuntimeLink:
         self.path = path
         self.status: Message | None = None
         self.why_lost = "not connected yet"
+        self.answer_s = ANSWER_S
         self._on_status = on_status
         self._writer: asyncio.StreamWriter | None = None
         self._waiting: dict[int, asyncio.Future[Message]] = {}
@@ -64,10 +65,10 @@ class RuntimeLink:
         self._waiting[number] = future
         try:
             writer.write(msgspec.json.encode({"do": do, **arguments, "id": number}) + b"\n")
-            async with asyncio.timeout(ANSWER_S):
+            async with asyncio.timeout(self.answer_s):
                 return await future
         except TimeoutError:
-            raise LinkLost(f"the runtime does not answer within {ANSWER_S:g} s") from None
+            raise LinkLost(f"the runtime does not answer within {self.answer_s:g} s") from None
         finally:
             self._waiting.pop(number, None)
 

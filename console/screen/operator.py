@@ -7,6 +7,7 @@ what was to follow the motion must not.
 
 import asyncio
 import contextlib
+import shlex
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ class Target:
 
 
 class Operator:
-    """Says what it does with `say(text, is_bad)`; keeps every line that was done in `keep`, for replay."""
+    """Says what it does with `say(text, is_error)`; writes every line that was done to `record_file`, for replay."""
 
     def __init__(
         self,
@@ -45,7 +46,7 @@ class Operator:
         grammar: Grammar,
         shared: list[str],
         say: Callable[[str, bool], None],
-        keep: Path | None = None,
+        record_file: Path | None = None,
     ) -> None:
         """`shared`: options of every subcommand (--arm, --socket)."""
         self.link = link
@@ -53,7 +54,7 @@ class Operator:
         self._grammar = grammar
         self._shared = shared
         self._say = say
-        self._keep = keep
+        self._record_file = record_file
         self._process: asyncio.subprocess.Process | None = None
         self._stepping: asyncio.Task[None] | None = None
 
@@ -72,7 +73,7 @@ class Operator:
             arguments = {key: getattr(line.given, key) for key in OF_QUICK.get(line.command, ())}
             done = await self.ask(line.command, **arguments)
             if done:
-                self.kept(line.text)
+                self.record(line.text)
             return done
         return await self._begin(line)
 
@@ -127,7 +128,7 @@ class Operator:
                 await asyncio.sleep(RENEW_S)
         if limited:
             self._say(limited, True)
-        self.kept(text)
+        self.record(text)
 
     async def _step_line(self, line: Line) -> bool:
         given = line.given
@@ -166,7 +167,7 @@ class Operator:
         status = await process.wait()
         self.running = ""
         if status == 0:
-            self.kept(line.text)
+            self.record(line.text)
         self._say(
             f"  {line.command}: {'done' if status == 0 else f'ended with status {status}'}", status != 0
         )
@@ -178,12 +179,12 @@ class Operator:
         if self._stepping is not None:
             await asyncio.wait([self._stepping])
 
-    # ---- words
+    # ---- requests and the record
 
-    def kept(self, text: str) -> None:
+    def record(self, text: str) -> None:
         """Add a line to the file that `armwright script` replays."""
-        if self._keep is not None:
-            with self._keep.open("a", encoding="utf-8") as file:
+        if self._record_file is not None:
+            with self._record_file.open("a", encoding="utf-8") as file:
                 file.write(f"{text}\n")
 
     async def _asked(self, do: str, **arguments: Any) -> Message | None:
@@ -219,7 +220,5 @@ def _step_line(target: Target, by: float, speed: float) -> str:
 
 def _words(line: Line) -> list[str]:
     """The line's own words, without its command."""
-    import shlex
-
     words = shlex.split(line.text)
     return words[1:-1] if words[-1] == "&" else words[1:]

@@ -1,4 +1,4 @@
-"""The arm in characters, from the side and from above."""
+"""The arm in characters, from the side and from above: thick links, numbered joints, the base frame's axes, the board."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from console.screen.braille import Canvas
+from console.screen.rows import Row
 from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
 from control.model.arm import Arm
@@ -13,14 +14,21 @@ from control.motion.jog_limits import reaches_m
 
 Point = tuple[float, float, float]
 GRID = 4  # of the reach: how finely a picture's edges follow the arm
+SIDE, TOP = (0, 2), (0, 1)  # the axes to the right and up
+TIP = "◆"
+NOT_HOMED = "not homed: the pose is not known"
+_MARGIN_dots = 4  # for marks and letters at the edges
+_TICKS_m = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+_TALL_dots = 64  # from here on links are five dots thick, not three
+_NUMBER_dots = 14  # the least room of a tick that has a number
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What is seen: the arm's corners from base to tip, where it is wanted, and the board."""
+    """What is seen, in the base frame [m]: the arm's corners from base to tip, its joints and their signs, the board's edge."""
 
     arm: Sequence[Point]
-    wanted: Sequence[Point]
+    joints: Sequence[tuple[Point, str, str]]  # where, sign, look
     board: Sequence[Point]
 
 
@@ -29,67 +37,101 @@ class Skeleton:
 
     def __init__(self, arm: Arm) -> None:
         self._kinematics = Kinematics(arm)
+        # The frame whose z axis a joint turns about: the one before its link, or its own (Craig's convention).
+        own = 1 if arm.dh_convention == "modified" else 0
+        self._frames = [number + own for number, turns in enumerate(arm.joints) if turns]
         self.reach_m = reaches_m(arm)[0]
         self.board = _outline(arm)
 
-    def corners(self, q_rad: Sequence[float]) -> list[Point]:
-        """Origins of the frames, and the tip, in the base frame."""
+    def scene(self, q_rad: Sequence[float], selected: int | None, is_stale: Sequence[bool]) -> Scene:
+        """The arm at joint angles; the selected joint (0-based) stands out, a stale one has a question mark."""
         frames = self._kinematics.link_transforms([q_rad])[0]
-        points = [(float(f[0, 3]), float(f[1, 3]), float(f[2, 3])) for f in frames]
-        return [*points, self._kinematics.tip(*q_rad)]
+        corners: list[Point] = [(float(f[0, 3]), float(f[1, 3]), float(f[2, 3])) for f in frames]
+        joints = [
+            (corners[frame], "?" if is_stale[j] else str(j + 1), "chosen" if j == selected else "badge")
+            for j, frame in enumerate(self._frames)
+        ]
+        return Scene([*corners, self._kinematics.tip(*q_rad)], joints, self.board)
 
 
-def side_view(scene: Scene, columns: int, rows: int, reach_m: float) -> list[str]:
-    """Seen along the y axis: x to the right, z up; the floor is a dotted line."""
-    canvas = Canvas(columns, rows)
-    place = _placed(canvas, scene, (0, 2), reach_m)
-    _, floor = place((0.0, 0.0, 0.0))
-    canvas.line(0, floor, canvas.width - 1, floor, every=4)
-    _draw(canvas, scene, place)
-    return canvas.lines()
+def side_view(scene: Scene, columns: int, rows: int, reach_m: float) -> list[Row]:
+    """Seen along the y axis: x to the right, z up; the ground is a line."""
+    return _view(scene, columns, rows, reach_m, SIDE)
 
 
-def top_view(scene: Scene, columns: int, rows: int, reach_m: float) -> list[str]:
+def top_view(scene: Scene, columns: int, rows: int, reach_m: float) -> list[Row]:
     """Seen from above: x to the right, y up, as on a map."""
+    return _view(scene, columns, rows, reach_m, TOP)
+
+
+def _view(scene: Scene, columns: int, rows: int, reach_m: float, axes: tuple[int, int]) -> list[Row]:
     canvas = Canvas(columns, rows)
-    _draw(canvas, scene, _placed(canvas, scene, (0, 1), reach_m))
+    place, dots_m = _placed(canvas, scene, axes, reach_m)
+    _draw_axes(canvas, place, dots_m, axes)
+    _draw_arm(canvas, scene, place)
+    if not scene.arm:
+        canvas.letters(max((columns - len(NOT_HOMED)) // 2, 0), rows // 2, NOT_HOMED, "warning")
     return canvas.lines()
 
 
 def _placed(
     canvas: Canvas, scene: Scene, axes: tuple[int, int], reach_m: float
-) -> Callable[[Point], tuple[int, int]]:
-    """From metres to dots, the same scale for both axes: what there is fills the picture.
+) -> tuple[Callable[[Point], tuple[int, int]], float]:
+    """From metres to dots, and dots a metre, the same for both axes: what there is fills the picture.
 
     Its edges are at whole quarters of the reach, so that the picture stands still while the arm moves a little.
     """
-    points = [(0.0, 0.0, 0.0), *scene.arm, *scene.wanted, *scene.board]
+    points = [(0.0, 0.0, 0.0), *scene.arm, *scene.board]
     grid_m = reach_m / GRID
     spans = []
     for axis in axes:
         values = [point[axis] for point in points]
         spans.append((grid_m * math.floor(min(values) / grid_m), grid_m * math.ceil(max(values) / grid_m)))
     (left, right), (low, high) = spans
-    scale = min((canvas.width - 1) / max(right - left, grid_m), (canvas.height - 1) / max(high - low, grid_m))
+    wide, tall = canvas.width - 1 - 2 * _MARGIN_dots, canvas.height - 1 - 2 * _MARGIN_dots
+    scale = max(min(wide / max(right - left, grid_m), tall / max(high - low, grid_m)), 1.0)
     edge = (canvas.width - 1 - scale * (right - left)) / 2.0
-    bottom = (canvas.height - 1 + scale * (high - low)) / 2.0
+    free = (canvas.height - 1 - scale * (high - low)) / 2.0
+    bottom = canvas.height - 1 - (min(free, 2 * _MARGIN_dots) if axes == SIDE else free)
     across, up = axes
 
     def place(point: Point) -> tuple[int, int]:
         return round(edge + scale * (point[across] - left)), round(bottom - scale * (point[up] - low))
 
-    return place
+    return place, scale
 
 
-def _draw(canvas: Canvas, scene: Scene, place: Callable[[Point], tuple[int, int]]) -> None:
-    for corners, every in ((scene.board, 2), (scene.wanted, 3), (scene.arm, 1)):
-        dots = [place(corner) for corner in corners]
-        for (x0, y0), (x1, y1) in pairwise(dots):
-            canvas.line(x0, y0, x1, y1, every)
+def _draw_axes(
+    canvas: Canvas, place: Callable[[Point], tuple[int, int]], dots_m: float, axes: tuple[int, int]
+) -> None:
+    """The base frame's axes across the picture, with ticks in metres; the side view's x axis is the ground."""
+    x0, y0 = place((0.0, 0.0, 0.0))
+    is_side = axes == SIDE
+    canvas.line(0, y0, canvas.width - 1, y0, "muted", every=1 if is_side else 3)
+    canvas.line(x0, 0, x0, canvas.height - 1 if not is_side else y0, "muted", every=3)
+    number_row = y0 // 4 + 1 if is_side else canvas.rows - 1
+    step_m = next((tick for tick in _TICKS_m if tick * dots_m >= _NUMBER_dots), _TICKS_m[-1])
+    for n in range(1, int(max(canvas.width, canvas.height) / (step_m * dots_m)) + 1):
+        for sign in (-1, 1):
+            at = round(sign * n * step_m * dots_m)
+            number = f"{sign * n * step_m:g}"
+            for dy in (1, 2):
+                canvas.dot(x0 + at, y0 + dy, "muted")
+            if (x0 + at) // 2 + len(number) < canvas.columns - 1 and x0 + at >= 0:
+                canvas.letters((x0 + at) // 2 - len(number) // 2, number_row, number, "muted")
+    canvas.letters(canvas.columns - 1, y0 // 4, "x", "strong")
+    canvas.letters(x0 // 2, 0, "z" if is_side else "y", "strong")
+
+
+def _draw_arm(canvas: Canvas, scene: Scene, place: Callable[[Point], tuple[int, int]]) -> None:
+    for start, end in pairwise([place(corner) for corner in scene.board]):
+        canvas.line(*start, *end, "strong")
+    for start, end in pairwise([place(corner) for corner in scene.arm]):
+        canvas.stroke(*start, *end, "accent", half=2 if canvas.height >= _TALL_dots else 1)
+    for point, sign, look in reversed(scene.joints):
+        canvas.mark(*place(point), sign, look)
     if scene.arm:
-        x, y = place(scene.arm[-1])
-        for dx, dy in ((-1, -1), (1, 1), (-1, 1), (1, -1)):
-            canvas.dot(x + dx, y + dy)
+        canvas.mark(*place(scene.arm[-1]), TIP, "strong")
 
 
 def _outline(arm: Arm) -> list[Point]:

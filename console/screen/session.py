@@ -1,4 +1,4 @@
-"""The calibration session on a screen: the board with its points, what each record says, and the result.
+"""The calibration session on a screen: the board with its points, how each record fits, and the result.
 
 The session itself is `armwright session --json` in a process of its own: it has its own connection, asks before anything moves,
 and what it has recorded is on the disk, so that whatever happens to this screen it is resumed by opening it again.
@@ -10,31 +10,25 @@ import json
 import shlex
 import signal
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.screen import Screen
-from textual.widgets import Input, RichLog, Static
+from textual.widgets import Input
 
 from console.screen.child import subcommand
-from console.screen.texts import escaped
+from console.screen.event_log import EventLog
+from console.screen.panel import Panel
+from console.screen.rows import Row, row, wrapped
+from console.screen.session_texts import HEADING, board_rows, legend_rows, record_text
 from console.screen.widgets import CommandBox
 from control.files import write_whole
 
-if TYPE_CHECKING:
-    from console.screen.app import ConsoleApp
-
-SIGNS = {"done": ("#", "green"), "left": (".", "none"), "skipped": ("-", "yellow"), "bad": ("x", "red"),
-         "now": ("O", "b reverse"), "partly": ("+", "cyan")}  # fmt: skip
-LEGEND = "[green]#[/] done  [cyan]+[/] some repeats  [b reverse]O[/] now  . left  [yellow]-[/] skipped  [red]x[/] bad"
-LEGEND_rows = 2
-ODD = 3.0  # standard deviations: yellow; the session itself says what is suspect
-HEADING = "[dim]point       model others[/]"
-HINTS = "Enter yes  `redo`  `skip`  `bad`  `note TEXT`  `jog z -5`  `quit`   space STOP   escape back"
+HINTS = "Enter yes  redo  skip  bad  note TEXT  jog z -5  quit     space STOP  escape back"
 NEAR_ENDING_S = 5.0
 
 
@@ -43,12 +37,11 @@ class SessionScreen(Screen[None]):
 
     AUTO_FOCUS = "CommandBox"
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "back", show=False, priority=True)]
-    app: "ConsoleApp"
 
-    def __init__(self, line: str, folder: Path) -> None:
-        """`line`: the session's options as of the shell; `folder` is its --out."""
+    def __init__(self, line: str, folder: Path, arm_name: str, say: Callable[[str], None]) -> None:
+        """`line`: the session's options as of the shell; `folder` is its --out; `say` writes to the main screen's log."""
         super().__init__()
-        self._line, self._folder = line, folder
+        self._line, self._folder, self._arm_name, self._say = line, folder, arm_name, say
         self._process: asyncio.subprocess.Process | None = None
         self._board: list[dict[str, Any]] = []
         self._rest = ""  # what an answer means when no session runs
@@ -56,19 +49,24 @@ class SessionScreen(Screen[None]):
 
     def compose(self) -> ComposeResult:
         """The board beside the records, the question below."""
-        yield Static(id="session_head")
-        with Horizontal():
+        yield Panel("session_head")
+        with Horizontal(id="session"):
             with Vertical(id="session_left"):
-                yield Static(id="board")
-                yield Static(LEGEND, id="legend")
-            yield RichLog(id="records", wrap=True, markup=True, max_lines=2000, min_width=20)
-        yield Static(id="question")
-        yield CommandBox("Enter: it is so; or redo, skip, bad, note TEXT, jog z -5, quit")
-        yield Static(escaped(HINTS), id="hints")
+                yield Panel("board")
+                yield Panel("legend")
+            with Vertical(id="session_right"):
+                yield Panel("heading")
+                yield EventLog("records", "")
+        yield Panel("question", "Question")
+        yield CommandBox("Enter: yes; or redo, skip, bad, note TEXT, jog z -5, quit")
+        yield Panel("hints")
 
     def on_mount(self) -> None:
         """Begin or resume."""
-        self.query_one("#records", RichLog).can_focus = False
+        self.query_one("#session_left").border_title = "Board"
+        self.query_one("#session_right").border_title = "Records"
+        self._put("heading", [row((HEADING, "muted"))])
+        self._put("hints", [row((HINTS, "muted"))])
         self._doing = asyncio.create_task(self._conduct())
 
     # ---- the session's process
@@ -87,7 +85,7 @@ class SessionScreen(Screen[None]):
 
     async def _calibrate(self) -> None:
         out = self._result()
-        words = ["--points", str(self._folder / "points.csv"), "--out", str(out), "--arm", self.app.arm_name]
+        words = ["--points", str(self._folder / "points.csv"), "--out", str(out), "--arm", self._arm_name]
         status = await self._run("calibrate", words, self._write)
         if status == 0:
             self._wait_for("accept", f"Accept the calibrated arm {out / 'arm.toml'}? `y` or `n`")
@@ -118,46 +116,55 @@ class SessionScreen(Screen[None]):
 
     # ---- what it says
 
-    def _hear(self, row: str) -> None:
+    def _hear(self, line: str) -> None:
         try:
-            message = json.loads(row)
+            message = json.loads(line)
         except ValueError:
-            self._write(row)
+            self._write(line)
             return
         if "ask" in message:
             self._asked(message)
         elif "kept" in message:
-            self._write(recorded_line(message), is_markup=True)
+            self._write(*record_text(message))
         elif not str(message.get("told", "")).endswith(" >"):
-            text = escaped(str(message.get("told", row)))
-            self._write(f"[yellow]{text}[/]" if message.get("is_warning") else text, is_markup=True)
+            self._write(str(message.get("told", line)), "warning" if message.get("is_warning") else "plain")
 
     def _asked(self, message: Mapping[str, Any]) -> None:
-        if not self._board:  # the first question: only now is it known how wide the panel is
-            self._write(HEADING, is_markup=True)
         total = message["done"] + message["left"]
-        self._put(
-            "session_head",
-            f"[b]{message['done']} of {total}[/] recorded, {message['left']} left   setup [b]{message['setup']}[/]"
-            f"   session {escaped(str(self._folder))}",
+        counted = row(
+            (f" {message['done']} of {total} ", "badge"), f"  recorded, {message['left']} left   setup "
         )
+        self._put("session_head", [(*counted, (message["setup"], "strong"), (f"   {self._folder}", "muted"))])
         self._board = message["board"]
+        self._draw_board()
+        self._ask(message["prompt"])
+
+    def _draw_board(self) -> None:
+        if not self._board:
+            return
         for left in self.query("#session_left"):
-            room = left.size
-            self._put("board", "\n".join(board_lines(self._board, room.width, room.height - LEGEND_rows)))
-        self._put("question", f"[b]{escaped(message['prompt'])}[/]")
+            legend = legend_rows(left.size.width)
+            self._put("legend", legend)
+            self._put("board", board_rows(self._board, left.size.width, left.size.height - len(legend)))
 
-    def _write(self, row: str, is_markup: bool = False) -> None:
-        for records in self.query("#records").results(RichLog):
-            records.write(row if is_markup else escaped(row))
+    def on_resize(self) -> None:
+        """The board fills its panel."""
+        self.call_after_refresh(self._draw_board)
 
-    def _put(self, name: str, text: str) -> None:
-        for panel in self.query(f"#{name}").results(Static):  # none is there while the screen closes
-            panel.update(text)
+    def _write(self, text: str, look: str = "plain") -> None:
+        for records in self.query("#records").results(EventLog):
+            records.add(text, look)
+
+    def _ask(self, question: str) -> None:
+        self._put("question", wrapped(question, "strong", self.size.width - 4))
+
+    def _put(self, name: str, rows: Sequence[Row]) -> None:
+        for panel in self.query(f"#{name}").results(Panel):  # none is there while the screen closes
+            panel.show(rows)
 
     def _wait_for(self, what: str, question: str) -> None:
         self._rest = what
-        self._put("question", f"[b]{escaped(question)}[/]")
+        self._ask(question)
 
     # ---- what is answered
 
@@ -200,33 +207,4 @@ class SessionScreen(Screen[None]):
         if self._process is not None and self._process.returncode is None:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._process.wait(), NEAR_ENDING_S)
-        self.app.say(f"session {self._folder}: `c` resumes it")
-
-
-def board_lines(board: Sequence[Mapping[str, Any]], width: int, height: int) -> list[str]:
-    """The board from above, its x axis to the right, a character a cavity (one is twice as high as wide)."""
-    if not board:
-        return ["no cavities in this setup"]
-    xs, ys = [p["x_m"] for p in board], [p["y_m"] for p in board]
-    span_m = max(max(xs) - min(xs), max(ys) - min(ys), 1e-3)
-    columns = max(min(width, 61, 2 * height - 1) - 1, 8)
-    rows = round(columns / 2 * (max(ys) - min(ys)) / span_m)
-    grid = [[" "] * (columns + 1) for _ in range(rows + 1)]
-    for point in board:
-        sign, colour = SIGNS.get(str(point["mark"]), ("?", "none"))
-        row = round((max(ys) - point["y_m"]) / span_m * columns / 2)
-        column = round((point["x_m"] - min(xs)) / span_m * columns)
-        grid[row][column] = f"[{colour}]{sign}[/]"
-    return ["".join(line).rstrip() for line in grid]
-
-
-def recorded_line(message: Mapping[str, Any]) -> str:
-    """A record, the model's error there, and how far it is from what the others say; a suspect one in red with what to do."""
-    if message["is_suspect"]:
-        return f"[b red]{escaped(message['text'])}[/]"
-    surprise, off_mm, error_mm = message["surprise"], message["off_mm"], message["error_mm"]
-    text = f"{escaped(message['kept']):<11}" + (f"{error_mm:6.2f}" if error_mm is not None else "     -")
-    if surprise is None or off_mm is None:
-        return text
-    colour = "yellow" if surprise > ODD else "none"
-    return f"{text} {off_mm:6.2f} mm [{colour}]{surprise:4.1f} sd[/]"
+        self._say(f"session {self._folder}: `c` resumes it")

@@ -1,83 +1,60 @@
-"""The console's panels as text: from a status to lines, without a screen, so that tests and eyes can read them."""
+"""The console's panels as rows: from a status to text, without a screen, so that tests and eyes can read them."""
 
 import math
-from collections import deque
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
-from control.model.arm import Arm
+from console.screen.events import stale_s
+from console.screen.rows import Row, Span, row, width_of, wrapped
+from control.model.arm import Arm, Drive
 
 Message = dict[str, Any]
-BLOCKS = "▁▂▃▄▅▆▇█"
-NEAR = 0.8  # of a limit: shown in yellow
+NEAR = 0.8  # of a limit: a warning
 # A command and a reply of 8 bytes a joint and cycle, with the worst stuffing: 135 bit times each (docs/motor_board.md).
 FRAME_bits = 135
-MODE_COLOURS = {
-    "HOLDING": "green", "MOVING": "cyan", "HOMING": "cyan", "JOGGING": "cyan", "PAUSED": "yellow", "STOPPING": "yellow",
-    "GUIDING": "magenta", "BRAKED": "white", "OFF": "white", "FAULT": "red",
+MODE_LOOKS = {
+    "PAUSED": "warning-badge", "STOPPING": "warning-badge", "GUIDING": "warning-badge", "FAULT": "error-badge",
 }  # fmt: skip
-TODO = {
-    "OFF": "drives are off: `n` switches them on and holds",
-    "BRAKED": "0 V, the windings brake: `n` holds",
-    "GUIDING": "the hand has the arm: `r` records a way-point, `n` holds, space brakes",
-    "PAUSED": "paused on the path: `p` goes on, space leaves it",
+NEXT = {
+    "OFF": "The drives are off. `n` switches them on and holds.",
+    "BRAKED": "The drives are at 0 V; the windings brake. `n` holds.",
+    "GUIDING": "Move the arm by hand. `r` records a way-point, `n` holds, space brakes.",
+    "PAUSED": "Paused on the path. `p` goes on, space ends the motion.",
 }
+GAUGE_least, GAUGE_most = 12, 40  # columns
 
 
-@dataclass
-class History:
-    """The last values of what the strip charts show."""
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of the joints' table: its heading where there is room and where there is little, and its widths."""
 
-    length: int = 120
-    error_mrad: deque[float] = field(default_factory=deque)
-    current_A: deque[float] = field(default_factory=deque)
-    speed_m_s: deque[float] = field(default_factory=deque)
-    late_us: deque[float] = field(default_factory=deque)
-    _last: tuple[float, Sequence[float]] | None = None
-
-    def add(self, status: Message) -> None:
-        """One more status."""
-        rows = (
-            (self.error_mrad, 1e3 * max(map(abs, status["following_error_rad"]))),
-            (self.current_A, max(map(abs, status["current_A"]))),
-            (self.speed_m_s, self._tip_speed(status)),
-            (self.late_us, 1e6 * status["late_p99_s"]),
-        )
-        for values, value in rows:
-            values.append(value if math.isfinite(value) else 0.0)
-            while len(values) > self.length:
-                values.popleft()
-
-    def _tip_speed(self, status: Message) -> float:
-        tip, now_s = status["tip_set_m"], status["t_s"]
-        last, self._last = self._last, (now_s, tip) if tip is not None else None
-        if tip is None or last is None or now_s <= last[0]:
-            return 0.0
-        return math.dist(tip, last[1]) / float(now_s - last[0])
+    heading: str
+    short: str
+    wide: int
+    narrow: int
+    cell: Callable[[Message, Drive, Arm, int], Span]
 
 
-def strip(values: Iterable[float], width: int, top: float) -> str:
-    """A strip chart of the newest values, `top` and more being a full block."""
-    newest = list(values)[-width:]
-    levels = (min(int(8.0 * max(v, 0.0) / top), 7) if top > 0.0 else 0 for v in newest)
-    return "".join(BLOCKS[level] for level in levels).rjust(width)
-
-
-def headline(status: Message | None, arm: Arm, why_lost: str) -> str:
-    """Arm, mode, and what the loop does, in one line of markup."""
+def headline(status: Message | None, arm: Arm, why_lost: str, width: int, clock: str) -> Row:
+    """Arm, mode, and what the loop does."""
+    name: Span = (f" {arm.name} ", "strong")
     if status is None:
-        return f"[b]{arm.name}[/b]  [b white on red] NO LINK [/] {escaped(why_lost)}"
+        return row(name, (" NO LINK ", "error-badge"), f"  {why_lost}")
     mode = status["mode"]
-    homed = "homed" if status["is_homed"] else "[yellow]not homed[/]"
     progress = f" {100 * status['progress']:.0f} %" if mode in ("MOVING", "PAUSED") else ""
     late_us, period_s = 1e6 * status["late_p99_s"], status["period_s"]
-    late_colour = "yellow" if late_us > 0.2e6 * period_s else "none"
-    return (
-        f"[b]{arm.name}[/b]  [b black on {MODE_COLOURS.get(mode, 'white')}] {mode}{progress} [/]  {homed}"
-        f"  loop {1e3 * period_s:g} ms [{late_colour}]late {late_us:.0f} us[/]"
-        f"  missed {status['missed_cycles']}  bus {100 * bus_load(arm, period_s):.0f} %"
+    spans = row(
+        name,
+        (f" {mode}{progress} ", MODE_LOOKS.get(mode, "badge")),
+        ("  homed", "plain") if status["is_homed"] else ("  not homed", "warning"),
+        f"  loop {1e3 * period_s:g} ms",
+        (f" late {late_us:.0f} us", "warning" if late_us > 0.2e6 * period_s else "plain"),
+        f"  missed {status['missed_cycles']}",
+        f"  bus {100 * bus_load(arm, period_s):.0f} %",
     )
+    room = width - width_of(spans) - 1
+    return (*spans, (clock.rjust(room), "muted")) if room > len(clock) else spans
 
 
 def bus_load(arm: Arm, period_s: float) -> float:
@@ -86,90 +63,131 @@ def bus_load(arm: Arm, period_s: float) -> float:
     return 2 * arm.joint_count * FRAME_bits / (bitrate * period_s)
 
 
-def joint_lines(status: Message, arm: Arm, selected: str) -> list[str]:
-    """A heading and a line a joint; values near their limits in yellow, `*` where a board is silent and they are its last."""
-    lines = ["    angle rad e mrad  rad/s  current supply  temp      count drive"]
+def joint_rows(status: Message, arm: Arm, selected: str, width: int) -> list[Row]:
+    """A heading and a row a joint; where there is room, the angle in its range is drawn, too."""
+    is_wide = width >= NAME + sum(column.wide for column in COLUMNS) + DRIVE
+    widths = [column.wide if is_wide else column.narrow for column in COLUMNS]
+    titles = [column.heading if is_wide else column.short for column in COLUMNS]
+    gauge = min(width - NAME - sum(widths) - DRIVE - 1, GAUGE_most)
+    heading = " " * NAME + "".join(title.rjust(w) for title, w in zip(titles, widths, strict=True))
+    in_range = f"{'range':^{gauge}}" if gauge >= GAUGE_least else ""
+    rows = [row((f"{heading}  {'drive':<{DRIVE - 2}}{in_range}", "muted"))]
+    ages = stale_s(status)
     for j, drive in enumerate(arm.drives):
-        q, error = status["q_rad"][j], 1e3 * status["following_error_rad"][j]
-        mark, age_s = "[reverse]" if selected == f"J{j + 1}" else "[none]", stale_s(status, j)
-        temperature = status["temperature_C"][j]
-        warm = f"{temperature:3.0f} C" if temperature is not None and math.isfinite(temperature) else "  -  "
-        cells = (
-            _near(f"{q:+10.4f}", _range_use(q, drive.joint_lower_rad, drive.joint_upper_rad)),
-            _near(f"{round(error, 1) + 0.0:+6.1f}", abs(error) / (1e3 * arm.limits.following_error_rad)),
-            _near(
-                f"{status['speed_rad_s'][j]:+6.2f}",
-                abs(status["speed_rad_s"][j]) / drive.joint_speed_limit_rad_s,
-            ),
-            _near(f"{status['current_A'][j]:+6.2f} A", abs(status["current_A"][j]) / drive.current_limit_A),
-            f"{status['supply_V'][j]:4.1f} V",
-            warm,
-            f"{status['count'][j]:+10d}",
-            escaped(str(status["drive_state"][j])) if age_s is None else f"[red]silent {age_s:.0f} s[/]",
-        )
-        lines.append(f"{mark}J{j + 1}[/]{' ' if age_s is None else '*'}{' '.join(cells)}")
-    return lines
+        spans = _joint_name(j, selected, ages[j])
+        for column, cells in zip(COLUMNS, widths, strict=True):
+            text, look = column.cell(status, drive, arm, j)
+            spans += ((text.rjust(cells), "muted" if ages[j] is not None else look),)
+        spans += (_drive_state(str(status["drive_state"][j]), ages[j]),)
+        if gauge >= GAUGE_least:
+            spans += _gauge(status["q_rad"][j], drive, gauge)
+        rows.append(spans)
+    return rows
 
 
-def stale_s(status: Message, joint: int) -> float | None:
-    """Age in s of what is shown of a joint (0-based) where one of its boards is silent; None where all is live."""
-    ages_s = (status["encoder_stale_s"][joint], status["drive_stale_s"][joint])
-    return max((age_s for age_s in ages_s if age_s is not None), default=None)
-
-
-def tip_line(status: Message, selected: str) -> str:
-    """The tip by the arm's model, its set-point and what the camera sees."""
-    axes = " ".join(f"[reverse]{axis}[/]" if selected == axis else axis for axis in ("X", "Y", "Z"))
+def tip_row(status: Message, selected: str) -> Row:
+    """The tip by the arm's model, how far its set-point is, and how far what the camera sees."""
+    axes = tuple(
+        (f"{'▸' if selected == a else ' '}{a}", "chosen" if selected == a else "strong") for a in "XYZ"
+    )
     if status["tip_m"] is None:
-        return f"{axes}  tip unknown before homing"
+        return (*axes, ("   tip unknown before homing", "muted"))
     tip = " ".join(f"{1e3 * x:+8.2f}" for x in status["tip_m"])
     off_mm = 1e3 * math.dist(status["tip_set_m"], status["tip_m"])
-    text = f"{axes}  tip {tip} mm  set {off_mm:.2f} mm off"
+    spans = (*axes, *row(("   tip mm ", "muted"), tip, ("  set off ", "muted"), f"{off_mm:.2f}"))
     if status["camera_m"] is not None:
-        text += f"  camera {1e3 * math.dist(status['camera_m'], status['tip_m']):.2f} mm off"
-    return text
+        camera_mm = 1e3 * math.dist(status["camera_m"], status["tip_m"])
+        spans += row(("  camera off ", "muted"), f"{camera_mm:.2f}")
+    return spans
 
 
-def news_lines(status: Message | None, why_lost: str) -> list[str]:
+def status_rows(status: Message | None, why_lost: str, width: int) -> list[Row]:
     """What is wrong and what to do about it, the worst first."""
     if status is None:
         return [
-            f"[b red]The link to the runtime is lost[/]: {escaped(why_lost)}.",
-            "If a motion of this console was under way, the runtime has stopped it. The link is tried twice a second.",
+            *wrapped(f"The link to the runtime is lost: {why_lost}.", "error", width, "! "),
+            *wrapped(
+                "The runtime stops what this console had begun. The link is tried twice a second.",
+                "plain",
+                width,
+            ),
         ]
-    lines = [
-        f"[b red]{escaped(f['where'])}: {escaped(f['message'])}[/]; {escaped(f['remedy'])}"
-        for f in status["faults"]
-    ]
-    if lines:
-        lines.append("When it is safe: `a` acknowledges.")
-    lines += [f"[yellow]{escaped(warning)}[/]" for warning in status["warnings"]]
-    if not status["faults"] and status["mode"] in TODO:
-        lines.append(escaped(TODO[status["mode"]]))
+    rows: list[Row] = []
+    for fault in status["faults"]:
+        rows += wrapped(f"{fault['where']}: {fault['message']}; {fault['remedy']}", "error", width, "! ")
+    if rows:
+        rows += wrapped("When it is safe: `a` acknowledges.", "plain", width)
+    for warning in status["warnings"]:
+        rows += wrapped(warning, "warning", width, "! ")
+    if not status["faults"] and status["mode"] in NEXT:
+        rows += wrapped(NEXT[status["mode"]], "plain", width)
     if status["mode"] == "HOLDING" and not status["is_homed"]:
-        lines.append("`h` homes the arm: every joint moves to its switch")
-    return lines
+        rows += wrapped("`h` homes the arm: every joint moves to its switch.", "plain", width)
+    return rows or [row(("No faults, no warnings.", "muted"))]
 
 
-def chart_lines(history: History, arm: Arm, width: int) -> list[str]:
-    """Strip charts with their newest values."""
-    room = max(width - 26, 8)
-    limit_A = max(drive.current_limit_A for drive in arm.drives)
-    rows = (
-        ("error", history.error_mrad, 1e3 * arm.limits.following_error_rad, "{:6.1f} mrad"),
-        ("current", history.current_A, limit_A, "{:6.2f} A   "),
-        ("tip", history.speed_m_s, arm.limits.jog_tip_speed_m_s, "{:6.3f} m/s "),
-        ("late", history.late_us, 1000.0, "{:6.0f} us  "),
+def _joint_name(j: int, selected: str, age_s: float | None) -> Row:
+    name = f"J{j + 1}"
+    look = "chosen" if name == selected else "strong"
+    return row(
+        (f"{'▸' if name == selected else ' '}{name}", look), ("?" if age_s is not None else " ", "warning")
     )
-    return [
-        f"{name:<8}{shown.format(values[-1] if values else 0.0)} {strip(values, room, top)}"
-        for name, values, top, shown in rows
-    ]
 
 
-def escaped(text: str) -> str:
-    """Text that a markup reader leaves alone."""
-    return text.replace("[", "\\[")
+def _drive_state(state: str, age_s: float | None) -> Span:
+    if age_s is not None:
+        return f"  {f'STALE for {age_s:.1f} s':<{DRIVE - 2}}", "warning"
+    return f"  {state[: DRIVE - 2]:<{DRIVE - 2}}", "plain" if state == "OPERATION ENABLED" else "muted"
+
+
+def _gauge(q: float, drive: Drive, width: int) -> Row:
+    """Where an angle is between the ends of its range."""
+    lower, upper = drive.joint_lower_rad, drive.joint_upper_rad
+    if not math.isfinite(upper - lower) or not math.isfinite(q):
+        return row((f"{'no range':^{width}}", "muted"))
+    room = width - 2
+    at = min(max(round((q - lower) / (upper - lower) * (room - 1)), 0), room - 1)
+    look = _near("", _range_use(q, lower, upper))[1]
+    sign: Span = ("●", look if look != "plain" else "accent")
+    return row(("├" + "─" * at, "muted"), sign, ("─" * (room - 1 - at) + "┤", "muted"))
+
+
+def _angle(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
+    q = status["q_rad"][j]
+    return _near(f"{q:+.4f}", _range_use(q, drive.joint_lower_rad, drive.joint_upper_rad))
+
+
+def _error(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
+    error = status["following_error_rad"][j]
+    return _near(f"{round(1e3 * error, 1) + 0.0:+.1f}", abs(error) / arm.limits.following_error_rad)
+
+
+def _speed(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
+    speed = status["speed_rad_s"][j]
+    return _near(f"{round(speed, 2) + 0.0:+.2f}", abs(speed) / drive.joint_speed_limit_rad_s)
+
+
+def _current(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
+    current = status["current_A"][j]
+    return _near(f"{round(current, 2) + 0.0:+.2f}", abs(current) / drive.current_limit_A)
+
+
+def _temperature(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
+    temperature = status["temperature_C"][j]
+    is_known = temperature is not None and math.isfinite(temperature)
+    return (f"{temperature:.0f}" if is_known else "-"), "plain"
+
+
+NAME, DRIVE = 4, 21  # columns of a joint's name and of its drive's state
+COLUMNS = (
+    Column("angle rad", "angle rad", 10, 9, _angle),
+    Column("error mrad", "err mrad", 12, 9, _error),
+    Column("speed rad/s", "rad/s", 13, 7, _speed),
+    Column("current A", "A", 11, 7, _current),
+    Column("supply V", "V", 10, 6, lambda status, _d, _a, j: (f"{status['supply_V'][j]:.1f}", "plain")),
+    Column("temp °C", "°C", 9, 4, _temperature),
+    Column("count", "count", 12, 11, lambda status, _d, _a, j: (f"{status['count'][j]:+d}", "plain")),
+)
 
 
 def _range_use(q: float, lower: float, upper: float) -> float:
@@ -178,7 +196,8 @@ def _range_use(q: float, lower: float, upper: float) -> float:
     return abs(q - lower - half) / half if half > 0.0 and math.isfinite(half) else 0.0
 
 
-def _near(text: str, share: float) -> str:
+def _near(text: str, share: float) -> Span:
+    """A value and how near it is to its limit: `!` beyond it, `~` near it, besides the colour."""
     if share > 1.0:
-        return f"[red]{text}[/]"
-    return f"[yellow]{text}[/]" if share > NEAR else text
+        return f"!{text}", "error"
+    return (f"~{text}", "warning") if share > NEAR else (text, "plain")

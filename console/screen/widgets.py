@@ -5,15 +5,16 @@ from typing import ClassVar
 from textual import events
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal
+from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import Input, Static
 
 from console.screen.operator import Target
+from console.screen.panel import Panel
 
 
 class HeldButton(Static):
-    """A button that says so when the mouse goes down on it, and when it is let go or leaves."""
+    """A button that posts a message when the mouse goes down on it, and when it is released or leaves."""
 
     class Held(Message):
         """The mouse went down, or up again."""
@@ -23,7 +24,7 @@ class HeldButton(Static):
             self.target, self.sign, self.is_down = target, sign, is_down
 
     def __init__(self, target: Target, sign: int) -> None:
-        super().__init__("[b]−[/]" if sign < 0 else "[b]+[/]", classes="held")
+        super().__init__("−" if sign < 0 else "+", classes="held minus" if sign < 0 else "held plus")
         self._target, self._sign, self._is_down = target, sign, False
 
     def on_mouse_down(self, event: events.MouseDown) -> None:
@@ -63,22 +64,26 @@ class PressButton(Static):
         await self.screen.run_action(self._action)
 
 
-class JogPad(Horizontal):
-    """A pair of held buttons for each joint and axis, and the others."""
+class JogPad(Vertical):
+    """The stop and what the keys do now; below, a pair of held buttons for each joint and axis."""
 
     def __init__(self, targets: list[Target]) -> None:
         super().__init__(id="pad")
         self._targets = targets
 
     def compose(self) -> ComposeResult:
-        """Buttons in one row."""
-        yield PressButton("■ STOP", "app.stop", id="stop")
-        for target in self._targets:
-            yield HeldButton(target, -1)
-            yield Static(target.name, classes="name")
-            yield HeldButton(target, 1)
-        yield PressButton("pause", "pause")
-        yield PressButton("home", "home")
+        """Buttons in two rows, those of the targets equally wide."""
+        with Horizontal(id="buttons"):
+            yield PressButton("■ STOP", "app.stop", id="stop")
+            yield PressButton("pause", "pause")
+            yield PressButton("home", "home")
+            yield Panel("jog")
+        with Horizontal(id="targets"):
+            for target in self._targets:
+                with Horizontal(classes="target"):
+                    yield HeldButton(target, -1)
+                    yield Static(target.name, classes="name")
+                    yield HeldButton(target, 1)
 
 
 BOX_HINT = ": a line, as in `armwright script`, e.g. move --joints 0 -0.8 0"

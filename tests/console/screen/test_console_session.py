@@ -10,44 +10,42 @@ from typing import Any
 
 import pytest
 from textual.pilot import Pilot
-from textual.widgets import RichLog, Static
 
 from console.screen.app import ConsoleApp
-from console.screen.session import SessionScreen, board_lines, recorded_line
+from console.screen.event_log import EventLog
+from console.screen.panel import Panel
+from console.screen.rows import text_of
+from console.screen.session import SessionScreen
+from console.screen.session_texts import board_rows, legend_rows, record_text
 from tests.cell import Cell, holding_cell
-from tests.console.console_rig import console_on, press, said, until
+from tests.console.screen.console_rig import console_on, press, said, until
 
-LIMIT_s = 120.0  # each waits for processes that share the machine with other tests
+LIMIT_s = 300.0  # each waits for processes that share the machine with other tests
 
 
 def shown(app: ConsoleApp, panel: str) -> str:
-    return "".join(str(one.render()) for one in app.screen.query(f"#{panel}").results(Static))
+    return "".join(one.text for one in app.screen.query(f"#{panel}").results(Panel))
 
 
 def records(app: ConsoleApp) -> str:
-    return "\n".join(strip.text.rstrip() for strip in app.screen.query_one("#records", RichLog).lines)
+    return app.screen.query_one("#records", EventLog).text
 
 
-async def asked(app: ConsoleApp, pilot: Pilot[Any], text: str) -> None:
-    """Wait until the session asks, or says, `text`."""
-    await until(pilot, lambda: text in shown(app, "question"), LIMIT_s)
-
-
-async def begin_and_leave(app: ConsoleApp, pilot: Pilot[Any], out: Path) -> None:
-    """One cavity recorded, done again, skipped; and the session left."""
+async def record_some_and_leave(app: ConsoleApp, pilot: Pilot[Any], out: Path) -> None:
+    """Record, take back, skip, and escape."""
     app.open_session(f"--mock --out {out} --setups normal,roll --points 1,5,9,13,17,21,25,33")
     await until(pilot, lambda: isinstance(app.screen, SessionScreen))
-    await asked(app, pilot, "Enter when it stands")
+    await until(pilot, lambda: "Enter when it stands" in shown(app, "question"), LIMIT_s)
     assert shown(app, "board").count(".") == 7
     assert shown(app, "board").count("O") == 1
     await press(pilot, "enter")
-    await asked(app, pilot, "hands off")
+    await until(pilot, lambda: "hands off" in shown(app, "question"), LIMIT_s)
     await press(pilot, "enter")
-    await asked(app, pilot, "[2/16]")
+    await until(pilot, lambda: "[2/16]" in shown(app, "question"), LIMIT_s)
     assert re.search(r"normal 1 +\d+\.\d\d", records(app))
     assert shown(app, "board").count("#") == 1
     await press(pilot, *"redo", "enter")
-    await asked(app, pilot, "[1/16]")
+    await until(pilot, lambda: "[1/16]" in shown(app, "question"), LIMIT_s)
     assert shown(app, "board").count("#") == 0
     await press(pilot, *"skip", "enter")
     await until(pilot, lambda: "-" in shown(app, "board"), LIMIT_s)
@@ -57,17 +55,17 @@ async def begin_and_leave(app: ConsoleApp, pilot: Pilot[Any], out: Path) -> None
 
 
 async def resume_and_accept(app: ConsoleApp, pilot: Pilot[Any], out: Path) -> None:
-    """The skipped cavity is remembered; the rest by itself, then calibrated and accepted."""
+    """Go on to the end, calibrate, and accept."""
     app.open_session(f"--mock --out {out}")
     await until(pilot, lambda: "-" in shown(app, "board"), LIMIT_s)
     await press(pilot, *"auto", "enter")
-    await asked(app, pilot, "ends the session")
+    await until(pilot, lambda: "ends the session" in shown(app, "question"), LIMIT_s)
     await press(pilot, "enter")
-    await asked(app, pilot, "Enter calibrates")
+    await until(pilot, lambda: "Enter calibrates" in shown(app, "question"), LIMIT_s)
     await press(pilot, "enter")
-    await asked(app, pilot, "Accept")
+    await until(pilot, lambda: "Accept" in shown(app, "question"), LIMIT_s)
     await press(pilot, *"perhaps", "enter", "y", "enter")
-    await asked(app, pilot, "Accepted")
+    await until(pilot, lambda: "Accepted" in shown(app, "question"), LIMIT_s)
 
 
 def test_a_session_on_the_screen_is_interrupted_resumed_calibrated_and_accepted(tmp_path: Path) -> None:
@@ -75,7 +73,7 @@ def test_a_session_on_the_screen_is_interrupted_resumed_calibrated_and_accepted(
 
     async def run(cell: Cell) -> None:
         async with console_on(cell, tmp_path, (80, 24)) as (app, pilot, _):
-            await begin_and_leave(app, pilot, out)
+            await record_some_and_leave(app, pilot, out)
             await resume_and_accept(app, pilot, out)
 
     with holding_cell() as cell:
@@ -102,25 +100,30 @@ def test_the_board_keeps_its_proportions_in_any_room() -> None:
     places = ((0.09, 0.0, "now"), (-0.09, 0.0, "done"), (0.0, 0.09, "left"), (0.0, -0.09, "bad"))
     circle = [{"name": "1", "x_m": x, "y_m": y, "mark": mark} for x, y, mark in places]
     for width, height in ((64, 30), (40, 17), (20, 50), (200, 12)):
-        lines = board_lines(circle, width, height)
-        assert len(lines) <= max(height, 6)
-        plain = [re.sub(r"\[[^]]*\]", "", line) for line in lines]
+        plain = [line.rstrip() for line in text_of(board_rows(circle, width, height)).splitlines()]
+        assert len(plain) <= max(height, 6)
         assert max(map(len, plain)) <= max(width, 9)
         assert plain[0].strip() == "."
         assert plain[-1].strip() == "x"
         assert len(plain) == pytest.approx(max(map(len, plain)) / 2, abs=1.1)
-    assert board_lines([], 40, 20) == ["no cavities in this setup"]
+    assert text_of(board_rows([], 40, 20)) == "no cavities in this setup"
 
 
-def test_a_record_says_how_it_fits_and_one_that_does_not_is_red() -> None:
-    kept = {"kept": "normal 3", "text": "normal 3 recorded; look", "error_mm": 20.0}
-    kept |= {"off_mm": 0.4, "surprise": 2.6, "is_suspect": False}
-    assert recorded_line(kept).split() == ["normal", "3", "20.00", "0.40", "mm", "[none]", "2.6", "sd[/]"]
-    assert "[yellow] 3.1 sd" in recorded_line({**kept, "surprise": 3.1})
-    assert recorded_line({**kept, "is_suspect": True}) == "[b red]normal 3 recorded; look[/]"
-    assert recorded_line({**kept, "surprise": None, "off_mm": None}).split() == ["normal", "3", "20.00"]
-    assert recorded_line({**kept, "surprise": None, "off_mm": None, "error_mm": None}).split() == [
-        "normal",
-        "3",
-        "-",
-    ]
+def test_the_legend_is_whole_on_any_width() -> None:
+    for width in (32, 40, 64, 120):
+        rows = legend_rows(width)
+        assert " ".join(text_of(rows).split()) == "# done + some repeats O now . left - skipped x bad"
+        assert max(len(line.rstrip()) for line in text_of(rows).splitlines()) <= width
+
+
+def test_a_record_tells_how_it_fits_and_one_that_does_not_is_an_error() -> None:
+    record = {"kept": "normal 3", "text": "normal 3 recorded; look", "error_mm": 20.0}
+    record |= {"off_mm": 0.4, "surprise": 2.6, "is_suspect": False}
+    text, look = record_text(record)
+    assert (text.split(), look) == (["normal", "3", "20.00", "0.40", "2.6"], "plain")
+    text, look = record_text({**record, "surprise": 3.1})
+    assert (text.split()[-2:], look) == (["3.1", "~"], "warning")
+    assert record_text({**record, "is_suspect": True}) == ("normal 3 recorded; look", "error")
+    assert record_text({**record, "surprise": None, "off_mm": None})[0].split() == ["normal", "3", "20.00"]
+    unknown = {**record, "surprise": None, "off_mm": None, "error_mm": None}
+    assert record_text(unknown)[0].split() == ["normal", "3", "-"]

@@ -8,21 +8,24 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
 from textual import events
 from textual.pilot import Pilot
 from textual.widget import Widget
-from textual.widgets import RichLog, Static
 
 from console.screen.app import ConsoleApp, Files
+from console.screen.event_log import EventLog
+from console.screen.panel import Panel
 from control.model.arm import Arm
 from control.server.server import Server
 from tests.cell import PERIOD_S, RIGHT, Cell
 
 STEP_S = 0.01
+REPEAT_S = 0.03  # of a held key
+LIMIT_S = 120.0  # a busy machine is slow, a broken console never gets there
 CHARACTERS = {
     "space": " ",
     "full_stop": ".",
@@ -82,6 +85,9 @@ async def console_on(
     served = Served(cell, folder)
     files = Files(folder / "places.toml", folder / "taught.csv", folder / "kept.txt", folder / "sessions")
     app = ConsoleApp(arm, served.path, files, {"--arm": "right", "--socket": str(served.path)})
+    app.link.answer_s = (
+        LIMIT_S  # the arm and the console share this event loop: neither loses the other by waiting
+    )
     pump = asyncio.create_task(served.run())
     try:
         async with app.run_test(size=size) as pilot:
@@ -95,7 +101,7 @@ async def console_on(
         served.vanish()
 
 
-async def until(pilot: Pilot[Any], is_so: Any, limit_s: float = 60.0) -> None:
+async def until(pilot: Pilot[Any], is_so: Callable[[], bool], limit_s: float = LIMIT_S) -> None:
     """Let the event loop run until something is so."""
     loop = asyncio.get_running_loop()
     end_s = loop.time() + limit_s
@@ -118,13 +124,13 @@ async def press(pilot: Pilot[Any], *keys: str) -> None:
         await asyncio.sleep(0.005)
 
 
-async def hold_key(pilot: Pilot[Any], key: str, duration_s: float, repeat_s: float = 0.03) -> None:
-    """As a terminal does it when a key has been held for a while: repeats."""
-    loop = asyncio.get_running_loop()
-    end_s = loop.time() + duration_s
-    while loop.time() < end_s:
+async def hold_key(pilot: Pilot[Any], key: str, is_so: Callable[[], bool], limit_s: float = LIMIT_S) -> None:
+    """As a terminal does it when a key has been held for a while: repeats, until something is so."""
+    end_s = asyncio.get_running_loop().time() + limit_s
+    while not is_so():
         await press(pilot, key)
-        await asyncio.sleep(repeat_s)
+        await asyncio.sleep(REPEAT_S)
+        assert asyncio.get_running_loop().time() < end_s, f"{key} had no effect: {said(pilot.app)}"
 
 
 def mouse(pilot: Pilot[Any], widget: Widget, kind: type[events.MouseEvent]) -> None:
@@ -134,11 +140,10 @@ def mouse(pilot: Pilot[Any], widget: Widget, kind: type[events.MouseEvent]) -> N
 
 
 def said(app: Any) -> str:
-    """What the log shows, in one line: where it is broken depends on the width, and on how long a folder's name is."""
-    logs = app.operating.query("#said").results(RichLog)
-    return " ".join(strip.text.strip() for log in logs for strip in log.lines)
+    """What the log of events holds."""
+    return "\n".join(log.text for log in app.operating.query("#events").results(EventLog))
 
 
 def shown(app: Any, panel: str) -> str:
     """What a panel shows, without colours."""
-    return str(app.operating.query_one(f"#{panel}", Static).render())
+    return app.operating.query_one(f"#{panel}", Panel).text

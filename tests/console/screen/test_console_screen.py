@@ -13,12 +13,21 @@ from textual.pilot import Pilot
 
 from console.screen.app import ConsoleApp
 from console.screen.dialogs import Choose
-from console.screen.held import HeldKey, REPEAT_s
 from console.screen.widgets import CommandBox
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
 from tests.cell import STRETCHED, Cell, holding_cell
-from tests.console.console_rig import Served, console_on, hold_key, mouse, press, said, shown, until
+from tests.console.screen.console_rig import (
+    LIMIT_S,
+    Served,
+    console_on,
+    hold_key,
+    mouse,
+    press,
+    said,
+    shown,
+    until,
+)
 
 Play = Callable[[ConsoleApp, Pilot[Any], Served], Awaitable[None]]
 
@@ -43,6 +52,10 @@ async def rested(pilot: Pilot[Any], served: Served) -> None:
     await until(pilot, lambda: served.cell.mode is Mode.HOLDING)
 
 
+def jogs(served: Served) -> bool:
+    return served.cell.mode is Mode.JOGGING
+
+
 def start_move(served: Served) -> None:
     """A motion of somebody else, 3 s long."""
     answer = served.cell.assembly.requests.handle(
@@ -55,28 +68,31 @@ def start_move(served: Served) -> None:
 
 
 def test_a_held_key_jogs_and_the_arm_rests_when_its_repeats_cease(tmp_path: Path) -> None:
-    kept = tmp_path / "kept.txt"
+    recorded = tmp_path / "kept.txt"
 
-    def ends() -> int:
-        return kept.read_text().count("move --joints") if kept.exists() else 0
+    def is_recorded(served: Served) -> bool:
+        """Whether the last line is a move to where the arm rests."""
+        lines = recorded.read_text().splitlines() if recorded.exists() else [""]
+        angles = " ".join(f"{q:.5f}" for q in served.cell.runtime.joint_rad()[0])
+        words = lines[-1].split()
+        return words[:2] == ["move", "--joints"] and all(
+            abs(float(word) - float(angle)) < 2e-3
+            for word, angle in zip(words[2:], angles.split(), strict=False)
+        )
 
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
-        before = served.cell.rig.joint_rad()
-        await hold_key(pilot, "right", 0.6)
-        assert served.cell.mode is Mode.JOGGING
+        rig = served.cell.rig
+        before = rig.joint_rad()
+        await hold_key(pilot, "right", lambda: jogs(served) and rig.joint_rad()[0] - before[0] > 0.01)
         await rested(pilot, served)
-        # a jog that follows before that is seen is one with the first
-        await until(pilot, lambda: ends() == 1)
-        after = served.cell.rig.joint_rad()
-        assert after[0] - before[0] > 0.01
+        await until(pilot, lambda: is_recorded(served))
+        after = rig.joint_rad()
         assert after[1:] == pytest.approx(before[1:], abs=2e-3)
         await press(pilot, "z")
-        height = served.cell.rig.tip_m()[2]
-        await hold_key(pilot, "left", 0.4)
+        height = rig.tip_m()[2]
+        await hold_key(pilot, "left", lambda: jogs(served) and rig.tip_m()[2] < height - 0.003)
         await rested(pilot, served)
-        assert served.cell.rig.tip_m()[2] < height - 0.003
-        # where they ended, for replay
-        await until(pilot, lambda: ends() == 2)
+        await until(pilot, lambda: is_recorded(served))
 
     played(tmp_path, play)
 
@@ -106,48 +122,41 @@ def test_a_step_ends_where_it_was_to_without_a_held_key(tmp_path: Path) -> None:
     played(tmp_path, play)
 
 
-def test_a_button_jogs_while_the_mouse_holds_it_and_a_lost_focus_lets_go(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("console.screen.operating.UNSEEN_S", 1e9)  # it is not the silent mouse that lets go
-
+def test_a_button_jogs_while_the_mouse_holds_it_and_a_lost_focus_lets_go(tmp_path: Path) -> None:
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
+        app.jogger.unseen_s = 1e9  # it is not the silent mouse that lets go
         buttons = list(app.operating.query(".held"))
         mouse(pilot, buttons[1], events.MouseDown)
-        await asyncio.sleep(0.6)
-        assert served.cell.mode is Mode.JOGGING
+        # further than one press moves it: the button renews the jog
+        await until(pilot, lambda: served.cell.runtime.set_point.q_rad[0] > STRETCHED[0] + 0.05)
         mouse(pilot, buttons[1], events.MouseUp)
         await rested(pilot, served)
-        assert served.cell.runtime.set_point.q_rad[0] > STRETCHED[0] + 0.005
         mouse(pilot, buttons[0], events.MouseDown)
-        await moved(pilot, served, 2)
+        await until(pilot, lambda: jogs(served))
         app.post_message(events.AppBlur())
         await rested(pilot, served)
         at = served.cell.runtime.set_point.q_rad
-        await asyncio.sleep(0.3)
+        cycles = served.cell.runtime.cycles
+        await until(pilot, lambda: served.cell.runtime.cycles > cycles + 150)  # 0.3 s of the arm's time
         assert served.cell.runtime.set_point.q_rad == at
 
     played(tmp_path, play)
 
 
-def test_a_mouse_that_says_nothing_any_more_lets_go_by_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("console.screen.operating.UNSEEN_S", 0.3)
-
+def test_a_mouse_that_says_nothing_any_more_lets_go_by_itself(tmp_path: Path) -> None:
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
+        app.jogger.unseen_s = 0.3
         mouse(pilot, list(app.operating.query(".held"))[1], events.MouseDown)
         await moved(pilot, served, 1)
+        await until(pilot, lambda: "jog button released" in said(app))
         await rested(pilot, served)
-        assert "let go by itself" in said(app)
 
     played(tmp_path, play)
 
 
 def test_a_console_that_dies_leaves_the_arm_held(tmp_path: Path) -> None:
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
-        await hold_key(pilot, "right", 0.4)
-        assert served.cell.mode is Mode.JOGGING
+        await hold_key(pilot, "right", lambda: jogs(served))
         app.link._hang_up()  # what the kernel does with a dead process' connection
         await until(pilot, lambda: served.cell.mode is not Mode.JOGGING)
         assert served.cell.runtime.was_stopped
@@ -159,8 +168,7 @@ def test_a_console_that_dies_leaves_the_arm_held(tmp_path: Path) -> None:
 @pytest.mark.parametrize("key", ["ctrl+q", "ctrl+c"])
 def test_leaving_stops_what_the_console_began(tmp_path: Path, key: str) -> None:
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
-        await hold_key(pilot, "right", 0.3)
-        assert served.cell.mode is Mode.JOGGING
+        await hold_key(pilot, "right", lambda: jogs(served))
         await press(pilot, key)
         await until(pilot, lambda: not app.is_running)
         await rested(pilot, served)
@@ -224,7 +232,7 @@ def test_a_lost_link_is_said_and_the_console_comes_back_by_itself(tmp_path: Path
         assert "HOLDING" in shown(app, "head")
         served.vanish()
         await until(pilot, lambda: "NO LINK" in shown(app, "head"))
-        assert "The link to the runtime is lost" in shown(app, "news")
+        assert "The link to the runtime is lost" in shown(app, "status")
         await press(pilot, "right", "n")  # nothing happens, and it is said
         await until(pilot, lambda: "armwright serve" in said(app) or "closed the connection" in said(app))
         served.return_()
@@ -233,15 +241,12 @@ def test_a_lost_link_is_said_and_the_console_comes_back_by_itself(tmp_path: Path
     played(tmp_path, play)
 
 
-def test_a_runtime_that_is_there_and_does_not_answer_is_a_lost_link(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("console.screen.link.ANSWER_S", 0.2)
-
+def test_a_runtime_that_is_there_and_does_not_answer_is_a_lost_link(tmp_path: Path) -> None:
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
+        app.link.answer_s = 0.2
         served.is_frozen = True
-        await until(pilot, lambda: "does not answer" in shown(app, "news"))
-        served.is_frozen = False
+        await until(pilot, lambda: "does not answer" in shown(app, "status"))
+        app.link.answer_s, served.is_frozen = LIMIT_S, False
         await until(pilot, lambda: "HOLDING" in shown(app, "head"))
 
     played(tmp_path, play)
@@ -252,7 +257,7 @@ def test_a_fault_is_said_with_its_remedy_and_acknowledged_by_hand(tmp_path: Path
         fault = Fault("x", "joint 2", "following error 0.2 rad", "look for a collision", Reaction.CONTROLLED)
         served.cell.runtime.fail(fault)
         await until(pilot, lambda: "FAULT" in shown(app, "head"))
-        news = shown(app, "news")
+        news = shown(app, "status")
         assert "joint 2: following error 0.2 rad; look for a collision" in news
         assert "`a` acknowledges" in news
         await press(pilot, "right")
@@ -266,7 +271,7 @@ def test_a_fault_is_said_with_its_remedy_and_acknowledged_by_hand(tmp_path: Path
 @pytest.mark.parametrize("size", [(80, 24), (120, 40), (40, 12)])
 def test_every_panel_is_there_and_says_what_the_arm_does(tmp_path: Path, size: tuple[int, int]) -> None:
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
-        await until(pilot, lambda: "side" in shown(app, "side") or size[1] < 20)
+        await until(pilot, lambda: "x" in shown(app, "side") or size[1] < 20)
         await until(pilot, lambda: "tip" in shown(app, "joints"))
         joints = shown(app, "joints")
         assert joints.count("OPERATION ENABLED") == 3
@@ -275,7 +280,7 @@ def test_every_panel_is_there_and_says_what_the_arm_does(tmp_path: Path, size: t
         head = shown(app, "head")
         assert all(word in head for word in ("HOLDING", "homed", "loop 2 ms", "bus 40 %"))
         if size == (120, 40):
-            await until(pilot, lambda: "mrad" in shown(app, "charts"))
+            await until(pilot, lambda: "now" in shown(app, "error") and "now" in shown(app, "current"))
 
     played(tmp_path, play, size)
 
@@ -287,9 +292,10 @@ def test_keys_and_the_command_box_do_what_lines_do(tmp_path: Path) -> None:
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
         await press(pilot, "colon", *"override", "space", *"0.5", "enter")
         await until(pilot, lambda: served.cell.runtime.override == 0.5)
+        await until(pilot, lambda: "override 50 %" in shown(app, "jog"))  # the next press counts from there
         await press(pilot, "escape")
         await until(pilot, lambda: app.focused is None)
-        await press(pilot, ">")
+        await press(pilot, ">", ">")
         await until(pilot, lambda: served.cell.runtime.override == 1.0)
         start_move(served)
         await moved(pilot, served, 1)
@@ -313,8 +319,9 @@ def test_keys_and_the_command_box_do_what_lines_do(tmp_path: Path) -> None:
         await rested(pilot, served)
         await press(pilot, "colon", *"dance", "enter")
         await until(pilot, lambda: "no such command" in said(app))
-        assert (tmp_path / "kept.txt").read_text().splitlines()[:4] == [
+        assert (tmp_path / "kept.txt").read_text().splitlines()[:5] == [
             "override 0.5",
+            "override 0.7",
             "override 1",
             "pause",
             "resume",
@@ -331,33 +338,3 @@ def test_the_command_box_runs_a_subcommand_and_shows_what_it_says(tmp_path: Path
         assert "[here]" in (tmp_path / "places.toml").read_text()
 
     played(tmp_path, play)
-
-
-# ---- the held key alone
-
-
-def test_the_first_press_is_new_and_repeats_renew_at_most_25_times_a_second() -> None:
-    key = HeldKey()
-    assert key.press("J1+", 10.0).is_new
-    assert not key.press("J1+", 10.03).is_new
-    presses = [key.press("J1+", 10.03 + 0.01 * i) for i in range(1, 101)]
-    assert not any(press.is_new for press in presses)
-    assert 20 <= sum(press.is_due for press in presses) <= 25
-
-
-def test_another_key_or_a_gap_begins_anew() -> None:
-    key = HeldKey()
-    key.press("J1+", 0.0)
-    assert key.press("J1-", 0.01).is_new
-    assert not key.press("J1-", 0.01 + REPEAT_s).is_new
-    assert key.press("J1-", 0.02 + 2 * REPEAT_s).is_new
-    key.forget()
-    assert key.press("J1-", 0.03 + 2 * REPEAT_s).is_new
-
-
-def test_repeats_come_often_enough_for_the_runtimes_dead_man() -> None:
-    """Slow terminals repeat 11 times a second; the runtime waits 0.2 s by default."""
-    from console.screen.held import THRIFT_s
-    from tests.cell import RIGHT
-
-    assert 1.0 / 11.0 + THRIFT_s < RIGHT.limits.jog_silence_s
