@@ -13,6 +13,7 @@ from console.main import parser
 from control.model import arm as arm_data
 from control.model.effects import EFFECTS, parameter_names
 from control.recording.record import Layout
+from firmware_iface.installation import PACKAGES
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -23,6 +24,16 @@ CALL = re.compile(r"(?:^|\s|/)armwright ([a-z][a-z0-9-]*)\b(.*)")
 CODE_SPAN = re.compile(r"`([^`]+)`")
 OPTION = re.compile(r"--[a-z][a-z-]*")
 OF_BENCHMARKS = {"--grid", "--save"}
+CODE = tuple(f"{name}/" for name in (*PACKAGES, "benchmarks", "tests"))
+TOP = "|".join(name.rstrip("/") for name in CODE)
+PATH = re.compile(rf"(?<![\w./{{}}-])((?:{TOP}|docs)/[\w./{{}},-]*)")
+DOTTED = re.compile(rf"(?<![\w./-])((?:{TOP})(?:\.[A-Za-z_]\w*)+)")
+FILE_OF_CODE = re.compile(r"(?<![\w./{}<-])((?:\w+/)*\w+\.(?:py|dbc|tcss))\b")
+FOLDER = re.compile(r"`((?:\w+/)+)`")
+WORDS_OF_CODE = re.compile(r'""".*?"""|#[^\n]*', re.DOTALL)
+OTHER_FILE = (".md", ".json", ".csv", ".toml", ".html")
+SETUPTOOLS = {"setup.py"}  # a name that setuptools asks for; no such file is needed
+MAKE = re.compile(r"\bmake ([a-z][a-z-]+)\b")
 
 
 @functools.cache
@@ -97,6 +108,12 @@ def test_every_option_in_a_page_is_one_of_some_command(page: Path) -> None:
     assert set(OPTION.findall(elsewhere)) <= known
 
 
+def test_every_option_is_in_some_page() -> None:
+    known = set.union(*(options_of(command) for command in subcommands().values())) - {"-h", "--help"}
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert sorted(option for option in known if not re.search(rf"{option}\b", text)) == []
+
+
 def test_every_page_is_reached_from_the_readme_or_the_commands() -> None:
     entries = (ROOT / "README.md", ROOT / "docs" / "commands.md")
     reached = {file for entry in entries for _, file, _ in links(entry)}
@@ -108,12 +125,113 @@ def test_every_command_is_in_the_list_of_commands() -> None:
     assert [name for name in subcommands() if not re.search(rf"`(armwright )?{name}\b", text)] == []
 
 
+@functools.cache
+def code_files() -> tuple[Path, ...]:
+    """Every Python file of the repository."""
+    return tuple(file for folder in CODE for file in (ROOT / folder).rglob("*.py"))
+
+
+@functools.cache
+def tails() -> frozenset[str]:
+    """Every file and folder of the code as one may name it: with all of the folders above it, or with the last of them."""
+    paths = [path.relative_to(ROOT).parts for folder in CODE for path in (ROOT / folder).rglob("*")]
+    return frozenset(
+        "/".join(parts[start:])
+        for parts in (*paths, *((name[:-1],) for name in CODE))
+        for start in range(len(parts))
+    )
+
+
+def spread(name: str) -> list[str]:
+    """`a/{b,c}/d` as `a/b/d` and `a/c/d`."""
+    found = re.search(r"{([\w,]+)}", name)
+    return (
+        [name]
+        if found is None
+        else [one for word in found[1].split(",") for one in spread(name.replace(found[0], word, 1))]
+    )
+
+
+def is_a_name(dotted: str) -> bool:
+    """Whether a dotted name is a package, a module, or a name that stands in one."""
+    parts = dotted.split(".")
+    for count in range(len(parts), 0, -1):
+        place = ROOT.joinpath(*parts[:count])
+        source = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+        if source.exists():
+            return count == len(parts) or bool(
+                re.search(rf"\b{parts[count]}\b", source.read_text(encoding="utf-8"))
+            )
+    return False
+
+
+def strange_names(text: str) -> list[str]:
+    """Paths, files and dotted names of a text that lead nowhere."""
+    paths = [one for name in PATH.findall(text) for one in spread(name.rstrip(".,-"))]
+    dotted = [name for name in DOTTED.findall(text) if not name.endswith(OTHER_FILE)]
+    short = [one for name in FILE_OF_CODE.findall(text) for one in spread(name)]
+    return [
+        *(name for name in paths if not (ROOT / name).exists()),
+        *(name for name in dotted if not is_a_name(name)),
+        *(name for name in short if name not in tails() | SETUPTOOLS),
+    ]
+
+
+PLAIN = [*DOCUMENTS, ROOT / "Makefile", ROOT / "pyproject.toml", *(ROOT / "tests" / "real").rglob("*.md")]
+
+
+@pytest.mark.parametrize("file", PLAIN, ids=lambda file: str(file.relative_to(ROOT)))
+def test_every_path_and_module_that_a_document_names_exists(file: Path) -> None:
+    assert strange_names(file.read_text(encoding="utf-8")) == []
+
+
+def test_every_path_and_module_that_a_comment_or_docstring_names_exists() -> None:
+    found = {
+        f"{file.relative_to(ROOT)}: {name}"
+        for file in code_files()
+        for words in WORDS_OF_CODE.findall(file.read_text(encoding="utf-8"))
+        for name in strange_names(words)
+    }
+    assert found == set()
+
+
+def test_every_folder_that_the_architecture_names_exists() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    named = {name.rstrip("/") for name in FOLDER.findall(text)}
+    assert len(named) > 20
+    assert named - tails() == set()
+
+
+def test_names_of_the_architecture_below_a_room_exist() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:\w+/)+\w+\.[a-z_]\w*)`", text)
+    names = [name.replace("/", ".") for name in named if not name.endswith((".py", *OTHER_FILE))]
+    assert len(names) >= 4
+    assert [name for name in names if not any(is_a_name(f"{room}.{name}") for room in PACKAGES)] == []
+
+
+def test_every_function_of_a_characteristic_exists() -> None:
+    text = (ROOT / "docs" / "iso9283.md").read_text(encoding="utf-8")
+    names = [
+        name for row in text.splitlines() if row.startswith("| ") for name in re.findall(r"`(\w+\.\w+)`", row)
+    ]
+    assert len(names) >= 14
+    assert [name for name in names if not is_a_name(f"calib.iso9283.criteria.{name}")] == []
+
+
 def test_code_and_documents_name_pages_that_exist() -> None:
-    folders = ("firmware_iface", "control", "calib", "hil_mocks", "console", "benchmarks", "tests")
-    files = [file for folder in folders for file in (ROOT / folder).rglob("*.py")]
-    for file in (*files, *DOCUMENTS):
+    for file in (*code_files(), *DOCUMENTS):
         for name in FILE_IN_TEXT.findall(file.read_text(encoding="utf-8")):
             assert (ROOT / name).exists(), f"{file.relative_to(ROOT)}: {name}: no such file"
+
+
+@pytest.mark.parametrize("page", DOCUMENTS, ids=lambda page: page.name)
+def test_every_target_of_make_that_is_named_exists(page: Path) -> None:
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    lines = code_lines(page.read_text(encoding="utf-8"))
+    assert [
+        name for line in lines for name in MAKE.findall(line.partition(" #")[0]) if name not in targets
+    ] == []
 
 
 def test_the_readme_fits_two_screens() -> None:
