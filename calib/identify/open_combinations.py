@@ -102,7 +102,7 @@ def _alone(names: list[str], by: tuple[str, ...]) -> str:
     if not by:
         return f"{_listed(names)} {_has(names)} no effect on these points; {stay}"
     cannot = "cannot be told apart from"
-    return f"{_listed(names)} {cannot} {_where(by)}, which {_verb(by)} identified too; {stay}"
+    return f"{_listed(names)} {cannot} {_where(by)}, also identified; {stay}"
 
 
 def _together(names: tuple[str, ...], freedoms: int, trade: str, by: tuple[str, ...]) -> str:
@@ -135,10 +135,6 @@ def _where(by: tuple[str, ...]) -> str:
             "the poses of the boards" if len(boards) > 1 else f"the pose of {boards[0].replace('_', ' ', 1)}"
         )
     return _listed(said)
-
-
-def _verb(by: tuple[str, ...]) -> str:
-    return "are" if len({"board" if name not in ("tool", "base") else name for name in by}) > 1 else "is"
 
 
 def _has(names: Sequence[str]) -> str:
