@@ -75,18 +75,18 @@ def test_the_command_works_in_such_a_directory(laboratory: Path) -> None:
 
 
 def test_a_child_process_works_in_such_a_directory_and_with_it_on_the_path(laboratory: Path) -> None:
-    """The writer of recordings, with nothing to write."""
-    command = installation.command("control.recording.writer", "nothing.armlog")
+    """The printer of the runtime's events."""
+    command = installation.command("control.server.printer")
     ended = subprocess.run(
         command,
         cwd=laboratory,
         env={**os.environ, "PYTHONPATH": str(laboratory)},
-        input=b"",
+        input=b"a line\n",
         capture_output=True,
         check=False,
     )
     assert ended.returncode == 0, ended.stderr
-    assert (laboratory / "nothing.armlog").exists()
+    assert ended.stdout == b"a line\n"
 
 
 def test_every_child_process_is_started_through_the_helper() -> None:

@@ -79,5 +79,5 @@ def test_results_that_have_no_room_are_refused_before_anything_moves(
     said = capsys.readouterr().err
     assert status == 2
     assert f"--out {tmp_path}" in said
-    assert "nothing can be written there (File too large)" in said
+    assert "cannot write there (File too large)" in said
     assert not list(tmp_path.iterdir())

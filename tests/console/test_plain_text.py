@@ -15,8 +15,9 @@ from console.plain_text import HANDLER, IN_ASCII, prepare_streams
 PLAIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 SOURCES = [
     file
-    for name in ("calib", "console", "control", "firmware_iface", "hil_mocks")
+    for name in ("armwright", "calib", "console", "control", "firmware_iface", "hil_mocks", "procedures")
     for file in Path(name).rglob("*.py")
+    if "screen" not in file.parts  # it has signs of its own: console.screen.drawing.plain
 ]
 
 

@@ -61,7 +61,7 @@ def test_enable_and_home_say_that_there_was_nothing_to_do(
     client: ArmClient, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["enable"]) == 0
-    assert "on already" in capsys.readouterr().out
+    assert "already on" in capsys.readouterr().out
     assert main(["home"]) == 0
     assert "already homed" in capsys.readouterr().out
 

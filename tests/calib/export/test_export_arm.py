@@ -274,7 +274,7 @@ def test_what_is_lost_is_said() -> None:
     assert "no gravity" not in said
     assert "no rotor inertia" not in said
     assert export_losses(arm, "json") == ()
-    assert any("1, 2, 3, 4, 5, 6, 7 are not known" in line for line in export_losses(PANDA, "mjcf"))
+    assert any("1, 2, 3, 4, 5, 6, 7 are unknown" in line for line in export_losses(PANDA, "mjcf"))
 
 
 def test_json_holds_everything_and_says_how_to_check_a_reader(tmp_path: Path) -> None:
@@ -327,7 +327,7 @@ def test_the_command_writes_the_file_and_says_what_it_lacks(
     assert main(["export-arm", "--arm", "left", "--export", form, "--out", str(path)]) == 0
     said = capsys.readouterr().out
     assert str(path) in said
-    assert ("no place for: table" in said) == (form != "json")
+    assert ("cannot express: table" in said) == (form != "json")
     assert path.read_text("utf-8") == export_text(load_arm("left"), form)
     assert main(["export-arm", "--arm", "left", "--export", form, "--out", str(path)]) == 2
     assert "is not overwritten" in capsys.readouterr().err

@@ -98,7 +98,7 @@ def test_a_set_that_one_level_leaves_open_is_resolved_by_the_other(is_swapped: b
     both, said = brought_together(*((sure, unsure) if is_swapped else (unsure, sure)))
     assert names(both) == [PLAY]
     assert both.ambiguous == ()
-    assert "alone cannot tell backlash on joint 1, encoder_scale on joint 1 apart" in said[0]
+    assert "alone cannot distinguish backlash on joint 1, encoder_scale on joint 1" in said[0]
     # what was left open was not in the model when its gap was looked at: it is null, not that of a poorer model
     content = gap_content(both)["gap"]
     assert content["after"] is None
@@ -137,7 +137,7 @@ def test_another_name_in_the_same_role_on_the_same_joint_leaves_neither() -> Non
     assert both.unknown is not None
     assert "contradict each other" in both.unknown.where
     assert "wrong about backlash on joint 1 and joint_compliance on joint 1" in str(both.next_experiment)
-    assert any("joint_compliance on joint 1 in its place" in sentence for sentence in said)
+    assert any("joint_compliance on joint 1 instead" in sentence for sentence in said)
     # the gap is that of the model without them: 1.6 for the poses, 2 for the time series
     assert both.gap_after == pytest.approx(math.hypot(1.6, 2.0) / math.sqrt(2.0))
 

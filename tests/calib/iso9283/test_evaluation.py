@@ -146,7 +146,7 @@ def test_commanded_positions_that_cannot_be_had_are_said(arm: Arm) -> None:
         with pytest.raises(Iso9283Error, match=says):
             pose_groups(points, arm, "points.csv")
 
-    refused(np.zeros((n, 2)), {}, "no columns x_set_m.*angles of 2 joints")
+    refused(np.zeros((n, 2)), {}, "columns x_set_m.*the file 2")
     refused(plain.q_rad, {"x_set_m": ("0.1",) * n}, "column y_set_m is missing beside x_set_m")
     axes = {"y_set_m": ("0.1",) * n, "z_set_m": ("0.1",) * n}
     refused(plain.q_rad, {"x_set_m": ("oops",) * n, **axes}, 'points.csv, line 2, column x_set_m: got "oops"')

@@ -137,7 +137,7 @@ def test_the_largest_cube_is_within_reach_on_one_branch_and_no_larger_one_is(arm
 
 
 def test_a_cube_that_the_arm_does_not_reach_or_that_goes_through_the_floor_is_said(arm: Arm) -> None:
-    with pytest.raises(Iso9283Error, match=r"within reach.*--cube-centre"):
+    with pytest.raises(Iso9283Error, match=r"out of reach.*--cube-centre"):
         solver_of(arm, TestCube((2.0, 0.0, 0.5), 0.1))
     with pytest.raises(Iso9283Error, match="below 0 m"):
         solver_of(arm, TestCube((0.4, 0.0, 0.05), 0.2))

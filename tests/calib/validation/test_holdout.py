@@ -83,7 +83,7 @@ def test_one_setup_cannot_be_left_out() -> None:
     points = board_points(rng, true_dh(rng), ("normal",))
     with pytest.raises(CalibrationError, match=r"got one \(\"normal\"\).*every 5th point"):
         held_out(build, points, "setup")
-    with pytest.raises(CalibrationError, match="k from 2 to 33, got 1"):
+    with pytest.raises(CalibrationError, match="k from 2 to 33; got 1"):
         held_out(build, points, 1)
 
 

@@ -82,7 +82,7 @@ def test_the_paper_stands_beside_the_setup_of_the_same_name() -> None:
 def test_a_weak_design_asks_for_free_poses_and_one_board_for_tilts() -> None:
     said = verdict(fitted(condition_number=950.0), left_out(0.02, 0.00025), FLOOR, setups=["normal"] * 99)
     assert any("more tilts of the board and a dozen poses away" in step for step in said.next_steps)
-    assert any('around the setup "normal" alone' in sentence for sentence in said.sentences)
+    assert any('only around the setup "normal"' in sentence for sentence in said.sentences)
     assert verdict(fitted(), left_out(0.02, 0.00025), FLOOR, setups=["a", "b"]).next_steps == ()
 
 

@@ -107,7 +107,7 @@ def consistency_m(arm: Arm, recorded: Points) -> np.ndarray:
 
 def test_an_accuracy_that_cannot_be_met_is_said(points, tmp_path, capsys) -> None:
     assert calibrate(points, tmp_path, "--accuracy", "0.1mm", "--starts", "1") == 0
-    assert "0.1 mm, cannot be met" in capsys.readouterr().out
+    assert "0.1 mm cannot be met" in capsys.readouterr().out
     assert json.loads((tmp_path / "calibration.json").read_text())["accuracy"]["is_met"] is False
 
 
@@ -169,7 +169,7 @@ def test_spoiled_points_are_recognised_and_nothing_is_written(name, tmp_path, ca
         (["--without", "normal:99"], "no such pose"),
         (["--leave-out", "1"], "--leave-out"),
         (["--accuracy=-1mm"], "expected a length above 0"),
-        (["--export", "stl"], "expected some of urdf, mjcf, json"),
+        (["--export", "stl"], "expected one or more of urdf, mjcf, json"),
         (["--effect", "backlash:7"], "a joint from 1 to 3"),
         (["--boards", "nowhere.json"], "nowhere.json: cannot be read"),
     ],

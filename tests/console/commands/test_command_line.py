@@ -223,7 +223,7 @@ def test_a_scenario_that_is_not_there_is_one_message(
     [
         (FaultTable("wrong_protocol", "encoder", value=9), "protocol"),
         (FaultTable("wrong_identity", "motor2", value=4711), "4711"),
-        (FaultTable("wrong_counts", "motor3", value=500), "500 counts a motor turn"),
+        (FaultTable("wrong_counts", "motor3", value=500), "got 500"),
     ],
 )
 @pytest.mark.parametrize("command", ["serve", "check"])

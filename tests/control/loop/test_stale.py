@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from console.commands.status import described
-from console.screen.texts import joint_lines
+from console.screen.drawing.rows import text_of
+from console.screen.texts import joint_rows
 from control.safety.table import Mode
 from control.server.client import ArmFaulted, RequestRefused
 from tests.cell import RIGHT, Cell, holding_cell, open_cell
@@ -15,7 +16,7 @@ def test_values_of_boards_that_speak_are_not_marked(cell: Cell) -> None:
     status = cell.client.status()
     assert status["encoder_stale_s"] == status["drive_stale_s"] == [None] * 3
     assert "*" not in described({**status, "arm": "right"})
-    assert not any("*" in line for line in joint_lines(status, RIGHT, "J1"))
+    assert not any("STALE" in text_of([row]) for row in joint_rows(status, RIGHT, "J1", 80))
 
 
 def test_a_silent_motor_board_marks_the_values_of_its_joint_alone_with_their_age(cell: Cell) -> None:
@@ -26,11 +27,10 @@ def test_a_silent_motor_board_marks_the_values_of_its_joint_alone_with_their_age
     assert [age is None for age in status["drive_stale_s"]] == [True, False, True]
     assert status["drive_stale_s"][1] == pytest.approx(1.0, abs=0.05)
     page = described({**status, "arm": "right"})
-    assert "* joint 2: its motor board has been silent for 1.0 s; these are its last values" in page
-    marked = [line for line in joint_lines(status, RIGHT, "J1") if "*" in line]
+    assert "* joint 2: no report from its motor board for 1.0 s; these are the last values" in page
+    marked = [text for row in joint_rows(status, RIGHT, "J1", 80) if "STALE" in (text := text_of([row]))]
     assert len(marked) == 1
-    assert "J2[/]*" in marked[0]
-    assert "silent 1 s" in marked[0]
+    assert "J2?" in marked[0]
 
 
 def test_a_silent_encoder_board_marks_the_angles_also_while_the_drives_are_off() -> None:

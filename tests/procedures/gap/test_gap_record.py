@@ -171,10 +171,10 @@ def test_the_plan_alone_is_said_and_nothing_is_made(
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--mock"], "--mock belongs to --record"),
-        (["--quick"], "--quick belongs to --record"),
-        (["--minutes", "3"], "--minutes belongs to --record"),
-        (["--seed", "0"], "--seed belongs to --record"),
+        (["--mock"], "--mock needs --record"),
+        (["--quick"], "--quick needs --record"),
+        (["--minutes", "3"], "--minutes needs --record"),
+        (["--seed", "0"], "--seed needs --record"),
         (["--record", "--mock", "--points", "p.csv"], "omit --points and --log"),
         (["--record", "--mock", "--minutes", "-1"], "--minutes: expected a number above 0"),
         (["--record", "--mock", "--minutes", "0.1"], "the shortest useful recording takes"),

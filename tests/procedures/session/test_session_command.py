@@ -191,7 +191,7 @@ def test_a_session_is_not_resumed_with_another_arm_plan_or_kind_of_arm(
     assert session(files, "quit\n", "--mock") == 0
     (files / "arm.toml").write_text(text.replace("L_m = 0.4", "L_m = 0.401"), encoding="utf-8")
     assert "started with arm 'right' and another version of its file" in refused(files, capsys, "--mock")
-    assert "session of arm 'right'" in refused(files, capsys, *wanted, "--mock")
+    assert "this session began with arm 'right'" in refused(files, capsys, *wanted, "--mock")
 
 
 def test_a_plan_file_says_which_cavities_and_free_poses(

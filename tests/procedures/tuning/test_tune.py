@@ -158,5 +158,5 @@ def test_wrong_input_is_one_message(
 def test_nothing_that_is_there_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "new_report.html").write_text("old")
     assert main(["tune", "--mock", "--out", str(tmp_path / "new.toml")]) == 2
-    assert "nothing is overwritten" in capsys.readouterr().err
+    assert "is never overwritten" in capsys.readouterr().err
     assert math.isclose(signal.PERIOD_S * 500.0, len(WAVE.samples))
