@@ -14,14 +14,27 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.posterior.effects import Scene
 from calib.gap.posterior.term import Block, Term, on_joint
-from calib.gap.static.generic import load_of, shapes
-from calib.gap.static.shape import SIZE_m, SIZE_rad
+from calib.gap.static.generic import shapes
+from calib.gap.static.shape import SIZE_m, SIZE_rad, edges
 
 SMOOTH = 5  # columns of a smooth function
 SHARE = 0.1  # of a joint's torque: the size of a block in holding currents
 
 # Laws of the list itself: what follows them is that effect.
 OWN_LAWS = ("follows q{j} (linearly)", "follows the sine of q{j}", "follows its load")
+
+# Of one variable these are blocks of their own: a joint may do more than one of them.
+MANNERS = (
+    "steps",
+    "elsewhere",
+    "times per turn",
+    "swings",
+    "distance",
+    "distorted about",
+    "distorted with",
+    "stretched",
+    "skewed",
+)
 
 
 def blocks_of(scene: Scene) -> tuple[Term, ...]:
@@ -32,45 +45,56 @@ def blocks_of(scene: Scene) -> tuple[Term, ...]:
     return tuple(found)
 
 
-def block(joint: int, variable: str) -> Block:
-    """The block of a shape's variable: its own angle, other angles, direction, load, other loads, time, currents."""
+def block(joint: int, variable: str, words: str) -> Block:
+    """The block of a shape: its own angle, other angles, direction, load, other loads, time, currents; in which manner."""
     if joint and variable[0] in "qi" and variable != f"q{joint}":
         variable = "other angles" if variable[0] == "q" else "currents"
     elif variable.startswith("dir"):
         variable = "direction"
     elif joint and variable.startswith("load") and variable != "load":
         variable = "other loads"
-    return Block(joint, variable)
+    manner = next((key for key in MANNERS if key in words), "")
+    return Block(joint, f"{variable} {manner}".strip())
 
 
 def _single(scene: Scene) -> Iterator[Term]:
     for shape in shapes(scene.arm, scene.points):
         if any(shape.words.endswith(words.format(j=shape.joint)) for words in OWN_LAWS):
             continue
+        if (
+            shape.words.startswith(f"joint {shape.joint}: steps where")
+            and shape.variable != f"q{shape.joint}"
+        ):
+            continue  # of its own angle only: other angles have their smooth functions
         moves = shape.slope_m is not None
         yield Term(
-            block(shape.joint, shape.variable), shape.words, len(shape.slope_rad), 0, 1.0,
+            block(shape.joint, shape.variable, shape.words), shape.words, len(shape.slope_rad), 0, 1.0,
             slope_rad=None if moves else shape.slope_rad, slope_m=shape.slope_m,
         )  # fmt: skip
 
 
 def _smooth(scene: Scene) -> Iterator[Term]:
     """Any smooth function of an angle, the load, or time, for each joint; of angle and load by direction."""
-    points, load = scene.points, load_of(scene.arm, scene.points)
+    points, load = scene.points, scene.gravity_Nm
     n, time = points.joint_count, points.t_s
     for j in range(n):
         ways = [(f"q{i + 1}", points.q_rad[:, i], f"follows q{i + 1} smoothly") for i in range(n)]
         if load is not None:
             ways += [(f"load{i + 1}" if i != j else "load", load[:, i], f"follows the load of joint {i + 1} smoothly")
                      for i in range(n)]  # fmt: skip
-        if np.isfinite(time).all():
+        if np.isfinite(time).all() and np.ptp(time) > 0.0:
             ways.append(("time", time, "wanders with time"))
+            steps = np.array([np.sign(time - edge) for edge in edges(time)])
+            yield _block(j, n, "time", "steps at several times", steps)
         for variable, values, words in ways:
             if np.ptp(values) > 1e-9:
                 yield _block(j, n, variable, words, polynomials(values))
         last = points.direction[:, j]
         if len(set(last.tolist())) > 1:
-            ways = [("q", points.q_rad[:, j], "angle"), *([] if load is None else [("load", load[:, j], "load")])]
+            ways = [
+                ("q", points.q_rad[:, j], "angle"),
+                *([] if load is None else [("load", load[:, j], "load")]),
+            ]
             for _, values, words in ways:
                 if np.ptp(values) > 1e-9:
                     both = np.concatenate((last[None], last * polynomials(values)))
@@ -86,7 +110,9 @@ def polynomials(values: Array) -> Array:
 
 def _block(j: int, n: int, variable: str, words: str, courses: Array) -> Term:
     columns = SIZE_rad * on_joint(courses, j, n)
-    return Term(block(j + 1, variable), f"joint {j + 1}: {words}", len(columns), 0, 1.0, slope_rad=columns)
+    return Term(
+        block(j + 1, variable, words), f"joint {j + 1}: {words}", len(columns), 0, 1.0, slope_rad=columns
+    )
 
 
 def _fields(scene: Scene) -> Iterator[Term]:
@@ -107,7 +133,7 @@ def _fields(scene: Scene) -> Iterator[Term]:
 def _currents(scene: Scene) -> Iterator[Term]:
     """The holding torque of one joint with the sine and cosine of any angle, or of sums of two."""
     q, n = scene.points.q_rad, scene.points.joint_count
-    load = load_of(scene.arm, scene.points)
+    load = scene.gravity_Nm
     if load is None:
         return
     angles = [(f"q{i + 1}", q[:, i]) for i in range(n)]
@@ -116,5 +142,7 @@ def _currents(scene: Scene) -> Iterator[Term]:
         size = SHARE * max(float(np.abs(load[:, j]).max()), 0.1)
         for name, angle in angles:
             columns = on_joint(size * np.array([np.sin(angle), np.cos(angle)]), j, n)
-            words = f"the holding current of joint {j + 1} follows {name} in a way that no single load explains"
+            words = (
+                f"the holding current of joint {j + 1} follows {name} in a way that no single load explains"
+            )
             yield Term(Block(j + 1, "current"), words, 2, 0, 1.0, slope_Nm=columns)

@@ -9,11 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.gap.finding import EffectName
-from calib.gap.posterior.constants import CERTAIN
+from calib.gap.posterior.constants import CERTAIN, DEPARTURES
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Block, Key
 
+COUPLED = 3  # the joint that the belt moves
+OWN_VARIABLE = {  # of an effect's law, as the blocks of its joint say it
+    "encoder_scale": "q{j}", "encoder_eccentricity": "q{j}", "belt_coupling": "other angles", "backlash": "direction",
+    "joint_compliance": "load", "thermal_drift": "time",
+}  # fmt: skip
 WORTH = 0.005  # probability that a further member of a credible set must add
 
 
@@ -41,7 +46,10 @@ def decide(evidence: Evidence, found: Sequence[Weighed]) -> Decision:
     for keys, weight in zip(sets, weights.tolist(), strict=True):
         for key in keys:
             chance[key] = chance.get(key, 0.0) + weight
-    groups = _credible(sets, weights, chance)
+    groups = [
+        (*g, *crooked(evidence, found[0], g[0])) if len(g) == 1 else g
+        for g in _credible(sets, weights, chance)
+    ]
     names = tuple(g[0] for g in groups if len(g) == 1 and isinstance(g[0], EffectName))
     ambiguous = tuple(
         tuple(key for key in g if isinstance(key, EffectName))
@@ -63,7 +71,11 @@ def _credible(
             continue
         group, has = [key], np.array([key in keys for keys in sets])
         while weights[has].sum() < CERTAIN:
-            gains = {k: float(weights[~has & np.array([k in keys for keys in sets])].sum()) for k in chance if k not in done}
+            gains = {
+                k: float(weights[~has & np.array([k in keys for keys in sets])].sum())
+                for k in chance
+                if k not in done
+            }
             best = max(gains, key=lambda k: gains[k], default=None)
             if best is None or gains[best] < WORTH:
                 break
@@ -73,6 +85,40 @@ def _credible(
             groups.append(tuple(group))
             done |= set(group)
     return groups
+
+
+def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
+    """Blocks that bend an effect's law, in its own variable, more than any real part does: then it is another law.
+
+    Twice the largest departure is two standard deviations of it.
+    """
+    if not isinstance(key, EffectName) or key.effect not in OWN_VARIABLE:
+        return ()
+    joint, own = key.joint or COUPLED, OWN_VARIABLE[key.effect].format(j=key.joint)
+    moves = _moves(evidence, best)
+    law = moves.get(key, 0.0)
+    return tuple(
+        block
+        for block, move in moves.items()
+        if isinstance(block, Block)
+        and block.joint == joint
+        and block.variable.startswith(own)
+        and move > 2.0 * max(DEPARTURES) * law
+    )
+
+
+def _moves(evidence: Evidence, best: Weighed) -> dict[Key, float]:
+    """How far each member of a set moves its joints, root mean square."""
+    size, _ = evidence.estimate(best.members, best.kappa)
+    found: dict[Key, float] = {}
+    first = 0
+    for number, _ in best.members:
+        one = evidence.terms[number]
+        own = size[first : first + one.count]
+        first += one.count
+        if one.slope_rad is not None:
+            found[one.key] = float(np.sqrt(np.mean(np.einsum("c,cmn->mn", own, one.slope_rad) ** 2)))
+    return found
 
 
 def share_of(evidence: Evidence, found: Weighed, drop: Sequence[int]) -> float:

@@ -13,7 +13,7 @@ from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import WOUND_SHARE
 from calib.gap.posterior.term import Term, like, on_joint
-from calib.gap.static.candidate import Parameters, amplitude_and_phase, inverse, only
+from calib.gap.static.candidate import Candidate, Parameters, amplitude_and_phase, inverse, only
 from calib.gap.static.frame import of_the_frame
 from calib.gap.static.loads import of_the_loads, stated_kg
 from calib.identify.arm_model import ArmModel
@@ -42,6 +42,7 @@ class Scene:
     arm: Arm
     points: Points
     pose: RestingPose | None
+    loads: tuple[Candidate, ...]
 
     @classmethod
     def of(cls, nominal: Arm, arm: Arm, points: Points) -> Scene:
@@ -50,7 +51,12 @@ class Scene:
             pose = resting(arm, points.q_rad, points.direction, points.current_A, stated_kg(points))
         except MissingModel:
             pose = None
-        return cls(nominal, arm, points, pose)
+        return cls(nominal, arm, points, pose, of_the_loads(nominal, points, arm) if pose is not None else ())
+
+    @property
+    def gravity_Nm(self) -> Array | None:
+        """What holds the links, (m, n); None for an arm without masses."""
+        return None if self.pose is None else self.pose.gravity_Nm
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +89,9 @@ def _scale(record: EffectRecord, scene: Scene) -> Iterator[Term]:
     q, n = scene.points.q_rad, scene.points.joint_count
     for j in range(n):
         departs = like(q[:, j], harmonics(q[:, j], 1, 2))
-        yield record.term(j + 1, 1, on_joint(np.array([q[:, j], *departs]), j, n), len(departs), variable=f"q{j + 1}")
+        yield record.term(
+            j + 1, 1, on_joint(np.array([q[:, j], *departs]), j, n), len(departs), variable=f"q{j + 1}"
+        )
 
 
 def _eccentricity(record: EffectRecord, scene: Scene) -> Iterator[Term]:
@@ -210,7 +218,11 @@ def _flexure(record: EffectRecord, scene: Scene) -> Iterator[Term]:
             arm, links=tuple(dataclasses.replace(one, mass_kg=one.mass_kg if k == link else 0.0)
                              for k, one in enumerate(arm.links, start=1)),
         )  # fmt: skip
-        own = bending_m(alone, arm.dh, q, np.zeros(len(q)), link) if alone.links[link - 1].mass_kg else 0.0 * bare
+        own = (
+            bending_m(alone, arm.dh, q, np.zeros(len(q)), link)
+            if alone.links[link - 1].mass_kg
+            else 0.0 * bare
+        )
         for variant, weight in enumerate((own, _spread_m(arm, q, link)) if own.any() else (own,)):
             parts = [weight, bare - own, payload]
             total = np.asarray(sum(parts))
@@ -228,13 +240,17 @@ def _spread_m(arm: Arm, q_rad: Array, link: int) -> Array:
     """How the tip moves, (m, 3) per 1 / EI, when a link's own weight is spread evenly along it (q l^4 / 8, q l^3 / 6)."""
     frames = link_frames(ArmModel(arm), arm.dh, q_rad)
     before = 0 if arm.dh_convention == "modified" else 1
-    following = next((k for k, one in enumerate(arm.links, start=1) if k > link and one.joint == "revolute"), None)
+    following = next(
+        (k for k, one in enumerate(arm.links, start=1) if k > link and one.joint == "revolute"), None
+    )
     begin = frames.origin_m[:, link - before]
     end = frames.tip_m if following is None else frames.origin_m[:, following - before]
     length = np.linalg.norm(end - begin, axis=1, keepdims=True)
     along = (end - begin) / length
     mass = sum(
-        one.mass_kg or 0.0 for k, one in enumerate(arm.links, start=1) if k >= link and (following is None or k < following)
+        one.mass_kg or 0.0
+        for k, one in enumerate(arm.links, start=1)
+        if k >= link and (following is None or k < following)
     )
     force = np.broadcast_to(mass * np.asarray(arm.gravity_m_s2), begin.shape)
     across = force - np.sum(force * along, axis=1, keepdims=True) * along
@@ -251,16 +267,14 @@ def _frame(record: EffectRecord, scene: Scene) -> Iterator[Term]:
             )  # fmt: skip
 
 
-def _sized(
-    size: Array, made: Callable[[Array, Array], Parameters]
-) -> Callable[[Array, Array], Parameters]:
+def _sized(size: Array, made: Callable[[Array, Array], Parameters]) -> Callable[[Array, Array], Parameters]:
     """Parameters of coefficients that are counted in sizes (c,)."""
     return lambda value, covariance: made(value * size, covariance * np.outer(size, size))
 
 
 def _loads(record: EffectRecord, scene: Scene) -> Iterator[Term]:
     """Payload, masses and torque constants: what the holding currents tell."""
-    for one in of_the_loads(scene.nominal, scene.points, scene.arm):
+    for one in scene.loads:
         if one.name.effect == record.effect and one.slope_Nm is not None:
             size = float(one.size[0])
             torque = one.slope_Nm

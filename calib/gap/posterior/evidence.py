@@ -96,7 +96,9 @@ class Evidence:
             seen = self.gram.tip[across] / kappa**2 + self.gram.current[across]
             own = sd * (self.gram.pull[at] / kappa**2 + self.gram.current_pull[at])
             inner = self._inner(at, sd, kappa)
-            both = solve_triangular(inner, np.column_stack((sd[:, None] * seen, own)), lower=True, check_finite=False)
+            both = solve_triangular(
+                inner, np.column_stack((sd[:, None] * seen, own)), lower=True, check_finite=False
+            )
             taken, pull = both[:, :-1], pull - both[:, :-1].T @ both[:, -1]
         found = [self._of_batch(batch, taken, pull, kappa) for batch in batches]
         return Added.of([batch.numbers for batch in batches], found, len(self.terms))
@@ -114,7 +116,9 @@ class Evidence:
         log = 0.5 * np.sum(drawn * size, axis=2) - 0.5 * np.linalg.slogdet(whole)[1] + batch.weight
         if batch.is_positive.any():
             width = np.sqrt(np.linalg.inv(whole)[..., 0, 0])
-            log = log + np.where(batch.is_positive[:, None], log_ndtr(size[..., 0] / width) + math.log(2.0), 0.0)
+            log = log + np.where(
+                batch.is_positive[:, None], log_ndtr(size[..., 0] / width) + math.log(2.0), 0.0
+            )
         best = np.argmax(log, axis=1)
         top = np.take_along_axis(log, best[:, None], axis=1)[:, 0]
         return top + np.log(np.sum(np.exp(log - top[:, None]), axis=1)), best, top
@@ -123,7 +127,9 @@ class Evidence:
         """Ln Z of a set over nothing at the floor, the priors of its scales and of kappa included."""
         at, sd = self._columns(members)
         gram = self.gram
-        total = -gram.freedom * math.log(kappa) - 0.5 * gram.left * (kappa**-2 - 1.0) + self.log_inflation(kappa)
+        total = (
+            -gram.freedom * math.log(kappa) - 0.5 * gram.left * (kappa**-2 - 1.0) + self.log_inflation(kappa)
+        )
         if len(at):
             inner = self._inner(at, sd, kappa)
             half = np.linalg.solve(inner, sd * (gram.pull[at] / kappa**2 + gram.current_pull[at]))
@@ -138,7 +144,9 @@ class Evidence:
             return np.zeros(0), np.zeros((0, 0))
         inner = np.linalg.inv(self._inner(at, sd, kappa))
         covariance = sd[:, None] * (inner.T @ inner) * sd
-        return np.asarray(covariance @ (self.gram.pull[at] / kappa**2 + self.gram.current_pull[at])), covariance
+        return np.asarray(
+            covariance @ (self.gram.pull[at] / kappa**2 + self.gram.current_pull[at])
+        ), covariance
 
     def inflation(self, members: Sequence[Member], kappa: float) -> float:
         """The tips' noise over the floor that a set asks for."""

@@ -9,14 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName, GapFinding, NamedEffect, Unknown
 from calib.gap.posterior.constants import FLOOR_DOUBT
 from calib.gap.posterior.decide import Decision, decide, share_of
+from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.parameters import Estimated, estimated
 from calib.gap.posterior.search import Search, Weighed
 from calib.gap.posterior.state import Around, State
-from calib.gap.posterior.term import Block, Key
+from calib.gap.posterior.term import Block, Key, Term
 from calib.gap.static.candidates import candidates
 from calib.gap.static.cautions import about_data, about_outliers, cleaned, require_posed
 from calib.gap.static.currents import Currents, holding_currents
@@ -26,7 +27,6 @@ from calib.gap.static.floor import Floor, noise_floor
 from calib.gap.static.generic import load_of
 from calib.gap.static.linearised import Linearised
 from calib.gap.static.model import Fitted, fitted
-from calib.gap.static.nameable import nameable
 from calib.gap.static.naming import KINDS, rms
 from calib.gap.static.outlying import outlying
 from calib.gap.static.split import Split, split
@@ -39,6 +39,9 @@ LOOKS = 3  # linearisations, at most
 TOTALS = (*LAWS, "link_flexure")  # effects of the file that are looked for as a whole
 CHANGED_sd = 3.0
 GEOMETRY_PAYS = 40.0
+UNSURE = 0.025  # variance of the play over its width squared: one pose in twenty on the other flank
+UNTOLD = 1.0  # doubt of a floor that nothing measured
+FROM_THE_FIT = "what the best explanation leaves: there are no repeats and no camera's noise, so that what nothing explains passes for noise"
 
 Advance = Callable[[str, float], None]
 
@@ -54,7 +57,7 @@ class Prepared:
     bare: Fitted
     floor: Floor
     currents: Currents | None
-    out: Array
+    out: Mask
 
 
 def find(
@@ -72,10 +75,10 @@ def find(
     warnings = [*require_posed(arm, points), *about_data(arm, points)]
     advance("fitting the geometry", 0.05)
     ready = _prepared(arm, cleaned(points), without)
-    warnings += about_outliers(ready.points, np.asarray(ready.out, dtype=bool))
+    warnings += about_outliers(ready.points, ready.out)
     around, decision = _searched(ready, without, advance)
     advance("reporting", 0.85)
-    return _reported(ready, around, decision, tuple(warnings), without, source)
+    return _reported(ready, around, decision, tuple(warnings), source)
 
 
 def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Prepared:
@@ -83,17 +86,15 @@ def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Prepared:
     tried = tuple(one for one in candidates(bare_arm, points) if one.name.effect not in without)
     parts = split(points)
     bare = fitted(bare_arm, points, parts.known)
-    whole = bare if parts.known.all() else fitted(bare_arm, points, np.ones(len(points), dtype=bool))
-    out = outlying(Linearised.around(whole.problem, whole.x, _scatter_m(bare_arm, points, whole)), tried)
+    out = outlying(Linearised.around(bare.problem, bare.x, _scatter_m(bare_arm, points, bare)), tried)
     if out.any():
         parts = parts.without(out)
         bare = fitted(bare_arm, points, parts.known)
     floor = noise_floor(arm, points, bare.residual_m, out)
     if not np.isfinite(floor.tip_m):
-        floor = dataclasses.replace(_from_the_richest(bare, parts, tried), doubt=1.0)
-    return Prepared(
-        arm, bare_arm, points, parts, bare, floor, holding_currents(bare_arm, points, tried), np.asarray(out)
-    )
+        floor = dataclasses.replace(_from_the_richest(bare, parts, tried), doubt=UNTOLD)
+    currents = holding_currents(bare_arm, points, tried)
+    return Prepared(arm, bare_arm, points, parts, bare, floor, currents, np.asarray(out))
 
 
 def _searched(ready: Prepared, without: Collection[str], advance: Advance) -> tuple[Around, Decision]:
@@ -102,16 +103,18 @@ def _searched(ready: Prepared, without: Collection[str], advance: Advance) -> tu
     state = State.bare(ready.bare.problem, ready.bare.x, ready.bare_arm)
     noise = ready.floor.tip_m, max(ready.floor.doubt, FLOOR_DOUBT)
     known: list[frozenset[Key]] = []
+    blocks: tuple[Term, ...] = ()
     for look in range(LOOKS):
         advance("weighing effects", 0.2 + 0.2 * look)
         around = Around.of(
-            state, ready.bare_arm, ready.points, ready.parts.known, noise, ready.currents, without
+            state, ready.bare_arm, ready.points, ready.parts.known, noise, ready.currents, without, blocks
         )
+        blocks = around.blocks
         search = Search(around.evidence, forced)
         found = search.run(known)
         decision = decide(around.evidence, found)
         keys = search.keys(decision.best.members)
-        if look and known and keys == known[0]:
+        if (look and keys == known[0]) or not keys:
             break
         names = frozenset(key for key in keys if isinstance(key, EffectName))
         known = [keys, names]
@@ -121,9 +124,12 @@ def _searched(ready: Prepared, without: Collection[str], advance: Advance) -> tu
 
 
 def _reported(
-    ready: Prepared, around: Around, decision: Decision, warnings: tuple[str, ...], without: Collection[str], source: str
+    ready: Prepared, around: Around, decision: Decision, warnings: tuple[str, ...], source: str
 ) -> StaticGap:
     evidence, best, parts, floor = around.evidence, decision.best, ready.parts, ready.floor
+    if floor.doubt >= UNTOLD:
+        floor = dataclasses.replace(floor, tip_m=floor.tip_m * best.kappa, source=FROM_THE_FIT)
+        ready = dataclasses.replace(ready, floor=floor)
     estimates = {key: estimated(evidence, best, key) for key in decision.names}
     told = [name for name in decision.names if _is_new(ready.arm, name, estimates[name])]
     nominal_problem = problem_of(ready.arm, ready.points)
@@ -132,14 +138,11 @@ def _reported(
     stages = _stages(around, best, decision, kept)
     final = stages[-1][1]
     x, _ = around.fitted(best)
-    effects = _named(ready, around, decision, estimates, kept, stages, nominal, x)
+    effects = _named(ready, around, decision, estimates, kept, stages, nominal, x, sure)
     unknown = _unknown(around, decision)
-    before, after = (rms(residual, parts.report) for residual in (nominal, final))
-    could = nameable(
-        Linearised.around(ready.bare.problem, ready.bare.x, floor.tip_m, ready.currents),
-        tuple(one for one in candidates(ready.bare_arm, ready.points) if one.name.effect not in without),
-        parts.known,
-    )
+    sure = parts.report & ~_unsure(around, best, kept)
+    before, after = (rms(residual, sure) for residual in (nominal, final))
+    could = nameable(evidence)
     finding = GapFinding(
         arm=ready.arm.name, data=(source,), noise_floor={"tip_m": floor.tip_m}, gap_before=before / floor.tip_m,
         gap_after=after / floor.tip_m, before_si={"tip_m": before}, after_si={"tip_m": after}, effects=effects,
@@ -149,7 +152,7 @@ def _reported(
     )  # fmt: skip
     fit = Fitted(around.state.posed(), x, (), final)
     drawn = (("as it is", nominal), *stages)
-    out = np.asarray(ready.out, dtype=bool)
+    out = ready.out
     return StaticGap(
         finding, ready.points, parts, floor, drawn, fit, warnings, out, load_of(ready.arm, ready.points)
     )
@@ -159,7 +162,11 @@ def _is_new(arm: Arm, name: EffectName, found: Estimated) -> bool:
     """Whether the total differs from what the arm's file has."""
     for one in arm.effects:
         if (one.effect, one.joint) == (name.effect, name.joint) and one.effect in TOTALS:
-            known = np.array(LAWS[one.effect].linear(one.parameters) if one.effect in LAWS else [1.0 / one.parameters["EI_Nm2"]])
+            known = np.array(
+                LAWS[one.effect].linear(one.parameters)
+                if one.effect in LAWS
+                else [1.0 / one.parameters["EI_Nm2"]]
+            )
             return bool(np.any(np.abs(found.value - known) > CHANGED_sd * found.sd))
     return True
 
@@ -170,6 +177,16 @@ def _ordered(around: Around, best: Weighed, names: list[EffectName]) -> list[Eff
     numbers = {evidence.terms[k].key: k for k, _ in best.members}
     present = [name for name in names if name in numbers]
     return sorted(present, key=lambda name: -share_of(evidence, best, [numbers[name]]))
+
+
+def _unsure(around: Around, best: Weighed, names: list[EffectName]) -> Mask:
+    """Poses (m,) in which nobody can tell the flank of a named play: they tell nothing of what is left."""
+    found = np.zeros(len(around.points), dtype=bool)
+    for number, _ in best.members:
+        one = around.terms[number]
+        if one.doubt is not None and one.key in names:
+            found |= one.doubt > UNSURE
+    return found
 
 
 def _stages(
@@ -193,13 +210,13 @@ def _residual(around: Around, best: Weighed, members: list[tuple[int, int]]) -> 
 
 def _named(
     ready: Prepared, around: Around, decision: Decision, estimates: dict[EffectName, Estimated], kept: list[EffectName],
-    stages: tuple[tuple[str, Array], ...], nominal: Array, x: Array,
+    stages: tuple[tuple[str, Array], ...], nominal: Array, x: Array, sure: Mask,
 ) -> tuple[NamedEffect, ...]:  # fmt: skip
     parts, floor, evidence = ready.parts, ready.floor, around.evidence
     found = []
     freed = (np.sum(nominal[parts.known] ** 2) - np.sum(stages[0][1][parts.known] ** 2)) / floor.tip_m**2
     if freed > GEOMETRY_PAYS:
-        gap = rms(stages[0][1], parts.report) / floor.tip_m
+        gap = rms(stages[0][1], sure) / floor.tip_m
         found.append(NamedEffect(EffectName("link_geometry"), _geometry(around, decision.best, x), gap))
     numbers = {evidence.terms[k].key: k for k, _ in decision.best.members}
     for name, (_, residual) in zip(kept, stages[1:], strict=True):
@@ -209,17 +226,21 @@ def _named(
             "share": share_of(evidence, decision.best, [numbers[name]]),
             "law_departure": own.departure,
         }
-        found.append(NamedEffect(name, own.parameters, rms(residual, parts.report) / floor.tip_m, told))
+        found.append(NamedEffect(name, own.parameters, rms(residual, sure) / floor.tip_m, told))
     return tuple(found)
 
 
 def _geometry(around: Around, best: Weighed, x: Array) -> dict[str, tuple[float, float]]:
     """The DH deviations under the names of formats.md, with standard deviations."""
     problem = around.state.problem
-    _, covariance = around.linear.geometry(around.rows, around.noise_m * best.kappa, np.zeros(len(around.linear.y)))
+    _, covariance = around.linear.geometry(
+        around.rows, around.noise_m * best.kappa, np.zeros(len(around.linear.y))
+    )
     sd = np.sqrt(np.diag(covariance)) * np.array([one.scale for one in problem.parameters])
     deviation = (problem.solution(x).dh - problem.model.nominal_dh).ravel()
-    return {f"link{k // 4 + 1}_{KINDS[k % 4]}": (float(deviation[k]), float(sd[k])) for k in range(len(deviation))}
+    return {
+        f"link{k // 4 + 1}_{KINDS[k % 4]}": (float(deviation[k]), float(sd[k])) for k in range(len(deviation))
+    }
 
 
 def _unknown(around: Around, decision: Decision) -> Unknown | None:
@@ -230,12 +251,15 @@ def _unknown(around: Around, decision: Decision) -> Unknown | None:
     numbers = {terms[k].key: k for k, _ in best.members}
     blocks = [key for group in decision.remainders for key in group if isinstance(key, Block)]
     ranked = sorted(
-        (share_of(around.evidence, best, [numbers[key]]), terms[numbers[key]].words) for key in blocks if key in numbers
+        (share_of(around.evidence, best, [numbers[key]]), terms[numbers[key]].words)
+        for key in blocks
+        if key in numbers
     )
     where = ranked[-1][1] if ranked else terms[around.evidence.of_key[blocks[0]][0]].words
     names = [key for group in decision.remainders for key in group if isinstance(key, EffectName)]
     others = sorted(
-        ((p, key) for key, p in decision.probability.items() if isinstance(key, EffectName)), key=lambda one: -one[0]
+        ((p, key) for key, p in decision.probability.items() if isinstance(key, EffectName)),
+        key=lambda one: -one[0],
     )
     nearest = names[0] if names else others[0][1] if others else None
     shares = [share for share, _ in ranked if math.isfinite(share)]

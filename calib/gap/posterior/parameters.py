@@ -42,10 +42,14 @@ def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
     share = np.array(weights) / np.sum(weights)
     mean = np.einsum("v,vc->c", share, np.array(means))
     apart = np.array(means) - mean
-    covariance = np.einsum("v,vcd->cd", share, np.array(covariances)) + np.einsum("v,vc,vd->cd", share, apart, apart)
+    covariance = np.einsum("v,vcd->cd", share, np.array(covariances)) + np.einsum(
+        "v,vc,vd->cd", share, apart, apart
+    )
     best = terms[int(np.argmax(share))]
     named = best.parameters(mean, covariance) if best.parameters is not None else {}
-    return Estimated(named, float(share @ np.array(departs)), best.variable, mean, np.sqrt(np.diag(covariance)))
+    return Estimated(
+        named, float(share @ np.array(departs)), best.variable, mean, np.sqrt(np.diag(covariance))
+    )
 
 
 def _ways(
@@ -62,7 +66,13 @@ def _ways(
 
 def _departure(term: Term, size: Array) -> float:
     """Root mean square of the departure columns over that of the law's."""
-    slope = term.slope_rad if term.slope_rad is not None else term.slope_m if term.slope_m is not None else term.slope_Nm
+    slope = (
+        term.slope_rad
+        if term.slope_rad is not None
+        else term.slope_m
+        if term.slope_m is not None
+        else term.slope_Nm
+    )
     if slope is None or not term.departures:
         return 0.0
     law = np.tensordot(size[: term.laws], slope[: term.laws], 1)

@@ -13,22 +13,29 @@ from calib.gap.finding import EffectName
 from calib.gap.posterior.evidence import Evidence, Member
 from calib.gap.posterior.term import Key
 
+GROWTH = 2  # terms that are tried beside a set that still grows
 WIDTH = 6  # terms that are tried beside a set
 EXCHANGES = 1  # that are tried in the place of each of its members
 WINDOW = 8.0  # log evidence below the best at which a set is still looked into
 GAIN_LEAST = -4.0  # log odds below which a further term cannot matter
-EXPANSIONS = 25
+EXPANSIONS = 30
+BLOCKS_MOST = 8  # nameless blocks in a set; what many small ones leave is noise
 STARTS = ("joint_compliance", "backlash")  # effects that all joints have at once, if one has
+EXCHANGED = 3.0  # log evidence below the best within which members are exchanged
 POLISHES = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Weighed:
-    """A set with its best variants and scales, its noise over the floor, and its log posterior up to a constant."""
+    """A set with its best variants and scales, its noise over the floor, and its log posterior up to a constant.
+
+    `gains`: what each member adds to the log posterior beside the others.
+    """
 
     members: tuple[Member, ...]
     kappa: float
     log: float
+    gains: tuple[float, ...] = ()
 
 
 class Search:
@@ -71,26 +78,41 @@ class Search:
         return number, len(self.evidence.weights[number]) // 2
 
     def _expand(self, around: Weighed) -> None:
-        """Weigh what is one term more, one less, or one other."""
+        """Weigh what is one term more, and, where nothing more pays, what is one less or one other."""
+        self._grow(around.members, around.kappa, GROWTH)
+        if max(one.log for one in self.seen.values()) > around.log + 1.0:
+            return  # it is not at its best yet
         self._grow(around.members, around.kappa, WIDTH)
-        for member in around.members:
-            if self.evidence.terms[member[0]].key in self.forced:
+        is_best = around.log >= max(one.log for one in self.seen.values()) - EXCHANGED
+        for member, gain in zip(around.members, around.gains, strict=True):
+            key = self.evidence.terms[member[0]].key
+            if key in self.forced:
                 continue
             rest = [one for one in around.members if one is not member]
-            self._weigh(rest)
-            self._grow(rest, around.kappa, EXCHANGES, self.evidence.terms[member[0]].key)
+            if gain < 2.0 * WINDOW:
+                self._weigh(rest)
+            if is_best:
+                self._grow(rest, around.kappa, EXCHANGES, key, gain - 2.0 * WINDOW)
 
-    def _grow(self, members: Sequence[Member], kappa: float, width: int, but: Key | None = None) -> None:
+    def _grow(
+        self,
+        members: Sequence[Member],
+        kappa: float,
+        width: int,
+        but: Key | None = None,
+        least: float = GAIN_LEAST,
+    ) -> None:
         added, present = self.evidence.added(members, kappa), self.keys(members)
         gains: list[tuple[float, int]] = []
+        is_open = sum(not isinstance(key, EffectName) for key in present) < BLOCKS_MOST
         for key, numbers in self.evidence.of_key.items():
-            if key not in present and key != but:
+            if key not in present and key != but and (is_open or isinstance(key, EffectName)):
                 own = added.log[numbers]
                 top = int(np.argmax(own))
                 gain = float(own[top] + math.log(np.sum(np.exp(own - own[top]))))
                 gains.append((gain + self.evidence.terms[numbers[0]].log_odds, numbers[top]))
         for gain, number in heapq.nlargest(width, gains):
-            if gain > GAIN_LEAST:
+            if gain > least:
                 self._weigh([*members, (number, int(added.best[number]))])
 
     def _weigh(self, members: Sequence[Member]) -> Weighed:
@@ -100,10 +122,11 @@ class Search:
             return self.seen[keys]
         own, evidence = list(members), self.evidence
         kappa, spread = evidence.inflation(own, 1.0), 0.0
+        gains: list[float] = []
         kappa = evidence.inflation(own, kappa)
         for _ in range(POLISHES):
             before = tuple(own), kappa
-            spread = 0.0
+            spread, gains = 0.0, []
             for place in range(len(own)):
                 rest = [*own[:place], *own[place + 1 :]]
                 key = evidence.terms[own[place][0]].key
@@ -111,11 +134,13 @@ class Search:
                 number = int(np.argmax(added.top))
                 own[place] = number, int(added.best[number])
                 numbers = evidence.of_key[key]
-                spread += float(np.log(np.sum(np.exp(added.log[numbers] - added.top[number]))))
+                more = float(np.log(np.sum(np.exp(added.log[numbers] - added.top[number]))))
+                spread += more
+                gains.append(float(added.top[number]) + more + evidence.terms[number].log_odds)
             kappa = evidence.inflation(own, kappa)
             if tuple(own) == before[0] and abs(kappa / before[1] - 1.0) < 1e-3:
                 break
         odds = sum(evidence.terms[k].log_odds for k, _ in own if evidence.terms[k].key not in self.forced)
-        found = Weighed(tuple(own), kappa, evidence.value(own, kappa) + spread + odds)
+        found = Weighed(tuple(own), kappa, evidence.value(own, kappa) + spread + odds, tuple(gains))
         self.seen[keys] = found
         return found

@@ -95,14 +95,20 @@ class Around:
         noise: tuple[float, float],
         currents: Currents | None,
         without: Collection[str],
+        blocks: Sequence[Term] = (),
     ) -> Around:
-        """`arm`: without the effects that are looked for; `noise`: the floor in metres and its doubt."""
+        """`arm`: without the effects that are looked for; `noise`: the floor in metres and its doubt; `blocks`: of a look before."""
         scene = Scene.of(arm.with_dh(state.loaded.dh), state.loaded, points)
-        terms = [*(_unlisted(one, without) for one in terms_of(scene)), *blocks_of(scene)]
+        terms = [*(_unlisted(one, without) for one in terms_of(scene)), *(blocks or blocks_of(scene))]
         problem = state.posed()
         linear = Linear.around(problem, state.x, state.linear_m, terms, state.weight)
         gram = linear.projected(rows, noise[0], of_currents(currents, terms, rows))
         return cls(state, arm, points, rows, noise[0], linear, Evidence(gram, terms, noise[1]))
+
+    @property
+    def blocks(self) -> tuple[Term, ...]:
+        """Those terms that never had a name; they need not follow the fit."""
+        return tuple(one for one in self.terms if isinstance(one.key, Block) and one.parameters is None)
 
     def columns(self, numbers: Sequence[int]) -> Array:
         """What terms do to the tips, (3m, c)."""
@@ -116,7 +122,9 @@ class Around:
         numbers = [k for k, _ in found.members]
         move = self.columns(numbers) @ size
         x, _ = self.linear.geometry(self.rows, self.noise_m * found.kappa, move)
-        kept = np.concatenate([np.full(self.terms[k].count, k not in drop) for k in numbers] or [np.zeros(0, dtype=bool)])
+        kept = np.concatenate(
+            [np.full(self.terms[k].count, k not in drop) for k in numbers] or [np.zeros(0, dtype=bool)]
+        )
         left = self.linear.y - self.linear.base @ x - self.columns(numbers) @ (size * kept)
         return x, left.reshape(-1, 3)
 
