@@ -136,11 +136,11 @@ def _reported(
     nominal = nominal_problem.residuals(np.zeros(len(nominal_problem.parameters)))
     kept = _ordered(around, best, told)
     stages = _stages(around, best, decision, kept)
+    sure = parts.report & ~_unsure(around, best, kept)
     final = stages[-1][1]
     x, _ = around.fitted(best)
     effects = _named(ready, around, decision, estimates, kept, stages, nominal, x, sure)
     unknown = _unknown(around, decision)
-    sure = parts.report & ~_unsure(around, best, kept)
     before, after = (rms(residual, sure) for residual in (nominal, final))
     could = nameable(evidence)
     finding = GapFinding(
