@@ -1,7 +1,7 @@
 """Nameless blocks: what a joint, the tip or a holding current may follow without anything of the list doing it.
 
-The single shapes are those of `calib.gap.static.generic`. All shapes of one thing that moves and one variable are one block, whose
-variants they are; beside them each block has the smooth function of its variable, several columns of one unknown scale.
+The single shapes are those of `calib.gap.static.generic`. All shapes of one thing that moves and one variable are one
+block, whose variants they are; beside them each block has the smooth function of its variable, columns of one unknown scale.
 """
 
 from __future__ import annotations
@@ -21,7 +21,12 @@ SMOOTH = 5  # columns of a smooth function
 SHARE = 0.1  # of a joint's torque: the size of a block in holding currents
 
 # Laws of the list itself: what follows them is that effect.
-OWN_LAWS = ("follows q{j} (linearly)", "follows the sine of q{j}", "follows its load")
+OWN_LAWS = (
+    "follows q{j} (linearly)",
+    "follows the sine of q{j}",
+    "follows its load",
+    "follows the sign of its load",
+)
 
 # Of one variable these are blocks of their own: a joint may do more than one of them.
 MANNERS = (

@@ -6,7 +6,7 @@ from typing import Final
 
 # Prior probability of one effect on one joint: of some 25 that an arm of three joints can show, about one in three arms has one.
 NAME_PRIOR: Final = 0.015
-# Prior probability of one nameless block: there are about twice as many, and the list was made because its names are the common ones.
+# Prior probability of one nameless block: there are twice as many, and the list was made because its names are the common ones.
 BLOCK_PRIOR: Final = 0.0005
 # How large an effect is beside the usual size, with weights: a mixture, because sizes spread over a decade.
 SIZE_LEVELS: Final = (0.4, 1.0, 2.5, 6.0)

@@ -20,6 +20,8 @@ from calib.arrays import Array
 from calib.gap.posterior.linear import Gram
 from calib.gap.posterior.term import Key, Term
 
+LAW_LEAST = 0.3  # of its size level, that a law must have for its departures to be its own
+
 Member = tuple[int, int]  # number of the term, number of its scales
 
 
@@ -33,6 +35,7 @@ class Batch:
     weight: Array
     laws: int
     is_positive: Array
+    is_name: Array
     tip: Array
     current: Array
 
@@ -69,7 +72,9 @@ class Evidence:
         across = places[:, :, None], places[:, None, :]
         return Batch(
             np.array(own), within[places], np.array([self.scales[k][0] for k in own]), np.array([self.weights[k] for k in own]),
-            laws, np.array([self.terms[k].is_positive for k in own]), self.gram.tip[across], self.gram.current[across],
+            laws,
+            np.array([self.terms[k].is_positive for k in own]), np.array([self.terms[k].is_name for k in own]),
+            self.gram.tip[across], self.gram.current[across],
         )  # fmt: skip
 
     def _columns(self, members: Sequence[Member]) -> tuple[Array, Array]:
@@ -119,6 +124,11 @@ class Evidence:
             log = log + np.where(
                 batch.is_positive[:, None], log_ndtr(size[..., 0] / width) + math.log(2.0), 0.0
             )
+        if sd.shape[2] > batch.laws:  # a departure is a share of the law: without the law there is none
+            departs = np.any(sd[..., batch.laws :] > 0.0, axis=2)
+            width = np.sqrt(np.linalg.inv(whole)[..., 0, 0])
+            least = np.linalg.norm(size[..., : batch.laws], axis=2) - LAW_LEAST
+            log = log + np.where(departs & batch.is_name[:, None], log_ndtr(least / width), 0.0)
         best = np.argmax(log, axis=1)
         top = np.take_along_axis(log, best[:, None], axis=1)[:, 0]
         return top + np.log(np.sum(np.exp(log - top[:, None]), axis=1)), best, top

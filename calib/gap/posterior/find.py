@@ -11,10 +11,11 @@ import numpy as np
 
 from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName, GapFinding, NamedEffect, Unknown
-from calib.gap.posterior.constants import FLOOR_DOUBT
+from calib.gap.posterior.constants import DEPARTURES, FLOOR_DOUBT
 from calib.gap.posterior.decide import Decision, decide, share_of
 from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.parameters import Estimated, estimated
+from calib.gap.posterior.recordings import parted
 from calib.gap.posterior.search import Search, Weighed
 from calib.gap.posterior.state import Around, State
 from calib.gap.posterior.term import Block, Key, Term
@@ -29,7 +30,7 @@ from calib.gap.static.linearised import Linearised
 from calib.gap.static.model import Fitted, fitted
 from calib.gap.static.naming import KINDS, rms
 from calib.gap.static.outlying import outlying
-from calib.gap.static.split import Split, split
+from calib.gap.static.split import Split
 from calib.identify.assembly import problem_of
 from calib.identify.joint_laws import LAWS
 from calib.points import Points
@@ -39,9 +40,12 @@ LOOKS = 3  # linearisations, at most
 TOTALS = (*LAWS, "link_flexure")  # effects of the file that are looked for as a whole
 CHANGED_sd = 3.0
 GEOMETRY_PAYS = 40.0
+LAW_MOST = 2.0 * max(
+    DEPARTURES
+)  # what departs more than two standard deviations of the roughest part has another law
 UNSURE = 0.025  # variance of the play over its width squared: one pose in twenty on the other flank
 UNTOLD = 1.0  # doubt of a floor that nothing measured
-FROM_THE_FIT = "what the best explanation leaves: there are no repeats and no camera's noise, so that what nothing explains passes for noise"
+FROM_THE_FIT = "what the best explanation leaves: there are no repeats and no camera's noise, what is left passes for noise"
 
 Advance = Callable[[str, float], None]
 
@@ -84,7 +88,7 @@ def find(
 def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Prepared:
     bare_arm = dataclasses.replace(arm, effects=tuple(e for e in arm.effects if e.effect not in TOTALS))
     tried = tuple(one for one in candidates(bare_arm, points) if one.name.effect not in without)
-    parts = split(points)
+    parts = parted(points)
     bare = fitted(bare_arm, points, parts.known)
     out = outlying(Linearised.around(bare.problem, bare.x, _scatter_m(bare_arm, points, bare)), tried)
     if out.any():
@@ -131,6 +135,16 @@ def _reported(
         floor = dataclasses.replace(floor, tip_m=floor.tip_m * best.kappa, source=FROM_THE_FIT)
         ready = dataclasses.replace(ready, floor=floor)
     estimates = {key: estimated(evidence, best, key) for key in decision.names}
+    bent = [
+        name
+        for name, own in estimates.items()
+        if own.departure > LAW_MOST or float(np.linalg.norm(own.value / own.sd)) < CHANGED_sd
+    ]
+    decision = dataclasses.replace(
+        decision,
+        names=tuple(name for name in decision.names if name not in bent),
+        remainders=(*decision.remainders, *((name,) for name in bent)),
+    )
     told = [name for name in decision.names if _is_new(ready.arm, name, estimates[name])]
     nominal_problem = problem_of(ready.arm, ready.points)
     nominal = nominal_problem.residuals(np.zeros(len(nominal_problem.parameters)))
@@ -186,7 +200,7 @@ def _unsure(around: Around, best: Weighed, names: list[EffectName]) -> Mask:
         one = around.terms[number]
         if one.doubt is not None and one.key in names:
             found |= one.doubt > UNSURE
-    return found
+    return found if found[around.rows].mean() < 0.5 else np.zeros_like(found)
 
 
 def _stages(
@@ -255,12 +269,17 @@ def _unknown(around: Around, decision: Decision) -> Unknown | None:
         for key in blocks
         if key in numbers
     )
-    where = ranked[-1][1] if ranked else terms[around.evidence.of_key[blocks[0]][0]].words
     names = [key for group in decision.remainders for key in group if isinstance(key, EffectName)]
     others = sorted(
         ((p, key) for key, p in decision.probability.items() if isinstance(key, EffectName)),
         key=lambda one: -one[0],
     )
+    if ranked:
+        where = ranked[-1][1]
+    elif blocks:
+        where = terms[around.evidence.of_key[blocks[0]][0]].words
+    else:
+        where = f"what {names[0]} would explain departs too far from its law"
     nearest = names[0] if names else others[0][1] if others else None
     shares = [share for share, _ in ranked if math.isfinite(share)]
     return Unknown(where, nearest, round(max(0.0, 1.0 - sum(shares)), 3))

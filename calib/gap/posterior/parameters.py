@@ -56,10 +56,11 @@ def _ways(
     evidence: Evidence, found: Weighed, rest: list[tuple[int, int]], key: Key
 ) -> list[tuple[int, int, float]]:
     """Variants and sizes that count, with their log evidence."""
-    ways = []
-    for number in evidence.of_key[key]:
-        for scale in range(len(evidence.weights[number])):
-            ways.append((number, scale, evidence.value([*rest, (number, scale)], found.kappa)))
+    ways = [
+        (number, scale, evidence.value([*rest, (number, scale)], found.kappa))
+        for number in evidence.of_key[key]
+        for scale in range(len(evidence.weights[number]))
+    ]
     top = max(log for _, _, log in ways)
     return [(number, scale, log - top) for number, scale, log in ways if log > top - NEGLIGIBLE]
 

@@ -19,9 +19,10 @@ EXCHANGES = 1  # that are tried in the place of each of its members
 WINDOW = 8.0  # log evidence below the best at which a set is still looked into
 GAIN_LEAST = -4.0  # log odds below which a further term cannot matter
 EXPANSIONS = 30
-BLOCKS_MOST = 8  # nameless blocks in a set; what many small ones leave is noise
+BLOCKS_MOST = 6  # nameless blocks in a set; what many small ones leave is noise
 STARTS = ("joint_compliance", "backlash")  # effects that all joints have at once, if one has
 EXCHANGED = 3.0  # log evidence below the best within which members are exchanged
+REGROWTH = 6
 POLISHES = 3
 
 
@@ -54,6 +55,16 @@ class Search:
         for start in [*self._starts(), *known]:
             self._weigh([self._plain(key) for key in {*start, *self.forced}])
         expanded: set[frozenset[Key]] = set()
+        self._improve(expanded)
+        best = max(self.seen.values(), key=lambda one: one.log)
+        for number, _ in best.members:
+            if not self.evidence.terms[number].is_name:
+                self._regrow(best, number)
+        self._improve(expanded)
+        return sorted(self.seen.values(), key=lambda one: -one.log)
+
+    def _improve(self, expanded: set[frozenset[Key]]) -> None:
+        """Best first, until nothing near the best is left to look into."""
         for _ in range(EXPANSIONS):
             best = max(one.log for one in self.seen.values())
             open_ = [(one.log, keys) for keys, one in self.seen.items() if keys not in expanded]
@@ -64,7 +75,19 @@ class Search:
                 break
             expanded.add(keys)
             self._expand(self.seen[keys])
-        return sorted(self.seen.values(), key=lambda one: -one.log)
+
+    def _regrow(self, best: Weighed, block: int) -> None:
+        """Several terms in the place of a block: it may have soaked up what two or three effects do together."""
+        but = self.evidence.terms[block].key
+        around = self._weigh([one for one in best.members if one[0] != block])
+        for _ in range(REGROWTH):
+            before = set(self.seen)
+            self._grow(around.members, around.kappa, 1, but, 0.0)
+            new = [self.seen[keys] for keys in self.seen.keys() - before]
+            more = max(new, key=lambda one: one.log, default=None)
+            if more is None or more.log <= around.log:
+                return
+            around = more
 
     def _starts(self) -> list[frozenset[Key]]:
         names = [key for key in self.evidence.of_key if isinstance(key, EffectName)]
@@ -104,13 +127,16 @@ class Search:
     ) -> None:
         added, present = self.evidence.added(members, kappa), self.keys(members)
         gains: list[tuple[float, int]] = []
-        is_open = sum(not isinstance(key, EffectName) for key in present) < BLOCKS_MOST
+        blocks_count = sum(not isinstance(key, EffectName) for key in present)
         for key, numbers in self.evidence.of_key.items():
-            if key not in present and key != but and (is_open or isinstance(key, EffectName)):
+            if key not in present and key != but:
                 own = added.log[numbers]
                 top = int(np.argmax(own))
                 gain = float(own[top] + math.log(np.sum(np.exp(own - own[top]))))
                 gains.append((gain + self.evidence.terms[numbers[0]].log_odds, numbers[top]))
+        if blocks_count >= BLOCKS_MOST:  # no further name where a block would explain more
+            blocks = [gain for gain, number in gains if not self.evidence.terms[number].is_name]
+            least = max(least, *blocks) if blocks else least
         for gain, number in heapq.nlargest(width, gains):
             if gain > least:
                 self._weigh([*members, (number, int(added.best[number]))])

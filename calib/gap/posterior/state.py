@@ -97,7 +97,7 @@ class Around:
         without: Collection[str],
         blocks: Sequence[Term] = (),
     ) -> Around:
-        """`arm`: without the effects that are looked for; `noise`: the floor in metres and its doubt; `blocks`: of a look before."""
+        """`arm`: without the effects that are looked for; `noise`: floor [m] and its doubt; `blocks`: of a look before."""
         scene = Scene.of(arm.with_dh(state.loaded.dh), state.loaded, points)
         terms = [*(_unlisted(one, without) for one in terms_of(scene)), *(blocks or blocks_of(scene))]
         problem = state.posed()
