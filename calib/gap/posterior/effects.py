@@ -27,6 +27,7 @@ from control.model.feedforward import own_payload_kg, with_link_inertia
 from control.model.static_pose import CURRENT_NOISE_A, GRAVITY_ERROR, RestingPose, resting, torque_per_A
 
 NO_TORQUE_Nm = 1e-6
+TOLD = 0.5  # of the poses must have a flank that can be told: else a play fits anything
 LEVELS = 16  # of constant friction on the link's side
 LINK_SHARES = tuple(np.linspace(0.0, 1.0, 11).tolist())
 TIME_CONSTANTS_s = np.geomspace(30.0, 30_000.0, 19)
@@ -141,7 +142,7 @@ def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float,
             sd = np.maximum(0.5 * GRAVITY_ERROR * np.abs(gravity) + doubt, NO_TORQUE_Nm)
             flank = np.where(np.abs(torque) > NO_TORQUE_Nm, erf(torque / (np.sqrt(2.0) * sd)), 0.0)
             flank = np.where(is_led, pose.flank[:, j], flank)
-            if flank.any() and not any(np.abs(flank - other).max() < 0.2 for other in told):
+            if np.mean(flank**2) >= TOLD and not any(np.abs(flank - other).max() < 0.2 for other in told):
                 told.append(flank)
                 yield share, flank, 1.0 - flank**2
 

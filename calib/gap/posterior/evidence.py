@@ -20,6 +20,7 @@ from calib.arrays import Array
 from calib.gap.posterior.linear import Gram
 from calib.gap.posterior.term import Key, Term
 
+NEVER = -1e6  # log evidence of a play or a softness below nought, of departures without a law
 LAW_LEAST = 0.3  # of its size level, that a law must have for its departures to be its own
 
 Member = tuple[int, int]  # number of the term, number of its scales
@@ -119,16 +120,15 @@ class Evidence:
         drawn = sd * pull[batch.places][:, None, :]
         size = np.linalg.solve(whole, drawn[..., None])[..., 0]
         log = 0.5 * np.sum(drawn * size, axis=2) - 0.5 * np.linalg.slogdet(whole)[1] + batch.weight
+        width = np.sqrt(np.linalg.inv(whole)[..., 0, 0])
         if batch.is_positive.any():
-            width = np.sqrt(np.linalg.inv(whole)[..., 0, 0])
-            log = log + np.where(
-                batch.is_positive[:, None], log_ndtr(size[..., 0] / width) + math.log(2.0), 0.0
-            )
+            sign = np.where(size[..., 0] > 0.0, log_ndtr(size[..., 0] / width) + math.log(2.0), NEVER)
+            log = log + np.where(batch.is_positive[:, None], sign, 0.0)
         if sd.shape[2] > batch.laws:  # a departure is a share of the law: without the law there is none
-            departs = np.any(sd[..., batch.laws :] > 0.0, axis=2)
-            width = np.sqrt(np.linalg.inv(whole)[..., 0, 0])
-            least = np.linalg.norm(size[..., : batch.laws], axis=2) - LAW_LEAST
-            log = log + np.where(departs & batch.is_name[:, None], log_ndtr(least / width), 0.0)
+            departs = np.any(sd[..., batch.laws :] > 0.0, axis=2) & batch.is_name[:, None]
+            law = np.linalg.norm(size[..., : batch.laws], axis=2)
+            share = np.where(law > 0.5 * LAW_LEAST, log_ndtr((law - LAW_LEAST) / width), NEVER)
+            log = log + np.where(departs, share, 0.0)
         best = np.argmax(log, axis=1)
         top = np.take_along_axis(log, best[:, None], axis=1)[:, 0]
         return top + np.log(np.sum(np.exp(log - top[:, None]), axis=1)), best, top

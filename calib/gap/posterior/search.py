@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.gap.finding import EffectName
-from calib.gap.posterior.evidence import Evidence, Member
+from calib.gap.posterior.evidence import NEVER, Evidence, Member
 from calib.gap.posterior.term import Key
 
 GROWTH = 2  # terms that are tried beside a set that still grows
@@ -166,7 +166,8 @@ class Search:
             kappa = evidence.inflation(own, kappa)
             if tuple(own) == before[0] and abs(kappa / before[1] - 1.0) < 1e-3:
                 break
+        never = sum(NEVER for gain in gains if gain < 0.5 * NEVER)  # a member that no real part can be
         odds = sum(evidence.terms[k].log_odds for k, _ in own if evidence.terms[k].key not in self.forced)
-        found = Weighed(tuple(own), kappa, evidence.value(own, kappa) + spread + odds, tuple(gains))
+        found = Weighed(tuple(own), kappa, evidence.value(own, kappa) + spread + odds + never, tuple(gains))
         self.seen[keys] = found
         return found
