@@ -17,9 +17,9 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).parents[1] / "tests" / "calib" / p) for p in (".", "gap")]
 import static_cases  # type: ignore[import-not-found]  # noqa: E402
 import static_physics  # type: ignore[import-not-found]  # noqa: E402
-from static_cases import Design, designed  # type: ignore[import-not-found]  # noqa: E402
+from static_cases import Design, designed  # noqa: E402
 from static_draws import drawn, drawn_design, drawn_foreign  # type: ignore[import-not-found]  # noqa: E402
-from static_physics import Hidden  # type: ignore[import-not-found]  # noqa: E402
+from static_physics import Hidden  # noqa: E402
 
 from control.model.arm import Arm, Effect  # noqa: E402
 
@@ -140,17 +140,22 @@ ON_TIP = ("backlash", "joint_compliance", "encoder_scale", "encoder_eccentricity
           "link_flexure", "base_frame")  # fmt: skip
 
 
+def _made(seed: int, hidden: tuple[Any, ...], design: Any) -> Case:
+    arm, points = designed(seed, hidden, design)
+    return Case(arm, points, hidden)
+
+
 def case(sort: str, seed: int) -> Case:
     """One case: exact, rough, many (three to six, rough), null, foreign, known (partly right, exact law)."""
     rng = np.random.default_rng(seed)
     if sort == "null":
-        return Case(*designed(seed, (), drawn_design(rng)), ())
+        return _made(seed, (), drawn_design(rng))
     if sort == "foreign":
         hidden = (drawn_foreign(rng),)
-        return Case(*designed(seed, hidden, Design()), hidden, is_listed=False)
+        return dataclasses.replace(_made(seed, hidden, Design()), is_listed=False)
     if sort == "exact":
         hidden = (drawn(rng),)
-        return Case(*designed(seed, hidden, Design()), hidden)
+        return _made(seed, hidden, Design())
     if sort == "known":
         hidden = (drawn(rng, KNOWABLE),)
         arm, points = designed(seed, hidden, Design())
@@ -161,7 +166,7 @@ def case(sort: str, seed: int) -> Case:
         )
     hidden = (drawn(rng),) if sort == "rough" else several(rng, int(rng.integers(3, 7)), ON_TIP)
     with Rough(seed, 0.08 if sort == "rough" else 0.10):
-        return Case(*designed(seed, hidden, Design()), hidden)
+        return _made(seed, hidden, Design())
 
 
 __all__ = ["PARAMETER", "Case", "Hidden", "case"]

@@ -114,7 +114,7 @@ def of_currents(currents: Currents | None, terms: Sequence[Term], rows: Mask) ->
     counts = np.array([one.count for one in terms])
     ends = np.cumsum(counts)
     which = np.concatenate([np.arange(ends[k] - counts[k], ends[k]) for k in own])
-    columns = np.concatenate([terms[k].slope_Nm for k in own]).reshape(-1, *shape)  # type: ignore[arg-type]  # not None
+    columns = np.concatenate([terms[k].slope_Nm for k in own]).reshape(-1, *shape)
     seen = currents.evidence_of(columns, rows)
     gram, pull = np.zeros((ends[-1], ends[-1])), np.zeros(ends[-1])
     gram[np.ix_(which, which)], pull[which] = seen.gram, seen.pull

@@ -20,7 +20,7 @@ def parted(points: Points) -> Split:
     if len(points) >= POSES_LEAST * len(set(labels.tolist())):
         found = split(points)
         setups = np.array(points.setup)
-        unplaced = ~np.isfinite(points.tip_m).all(axis=1)
+        unplaced = np.asarray(np.isnan(points.tip_m).any(axis=1))
         alone = [
             name
             for name in dict.fromkeys(points.setup)
