@@ -28,6 +28,9 @@ from control.model.static_pose import CURRENT_NOISE_A, GRAVITY_ERROR, RestingPos
 
 NO_TORQUE_Nm = 1e-6
 TOLD = 0.5  # of the poses must have a flank that can be told: else a play fits anything
+TILT_rad = (
+    0.003  # how well a fitted link's direction is known: where gravity turns round, its sign is a guess
+)
 LEVELS = 16  # of constant friction on the link's side
 LINK_SHARES = tuple(np.linspace(0.0, 1.0, 11).tolist())
 TIME_CONSTANTS_s = np.geomspace(30.0, 30_000.0, 19)
@@ -136,10 +139,11 @@ def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float,
     """
     told: list[Array] = []
     gravity, led = pose.gravity_Nm[:, j], pose.is_led[:, j]
+    turned = TILT_rad * float(np.abs(gravity).max())
     for is_led in (np.zeros_like(led), led) if led.any() else (led,):
         for share, behind, doubt in _behind_the_gear(pose, j, noise_Nm):
             torque = gravity + behind
-            sd = np.maximum(0.5 * GRAVITY_ERROR * np.abs(gravity) + doubt, NO_TORQUE_Nm)
+            sd = np.maximum(0.5 * GRAVITY_ERROR * np.abs(gravity) + turned + doubt, NO_TORQUE_Nm)
             flank = np.where(np.abs(torque) > NO_TORQUE_Nm, erf(torque / (np.sqrt(2.0) * sd)), 0.0)
             flank = np.where(is_led, pose.flank[:, j], flank)
             if np.mean(flank**2) >= TOLD and not any(np.abs(flank - other).max() < 0.2 for other in told):
