@@ -3,8 +3,8 @@
 import dataclasses
 
 import pytest
-from static_cases import ARM, Hidden, case
 
+from benchmarks.gap.static.cases import ARM, Hidden, case
 from calib.gap.finding import EffectName
 from calib.gap.posterior.find import find
 from calib.gap.static.find import StaticGap

@@ -8,20 +8,15 @@ harmonic, a scale and a belt that are not linear, a drift with two time constant
 from __future__ import annotations
 
 import dataclasses
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-sys.path[:0] = [str(Path(__file__).parents[1] / "tests" / "calib" / p) for p in (".", "gap")]
-import static_cases  # type: ignore[import-not-found]  # noqa: E402
-import static_physics  # type: ignore[import-not-found]  # noqa: E402
-from static_cases import Design, designed  # noqa: E402
-from static_draws import drawn, drawn_design, drawn_foreign  # type: ignore[import-not-found]  # noqa: E402
-from static_physics import Hidden  # noqa: E402
-
-from control.model.arm import Arm, Effect  # noqa: E402
+from benchmarks.gap.static import physics as static_physics
+from benchmarks.gap.static.cases import Design, designed
+from benchmarks.gap.static.draws import drawn, drawn_design, drawn_foreign
+from benchmarks.gap.static.physics import Hidden
+from control.model.arm import Arm, Effect
 
 LEAST, MOST = 0.04, 0.12  # of the law
 PARAMETER = {
@@ -107,13 +102,13 @@ class Rough:
             bare = bent(one, dataclasses.replace(at, payload=0.0 * at.payload), rig, frames, tip, down)
             return whole + self.share() * (whole - bare) + 0.5 * self.share() * bare
 
-        static_physics.ahead_rad = static_cases.ahead_rad = ahead
+        static_physics.ahead_rad = ahead
         static_physics._bent = tapered
         return self
 
     def __exit__(self, *_: object) -> None:
         static_physics.JOINT_LAWS.update(self.kept[0])
-        static_physics.ahead_rad = static_cases.ahead_rad = self.kept[1]
+        static_physics.ahead_rad = self.kept[1]
         static_physics._bent = self.kept[2]
 
 

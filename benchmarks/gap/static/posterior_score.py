@@ -1,7 +1,7 @@
 """Scores the posterior of poses beside the engine before it, on the same cases: exact and rough laws, many at once, nulls,
 what no list names, effects that the file knows in part.
 
-    python -m benchmarks.gap_posterior_score --sorts rough many --cases 60 --first-seed 90000 --engines new old
+    python -m benchmarks.gap.static.posterior_score --sorts rough many --cases 60 --first-seed 90000 --engines new old
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections import Counter
 
 import numpy as np
 
-from benchmarks.gap_rough_cases import PARAMETER, Case, case
+from benchmarks.gap.static.rough_cases import PARAMETER, Case, case
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.posterior.find import find as new
 from calib.gap.static.find import find as old
