@@ -9,11 +9,11 @@ from functools import cache
 import numpy as np
 
 from benchmarks.calibration.chains import REFERENCE, TILTS, ChainModel, angles_for, board_points, deviations
+from benchmarks.gap.static import physics
 from benchmarks.gap.static.physics import (
     Hidden,
     Poses,
     Rig,
-    ahead_rad,
     camera_m,
     gravity_torques,
     known_wrong,
@@ -156,7 +156,7 @@ def _measured(
     poses = Poses(
         joint_rad, last, stated + loads, t_s, gravity, transmitted, tuple(row[0] for row in rows), rng
     )
-    encoder = joint_rad - sum(ahead_rad(one, poses, rig) for one in hidden)
+    encoder = joint_rad - sum(physics.ahead_rad(one, poses, rig) for one in hidden)
     tip = rig.chain.tips(true_dh, joint_rad)
     tip = tip + sum(shifted_m(one, poses, rig, true_dh, tip) for one in hidden)
     tip = tip + rng.normal(0.0, design.noise_m, tip.shape)

@@ -1,0 +1,167 @@
+"""Static cases with real parts: the laws of what is hidden depart from the textbook's by a few per cent, several at once.
+
+On top of the cases of tests/calib/gap (arms made without this project's kinematics, dynamics and beams). Every law departs in
+its own way, drawn per case and joint: a play that is worn unevenly, a gear that hardens, an eccentricity with a second and third
+harmonic, a scale and a belt that are not linear, a drift with two time constants, a beam that tapers, a motor that saturates.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from benchmarks.gap.static import physics as static_physics
+from benchmarks.gap.static.cases import Design, designed
+from benchmarks.gap.static.draws import drawn, drawn_design, drawn_foreign
+from benchmarks.gap.static.physics import Hidden
+from control.model.arm import Arm, Effect
+
+LEAST, MOST = 0.04, 0.12  # of the law
+PARAMETER = {
+    "backlash": "width_rad", "joint_compliance": "stiffness_Nm_rad", "encoder_scale": "scale",
+    "encoder_eccentricity": "amplitude_rad", "belt_coupling": "ratio", "thermal_drift": "final_rad", "link_flexure": "EI_Nm2",
+    "base_frame": "x_m", "payload": "mass_kg", "torque_constant": "scale", "link_inertia": "mass_kg",
+}  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """An arm as it is known, poses of the real one, and what is hidden in it (totals where the file knows a part)."""
+
+    arm: Arm
+    points: Any
+    hidden: tuple[Any, ...]
+    is_listed: bool = True
+
+
+class Rough:
+    """Departures of one case, put in place of the textbook's laws while its poses are made."""
+
+    def __init__(self, seed: int, most: float = MOST) -> None:
+        self.rng = np.random.default_rng(seed + 77_000_000)
+        self.most = most
+        self.kept = dict(static_physics.JOINT_LAWS), static_physics.ahead_rad, static_physics._bent
+
+    def share(self) -> float:
+        """One departure."""
+        return float(self.rng.uniform(LEAST, self.most) * self.rng.choice((-1.0, 1.0)))
+
+    def __enter__(self) -> Rough:
+        laws, rng = static_physics.JOINT_LAWS, self.rng
+
+        def play(o, p, j):  # type: ignore[no-untyped-def]
+            load = np.abs(p.transmitted[:, j])
+            worn = 1.0 + self.share() * np.sin(rng.uniform(1, 2) * p.q[:, j] + rng.uniform(-3, 3))
+            return (
+                -0.5
+                * o.value
+                * np.sign(p.transmitted[:, j])
+                * (worn + 0.5 * self.share() * load / load.max())
+            )
+
+        def gear(o, p, j):  # type: ignore[no-untyped-def]
+            g = p.gravity[:, j]
+            return -g / o.value * (1.0 + self.share() * np.abs(g) / np.abs(g).max())
+
+        def scale(o, p, j):  # type: ignore[no-untyped-def]
+            q = p.q[:, j]
+            return o.value * (q + self.share() * np.std(q) * 1.4 * np.sin(2.0 * q + rng.uniform(-3, 3)))
+
+        def wave(o, p, j):  # type: ignore[no-untyped-def]
+            q = p.q[:, j]
+            more = self.share() * np.sin(2 * q + rng.uniform(-3, 3)) + 0.5 * self.share() * np.sin(
+                3 * q + rng.uniform(-3, 3)
+            )
+            return o.value * (np.sin(q + o.more) + more)
+
+        def drift(o, p, j):  # type: ignore[no-untyped-def]
+            share, times = abs(self.share()), float(rng.choice((0.3, 3.0)))
+            slow = 1.0 - np.exp(-p.t_s / (o.more * times))
+            return o.value * ((1.0 - share) * (1.0 - np.exp(-p.t_s / o.more)) + share * slow)
+
+        laws |= {"backlash": play, "joint_compliance": gear, "encoder_scale": scale, "encoder_eccentricity": wave,
+                 "thermal_drift": drift}  # fmt: skip
+        exact = self.kept[1]
+
+        def ahead(one, at, rig):  # type: ignore[no-untyped-def]
+            if one.effect != "belt_coupling":
+                return exact(one, at, rig)
+            found, q = np.zeros_like(at.q), at.q[:, 1]
+            found[:, 2] = one.value * (
+                q + self.share() * 1.4 * np.std(q) * np.sin(2.0 * q + rng.uniform(-3, 3))
+            )
+            return found
+
+        bent = self.kept[2]
+
+        def tapered(one, at, rig, frames, tip, down):  # type: ignore[no-untyped-def]
+            """Own and distal weight, and payload, not with the same EI."""
+            whole = bent(one, at, rig, frames, tip, down)
+            bare = bent(one, dataclasses.replace(at, payload=0.0 * at.payload), rig, frames, tip, down)
+            return whole + self.share() * (whole - bare) + 0.5 * self.share() * bare
+
+        static_physics.ahead_rad = ahead
+        static_physics._bent = tapered
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        static_physics.JOINT_LAWS.update(self.kept[0])
+        static_physics.ahead_rad = self.kept[1]
+        static_physics._bent = self.kept[2]
+
+
+def several(rng: np.random.Generator, count: int, among: tuple[str, ...] | None = None) -> tuple[Any, ...]:
+    """Different effects, or the same on different joints."""
+    found: dict[tuple[str, int | None], Any] = {}
+    while len(found) < count:
+        one = drawn(rng) if among is None else drawn(rng, among)
+        found[(one.effect, one.joint)] = one
+    return tuple(found.values())
+
+
+def known_half(one: Any, share: float) -> Effect:
+    """The same effect as the file knows it: partly right."""
+    value = one.value / share if one.effect in ("joint_compliance", "link_flexure") else one.value * share
+    parameters = {PARAMETER[one.effect]: value}
+    if one.effect == "encoder_eccentricity":
+        parameters["phase_rad"] = one.more
+    return Effect(one.effect, one.joint, parameters)
+
+
+KNOWABLE = ("backlash", "joint_compliance", "encoder_scale", "encoder_eccentricity", "belt_coupling")
+ON_TIP = ("backlash", "joint_compliance", "encoder_scale", "encoder_eccentricity", "belt_coupling", "thermal_drift",
+          "link_flexure", "base_frame")  # fmt: skip
+
+
+def _made(seed: int, hidden: tuple[Any, ...], design: Any) -> Case:
+    arm, points = designed(seed, hidden, design)
+    return Case(arm, points, hidden)
+
+
+def case(sort: str, seed: int) -> Case:
+    """One case: exact, rough, many (three to six, rough), null, foreign, known (partly right, exact law)."""
+    rng = np.random.default_rng(seed)
+    if sort == "null":
+        return _made(seed, (), drawn_design(rng))
+    if sort == "foreign":
+        hidden = (drawn_foreign(rng),)
+        return dataclasses.replace(_made(seed, hidden, Design()), is_listed=False)
+    if sort == "exact":
+        hidden = (drawn(rng),)
+        return _made(seed, hidden, Design())
+    if sort == "known":
+        hidden = (drawn(rng, KNOWABLE),)
+        arm, points = designed(seed, hidden, Design())
+        return Case(
+            dataclasses.replace(arm, effects=(known_half(hidden[0], float(rng.uniform(0.3, 0.8))),)),
+            points,
+            hidden,
+        )
+    hidden = (drawn(rng),) if sort == "rough" else several(rng, int(rng.integers(3, 7)), ON_TIP)
+    with Rough(seed, 0.08 if sort == "rough" else 0.10):
+        return _made(seed, hidden, Design())
+
+
+__all__ = ["PARAMETER", "Case", "Hidden", "case"]

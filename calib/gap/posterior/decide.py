@@ -1,0 +1,139 @@
+"""From weighed sets to an answer: what is named, what is ambiguous, what stays without a name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.gap.finding import EffectName
+from calib.gap.posterior.constants import CERTAIN, DEPARTURES
+from calib.gap.posterior.evidence import Evidence
+from calib.gap.posterior.search import Weighed
+from calib.gap.posterior.term import Block, Key
+
+COUPLED = 3  # the joint that the belt moves
+OWN_VARIABLE = {  # of an effect's law, as the blocks of its joint say it
+    "encoder_scale": "q{j}", "encoder_eccentricity": "q{j}", "belt_coupling": "other angles", "backlash": "direction",
+    "joint_compliance": "load", "thermal_drift": "time",
+}  # fmt: skip
+WORTH = 0.005  # probability that a further member of a credible set must add
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """Names, ambiguous sets of names, and remainders (the blocks, with the names that could be these instead).
+
+    `probability`: posterior inclusion of every key that occurs; `best`: the best set.
+    """
+
+    names: tuple[EffectName, ...]
+    ambiguous: tuple[tuple[EffectName, ...], ...]
+    remainders: tuple[tuple[Key, ...], ...]
+    probability: dict[Key, float]
+    best: Weighed
+
+
+def decide(evidence: Evidence, found: Sequence[Weighed]) -> Decision:
+    """Inclusion over all weighed sets: a name above CERTAIN, else the smallest set that is."""
+    logs = np.array([one.log for one in found])
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    sets = [frozenset(evidence.terms[k].key for k, _ in one.members) for one in found]
+    chance: dict[Key, float] = {}
+    for keys, weight in zip(sets, weights.tolist(), strict=True):
+        for key in keys:
+            chance[key] = chance.get(key, 0.0) + weight
+    groups = [
+        (*g, *crooked(evidence, found[0], g[0])) if len(g) == 1 else g
+        for g in _credible(sets, weights, chance)
+    ]
+    names = tuple(g[0] for g in groups if len(g) == 1 and isinstance(g[0], EffectName))
+    ambiguous = tuple(
+        tuple(key for key in g if isinstance(key, EffectName))
+        for g in groups
+        if len(g) > 1 and not any(isinstance(key, Block) for key in g)
+    )
+    left = tuple(g for g in groups if any(isinstance(key, Block) for key in g))
+    return Decision(names, ambiguous, left, chance, found[0])
+
+
+def _credible(
+    sets: Sequence[frozenset[Key]], weights: np.ndarray, chance: dict[Key, float]
+) -> list[tuple[Key, ...]]:
+    """Smallest groups of keys of which at least one is in with CERTAIN probability."""
+    done: set[Key] = set()
+    groups: list[tuple[Key, ...]] = []
+    for key in sorted(chance, key=lambda one: -chance[one]):
+        if key in done:
+            continue
+        group, has = [key], np.array([key in keys for keys in sets])
+        while weights[has].sum() < CERTAIN:
+            gains = {
+                k: float(weights[~has & np.array([k in keys for keys in sets])].sum())
+                for k in chance
+                if k not in done
+            }
+            best = max(gains, key=lambda k: gains[k], default=None)
+            if best is None or gains[best] < WORTH:
+                break
+            group.append(best)
+            has |= np.array([best in keys for keys in sets])
+        if weights[has].sum() >= CERTAIN:
+            groups.append(tuple(group))
+            done |= set(group)
+    return groups
+
+
+def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
+    """Blocks that bend an effect's law, in its own variable, more than any real part does: then it is another law.
+
+    Twice the largest departure is two standard deviations of it.
+    """
+    if not isinstance(key, EffectName) or key.effect not in OWN_VARIABLE:
+        return ()
+    joint, own = key.joint or COUPLED, OWN_VARIABLE[key.effect].format(j=key.joint)
+    moves = _moves(evidence, best)
+    law = moves.get(key, 0.0)
+    return tuple(
+        block
+        for block, move in moves.items()
+        if isinstance(block, Block)
+        and block.joint == joint
+        and block.variable.startswith(own)
+        and move > 2.0 * max(DEPARTURES) * law
+    )
+
+
+def _moves(evidence: Evidence, best: Weighed) -> dict[Key, float]:
+    """How far each member of a set moves its joints, root mean square."""
+    size, _ = evidence.estimate(best.members, best.kappa)
+    found: dict[Key, float] = {}
+    first = 0
+    for number, _ in best.members:
+        one = evidence.terms[number]
+        own = size[first : first + one.count]
+        first += one.count
+        if one.slope_rad is not None:
+            found[one.key] = float(np.sqrt(np.mean(np.einsum("c,cmn->mn", own, one.slope_rad) ** 2)))
+    return found
+
+
+def share_of(evidence: Evidence, found: Weighed, drop: Sequence[int]) -> float:
+    """Share of the excess of the tips over what the set leaves that the terms `drop` explain."""
+    whole = left_with(evidence, found)
+    rest = Weighed(tuple(one for one in found.members if one[0] not in drop), found.kappa, 0.0)
+    excess = evidence.gram.left - whole
+    return (left_with(evidence, rest) - whole) / excess if excess > 0.0 else math.nan
+
+
+def left_with(evidence: Evidence, found: Weighed) -> float:
+    """The tips' sum of squares that a set leaves, in variances of the floor."""
+    if not found.members:
+        return evidence.gram.left
+    at = np.concatenate([evidence.places[k] for k, _ in found.members])
+    size, _ = evidence.estimate(found.members, found.kappa)
+    gram = evidence.gram
+    return float(gram.left - 2.0 * size @ gram.pull[at] + size @ gram.tip[np.ix_(at, at)] @ size)

@@ -1,0 +1,194 @@
+"""The log evidence of sets of terms, and what each further term would add to a set, all variants and sizes at once.
+
+The model is linear, y = geometry + C s + noise, s ~ N(0, V). With the geometry projected out, a set S has, beside nothing,
+  ln Z = h' M h / 2 - ln det(I + V^1/2 G V^1/2) / 2,   M = V^1/2 (I + V^1/2 G V^1/2)^-1 V^1/2
+(MacKay, Information Theory, Inference, and Learning Algorithms, 2003, ch. 28), and a term beside S the same of what S leaves of
+its own G and h (a Schur complement). The tips' noise may be kappa times the floor: what a set leaves is then noise to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import log_ndtr
+
+from calib.arrays import Array
+from calib.gap.posterior.linear import Gram
+from calib.gap.posterior.term import Key, Term
+
+NEVER = -1e6  # log evidence of a play or a softness below nought, of departures without a law
+LAW_LEAST = 0.3  # of its size level, that a law must have for its departures to be its own
+
+Member = tuple[int, int]  # number of the term, number of its scales
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Terms that have the same counts of columns and scales: places (t, c), sd (t, h, c), log weights (t, h)."""
+
+    numbers: Array
+    places: Array
+    sd: Array
+    weight: Array
+    laws: int
+    is_positive: Array
+    is_name: Array
+    tip: Array
+    current: Array
+
+
+class Evidence:
+    """Of the sets of `terms` around one linearisation. `doubt`: the standard deviation of the floor's logarithm."""
+
+    def __init__(self, gram: Gram, terms: Sequence[Term], doubt: float) -> None:
+        self.gram, self.terms, self.doubt = gram, tuple(terms), doubt
+        ends = np.cumsum([one.count for one in terms])
+        self.places = [np.arange(end - one.count, end) for one, end in zip(terms, ends.tolist(), strict=True)]
+        self.of_key: dict[Key, list[int]] = {}
+        for k, one in enumerate(terms):
+            self.of_key.setdefault(one.key, []).append(k)
+        self.scales = [one.scales() for one in terms]
+        share = [math.log(len(self.of_key[one.key])) for one in terms]
+        self.weights = [logs - own for (_, logs), own in zip(self.scales, share, strict=True)]
+        self._asked: dict[Key | None, tuple[list[Batch], Array]] = {None: self._batched(range(len(terms)))}
+        self._asked |= {key: self._batched(numbers) for key, numbers in self.of_key.items()}
+
+    def _batched(self, numbers: Sequence[int]) -> tuple[list[Batch], Array]:
+        """Batches of some terms, and the columns that they need; places in a batch count within these."""
+        groups: dict[tuple[int, int, int], list[int]] = {}
+        for k in numbers:
+            sd = self.scales[k][0]
+            groups.setdefault((*sd.shape, self.terms[k].laws), []).append(k)
+        some = np.concatenate([self.places[k] for k in numbers])
+        within = np.zeros(int(some.max()) + 1, dtype=int)
+        within[some] = np.arange(len(some))
+        return [self._batch(own, laws, within) for (_, _, laws), own in groups.items()], some
+
+    def _batch(self, own: list[int], laws: int, within: Array) -> Batch:
+        places = np.array([self.places[k] for k in own])
+        across = places[:, :, None], places[:, None, :]
+        return Batch(
+            np.array(own), within[places], np.array([self.scales[k][0] for k in own]), np.array([self.weights[k] for k in own]),
+            laws,
+            np.array([self.terms[k].is_positive for k in own]), np.array([self.terms[k].is_name for k in own]),
+            self.gram.tip[across], self.gram.current[across],
+        )  # fmt: skip
+
+    def _columns(self, members: Sequence[Member]) -> tuple[Array, Array]:
+        """Places and prior standard deviations of a set's columns."""
+        if not members:
+            return np.zeros(0, dtype=int), np.zeros(0)
+        at = np.concatenate([self.places[k] for k, _ in members])
+        return at, np.concatenate([self.scales[k][0][h] for k, h in members])
+
+    def _inner(self, at: Array, sd: Array, kappa: float) -> Array:
+        """Cholesky factor of I + V^1/2 G V^1/2."""
+        across = np.ix_(at, at)
+        seen = self.gram.tip[across] / kappa**2 + self.gram.current[across]
+        return np.linalg.cholesky(np.eye(len(at)) + sd[:, None] * seen * sd)
+
+    def added(self, members: Sequence[Member], kappa: float, key: Key | None = None) -> Added:
+        """What every term (or only those of a key) would add to a set."""
+        at, sd = self._columns(members)
+        batches, some = self._asked[key]
+        pull = self.gram.pull[some] / kappa**2 + self.gram.current_pull[some]
+        taken = np.zeros((0, len(pull)))
+        if len(at):
+            across = np.ix_(at, some)
+            seen = self.gram.tip[across] / kappa**2 + self.gram.current[across]
+            own = sd * (self.gram.pull[at] / kappa**2 + self.gram.current_pull[at])
+            inner = self._inner(at, sd, kappa)
+            both = solve_triangular(
+                inner, np.column_stack((sd[:, None] * seen, own)), lower=True, check_finite=False
+            )
+            taken, pull = both[:, :-1], pull - both[:, :-1].T @ both[:, -1]
+        found = [self._of_batch(batch, taken, pull, kappa) for batch in batches]
+        return Added.of([batch.numbers for batch in batches], found, len(self.terms))
+
+    def _of_batch(self, batch: Batch, taken: Array, pull: Array, kappa: float) -> tuple[Array, Array, Array]:
+        """Log evidence that each term adds, the best of its scales, and how much that one alone adds."""
+        seen = batch.tip / kappa**2 + batch.current
+        if len(taken):
+            own = taken[:, batch.places]  # (k, t, c)
+            seen = seen - np.einsum("ktc,ktd->tcd", own, own)
+        sd = batch.sd
+        whole = np.eye(sd.shape[2]) + sd[..., :, None] * seen[:, None] * sd[..., None, :]
+        drawn = sd * pull[batch.places][:, None, :]
+        size = np.linalg.solve(whole, drawn[..., None])[..., 0]
+        log = 0.5 * np.sum(drawn * size, axis=2) - 0.5 * np.linalg.slogdet(whole)[1] + batch.weight
+        width = np.sqrt(np.linalg.inv(whole)[..., 0, 0])
+        if batch.is_positive.any():
+            sign = np.where(size[..., 0] > 0.0, log_ndtr(size[..., 0] / width) + math.log(2.0), NEVER)
+            log = log + np.where(batch.is_positive[:, None], sign, 0.0)
+        if sd.shape[2] > batch.laws:  # a departure is a share of the law: without the law there is none
+            departs = np.any(sd[..., batch.laws :] > 0.0, axis=2) & batch.is_name[:, None]
+            law = np.linalg.norm(size[..., : batch.laws], axis=2)
+            share = np.where(law > 0.5 * LAW_LEAST, log_ndtr((law - LAW_LEAST) / width), NEVER)
+            log = log + np.where(departs, share, 0.0)
+        best = np.argmax(log, axis=1)
+        top = np.take_along_axis(log, best[:, None], axis=1)[:, 0]
+        return top + np.log(np.sum(np.exp(log - top[:, None]), axis=1)), best, top
+
+    def value(self, members: Sequence[Member], kappa: float) -> float:
+        """Ln Z of a set over nothing at the floor, the priors of its scales and of kappa included."""
+        at, sd = self._columns(members)
+        gram = self.gram
+        total = (
+            -gram.freedom * math.log(kappa) - 0.5 * gram.left * (kappa**-2 - 1.0) + self.log_inflation(kappa)
+        )
+        if len(at):
+            inner = self._inner(at, sd, kappa)
+            half = np.linalg.solve(inner, sd * (gram.pull[at] / kappa**2 + gram.current_pull[at]))
+            total += 0.5 * float(half @ half) - float(np.sum(np.log(np.diag(inner))))
+            total += sum(float(self.weights[k][h]) for k, h in members)
+        return float(total)
+
+    def estimate(self, members: Sequence[Member], kappa: float) -> tuple[Array, Array]:
+        """Coefficients of all columns of a set, in usual sizes, and their covariance."""
+        at, sd = self._columns(members)
+        if not len(at):
+            return np.zeros(0), np.zeros((0, 0))
+        inner = np.linalg.inv(self._inner(at, sd, kappa))
+        covariance = sd[:, None] * (inner.T @ inner) * sd
+        return np.asarray(
+            covariance @ (self.gram.pull[at] / kappa**2 + self.gram.current_pull[at])
+        ), covariance
+
+    def inflation(self, members: Sequence[Member], kappa: float) -> float:
+        """The tips' noise over the floor that a set asks for."""
+        at, _ = self._columns(members)
+        size, covariance = self.estimate(members, kappa)
+        seen = self.gram.tip[np.ix_(at, at)]
+        left = self.gram.left - 2.0 * float(size @ self.gram.pull[at]) + float(size @ seen @ size)
+        used = float(np.sum(covariance * seen)) / kappa**2
+        free = max(self.gram.freedom - used, 1.0)
+        wanted = 0.5 * math.log(max(left, 1e-12) / free)
+        held = 1.0 / (1.0 + 1.0 / (2.0 * free * self.doubt**2))
+        return math.exp(wanted if wanted > 3.0 * self.doubt else held * wanted)
+
+    def log_inflation(self, kappa: float) -> float:
+        """Log prior of kappa: the floor's own doubt, or, one time in two, anything above it."""
+        wanted = math.log(kappa)
+        near = -0.5 * (wanted / self.doubt) ** 2 - math.log(self.doubt * math.sqrt(2.0 * math.pi))
+        return float(np.logaddexp(near, -wanted if wanted > 0.0 else -np.inf))
+
+
+@dataclass(frozen=True, slots=True)
+class Added:
+    """What each term adds to a set: log evidence summed over its scales, its best scales, and what these alone add."""
+
+    log: Array
+    best: Array
+    top: Array
+
+    @classmethod
+    def of(cls, numbers: Sequence[Array], found: Sequence[tuple[Array, Array, Array]], count: int) -> Added:
+        """From batches; minus infinity where a term was not asked for."""
+        log, best, top = np.full(count, -np.inf), np.zeros(count, dtype=int), np.full(count, -np.inf)
+        for own, (a, b, c) in zip(numbers, found, strict=True):
+            log[own], best[own], top[own] = a, b, c
+        return cls(log, best, top)

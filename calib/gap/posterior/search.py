@@ -1,0 +1,173 @@
+"""The search through sets: best first, with removals and exchanges, from several starts, so that it does not get stuck."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.gap.finding import EffectName
+from calib.gap.posterior.evidence import NEVER, Evidence, Member
+from calib.gap.posterior.term import Key
+
+GROWTH = 2  # terms that are tried beside a set that still grows
+WIDTH = 6  # terms that are tried beside a set
+EXCHANGES = 1  # that are tried in the place of each of its members
+WINDOW = 8.0  # log evidence below the best at which a set is still looked into
+GAIN_LEAST = -4.0  # log odds below which a further term cannot matter
+EXPANSIONS = 30
+BLOCKS_MOST = 6  # nameless blocks in a set; what many small ones leave is noise
+STARTS = ("joint_compliance", "backlash")  # effects that all joints have at once, if one has
+EXCHANGED = 3.0  # log evidence below the best within which members are exchanged
+REGROWTH = 6
+POLISHES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """A set with its best variants and scales, its noise over the floor, and its log posterior up to a constant.
+
+    `gains`: what each member adds to the log posterior beside the others.
+    """
+
+    members: tuple[Member, ...]
+    kappa: float
+    log: float
+    gains: tuple[float, ...] = ()
+
+
+class Search:
+    """Over the sets of an Evidence; `forced` keys are in every set: what the arm's file has already."""
+
+    def __init__(self, evidence: Evidence, forced: Collection[Key] = ()) -> None:
+        self.evidence, self.forced = evidence, frozenset(forced) & evidence.of_key.keys()
+        self.seen: dict[frozenset[Key], Weighed] = {}
+
+    def keys(self, members: Iterable[Member]) -> frozenset[Key]:
+        """Of a set."""
+        return frozenset(self.evidence.terms[k].key for k, _ in members)
+
+    def run(self, known: Iterable[frozenset[Key]] = ()) -> list[Weighed]:
+        """All sets that were weighed, best first; `known`: sets to start from besides."""
+        for start in [*self._starts(), *known]:
+            self._weigh([self._plain(key) for key in {*start, *self.forced}])
+        expanded: set[frozenset[Key]] = set()
+        self._improve(expanded)
+        best = max(self.seen.values(), key=lambda one: one.log)
+        for number, _ in best.members:
+            if not self.evidence.terms[number].is_name:
+                self._regrow(best, number)
+        self._improve(expanded)
+        return sorted(self.seen.values(), key=lambda one: -one.log)
+
+    def _improve(self, expanded: set[frozenset[Key]]) -> None:
+        """Best first, until nothing near the best is left to look into."""
+        for _ in range(EXPANSIONS):
+            best = max(one.log for one in self.seen.values())
+            open_ = [(one.log, keys) for keys, one in self.seen.items() if keys not in expanded]
+            if not open_:
+                break
+            top, keys = max(open_, key=lambda one: one[0])
+            if top < best - WINDOW:
+                break
+            expanded.add(keys)
+            self._expand(self.seen[keys])
+
+    def _regrow(self, best: Weighed, block: int) -> None:
+        """Several terms in the place of a block: it may have soaked up what two or three effects do together."""
+        but = self.evidence.terms[block].key
+        around = self._weigh([one for one in best.members if one[0] != block])
+        for _ in range(REGROWTH):
+            before = set(self.seen)
+            self._grow(around.members, around.kappa, 1, but, 0.0)
+            new = [self.seen[keys] for keys in self.seen.keys() - before]
+            more = max(new, key=lambda one: one.log, default=None)
+            if more is None or more.log <= around.log:
+                return
+            around = more
+
+    def _starts(self) -> list[frozenset[Key]]:
+        names = [key for key in self.evidence.of_key if isinstance(key, EffectName)]
+        some = [frozenset(key for key in names if key.effect == effect) for effect in STARTS]
+        return [frozenset(), *some, some[0] | some[1]]
+
+    def _plain(self, key: Key) -> Member:
+        """Any variant and scales of a key, to be polished."""
+        numbers = self.evidence.of_key[key]
+        number = numbers[len(numbers) // 2]
+        return number, len(self.evidence.weights[number]) // 2
+
+    def _expand(self, around: Weighed) -> None:
+        """Weigh what is one term more, and, where nothing more pays, what is one less or one other."""
+        self._grow(around.members, around.kappa, GROWTH)
+        if max(one.log for one in self.seen.values()) > around.log + 1.0:
+            return  # it is not at its best yet
+        self._grow(around.members, around.kappa, WIDTH)
+        is_best = around.log >= max(one.log for one in self.seen.values()) - EXCHANGED
+        for member, gain in zip(around.members, around.gains, strict=True):
+            key = self.evidence.terms[member[0]].key
+            if key in self.forced:
+                continue
+            rest = [one for one in around.members if one is not member]
+            if gain < 2.0 * WINDOW:
+                self._weigh(rest)
+            if is_best:
+                self._grow(rest, around.kappa, EXCHANGES, key, gain - 2.0 * WINDOW)
+
+    def _grow(
+        self,
+        members: Sequence[Member],
+        kappa: float,
+        width: int,
+        but: Key | None = None,
+        least: float = GAIN_LEAST,
+    ) -> None:
+        added, present = self.evidence.added(members, kappa), self.keys(members)
+        gains: list[tuple[float, int]] = []
+        blocks_count = sum(not isinstance(key, EffectName) for key in present)
+        for key, numbers in self.evidence.of_key.items():
+            if key not in present and key != but:
+                own = added.log[numbers]
+                top = int(np.argmax(own))
+                gain = float(own[top] + math.log(np.sum(np.exp(own - own[top]))))
+                gains.append((gain + self.evidence.terms[numbers[0]].log_odds, numbers[top]))
+        if blocks_count >= BLOCKS_MOST:  # no further name where a block would explain more
+            blocks = [gain for gain, number in gains if not self.evidence.terms[number].is_name]
+            least = max(least, *blocks) if blocks else least
+        for gain, number in heapq.nlargest(width, gains):
+            if gain > least:
+                self._weigh([*members, (number, int(added.best[number]))])
+
+    def _weigh(self, members: Sequence[Member]) -> Weighed:
+        """The best variants and scales of a set, one member after the other, and the noise that it leaves."""
+        keys = self.keys(members)
+        if keys in self.seen:
+            return self.seen[keys]
+        own, evidence = list(members), self.evidence
+        kappa, spread = evidence.inflation(own, 1.0), 0.0
+        gains: list[float] = []
+        kappa = evidence.inflation(own, kappa)
+        for _ in range(POLISHES):
+            before = tuple(own), kappa
+            spread, gains = 0.0, []
+            for place in range(len(own)):
+                rest = [*own[:place], *own[place + 1 :]]
+                key = evidence.terms[own[place][0]].key
+                added = evidence.added(rest, kappa, key)
+                number = int(np.argmax(added.top))
+                own[place] = number, int(added.best[number])
+                numbers = evidence.of_key[key]
+                more = float(np.log(np.sum(np.exp(added.log[numbers] - added.top[number]))))
+                spread += more
+                gains.append(float(added.top[number]) + more + evidence.terms[number].log_odds)
+            kappa = evidence.inflation(own, kappa)
+            if tuple(own) == before[0] and abs(kappa / before[1] - 1.0) < 1e-3:
+                break
+        never = sum(NEVER for gain in gains if gain < 0.5 * NEVER)  # a member that no real part can be
+        odds = sum(evidence.terms[k].log_odds for k, _ in own if evidence.terms[k].key not in self.forced)
+        found = Weighed(tuple(own), kappa, evidence.value(own, kappa) + spread + odds + never, tuple(gains))
+        self.seen[keys] = found
+        return found

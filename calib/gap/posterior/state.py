@@ -1,0 +1,175 @@
+"""The model as fitted so far: geometry, what effects move, how sure every flank is; and the next linearisation around it."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arm_problem.problem import ArmProblem
+from calib.arrays import Array, Mask, frozen
+from calib.gap.finding import EffectName
+from calib.gap.model_update import effect_of, with_named
+from calib.gap.poses.currents import Currents
+from calib.gap.poses.frame import FRAME, beyond_linear_m, of_the_frame
+from calib.gap.posterior.blocks import blocks_of
+from calib.gap.posterior.effects import Scene, terms_of
+from calib.gap.posterior.evidence import Evidence
+from calib.gap.posterior.linear import Linear, moved_by, of_currents, tip_by_joint
+from calib.gap.posterior.search import Weighed
+from calib.gap.posterior.term import Block, Term
+from calib.points.points import Points
+from control.model.arm import Arm
+
+LOADS = ("payload", "link_inertia", "torque_constant")
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Around what the problem is linear: unknowns x (k,), joints moved by turn_rad (m, n), the tip by shift_m (m, 3).
+
+    `linear_m` (m, 3): the part of all that which is linear in coefficients. `weight` (m, 3, 3) whitens poses whose flank is in
+    doubt; `loaded`: the arm with the geometry and under the loads found.
+    """
+
+    problem: ArmProblem
+    x: Array
+    turn_rad: Array
+    shift_m: Array
+    linear_m: Array
+    weight: Array
+    loaded: Arm
+
+    @classmethod
+    def bare(cls, problem: ArmProblem, x: Array, arm: Arm) -> State:
+        """The geometry alone."""
+        m, n = problem.observed.q_rad.shape
+        still = np.zeros((m, 3))
+        weight = np.tile(np.eye(3), (m, 1, 1))
+        return cls(problem, x, np.zeros((m, n)), still, still, weight, arm.with_dh(problem.solution(x).dh))
+
+    def posed(self) -> ArmProblem:
+        """The problem with what the effects move."""
+        moved = copy.copy(self.problem)
+        known = self.problem.observed.known_shift_m
+        shift = self.shift_m if known is None else self.shift_m + known
+        moved.observed = dataclasses.replace(
+            self.problem.observed,
+            q_rad=frozen(self.problem.observed.q_rad + self.turn_rad),
+            known_shift_m=frozen(shift),
+        )
+        return moved
+
+    def residual_m(self) -> Array:
+        """What is left, (m, 3)."""
+        return self.posed().residuals(self.x)
+
+
+@dataclass(frozen=True, slots=True)
+class Around:
+    """All terms around a state, as the evidence of their sets from the poses `rows`."""
+
+    state: State
+    arm: Arm
+    points: Points
+    rows: Mask
+    noise_m: float
+    linear: Linear
+    evidence: Evidence
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """In the evidence's order."""
+        return self.evidence.terms
+
+    @classmethod
+    def of(
+        cls,
+        state: State,
+        arm: Arm,
+        points: Points,
+        rows: Mask,
+        noise: tuple[float, float],
+        currents: Currents | None,
+        without: Collection[str],
+        blocks: Sequence[Term] = (),
+    ) -> Around:
+        """`arm`: without the effects that are looked for; `noise`: floor [m] and its doubt; `blocks`: of a look before."""
+        scene = Scene.of(arm.with_dh(state.loaded.dh), state.loaded, points)
+        terms = [*(_unlisted(one, without) for one in terms_of(scene)), *(blocks or blocks_of(scene))]
+        problem = state.posed()
+        linear = Linear.around(problem, state.x, state.linear_m, terms, state.weight)
+        gram = linear.projected(rows, noise[0], of_currents(currents, terms, rows))
+        return cls(state, arm, points, rows, noise[0], linear, Evidence(gram, terms, noise[1]))
+
+    @property
+    def blocks(self) -> tuple[Term, ...]:
+        """Those terms that never had a name; they need not follow the fit."""
+        return tuple(one for one in self.terms if isinstance(one.key, Block) and one.parameters is None)
+
+    def columns(self, numbers: Sequence[int]) -> Array:
+        """What terms do to the tips, (3m, c)."""
+        if not numbers:
+            return np.zeros((len(self.linear.y), 0))
+        return np.concatenate([self.linear.columns[:, self.linear.places[k]] for k in numbers], axis=1)
+
+    def fitted(self, found: Weighed, drop: Collection[int] = ()) -> tuple[Array, Array]:
+        """Geometry x beside a set, and the residuals (m, 3) of all poses without the terms of `drop`."""
+        size, _ = self.evidence.estimate(found.members, found.kappa)
+        numbers = [k for k, _ in found.members]
+        move = self.columns(numbers) @ size
+        x, _ = self.linear.geometry(self.rows, self.noise_m * found.kappa, move)
+        kept = np.concatenate(
+            [np.full(self.terms[k].count, k not in drop) for k in numbers] or [np.zeros(0, dtype=bool)]
+        )
+        left = self.linear.y - self.linear.base @ x - self.columns(numbers) @ (size * kept)
+        return x, left.reshape(-1, 3)
+
+    def next_state(self, found: Weighed) -> State:
+        """Linearised anew around a set."""
+        state = self.state
+        size, _ = self.evidence.estimate(found.members, found.kappa)
+        x, _ = self.fitted(found)
+        turn, shift = np.zeros_like(state.turn_rad), np.zeros_like(state.shift_m)
+        extra, beyond, first, loads = np.zeros_like(state.weight), np.zeros_like(shift), 0, []
+        problem = state.posed()
+        by_joint = tip_by_joint(problem, state.x)
+        for number, _ in found.members:
+            one = self.terms[number]
+            own = size[first : first + one.count]
+            first += one.count
+            turn += 0.0 if one.slope_rad is None else np.einsum("c,cmn->mn", own, one.slope_rad)
+            shift += 0.0 if one.slope_m is None else np.einsum("c,cmi->mi", own, one.slope_m)
+            if one.doubt is not None and isinstance(one.key, EffectName) and one.key.joint is not None:
+                lever = by_joint[:, :, one.key.joint - 1] * (one.size * own[0] / self.noise_m)
+                extra += one.doubt[:, None, None] * lever[:, :, None] * lever[:, None, :]
+            if one.key == EffectName(FRAME):
+                frame = next(of_the_frame(self.arm, self.points))
+                beyond += beyond_linear_m(frame, own * frame.size, self.problem_positions())
+            if isinstance(one.key, EffectName) and one.key.effect in LOADS and one.parameters is not None:
+                loads.append(effect_of(one.key, one.parameters(own[:1] * one.size, np.zeros((1, 1)))))
+        weight = np.linalg.inv(np.linalg.cholesky(np.eye(3) + extra))
+        moved = dataclasses.replace(state, x=x, turn_rad=turn, shift_m=shift + beyond, weight=weight)
+        by_joint = tip_by_joint(moved.posed(), x)
+        linear = np.einsum("mn,min->mi", turn, by_joint) + shift
+        loaded = with_named(self.arm.with_dh(moved.problem.solution(x).dh), loads)
+        return dataclasses.replace(moved, linear_m=linear, loaded=loaded)
+
+    def problem_positions(self) -> Array:
+        """Where the tip was measured, (m, 3)."""
+        return self.state.problem.observed.position_m
+
+
+def _unlisted(one: Term, without: Collection[str]) -> Term:
+    """A term whose effect was left out of the list, as a block."""
+    if not isinstance(one.key, EffectName) or one.key.effect not in without:
+        return one
+    return dataclasses.replace(
+        one, key=Block(one.key.joint or 0, one.key.effect), words=f"{one.key} (left out of the list)"
+    )
+
+
+__all__ = ["LOADS", "Around", "State", "moved_by"]

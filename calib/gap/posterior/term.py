@@ -1,0 +1,110 @@
+"""A term of the model: an effect or a nameless block, in one of its variants, as columns that move joints, tip and currents."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.gap.finding import EffectName
+from calib.gap.poses.candidate import Parameters
+from calib.gap.posterior.constants import (
+    BLOCK_LEVELS,
+    BLOCK_PRIOR,
+    DEPARTURE_WEIGHTS,
+    DEPARTURES,
+    NAME_PRIOR,
+    SIZE_LEVELS,
+    SIZE_WEIGHTS,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A family of shapes without a name: what moves (1-based joint, 0 the tip), and with what it does so."""
+
+    joint: int
+    variable: str
+
+
+Key = EffectName | Block
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One variant of an effect or block: c columns, the first `laws` of them the law, `departures` after them, then nuisances.
+
+    Of joints `slope_rad` (c, m, n), of the tip `slope_m` (c, m, 3), of holding torques `slope_Nm` (c, m, n); None where nothing
+    moves. `size` is the usual coefficient of the law; departure and nuisance columns are scaled to it already. `variant`: what
+    sets this one apart, `doubt_rad` (m,) the variance of the joint's angle per squared coefficient where the flank is uncertain.
+    """
+
+    key: Key
+    words: str
+    laws: int
+    departures: int
+    size: float
+    slope_rad: Array | None = None
+    slope_m: Array | None = None
+    slope_Nm: Array | None = None
+    variant: float = 0.0
+    is_positive: bool = False
+    parameters: Callable[[Array, Array], Parameters] | None = None
+    variable: str = ""
+    doubt: Array | None = None
+
+    @property
+    def count(self) -> int:
+        """How many columns."""
+        for slope in (self.slope_rad, self.slope_m, self.slope_Nm):
+            if slope is not None:
+                return len(slope)
+        return 0
+
+    @property
+    def is_name(self) -> bool:
+        """Whether it is an effect of the list."""
+        return isinstance(self.key, EffectName)
+
+    @property
+    def log_odds(self) -> float:
+        """Of its key, before any data."""
+        prior = NAME_PRIOR if self.is_name else BLOCK_PRIOR
+        return float(np.log(prior / (1.0 - prior)))
+
+    def scales(self) -> tuple[Array, Array]:
+        """Prior standard deviations (h, c) in usual sizes, and log weights (h,), of every hyperparameter."""
+        if not self.is_name:
+            levels = np.array(BLOCK_LEVELS)
+            return levels[:, None] * np.ones(self.count), np.full(len(levels), -np.log(len(levels)))
+        rhos = DEPARTURES if self.departures else (0.0,)
+        weights = DEPARTURE_WEIGHTS if self.departures else (1.0,)
+        rest = self.count - self.laws - self.departures
+        rows = [
+            [level] * self.laws + [level * rho] * self.departures + [level] * rest
+            for level in SIZE_LEVELS
+            for rho in rhos
+        ]
+        logs = [np.log(a * b) for a in SIZE_WEIGHTS for b in weights]
+        return np.array(rows), np.array(logs)
+
+
+def on_joint(course: Array, joint: int, n: int) -> Array:
+    """Courses (c, m) or (m,) on one joint (0-based) of n: (c, m, n)."""
+    courses = np.atleast_2d(course)
+    found = np.zeros((*courses.shape, n))
+    found[:, :, joint] = courses
+    return found
+
+
+def like(law: Array, shapes: Sequence[Array]) -> list[Array]:
+    """Shapes scaled to the root mean square of a law's column; those that are nothing left out."""
+    size = float(np.sqrt(np.mean(law**2)))
+    found = []
+    for shape in shapes:
+        own = float(np.sqrt(np.mean(shape**2)))
+        if own > 1e-12 * max(size, 1e-300):
+            found.append(shape * (size / own))
+    return found

@@ -1,0 +1,103 @@
+"""The evidence of sets: exact beside the integral, a Schur complement beside the whole, no law below nought."""
+
+import numpy as np
+import pytest
+
+from calib.gap.finding import EffectName
+from calib.gap.posterior.decide import decide
+from calib.gap.posterior.evidence import Evidence
+from calib.gap.posterior.linear import Gram
+from calib.gap.posterior.search import Search, Weighed
+from calib.gap.posterior.term import Block, Term
+
+ROWS = 240
+
+
+def _term(key, columns: int = 1, departures: int = 0, is_positive: bool = False) -> Term:
+    slope = np.zeros((columns, 1, 1))
+    return Term(
+        key, str(key), columns - departures, departures, 1.0, slope_rad=slope, is_positive=is_positive
+    )
+
+
+def _evidence(terms, columns: np.ndarray, y: np.ndarray) -> Evidence:
+    zero = np.zeros((columns.shape[1], columns.shape[1]))
+    gram = Gram(
+        columns.T @ columns, columns.T @ y, zero, np.zeros(columns.shape[1]), float(y @ y), float(len(y))
+    )
+    return Evidence(gram, terms, 0.03)
+
+
+def _world(seed: int, size: float, count: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    columns = 5.0 * rng.normal(size=(ROWS, count)) / np.sqrt(ROWS) * np.sqrt(10.0)
+    return columns, size * columns[:, 0] + rng.normal(size=ROWS)
+
+
+def test_the_evidence_of_a_set_is_that_of_the_gaussian_integral() -> None:
+    columns, y = _world(1, 1.0)
+    terms = [_term(EffectName("encoder_scale", j + 1)) for j in range(4)]
+    evidence = _evidence(terms, columns, y)
+    members = [(0, 1), (2, 3)]
+    variance = np.array([evidence.scales[k][0][h][0] ** 2 for k, h in members])
+    used = columns[:, [0, 2]]
+    whole = np.eye(ROWS) + used @ np.diag(variance) @ used.T
+    expected = -0.5 * np.linalg.slogdet(whole)[1] - 0.5 * y @ np.linalg.solve(whole, y) + 0.5 * y @ y
+    priors = sum(float(evidence.weights[k][h]) for k, h in members) + evidence.log_inflation(1.0)
+    assert evidence.value(members, 1.0) == pytest.approx(expected + priors, abs=1e-6)
+
+
+def test_what_a_term_adds_is_the_difference_of_the_whole_evidence() -> None:
+    columns, y = _world(2, 1.0)
+    evidence = _evidence([_term(EffectName("encoder_scale", j + 1)) for j in range(4)], columns, y)
+    added = evidence.added([(0, 1)], 1.0)
+    scale = int(added.best[3])
+    whole = evidence.value([(0, 1), (3, scale)], 1.0) - evidence.value([(0, 1)], 1.0)
+    assert added.top[3] == pytest.approx(whole, abs=1e-6)
+
+
+def test_a_play_below_nought_is_never_in_a_set() -> None:
+    columns, y = _world(3, -2.0)
+    terms = [
+        _term(EffectName("backlash", 1), is_positive=True),
+        _term(Block(1, "direction")),
+        *[_term(Block(j, "q")) for j in (2, 3)],
+    ]
+    evidence = _evidence(terms, columns, y)
+    best = Search(evidence).run()[0]
+    assert EffectName("backlash", 1) not in {terms[k].key for k, _ in best.members}
+
+
+def test_two_terms_that_are_the_same_to_the_data_are_ambiguous_and_neither_is_named() -> None:
+    columns, y = _world(4, 2.0)
+    columns[:, 1] = columns[:, 0]
+    evidence = _evidence([_term(EffectName("encoder_scale", j + 1)) for j in range(4)], columns, y)
+    found = decide(evidence, Search(evidence).run())
+    assert found.names == ()
+    assert {frozenset(one) for one in found.ambiguous} == {
+        frozenset({EffectName("encoder_scale", 1), EffectName("encoder_scale", 2)})
+    }
+
+
+def test_noise_alone_names_nothing_and_leaves_nothing() -> None:
+    for seed in range(20):
+        columns, y = _world(100 + seed, 0.0)
+        terms = [_term(EffectName("encoder_scale", 1)), *[_term(Block(j, "q")) for j in (1, 2, 3)]]
+        found = decide(evidence := _evidence(terms, columns, y), Search(evidence).run())
+        assert (found.names, found.ambiguous, found.remainders) == ((), (), ())
+
+
+def test_scatter_beyond_the_floor_is_noise_and_no_name() -> None:
+    columns, y = _world(5, 0.0)
+    evidence = _evidence([_term(EffectName("encoder_scale", j + 1)) for j in range(4)], columns, 2.0 * y)
+    best = Search(evidence).run()[0]
+    assert best.members == ()
+    assert best.kappa == pytest.approx(2.0 * np.sqrt(np.mean(y**2)), rel=0.02)
+
+
+def test_an_effect_that_the_file_has_is_in_every_set() -> None:
+    columns, y = _world(6, 0.0)
+    evidence = _evidence([_term(EffectName("encoder_scale", j + 1)) for j in range(4)], columns, y)
+    found = Search(evidence, [EffectName("encoder_scale", 2)]).run()
+    assert all((1 in [k for k, _ in one.members]) for one in found)
+    assert isinstance(found[0], Weighed)
