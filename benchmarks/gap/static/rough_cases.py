@@ -83,28 +83,26 @@ class Rough:
 
         laws |= {"backlash": play, "joint_compliance": gear, "encoder_scale": scale, "encoder_eccentricity": wave,
                  "thermal_drift": drift}  # fmt: skip
-        exact = self.kept[1]
-
-        def ahead(one, at, rig):  # type: ignore[no-untyped-def]
-            if one.effect != "belt_coupling":
-                return exact(one, at, rig)
-            found, q = np.zeros_like(at.q), at.q[:, 1]
-            found[:, 2] = one.value * (
-                q + self.share() * 1.4 * np.std(q) * np.sin(2.0 * q + rng.uniform(-3, 3))
-            )
-            return found
-
-        bent = self.kept[2]
-
-        def tapered(one, at, rig, frames, tip, down):  # type: ignore[no-untyped-def]
-            """Own and distal weight, and payload, not with the same EI."""
-            whole = bent(one, at, rig, frames, tip, down)
-            bare = bent(one, dataclasses.replace(at, payload=0.0 * at.payload), rig, frames, tip, down)
-            return whole + self.share() * (whole - bare) + 0.5 * self.share() * bare
-
-        static_physics.ahead_rad = ahead
-        static_physics._bent = tapered
+        static_physics.ahead_rad = self._ahead_rad
+        static_physics._bent = self._tapered_m
         return self
+
+    def _ahead_rad(self, one: Hidden, at: Any, rig: Any) -> Any:
+        """A belt that is not quite linear; all else as the textbook has it."""
+        if one.effect != "belt_coupling":
+            return self.kept[1](one, at, rig)
+        found, q = np.zeros_like(at.q), at.q[:, 1]
+        found[:, 2] = one.value * (
+            q + self.share() * 1.4 * np.std(q) * np.sin(2.0 * q + self.rng.uniform(-3, 3))
+        )
+        return found
+
+    def _tapered_m(self, one: Hidden, at: Any, rig: Any, frames: Any, tip: Any, down: Any) -> Any:
+        """Own and distal weight, and payload, not with the same EI."""
+        bent = self.kept[2]
+        whole = bent(one, at, rig, frames, tip, down)
+        bare = bent(one, dataclasses.replace(at, payload=0.0 * at.payload), rig, frames, tip, down)
+        return whole + self.share() * (whole - bare) + 0.5 * self.share() * bare
 
     def __exit__(self, *_: object) -> None:
         static_physics.JOINT_LAWS.update(self.kept[0])
