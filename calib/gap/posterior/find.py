@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,16 +135,7 @@ def _reported(
         floor = dataclasses.replace(floor, tip_m=floor.tip_m * best.kappa, source=FROM_THE_FIT)
         ready = dataclasses.replace(ready, floor=floor)
     estimates = {key: estimated(evidence, best, key) for key in decision.names}
-    bent = [
-        name
-        for name, own in estimates.items()
-        if own.departure > LAW_MOST or float(np.linalg.norm(own.value / own.sd)) < CHANGED_sd
-    ]
-    decision = dataclasses.replace(
-        decision,
-        names=tuple(name for name in decision.names if name not in bent),
-        remainders=(*decision.remainders, *((name,) for name in bent)),
-    )
+    decision = _without_other_laws(decision, estimates)
     told = [name for name in decision.names if _is_new(ready.arm, name, estimates[name])]
     nominal_problem = problem_of(ready.arm, ready.points)
     nominal = nominal_problem.residuals(np.zeros(len(nominal_problem.parameters)))
@@ -169,6 +160,20 @@ def _reported(
     out = ready.out
     return StaticGap(
         finding, ready.points, parts, floor, drawn, fit, warnings, out, load_of(ready.arm, ready.points)
+    )
+
+
+def _without_other_laws(decision: Decision, estimates: Mapping[EffectName, Estimated]) -> Decision:
+    """Names whose law departs too far from the textbook's, or hardly acts, are remainders and no names."""
+    bent = [
+        name
+        for name, own in estimates.items()
+        if own.departure > LAW_MOST or float(np.linalg.norm(own.value / own.sd)) < CHANGED_sd
+    ]
+    return dataclasses.replace(
+        decision,
+        names=tuple(name for name in decision.names if name not in bent),
+        remainders=(*decision.remainders, *((name,) for name in bent)),
     )
 
 
