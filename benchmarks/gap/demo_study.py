@@ -1,4 +1,4 @@
-"""The whole circle for many hidden effects: named or not, sizes, tip error and following error before and after, time.
+"""`demo gap` for many hidden effects: named or not, sizes, tip error and following error before and after, time.
 
     python -m benchmarks.gap.demo_study OUT [--seeds 1 2] [--effects backlash ...]
 
@@ -19,7 +19,7 @@ EFFECTS = (
     "backlash", "joint_compliance", "encoder_scale", "encoder_eccentricity", "belt_coupling", "coulomb_friction",
     "viscous_friction", "load_friction",
 )  # fmt: skip
-HEAD = "| hidden | right | what was said | seconds |\n| --- | --- | --- | --- |\n"
+HEAD = "| hidden | right | finding | seconds |\n| --- | --- | --- | --- |\n"
 
 
 def main() -> None:
@@ -51,10 +51,10 @@ def one(effect: str, seed: int, out: Path) -> str:
         text=True,
         check=False,
     )  # fmt: skip
-    said = " ".join(line for line in done.stdout.splitlines() if line and not line.startswith("  "))
+    finding = " ".join(line for line in done.stdout.splitlines() if line and not line.startswith("  "))
     right = {0: "yes", 1: "no"}.get(done.returncode, f"status {done.returncode}")
     last = done.stderr.strip().splitlines()[-1] if done.stderr.strip() else ""
-    return f"| {effect}, seed {seed} | {right} | {said or last} | {time.monotonic() - began:.0f} |\n"
+    return f"| {effect}, seed {seed} | {right} | {finding or last} | {time.monotonic() - began:.0f} |\n"
 
 
 if __name__ == "__main__":

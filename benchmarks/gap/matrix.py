@@ -1,7 +1,7 @@
 """The confusion matrix and the figures of the gap workflow's scores, the same for poses, time series and the mock arm.
 
-A case is asked once. What is hidden is `Truth` (as truth.json has it), what the workflow said becomes one `Answer`, and
-`matrix` and `figures` make text of many. Rows are what is hidden, columns what was answered.
+Each case is run once. The hidden effects are `Truth` (as in truth.json), the workflow's finding becomes an `Answer`, and
+`matrix` and `figures` format many of them. Rows are hidden effects, columns answers.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from calib.gap.finding import EffectName, GapFinding
 GEOMETRY = "link_geometry"  # in poses it is refitted beside everything, and naming it is no claim
 COLUMNS = ("right", "doubts", "part", "set with", "set w/o", "unknown", "nothing", "wrong")
 LEGEND = (
-    "right: all that is hidden and nothing else; doubts: that, but also unknown or a set; part: some of it; "
-    "set with, set w/o: a set that cannot be told apart, with or without what is hidden; wrong: a name that is not hidden"
+    "right: all hidden effects and nothing else; doubts: those, but also unknown or a set; part: some of them;  "
+    "set with, set w/o: an ambiguous set, with or without a hidden effect; wrong: a name that is not hidden"
 )
 NOTHING, OFF_THE_LIST, ONE, TWO = "nothing hidden", "off the list", "one hidden", "two hidden"
 CLOSE = 0.1  # of a parameter
@@ -27,7 +27,7 @@ CLOSE = 0.1  # of a parameter
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """One effect as truth.json has it."""
+    """One effect of truth.json."""
 
     name: EffectName
     parameters: Mapping[str, float]
@@ -35,7 +35,7 @@ class Hidden:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What is hidden in a case; `is_listed`: every hidden effect is among those that may be named.
+    """Hidden effects of a case; `is_listed`: all of them are among those that may be named.
 
     `is_crooked`: the geometry is off, too, and may be listed among the effects.
     """
@@ -46,7 +46,7 @@ class Truth:
 
     @property
     def sort(self) -> str:
-        """Which of the four sorts of cases this is."""
+        """Which of the four kinds of case this is."""
         if not self.hidden:
             return NOTHING
         if not self.is_listed:
@@ -56,7 +56,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What came of one case. `error` is the worst parameter's, None without a right name; times in seconds."""
+    """Result of a case. `error` is that of the worst parameter, None without a right name; times in seconds."""
 
     case: str
     sort: str
@@ -69,11 +69,11 @@ class Answer:
     gap_before: float
     gap_after: float
     seconds: float
-    said: str
+    finding: str
 
     @property
     def is_right(self) -> bool:
-        """Whether nothing better could be said."""
+        """Whether this is the best possible answer."""
         wanted = {NOTHING: "nothing", OFF_THE_LIST: "unknown"}
         return self.column == wanted.get(self.sort, "right")
 
@@ -95,7 +95,7 @@ def read_truth(path: Path, is_listed: bool = True) -> Truth:
 def answer(
     case: str, truth: Truth, found: GapFinding, could_name: Collection[EffectName], seconds: float
 ) -> Answer:
-    """Compare what was said with what is hidden; `could_name`: what the workflow called nameable beforehand."""
+    """Compare the finding with the hidden effects; `could_name`: effects that the workflow predicted as nameable."""
     wanted = {one.name for one in truth.hidden}
     listed = wanted if truth.is_listed else set()
     named = {e.name for e in found.effects if not (truth.is_crooked and e.name.effect == GEOMETRY)}
@@ -111,7 +111,7 @@ def answer(
         found.gap_before,
         found.gap_after,
         seconds,
-        said(found),
+        finding_text(found),
     )
 
 
@@ -147,7 +147,7 @@ def _worst(truth: Truth, found: GapFinding) -> float:
     return float(max(errors))
 
 
-def said(found: GapFinding) -> str:
+def finding_text(found: GapFinding) -> str:
     """The finding in one line."""
     parts = [str(effect.name) for effect in found.effects if effect.name.effect != GEOMETRY]
     parts += ["{" + ", ".join(str(name) for name in names) + "}" for names in found.ambiguous]
@@ -178,7 +178,9 @@ def figures(answers: Sequence[Answer], gap_target: float) -> str:
     quiet = sum(one.column == "nothing" for one in nulls)
     if nulls:
         bare = sum(one.column != "wrong" for one in nulls)
-        lines.append(f"nothing hidden: no name in {bare} of {len(nulls)}; nothing at all said in {quiet}")
+        lines.append(
+            f"nothing hidden: no name in {bare} of {len(nulls)}; neither name, set nor unknown in {quiet}"
+        )
     strange = [one for one in answers if one.sort == OFF_THE_LIST]
     if strange:
         bare = sum(one.column != "wrong" for one in strange)
@@ -222,9 +224,9 @@ def _of(some: Sequence[Answer], claim: str) -> str:
 
 
 def misses(answers: Iterable[Answer]) -> str:
-    """A line for every case that was not answered as well as could be."""
+    """A line for every case without the best possible answer."""
     return "\n".join(
-        f"  {one.case}: {one.row} -> {one.column}: {one.said} "
+        f"  {one.case}: {one.row} -> {one.column}: {one.finding} "
         f"(gap {one.gap_before:.2f} -> {one.gap_after:.2f}{'' if one.is_nameable else '; not called nameable'})"
         for one in answers
         if not one.is_right

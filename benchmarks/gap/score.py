@@ -1,7 +1,7 @@
-"""How often the gap workflow is right: `make gap-score`. Confusion matrix and figures for poses, time series and the mock arm.
+"""Scores the gap workflow: `make gap-score`. Confusion matrix and figures for poses, time series and the mock arm.
 
-Fresh cases with seeds that set no threshold, on two cores; some ten minutes with the default counts, `--cases N` of each sort
-for more. Nothing outside the project is needed.
+New cases with seeds not used for thresholds, on two cores; some ten minutes with the default counts, `--cases N` of each kind
+for more. Needs nothing outside the project.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ DYNAMIC_SORTS = 5  # of cases, that `answers` of the time series takes in turns
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """Something to do in a process of its own, its share of the whole work in seconds, and to what it belongs."""
+    """A task for a separate process, its estimated duration in seconds, and its section."""
 
     half: Half
     what: str

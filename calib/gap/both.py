@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calib.gap.finding import EffectName, GapFinding, Nameable, NamedEffect, Unknown
-from calib.gap.static.nameable import NAMEABLE_sd
+from calib.gap.posterior.nameable import NAMEABLE_sd
 
 # Standard deviations, or share of the value, that two estimates of one parameter may differ by.
 AGREE_sd, AGREE_SHARE = 3.0, 0.2
@@ -96,7 +96,7 @@ def brought_together(
 def disagreements(static: GapFinding, dynamic: GapFinding) -> tuple[str, ...]:
     """A sentence for each effect that both name with parameters that differ by more than they may."""
     other = {effect.name: effect for effect in dynamic.effects}
-    said = []
+    sentences = []
     for effect in static.effects:
         for name, (value, sd) in effect.parameters.items():
             if effect.name.effect in GEOMETRY or name not in _parameters(other.get(effect.name)):
@@ -104,11 +104,11 @@ def disagreements(static: GapFinding, dynamic: GapFinding) -> tuple[str, ...]:
             also, also_sd = other[effect.name].parameters[name]
             limit = max(AGREE_sd * math.hypot(_known(sd), _known(also_sd)), AGREE_SHARE * abs(value))
             if abs(_apart(name, value, also)) > limit:
-                said.append(
+                sentences.append(
                     f"{effect.name}: {name} is {value:.4g} from poses and {also:.4g} from time series. They contradict each"
                     " other; check how they were recorded."
                 )
-    return tuple(said)
+    return tuple(sentences)
 
 
 def _denied(one: Level, other: Level) -> dict[EffectName, str]:
@@ -165,20 +165,20 @@ def _named_later(finding: GapFinding, other: Level) -> GapFinding:
 
 def _without(finding: GapFinding, denied: dict[EffectName, str]) -> GapFinding:
     """The finding with names taken back: the gap after is the one before the first of them, whose model is kept."""
-    kept, gap_after = [], finding.gap_before
+    effects, gap_after = [], finding.gap_before
     is_cut = False
     for effect in finding.effects:
         if effect.name in denied:
             is_cut = True
             continue
-        kept.append(effect)
+        effects.append(effect)
         if not is_cut:
             gap_after = effect.gap_after
     if not is_cut:
         return finding
     share = min(1.0, gap_after / finding.gap_before) if finding.gap_before > 0.0 else 1.0
     before_si = {channel: share * value for channel, value in finding.before_si.items()}
-    return dataclasses.replace(finding, effects=tuple(kept), gap_after=gap_after, after_si=before_si)
+    return dataclasses.replace(finding, effects=tuple(effects), gap_after=gap_after, after_si=before_si)
 
 
 def _merged(

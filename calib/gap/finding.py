@@ -1,4 +1,4 @@
-"""What the gap workflow found, and gap.json (format gap/1 of the interchange formats)."""
+"""What the gap workflow found, and gap.json (format gap/2 of the interchange formats)."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from control.files import write_whole
+
+Parameters = Mapping[str, tuple[float, float]]  # by name: value and standard deviation
 
 GEOMETRY = "link_geometry"  # the effect: the links' lengths and axes are others than the model's
 ON_LINKS = ("link_flexure", "link_inertia")  # the key is still `joint`, and carries the link's number
@@ -33,12 +35,37 @@ class EffectName:
 
 @dataclass(frozen=True, slots=True)
 class NamedEffect:
-    """An effect that is added to the model: parameters as (value, sd), the gap with it, and why it was accepted."""
+    """An effect that is added to the model: its parameters as totals, the gap with it, and why it was accepted.
+
+    `probability` of it given the data, `share` of the excess over the noise that it explains, `departure` of the part from the
+    textbook's law as a fraction of its size, over the law's own `variable`. NaN and "" where they were not determined.
+    """
 
     name: EffectName
-    parameters: Mapping[str, tuple[float, float]]
+    parameters: Parameters
     gap_after: float
     evidence: Mapping[str, float] = field(default_factory=dict)
+    probability: float = math.nan
+    share: float = math.nan
+    departure: float = math.nan
+    variable: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Remainder:
+    """Something that is left without a name: where it shows, its share of the excess, its root mean square by channel (SI)."""
+
+    where: str
+    share: float
+    size_si: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class OpenQuestion:
+    """What this data leaves open, and the recording that would settle it."""
+
+    question: str
+    next_experiment: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +90,8 @@ class Unknown:
 class GapFinding:
     """All that gap.json holds. `noise_floor`, `before_si`, `after_si`: by channel, as tip_m, current_A, q_rad.
 
-    `gap_before` and `gap_after`: root mean square over the noise floor, on recordings that were used for nothing else, as far as
-    there were any: `is_kept_apart` is False where the gap is that of what was fitted.
+    `gap_before` and `gap_after`: root mean square over the noise floor, on recordings that were used for nothing else;
+    `is_held_out` is False where there were none to spare and the gap is that of what was fitted.
     """
 
     arm: str
@@ -80,6 +107,8 @@ class GapFinding:
     nameable: tuple[Nameable, ...] = ()
     next_experiment: str | None = None
     is_held_out: bool = True
+    remainder: tuple[Remainder, ...] = ()
+    open_questions: tuple[OpenQuestion, ...] = ()
 
     @property
     def judged_on(self) -> str:
@@ -96,7 +125,7 @@ def write_gap_json(path: Path, found: GapFinding) -> None:
 def gap_content(found: GapFinding) -> dict[str, object]:
     """What stands in gap.json."""
     return {
-        "format": "gap/1",
+        "format": "gap/2",
         "arm": found.arm,
         "data": list(found.data),
         "noise_floor": _numbers(found.noise_floor),
@@ -118,6 +147,13 @@ def gap_content(found: GapFinding) -> dict[str, object]:
             for one in found.nameable
         ],
         "next_experiment": found.next_experiment,
+        "remainder": [
+            {"where": one.where, "share": _number(one.share), "size_si": _numbers(one.size_si)}
+            for one in found.remainder
+        ],
+        "open_questions": [
+            {"question": one.question, "next_experiment": one.next_experiment} for one in found.open_questions
+        ],
     }
 
 
@@ -128,6 +164,11 @@ def _named(effect: NamedEffect) -> dict[str, object]:
             name: {"value": value, "sd": _number(sd)} for name, (value, sd) in effect.parameters.items()
         },
         "gap_after": _number(effect.gap_after),
+        "probability": _number(effect.probability),
+        "share": _number(effect.share),
+        "law_departure": None
+        if math.isnan(effect.departure)
+        else {"fraction": effect.departure, "variable": effect.variable},
         "evidence": _numbers(effect.evidence),
     }
 

@@ -7,12 +7,11 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 from calib.arrays import Array
-from calib.gap.finding import GEOMETRY, EffectName, GapFinding
+from calib.gap.finding import GEOMETRY, EffectName, GapFinding, Parameters
 from control.model.arm import Arm, Calibration, Effect
 
-Parameters = Mapping[str, float]
-# What is found comes on top of what the file knows; where two add up to one of the same kind, their sum is written. Others are
-# replaced: no single law is the sum of two of different speed, order or time.
+# Where a change and what the file knows add up to one effect of the same kind, their sum is the total. Others are replaced: no
+# single law is the sum of two of different speed, order or time.
 SUMMED = (
     "encoder_scale", "backlash", "belt_coupling", "payload", "coulomb_friction", "viscous_friction", "load_friction",
     "asymmetric_friction", "command_delay", "supply_sag", "link_inertia",
@@ -20,10 +19,10 @@ SUMMED = (
 
 
 def updated_arm(arm: Arm, found: GapFinding, dh: Array | None, made: Calibration) -> Arm:
-    """The arm with what was named added to its own effects, and with the geometry `dh`."""
+    """The arm with what was named, which is a total, in place of what its file has, and with the geometry `dh`."""
     named = [effect_of(one.name, one.parameters) for one in found.effects if one.name.effect != GEOMETRY]
     fitted = arm if dh is None else arm.with_dh(dh)
-    return dataclasses.replace(with_named(fitted, named), calibration=made)
+    return dataclasses.replace(with_totals(fitted, named), calibration=made)
 
 
 def effect_of(name: EffectName, parameters: Mapping[str, tuple[float, float]]) -> Effect:
@@ -31,22 +30,35 @@ def effect_of(name: EffectName, parameters: Mapping[str, tuple[float, float]]) -
     return Effect(name.effect, name.joint, {key: value for key, (value, _) in parameters.items()})
 
 
-def with_named(arm: Arm, named: Sequence[Effect]) -> Arm:
-    """The arm with these effects on top of its own."""
+def with_totals(arm: Arm, found: Sequence[Effect]) -> Arm:
+    """The arm with these effects in place of its own of the same names."""
     known = {(effect.effect, effect.joint): effect for effect in arm.effects}
-    added = [_on_top(known.get((effect.effect, effect.joint)), effect) for effect in named]
-    replaced = {(effect.effect, effect.joint) for effect in named}
-    kept = [effect for effect in arm.effects if (effect.effect, effect.joint) not in replaced]
-    return dataclasses.replace(arm, effects=(*kept, *added))
+    for effect in found:
+        before = known.get((effect.effect, effect.joint))
+        parameters = effect.parameters if before is None else {**before.parameters, **effect.parameters}
+        known[effect.effect, effect.joint] = Effect(effect.effect, effect.joint, parameters)
+    return dataclasses.replace(arm, effects=tuple(known.values()))
 
 
-def _on_top(known: Effect | None, found: Effect) -> Effect:
-    if known is None:
-        return found
-    return Effect(found.effect, found.joint, _sum(found.effect, known.parameters, found.parameters))
+def as_totals(arm: Arm, found: GapFinding) -> GapFinding:
+    """A finding of changes beside what the arm's file has, as one of totals."""
+    known = {EffectName(effect.effect, effect.joint): effect.parameters for effect in arm.effects}
+    effects = [
+        dataclasses.replace(one, parameters=_total(one.name.effect, known[one.name], one.parameters))
+        if one.name in known
+        else one
+        for one in found.effects
+    ]
+    return dataclasses.replace(found, effects=tuple(effects))
 
 
-def _sum(effect: str, known: Parameters, found: Parameters) -> Parameters:
+def _total(effect: str, known: Mapping[str, float], found: Parameters) -> Parameters:
+    """Both as one effect of the same kind, with the standard deviations of what was found."""
+    values = _sum(effect, known, {name: value for name, (value, _) in found.items()})
+    return {name: (value, found.get(name, (value, 0.0))[1]) for name, value in values.items()}
+
+
+def _sum(effect: str, known: Mapping[str, float], found: Mapping[str, float]) -> Mapping[str, float]:
     """Both as one of the same kind; what was found alone where there is no such."""
     if effect in SUMMED and known.keys() == found.keys():
         return {name: value + known[name] for name, value in found.items()}

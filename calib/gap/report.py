@@ -11,10 +11,10 @@ import numpy as np
 from calib.gap.dynamic.find import DynamicOutcome
 from calib.gap.dynamic.pictures import dynamic_sections
 from calib.gap.finding import GapFinding, NamedEffect
-from calib.gap.ladder import ladder
-from calib.gap.static.find import StaticGap
-from calib.gap.static.nameable import NAMEABLE_sd, is_nameable
-from calib.gap.static.pictures import joint_picture, places_picture, recordings_picture
+from calib.gap.ladder import in_units, ladder
+from calib.gap.poses.outcome import StaticGap
+from calib.gap.poses.pictures import joint_picture, law_picture, places_picture, recordings_picture
+from calib.gap.posterior.nameable import NAMEABLE_sd, is_nameable
 from calib.gap.words import in_words, listed
 from calib.report.page import Section, bullets, page, paragraph, table, tiles, verdict
 
@@ -48,13 +48,13 @@ def gap_parts(report: GapReport) -> Iterator[Section | str]:
         yield Section("Notes", bullets(report.notes))
     yield from _ladders(report)
     yield _effects(found)
+    yield from _left(found)
     if report.static is not None:
         yield from _static(report.static)
     if report.dynamic is not None:
         yield from dynamic_sections(report.dynamic)
     yield _nameable(found)
-    if found.next_experiment:
-        yield Section("The next experiment", paragraph(found.next_experiment))
+    yield from _open(found)
 
 
 def _tiles(found: GapFinding) -> Iterator[tuple[str, str, str]]:
@@ -77,7 +77,10 @@ def _effects(found: GapFinding) -> Section:
     if not found.effects:
         return Section("Added to the model", paragraph("Nothing."))
     rows = [row for effect in found.effects for row in _parameter_rows(effect)]
-    header = (("text", "effect"), ("text", "parameter"), "value", "sd", "gap after")
+    header = (
+        ("text", "effect"), ("text", "parameter"), "value", "sd", "probability", "share of the excess [%]",
+        "departs from its law [%]", "gap after",
+    )  # fmt: skip
     return Section("Added to the model, in this order", table(header, rows))
 
 
@@ -93,17 +96,50 @@ def _parameter_rows(effect: NamedEffect) -> Iterator[tuple[tuple[str, str] | str
             ("text", name),
             f"{value:.4g}",
             f"{sd:.2g}" if sd == sd else "–",
-            f"{effect.gap_after:.3f}" if first else "",
+            *(_numbers(effect) if first else ("",) * 4),
         )
     more = len(effect.parameters) - len(shown)
     if more:
-        yield ("text", ""), ("text", f"and {more} more, in gap.json"), "", "", ""
+        yield ("text", ""), ("text", f"and {more} more, in gap.json"), *("",) * 6
+
+
+def _numbers(effect: NamedEffect) -> tuple[str, ...]:
+    return (
+        _number(effect.probability, ".3f"),
+        _number(100.0 * effect.share, ".1f"),
+        _number(100.0 * effect.departure, ".1f"),
+        _number(effect.gap_after, ".3f"),
+    )
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "–"
+
+
+def _left(found: GapFinding) -> Iterator[Section]:
+    """What has no single name."""
+    if not found.remainder:
+        return
+    header = (("text", "where"), "share of the excess [%]", ("text", "root mean square"))
+    rows = [
+        (("text", one.where), _number(100.0 * one.share, ".1f"), ("text", in_units(one.size_si)))
+        for one in found.remainder
+    ]
+    yield Section("Left without one name", table(header, rows))
+
+
+def _open(found: GapFinding) -> Iterator[Section]:
+    if found.open_questions:
+        lines = [f"{one.question} {one.next_experiment}" for one in found.open_questions]
+        yield Section("Open questions, and the recording that would settle each", bullets(lines))
+    elif found.next_experiment:
+        yield Section("The next experiment", paragraph(found.next_experiment))
 
 
 def _static(gap: StaticGap) -> Iterator[Section]:
-    kept = int(gap.split.report.sum())
+    count = int(gap.split.report.sum())
     how = (
-        f"{gap.split.recordings_count} recordings; {kept} of {len(gap.points)} poses were held out for the report."
+        f"{gap.split.recordings_count} recordings; {count} of {len(gap.points)} poses were held out for the report."
         if gap.split.is_divided
         else "Too few recordings to hold one out: the gap is that of the fitted poses."
     )
@@ -115,6 +151,8 @@ def _static(gap: StaticGap) -> Iterator[Section]:
         + recordings_picture(gap),
     )
     yield Section("Static poses, by place", places_picture(gap))
+    for law in gap.laws:
+        yield Section(f"{law.name}: data, law and departure", law_picture(law))
     for joint in _joints(gap):
         yield Section(f"Static poses, along joint {joint}", joint_picture(gap, joint))
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from calib.gap.finding import GEOMETRY, EffectName, GapFinding, NamedEffect
-from calib.gap.static.nameable import NAMEABLE_sd, is_nameable
+from calib.gap.posterior.nameable import NAMEABLE_sd, is_nameable
 
 AT_FLOOR = 1.1  # times the floor, up to which a gap counts as closed
 
@@ -28,8 +28,8 @@ def _sentences(found: GapFinding) -> Iterator[str]:
         yield f"This data cannot distinguish {listed(names)}; none of them is added."
     if found.unknown is not None:
         nearest = (
-            f" The nearest known effect, {found.unknown.nearest}, explains only {100 * found.unknown.explained:.0f} % of the"
-            " excess and is not named."
+            f" The nearest known effect, {found.unknown.nearest}, would explain {100 * found.unknown.explained:.0f} % of what"
+            " is left; it is not named."
             if found.unknown.nearest is not None
             else ""
         )
@@ -38,7 +38,9 @@ def _sentences(found: GapFinding) -> Iterator[str]:
     if math.isnan(found.gap_after):
         after = "not evaluated for the joint findings of poses and time series"
     yield f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {after} after."
-    blind = [one.name for one in found.nameable if not is_nameable(one)]
+    blind = [
+        one.name for one in found.nameable if not is_nameable(one) and one.name not in {n.name for n in named}
+    ]
     if blind:
         yield (
             f"This data could not name {listed(blind)} of usual size (below {NAMEABLE_sd:.1f} standard deviations, or"

@@ -14,9 +14,10 @@ from calib.gap.both import brought_together
 from calib.gap.dynamic.find import DynamicOutcome, examine
 from calib.gap.finding import GapFinding, write_gap_json
 from calib.gap.log import Log, joined_logs, read_log
-from calib.gap.model_update import updated_arm
+from calib.gap.model_update import as_totals, updated_arm
+from calib.gap.poses.find import find
+from calib.gap.poses.outcome import StaticGap
 from calib.gap.report import GapReport, gap_page
-from calib.gap.static.find import StaticGap, find
 from calib.inputs import input_file
 from calib.points.arm_points import points_for
 from calib.points.points import Points
@@ -67,7 +68,7 @@ def read_recordings(arm: Arm, points: Sequence[str | Path], logs: Sequence[str |
         joined_logs(tuple(log for log, _ in runs)) if runs else None,
         point_files,
         log_files,
-        tuple(sentence for _, said in (*poses, *runs) for sentence in said),
+        tuple(sentence for _, messages in (*poses, *runs) for sentence in messages),
     )
 
 
@@ -95,12 +96,13 @@ def find_gap(
     if log is not None:
         base = split or 0.0
         tried = [name for name in EFFECTS if name not in without] if without else None
-        shaped = arm if static is None else arm.with_dh(static.fit.solution.dh)
+        shaped = arm if static is None else arm.with_dh(static.dh)
         dynamic = examine(shaped, log, lambda what, done: advance(what, base + (1.0 - base) * done), tried)
     if static is None and dynamic is None:
         raise CalibrationError("gap: expected static poses, time series, or both; got neither")
     finding, agreement = brought_together(
-        None if static is None else static.finding, None if dynamic is None else dynamic.finding
+        None if static is None else static.finding,
+        None if dynamic is None else as_totals(arm, dynamic.finding),
     )
     warnings = [sentence for one in (static, dynamic) if one is not None for sentence in one.warnings]
     return GapOutcome(finding, static, dynamic, agreement, tuple(warnings))
@@ -144,7 +146,7 @@ def write_gap(outcome: GapOutcome, arm: Arm, recordings: Recordings, out: Path) 
     made = Calibration(source, hashes, date, "gap workflow", program)
     out.mkdir(parents=True, exist_ok=True)
     write_gap_json(out / "gap.json", outcome.finding)
-    dh = outcome.static.fit.solution.dh if outcome.static is not None else None
+    dh = outcome.static.dh if outcome.static is not None else None
     model = updated_arm(arm, outcome.finding, dh, made)
     save_arm(model, out / "arm.toml")
     notes = (*outcome.agreement, *outcome.warnings)

@@ -1,4 +1,4 @@
-"""Labelled time series with a hidden effect, made many at a time: the cases that `gap_dynamic_score` scores.
+"""Labelled time series with a hidden effect, simulated many at a time, for `benchmarks.gap.dynamic.score`.
 
 `python -m benchmarks.gap.dynamic.cases OUT SEED EFFECT [--joint J]` writes OUT/{arm.toml,log.csv.gz,truth.json}.
 EFFECT: `none`, an effect's name, several joined by `+`, or one that is in no list (`gap_dynamic_hidden.FOREIGN`).
@@ -21,6 +21,7 @@ import numpy.typing as npt
 from benchmarks.gap.dynamic.hidden import NUMBERS, Hidden, hide, nominal
 from benchmarks.gap.dynamic.motions import LOADED, RUNS, set_points
 from benchmarks.gap.dynamic.plant import Chain, Plant, Recorded, Simulation, rnea, turned
+from benchmarks.gap.dynamic.rough import RoughSimulation, drawn, side_by_side
 
 Array = npt.NDArray[np.float64]
 
@@ -40,11 +41,12 @@ class Asked:
     effects: str
     joint: int | None = None
     size: float = 1.0
+    rough: float = 0.0  # by how much laws depart from the textbook's, at most
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What a batch of cases has in common: sampling, noise, and the arm (torques and drives scaled)."""
+    """Common conditions of a batch of cases: sampling, noise, and the arm (torques and drives scaled)."""
 
     rate_Hz: int = 500
     seconds: float = SECONDS
@@ -78,7 +80,20 @@ def _batch(asked: Sequence[Asked], under: Conditions) -> Iterator[Case]:
     arm = tomllib.loads(text)
     drafts = [_draft(one, arm, under) for one in asked]
     plant, sets, forward = _side_by_side(drafts, arm, under)
-    recorded = Simulation(plant, sets, forward).run()
+    if any(one.rough for one in asked):
+        n = len(arm["drive"])
+        shares = [
+            drawn(
+                np.random.default_rng(one.asked.seed + 5_000_000),
+                n,
+                one.asked.rough,
+                {entry["joint"] for entry in one.truth},
+            )
+            for one in drafts
+        ]
+        recorded = RoughSimulation(plant, sets, forward, side_by_side(shares, RUNS)).run()
+    else:
+        recorded = Simulation(plant, sets, forward).run()
     for k, draft in enumerate(drafts):
         places = slice(k * RUNS, (k + 1) * RUNS)
         yield _case(draft, text, recorded, places, sets[:, :, places], arm, under)
@@ -204,7 +219,7 @@ def _run(
 
 
 def _sensed(draft: _Draft, t: Array, encoder: Array, joint: Array, speed: Array, current: Array) -> None:
-    """What joints, sensors and clocks do beyond the plant's physics, in place."""
+    """Effects of joints, sensors and clocks beyond the plant's physics, in place."""
     for kind, j, value in draft.hidden.after:
         match kind:
             case "thermal_drift":
@@ -227,7 +242,7 @@ def _sensed(draft: _Draft, t: Array, encoder: Array, joint: Array, speed: Array,
 
 
 def _tips(draft: _Draft, joint: Array, arm: Mapping[str, Any]) -> Array:
-    """Where the camera sees the tip, (m, 3)."""
+    """Tips measured by the camera, (m, 3)."""
     dh = np.array([[link[key] for key in ("d_m", "theta_rad", "L_m", "alpha_rad")] for link in arm["link"]])
     base = np.zeros(6)
     for kind, j, value in draft.hidden.after:
@@ -259,7 +274,7 @@ def _frictions(draft: _Draft) -> str:
 
 
 def write(case: Case, out: Path) -> None:
-    """One folder as `armwright gap` reads it."""
+    """Write one folder for `armwright gap`."""
     out.mkdir(parents=True, exist_ok=True)
     (out / "arm.toml").write_text(case.arm_toml, encoding="utf-8")
     with gzip.open(out / "log.csv.gz", "wt", compresslevel=3) as file:

@@ -1,4 +1,4 @@
-"""What the score hides in its plants: effects of the list and mechanisms that are in no list, with their sizes."""
+"""Hidden effects of the score's plants: listed and unlisted ones, with their sizes."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def nominal(drives: list[Mapping[str, float]], rng: np.random.Generator, share: 
 
 
 def hide(effect: str, joint: int, rng: np.random.Generator, hidden: Hidden, size: float) -> dict[str, object]:
-    """Put an effect in, `size` times its usual size; its entry for truth.json."""
+    """Add an effect, `size` times its usual size; return its entry for truth.json."""
     make = _MAKERS.get(effect)
     if make is None:
         raise SystemExit(f"unknown effect {effect}: expected one of {', '.join(_MAKERS)}")
@@ -119,7 +119,7 @@ def _whole(name: str, key: str, low: float, high: float) -> Maker:
 
 
 def _after(kind: str, **ranges: tuple[float, float]) -> Maker:
-    """What only camera or sensors show; the first range is the size."""
+    """Effects of camera or sensors only; the first range is the size."""
 
     def make(hidden: Hidden, j: int, rng: np.random.Generator, size: float) -> dict[str, float]:
         values = {name: rng.uniform(*span) for name, span in ranges.items()}
@@ -150,7 +150,7 @@ def _torque_constant(hidden: Hidden, j: int, rng: np.random.Generator, size: flo
 
 
 def _inertia(hidden: Hidden, j: int, rng: np.random.Generator, size: float) -> dict[str, float]:
-    # The link of a vertical first joint has no mass that could show: only its inertia.
+    # For a vertical first joint only the link's inertia is observable, not its mass.
     if j == 0 or rng.uniform() < 0.5:
         hidden.inertia_kg_m2[j] = value = size * hidden.torque_share * rng.uniform(0.015, 0.05)
         return {"inertia_kg_m2": value}

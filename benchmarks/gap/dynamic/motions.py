@@ -1,4 +1,4 @@
-"""What the recordings of a scored case are asked to do: slow, creeping, free, a sweep, small and fast, ramps."""
+"""Motions of the recordings of a scored case: slow, creeping, free, a sweep, small and fast, ramps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ RUNS = 11
 
 
 def set_points(rng: np.random.Generator, rate_Hz: int, seconds: float, joints: int = 3) -> list[Array]:
-    """Eleven runs (samples, joints); three of them repeat another, two are meant for a payload (`LOADED`)."""
+    """Eleven runs (samples, joints); three of them are repeats, two are for a payload (`LOADED`)."""
     t = np.arange(int(seconds * rate_Hz)) / rate_Hz
     ease = _eased(np.clip(t, 0.0, 1.0))[:, None]
     middle = np.resize(MIDDLE_rad, joints)

@@ -1,4 +1,4 @@
-"""Physics of its own for the score of the gap workflow: many recordings of an arm at once, in numpy alone.
+"""Independent physics for scoring the gap workflow: many recordings of an arm at once, in numpy.
 
 Shares nothing with the product: Newton-Euler in the base frame, LuGre friction at the motors, windings with
 inductance, stiff contacts for play, 10 kHz. Every array's last axis is the recordings (B), so that a step costs the
@@ -35,7 +35,7 @@ class Chain:
 
 @dataclass(frozen=True, slots=True)
 class Plant:
-    """Everything about B recordings but what they are asked to do.
+    """The plant of B recordings, without their motions.
 
     `joints`: parameters (n, B) by name (`gap_dynamic_hidden` says which); payload_kg, delay_s, sag_ohm (B,).
     """
@@ -65,8 +65,15 @@ class Recorded:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross product of (3, B) arrays; np.cross is ten times slower."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    """Cross product of (3, B) arrays, by rows y z x and z x y of each; np.cross is thirty times slower."""
+    a, b = np.concatenate((a, a[:2])), np.concatenate((b, b[:2]))
+    return np.asarray(a[1:4] * b[2:] - a[2:] * b[1:4])
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Scalar products (B,) of (3, B) arrays; np.sum is twice as slow."""
+    parts = a * b
+    return np.asarray(parts[0] + parts[1] + parts[2])
 
 
 def turned(frame: tuple[Array, Array, Array], row: Array, angle: Array) -> tuple[Array, Array, Array, Array]:
@@ -114,14 +121,12 @@ def rnea(
     force, moment = np.zeros((3, wide)), np.zeros((3, wide))
     for i in range(n - 1, -1, -1):
         force, moment = force + forces[i], moment + moments[i]
-        result[i] = np.sum(axes[i] * (moment - cross(origins[i], force)), axis=0)
+        result[i] = dot(axes[i], moment - cross(origins[i], force))
     return result
 
 
 def _inertial(frame: tuple[Array, ...], inertia: Array, vector: Array) -> Array:
-    parts = [
-        axis * (value * np.sum(axis * vector, axis=0)) for axis, value in zip(frame, inertia, strict=True)
-    ]
+    parts = [axis * (value * dot(axis, vector)) for axis, value in zip(frame, inertia, strict=True)]
     return np.asarray(parts[0] + parts[1] + parts[2])
 
 
@@ -175,7 +180,7 @@ class _State:
 
 
 class Simulation:
-    """B recordings side by side: (samples, n, B) set-points and feed-forward voltages to what sensors see."""
+    """B recordings in parallel: from (samples, n, B) set-points and feed-forward voltages to sensor values."""
 
     def __init__(self, plant: Plant, sets: Array, forward_V: Array) -> None:
         self._plant, self._sets, self._forward = plant, sets, forward_V
@@ -232,7 +237,7 @@ class Simulation:
         return _State(q, still.copy(), motor, still.copy(), current, still.copy(), held.copy(), still.copy())
 
     def _commanded(self, s: int, state: _State, before: Array, integral: Array) -> tuple[Array, Array]:
-        """The controller sees the encoders alone; `integral` grows in place."""
+        """The controller uses only the encoders; `integral` is updated in place."""
         p, rate = self._p, self._plant.rate_Hz
         seen = self._encoder(state)
         error = self._sets[s] - seen
@@ -246,7 +251,7 @@ class Simulation:
         return np.minimum(np.maximum(voltage, -self._plant.supply_V), self._plant.supply_V), seen
 
     def _encoder(self, state: _State) -> Array:
-        """What the counters say: the disc may be off centre or have another number of lines, the belt may couple."""
+        """Counter values: with an eccentric disc, another number of lines, or a belt coupling."""
         p, angle = self._p, state.motor
         seen = angle / (1 + p["enc_scale"])
         if "ecc_A" in self._used:
@@ -304,7 +309,7 @@ class Simulation:
         return K * state.current
 
     def _opposing(self, state: _State, share: float) -> Array:
-        """Friction of the motor's side (LuGre, implicit), cogging, and what is in no list."""
+        """Motor-side friction (LuGre, implicit), cogging, and unlisted effects."""
         p, h, used = self._p, self._h, self._used
         speed, angle = state.motor_speed, state.motor
         way = np.where(speed >= 0, 1.0, -1.0)
@@ -347,7 +352,7 @@ class Simulation:
         return total
 
     def _gear(self, state: _State) -> Array:
-        """Torque of a spring, or of a flank that the motor leans on."""
+        """Torque of a spring, or of the contact flank."""
         p = self._p
         ahead, rate = state.motor - state.q, state.motor_speed - state.qd
         spring = p["k"] * ahead + p["d"] * rate

@@ -1,8 +1,8 @@
 """Scores the dynamic half of the gap workflow on fresh labelled cases: `python -m benchmarks.gap.dynamic.score`.
 
 Prints a confusion matrix (rows: what is hidden, columns: what is answered) and the figures. Cases are made in memory
-(`gap_dynamic_cases`); `--kept FILE` keeps one line a case, so that a run can be taken up again; folders given as
-arguments (arm.toml, log.csv, truth.json) are scored instead of fresh cases.
+(`benchmarks.gap.dynamic.cases`); `--save FILE` saves one line per case, so that a run can be resumed; folders given as
+arguments (arm.toml, log.csv, truth.json) are scored instead of new cases.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ GROUPS = ("null", "single", "pair", "own", "foreign")
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """One case: what was hidden (and whether the data can name it), what was said, and how well."""
+    """One case: the hidden effects (and whether they are nameable), the finding, and its score."""
 
     group: str
     seed: int
@@ -67,7 +67,7 @@ class Score:
     nameable: bool
     verdict: str
     answer: str
-    said: str
+    finding: str
     worst_parameter: float
     gap_before: float
     gap_after: float
@@ -99,7 +99,7 @@ def plan(group: str, first_seed: int, count: int | None = None) -> list[Asked]:
 
 
 def log_of(case: Case) -> Log:
-    """The case as the product reads it."""
+    """The case as read by the product."""
     runs = []
     for k, table in enumerate(case.runs):
         n = (table.shape[1] - 5) // 4
@@ -117,7 +117,7 @@ def arm_of(text: str) -> Arm:
 
 
 def score(group: str, seed: int, arm: Arm, log: Log, truth: Sequence[dict[str, Any]]) -> Score:
-    """Run one case; in the group `own` the case's effects are taken off the list."""
+    """Run one case; in the group `own` the case's effects are removed from the list."""
     began = time.process_time()
     hidden = [entry["effect"] for entry in truth]
     names = [name for name in EFFECTS if name not in hidden] if group == "own" else None
@@ -129,9 +129,9 @@ def score(group: str, seed: int, arm: Arm, log: Log, truth: Sequence[dict[str, A
         seed,
         "+".join(f"{effect}{joint or ''}" for effect, joint in map(_key, truth)) or "none",
         all(_is_nameable(found, entry, arm) for entry in listed),
-        _said_of_sensors(truth, outcome.warnings) or _verdict(listed, truth, found),
+        _sensor_warning(truth, outcome.warnings) or _verdict(listed, truth, found),
         _answer(found),
-        _said(found),
+        _finding_text(found),
         _worst(listed, found),
         found.gap_before,
         found.gap_after,
@@ -145,17 +145,17 @@ def _key(entry: dict[str, Any]) -> tuple[str, int | None]:
 
 
 def _is_nameable(found: GapFinding, entry: dict[str, Any], arm: Arm) -> bool:
-    """Whether step 4 says so of this effect, at the size that is hidden."""
+    """Whether the workflow predicts this effect as nameable, at the hidden size."""
     effect, joint = _key(entry)
     return any(
         (one.name.effect, one.name.joint) == (effect, joint) and is_nameable(one) for one in found.nameable
     )
 
 
-def _said_of_sensors(truth: Sequence[dict[str, Any]], warnings: Sequence[str]) -> str:
-    """A camera's clock that is late is no effect of the arm: recognised in a warning, and taken into account."""
+def _sensor_warning(truth: Sequence[dict[str, Any]], warnings: Sequence[str]) -> str:
+    """A late camera clock is not an effect of the arm: it is reported in a warning and corrected."""
     is_late = [entry["effect"] for entry in truth] == ["camera_delay"]
-    return "said, and corrected" if is_late and any("camera's times" in text for text in warnings) else ""
+    return "reported, and corrected" if is_late and any("camera's times" in text for text in warnings) else ""
 
 
 def _verdict(listed: Sequence[dict[str, Any]], truth: Sequence[dict[str, Any]], found: GapFinding) -> str:
@@ -164,7 +164,7 @@ def _verdict(listed: Sequence[dict[str, Any]], truth: Sequence[dict[str, Any]], 
     if named - right:
         return "WRONG NAME"
     if not truth:
-        return "null kept" if found.unknown is None and not found.ambiguous else "null: doubts"
+        return "null: no name" if found.unknown is None and not found.ambiguous else "null: doubts"
     if named == right and len(listed) == len(truth):
         return "right" if found.unknown is None else "right, and unknown"
     if any((n.effect, n.joint) in right for names in found.ambiguous for n in names):
@@ -181,7 +181,7 @@ def _answer(found: GapFinding) -> str:
     return "a set" if found.ambiguous else ("unknown" if found.unknown is not None else "nothing")
 
 
-def _said(found: GapFinding) -> str:
+def _finding_text(found: GapFinding) -> str:
     parts = [str(effect.name) for effect in found.effects]
     parts += ["{" + ", ".join(str(name) for name in names) + "}" for names in found.ambiguous]
     if found.unknown is not None:
@@ -212,25 +212,25 @@ def _worst(listed: Sequence[dict[str, Any]], found: GapFinding) -> float:
 
 
 def scores(
-    groups: Iterable[str], first_seed: int, count: int | None, under: Conditions, kept: Path | None
+    groups: Iterable[str], first_seed: int, count: int | None, under: Conditions, saved: Path | None
 ) -> Iterator[Score]:
-    """Every case's score; those that `kept` has already are read from it."""
-    known = _read(kept)
+    """Scores of all cases; those already in `saved` are read from it."""
+    known = _read(saved)
     asked = _interleaved([[(group, one) for one in plan(group, first_seed, count)] for group in groups])
     yield from (known[group, one.seed] for group, one in asked if (group, one.seed) in known)
     missing = [(group, one) for group, one in asked if (group, one.seed) not in known]
     for (group, _), case in zip(missing, made([one for _, one in missing], under), strict=True):
         one = score(group, case.asked.seed, arm_of(case.arm_toml), log_of(case), case.truth)
-        if kept is not None:
-            with kept.open("a", encoding="utf-8") as file:
+        if saved is not None:
+            with saved.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(asdict(one)) + "\n")
         yield one
 
 
 def answers(cases: int, advance: Advance) -> list[Answer]:
-    """So many fresh cases, of every group its share, as `gap_matrix` prints them."""
+    """Answers of this many new cases, with a share of every group, for `benchmarks.gap.matrix`."""
     everything = _interleaved([[(group, one) for one in plan(group, FIRST_SEED)] for group in GROUPS])
-    # A camera that is late is said and corrected: no answer of the matrix is the right one.
+    # A late camera is reported and corrected: no answer of the matrix is the right one.
     asked = [(group, one) for group, one in everything if one.effects != "camera_delay"][:cases]
     result: list[Answer] = []
     for (group, one), case in zip(asked, made([one for _, one in asked]), strict=True):
@@ -247,15 +247,15 @@ def answers(cases: int, advance: Advance) -> list[Answer]:
 
 
 def _interleaved(lists: Sequence[Sequence[tuple[str, Asked]]]) -> list[tuple[str, Asked]]:
-    """Of every list its share, so that a run that is broken off has seen something of each."""
+    """Interleave the lists, so that an interrupted run has cases of each."""
     placed = [((k + 0.5) / len(some), one) for some in lists for k, one in enumerate(some)]
     return [one for _, one in sorted(placed, key=lambda pair: pair[0])]
 
 
-def _read(kept: Path | None) -> dict[tuple[str, int], Score]:
-    if kept is None or not kept.exists():
+def _read(saved: Path | None) -> dict[tuple[str, int], Score]:
+    if saved is None or not saved.exists():
         return {}
-    lines = [Score(**json.loads(line)) for line in kept.read_text(encoding="utf-8").splitlines()]
+    lines = [Score(**json.loads(line)) for line in saved.read_text(encoding="utf-8").splitlines()]
     return {(one.group, one.seed): one for one in lines}
 
 
@@ -272,18 +272,18 @@ def line(one: Score) -> str:
     """One case."""
     return (
         f"{one.group:8}{one.seed:5} {one.verdict:18} {one.hidden:34}{' ' if one.nameable else '-'} gap {one.gap_before:7.2f} ->"
-        f" {one.gap_after:6.2f}  worst parameter {one.worst_parameter:6.1%}  {one.seconds:4.0f} s  {one.said}"
+        f" {one.gap_after:6.2f}  worst parameter {one.worst_parameter:6.1%}  {one.seconds:4.0f} s  {one.finding}"
     )
 
 
 def matrix(found: Sequence[Score]) -> str:
-    """Rows: what is hidden; columns: what is answered."""
+    """Rows: hidden effects; columns: findings."""
     rows: dict[str, Counter[str]] = {}
     for one in found:
         name = "".join(c for c in one.hidden if not c.isdigit()) + (
             " (off the list)" if one.group == "own" else ""
         )
-        right = one.verdict.startswith(("right", "null kept"))
+        right = one.verdict.startswith(("right", "null: no name"))
         answer = "itself" if right and one.hidden != "none" else one.answer
         rows.setdefault(name, Counter())[answer] += 1
     columns = sorted(
@@ -328,13 +328,13 @@ def main() -> None:
     parser.add_argument("--groups", default=",".join(GROUPS))
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--count", type=int, help="of each group at most")
-    parser.add_argument("--kept", type=Path)
+    parser.add_argument("--save", type=Path)
     given = parser.parse_args()
     found = []
     if given.cases:
         source: Iterable[Score] = (of_folder(case, given.groups.split(",")[0]) for case in given.cases)
     else:
-        source = scores(given.groups.split(","), given.first_seed, given.count, USUAL, given.kept)
+        source = scores(given.groups.split(","), given.first_seed, given.count, USUAL, given.save)
     for one in source:
         found.append(one)
         print(line(one), flush=True)

@@ -1,6 +1,6 @@
-"""Which effects the mock arm's cases hide: every effect on every joint where it does something, in three sizes.
+"""Hidden effects of the mock arm's cases: every effect on every joint where it is observable, in three sizes.
 
-`small` is about the smallest that is worth a name, `large` what a badly built arm has.
+`small` is about the smallest relevant size, `large` that of a badly built arm.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ PAIRS: dict[Level, tuple[tuple[str, str], ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class MockCase:
-    """One recording to make: what is hidden, in words of docs/formats.md, and the seed of everything else."""
+    """One recording: the hidden effects, in terms of docs/formats.md, and the seed of everything else."""
 
     level: Level
     hidden: tuple[EffectEntry, ...]
@@ -83,7 +83,7 @@ class MockCase:
 
 
 def joints_of(effect: str, level: Level, arm: Arm) -> tuple[int, ...]:
-    """Where an effect does something that this arm's recordings could show; 0: of the whole arm."""
+    """Joints where an effect is observable in this arm's recordings; 0: the whole arm."""
     n = arm.joint_count
     if effect == "belt_coupling" and n < 3:
         return ()
@@ -109,7 +109,7 @@ def _bent_by_gravity(arm: Arm) -> tuple[int, ...]:
 
 
 def entry(effect: str, joint: int, size: float, rng: np.random.Generator) -> EffectEntry:
-    """An effect of this size; what is beside its first parameter is drawn."""
+    """An effect of this size; its other parameters are drawn."""
     sign = float(rng.choice([-1.0, 1.0]))
     phase = float(rng.uniform(-3.1, 3.1))
     match effect:
@@ -208,7 +208,7 @@ def arm_with_friction(arm: Arm, seed: int) -> Arm:
 
 
 def write_case(folder: Path, case: MockCase, arm: Arm, recording: Points | Log) -> None:
-    """The recording as docs/formats.md has it: arm.toml, truth.json, and points.csv or log.csv.gz."""
+    """Write the recording in the formats of docs/formats.md: arm.toml, truth.json, and points.csv or log.csv.gz."""
     folder.mkdir(parents=True, exist_ok=True)
     save_arm(arm, folder / "arm.toml")
     effects = [

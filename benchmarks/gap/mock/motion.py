@@ -1,4 +1,4 @@
-"""Time series from the mock arm's physics: eleven runs of 8 s at 500 Hz, slow to fast, two of them twice, one with both loads."""
+"""Time series from the mock arm's physics: eleven runs of 8 s at 500 Hz, slow to fast, two repeated, one with both loads."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The mock arm's physics under a joint controller, without boards and buses: a recording of minutes in seconds.
 
 The plant is that of `hil_mocks.plant`; here it gets encoders that count, a controller at 500 Hz (the arm's own gains and the
-model's torque as feed-forward), and sensors with noise. What is hidden comes on top of what arm.toml knows.
+model's torque as feed-forward), and sensors with noise. Hidden effects are added to those of arm.toml.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hil_mocks.plant.plant import Plant, PlantOptions
 CONTROL_Hz = 500.0
 STEP_S = 2.5e-4  # of the physics
 CAMERA_NOISE_m = 0.00014
-ADDED = ("coulomb_friction", "viscous_friction", "payload")  # add up with what arm.toml has of them
+ADDED = ("coulomb_friction", "viscous_friction", "payload")  # added to those in arm.toml
 
 
 def effects_with(arm: Arm, hidden: Sequence[EffectEntry]) -> PlantEffects:
@@ -53,7 +53,7 @@ class Trace:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What stands still: encoders, currents without noise, the true tip, and the plant's time."""
+    """Values at rest: encoders, currents without noise, the true tip, and the plant's time."""
 
     q_rad: tuple[float, ...]
     current_A: tuple[float, ...]
@@ -62,7 +62,7 @@ class Reading:
 
 
 class MockRig:
-    """One arm, from rest at a pose. `integral` off: it stands where friction stops it, without hunting.
+    """One arm, from rest at a pose. `integral` off: it rests where friction stops it, without hunting.
 
     `pieces` of a control cycle: the plant fits friction under load once a piece.
     """
@@ -95,12 +95,12 @@ class MockRig:
         self._last = self._encoders()
 
     def load(self, payload_kg: float) -> None:
-        """Hang a mass at the tip; the controller knows of it, and not of what is hidden."""
+        """Set the mass at the tip; the controller knows it, but not the hidden effects."""
         self._plant.set_payload(payload_kg + self._hidden_kg)
         self._torques: Callable[..., tuple[float, ...]] = torque_model(self._arm, payload_kg)
 
     def follow(self, sets_rad: Array, has_tip: Sequence[int] = ()) -> Trace:
-        """Follow set-points (m, n), one a cycle; the tip is looked at in the samples of `has_tip` only."""
+        """Follow set-points (m, n), one per cycle; the tip is measured only in the samples of `has_tip`."""
         speeds = np.gradient(sets_rad, 1.0 / self._rate_Hz, axis=0)
         accelerations = np.gradient(speeds, 1.0 / self._rate_Hz, axis=0).tolist()
         rows, looked = [], frozenset(has_tip)
@@ -120,7 +120,7 @@ class MockRig:
         return Trace(q_rad, current_A, voltage_V, tips)
 
     def reading(self) -> Reading:
-        """Look at everything now."""
+        """Read all values now."""
         plant = self._plant
         return Reading(
             tuple(self._encoders()), tuple(plant.bridges.currents_A()), plant.tip_m(), plant.time_s
@@ -149,7 +149,7 @@ class MockRig:
 
 
 def eased(start_rad: Array, end_rad: Array, duration_s: float, rate_Hz: float = CONTROL_Hz) -> Array:
-    """Set-points (m, n) of a minimum-jerk move, its start left out."""
+    """Set-points (m, n) of a minimum-jerk move, without its start."""
     count = round(duration_s * rate_Hz)
     s = np.arange(1, count + 1) / count
     share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)

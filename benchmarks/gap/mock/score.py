@@ -1,7 +1,7 @@
 """Scores the gap workflow on the mock arm's physics: `python -m benchmarks.gap.mock.score`.
 
-Fresh cases (seeds that set no threshold), each asked twice where something is hidden: with the whole list, and with the hidden
-effects taken off it. `--grid` goes through every effect on every joint in three sizes instead; `--save DIR` keeps the cases.
+New cases (seeds not used for thresholds), each analysed twice if something is hidden: with the whole list, and with the hidden
+effects removed from it. `--grid` tests every effect on every joint in three sizes instead; `--save DIR` saves the cases.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from calib.gap.dynamic.find import find as find_in_motion
 from calib.gap.dynamic.sizes import is_nameable as is_nameable_in_motion
 from calib.gap.finding import GapFinding
 from calib.gap.log import Log
-from calib.gap.static.find import find as find_in_poses
-from calib.gap.static.nameable import is_nameable as is_nameable_in_poses
+from calib.gap.poses.find import find as find_in_poses
+from calib.gap.posterior.nameable import is_nameable as is_nameable_in_poses
 from calib.points.points import Points
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -49,7 +49,7 @@ CASES: dict[Level, int] = {"static": 16, "dynamic": 8}  # of each sort
 
 
 def recorded(case: MockCase, arm: Arm) -> tuple[Arm, Points | Log]:
-    """What arm.toml knows, and the recording. The arm is another one every time in what is not hidden."""
+    """The known arm, and the recording. The known properties of the arm vary between cases."""
     if case.level == "static":
         return arm, static_case(arm, case.hidden, case.seed)
     known = arm_with_friction(arm, case.seed)
@@ -97,7 +97,7 @@ def answers(
     both: bool = True,
     processes: int = 2,
 ) -> list[Answer]:
-    """All cases, a process each core; `advance` is told what was done last and the share that is done."""
+    """All cases, one process per core; `advance` gets the last step and the share done."""
     found: list[Answer] = []
     with ProcessPoolExecutor(processes) as pool:
         waiting = [pool.submit(asked, case, arm, save, both) for case in cases]
@@ -117,10 +117,13 @@ def main() -> None:
     parser.add_argument("--arm", default="right", help="arm.toml, or an arm that ships")
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument(
-        "--grid", nargs="*", metavar="WORD", help="every effect, joint and size; only those that hold a WORD"
+        "--grid",
+        nargs="*",
+        metavar="WORD",
+        help="every effect, joint and size; only those that contain a WORD",
     )
     parser.add_argument(
-        "--once", action="store_true", help="do not ask again with the hidden effects off the list"
+        "--once", action="store_true", help="do not repeat without the hidden effects in the list"
     )
     parser.add_argument("--save", type=Path, help="folder for the recordings, as docs/formats.md has them")
     parser.add_argument("--processes", type=int, default=2)

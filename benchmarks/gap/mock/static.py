@@ -18,7 +18,7 @@ PAYLOAD_kg = 0.5
 GEOMETRY_m, GEOMETRY_rad = 0.003, 0.012
 FRICTION_Nm = 0.035  # of the stall torque: dry friction that arm.toml does not know of
 TRAVEL_rad_s, RUN_UP_rad, PAUSE_S, APPROACH_S, SETTLE_S = 2.0, 0.04, 0.25, 1.0, 0.25
-STEP_S, RATE_Hz = 1e-3, 250.0  # slow motions: nothing here needs more
+STEP_S, RATE_Hz = 1e-3, 250.0  # sufficient for slow motions
 MARGIN = 0.12  # of a joint's range, kept at both ends
 
 
@@ -61,7 +61,7 @@ def _visits(arm: Arm, rng: np.random.Generator) -> list[Visit]:
 def _visit(rig: MockRig, place: Array, target: Array, direction: Array) -> Reading:
     """Travel to beside the target, approach it gently from there, let it settle.
 
-    A swinging link would come to rest anywhere within its friction, or on either flank of a play.
+    A swinging link would come to rest anywhere within its friction, or on either flank of the backlash.
     """
     beside = target - RUN_UP_rad * direction
     travel_s = max(0.2, 1.875 * float(np.abs(beside - place).max()) / TRAVEL_rad_s)
@@ -93,7 +93,7 @@ def _geometry(arm: Arm, rng: np.random.Generator) -> EffectEntry:
 
 
 def _points(rng: np.random.Generator, visits: Sequence[Visit], readings: Sequence[Reading]) -> Points:
-    """With noise on tips and currents; repeats of a pose are counted in the order in which they were taken."""
+    """Points with noise on tips and currents; repeats of a pose are numbered in order of recording."""
     count: dict[str, int] = {}
     repeats = []
     for _, point, *_ in visits:

@@ -12,8 +12,8 @@ from benchmarks.gap.matrix import Answer, Hidden, Truth, answer
 from benchmarks.gap.static.cases import Design, designed
 from benchmarks.gap.static.draws import drawn, drawn_design, drawn_foreign, drawn_pair
 from calib.gap.finding import EffectName
-from calib.gap.static.find import find
-from calib.gap.static.nameable import is_nameable
+from calib.gap.poses.find import find
+from calib.gap.posterior.nameable import is_nameable
 
 FIRST_SEED = 3000
 SORTS = ("nothing", "one", "two", "left out", "foreign")

@@ -103,7 +103,7 @@ def case(seed: int, hidden: tuple[Hidden, ...] = (), design: str = "thin") -> Po
 
 
 def designed(seed: int, hidden: tuple[Hidden, ...], design: Design) -> tuple[Arm, Points]:
-    """The arm as it is known, and what was recorded of the real one."""
+    """The known arm, and the recording of the real one."""
     rng, rig = np.random.default_rng(seed), RIGS[design.rig]
     true_dh = rig.arm.dh + deviations(rng, len(rig.arm.links))
     rows: list[Row] = []

@@ -38,7 +38,7 @@ FOREIGN: dict[str, tuple[tuple[int | None, ...], float, float, float, float]] = 
         0.002,
         0.6,
         2.4,
-    ),  # across the forearm it is play of joint 3 in other words
+    ),  # across the forearm it is equivalent to backlash of joint 3
     "camera scale": ((None,), 0.001, 0.01, 0.0, 1.0),
     "camera lens": ((None,), 0.001, 0.01, 0.0, 1.0),
     "camera skew": ((None,), 0.002, 0.01, 0.0, 1.0),
@@ -53,7 +53,7 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def drawn(rng: np.random.Generator, among: tuple[str, ...] = tuple(SIZES)) -> Hidden:
-    """One effect of the list, of some size, on some joint."""
+    """A random effect of the list, with random size and joint."""
     effect = str(rng.choice(list(among)))
     joints = JOINTS.get(effect, (1, 2, 3))
     size = _log_uniform(rng, *SIZES[effect])
@@ -66,7 +66,7 @@ def drawn(rng: np.random.Generator, among: tuple[str, ...] = tuple(SIZES)) -> Hi
 
 
 def drawn_foreign(rng: np.random.Generator) -> Hidden:
-    """Something that no list names."""
+    """A random unlisted effect."""
     effect = str(rng.choice(list(FOREIGN)))
     joints, low, high, first, last = FOREIGN[effect]
     more = float(rng.uniform(first, last))
@@ -83,7 +83,7 @@ def drawn_pair(rng: np.random.Generator, count: int = 2) -> tuple[Hidden, ...]:
 
 
 def drawn_design(rng: np.random.Generator) -> Design:
-    """Anything from 33 poses to 700, told or not what noise they have."""
+    """A random design of 33 to 700 poses, with known or unknown noise."""
     rig = str(rng.choice(["reference", "reference", "six", "planar"]))
     tilts = ("normal", "roll", "pitch")[: int(rng.integers(1, 4))]
     visits = int(rng.choice([1, 2, 4, 5, 7]))

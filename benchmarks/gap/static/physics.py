@@ -1,4 +1,4 @@
-"""What hidden effects do to an arm at rest: those of the list, and those that are in no list. Shares nothing with the model."""
+"""Physics of hidden effects on an arm at rest, listed and unlisted. Independent of the model."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Rig:
-    """An arm as it is known, its chain for the truth, the range of its free poses and its gears' friction."""
+    """A known arm, its true chain, the range of its free poses and its gears' friction."""
 
     arm: Arm
     chain: ChainModel
@@ -36,7 +36,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class Poses:
-    """What is true of m poses: joints (m, n), directions, what hangs on the tip, torques, setups."""
+    """True values of m poses: joints (m, n), directions, payload, torques, setups."""
 
     q: np.ndarray
     last: np.ndarray
@@ -107,7 +107,7 @@ def gravity_torques(
 
 
 def ahead_rad(one: Hidden, at: Poses, rig: Rig) -> np.ndarray:
-    """How far the joints are ahead of their encoders, (m, n)."""
+    """Joint minus encoder angles, (m, n)."""
     ahead = np.zeros_like(at.q)
     if one.effect == "belt_coupling":
         ahead[:, 2] = one.value * at.q[:, 1]
@@ -149,7 +149,7 @@ JOINT_LAWS: dict[str, Callable[[Hidden, Poses, int], np.ndarray]] = {
 
 
 def shifted_m(one: Hidden, at: Poses, rig: Rig, dh: np.ndarray, tip: np.ndarray) -> np.ndarray:
-    """How the tip moves, (m, 3), beyond what joints do."""
+    """Displacement of the tip, (m, 3), besides joint angles."""
     frames = frames_of(rig, dh, at.q)
     down = np.asarray(rig.arm.gravity_m_s2)
     if one.effect == "link_flexure":
@@ -189,7 +189,7 @@ def _bent(
 
 
 def camera_m(one: Hidden, at: Poses, tip: np.ndarray) -> np.ndarray:
-    """What the camera says of tips (m, 3)."""
+    """Tips (m, 3) measured by the camera."""
     made = CAMERAS.get(one.effect)
     return tip if made is None else made(one, at, tip)
 
@@ -214,7 +214,7 @@ def _tilted(o: Hidden, p: Poses, tip: np.ndarray) -> np.ndarray:
 
 
 def _framed(o: Hidden, p: Poses, tip: np.ndarray) -> np.ndarray:
-    """The camera's frame stands elsewhere: base = R tip + t, so that it says R' (base - t)."""
+    """The camera's frame is displaced: base = R tip + t, so it measures R' (base - t)."""
     c, s = np.cos(o.more), np.sin(o.more)
     turn = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
     return np.asarray((tip - o.value * np.array([1.0, -0.8, 0.0])) @ turn)
@@ -243,7 +243,7 @@ def _swapped(o: Hidden, p: Poses, tip: np.ndarray) -> np.ndarray:
 
 
 def _late(o: Hidden, p: Poses, tip: np.ndarray) -> np.ndarray:
-    """The camera's exposure began before the arm had come to rest: a share of the pose before."""
+    """The camera's exposure started before the arm was at rest: a share of the previous pose."""
     return np.asarray(tip + o.value * (np.roll(tip, 1, axis=0) - tip) * (np.arange(len(tip)) > 0)[:, None])
 
 

@@ -1,8 +1,8 @@
-"""Static cases with real parts: the laws of what is hidden depart from the textbook's by a few per cent, several at once.
+"""Static cases with real parts: laws of hidden effects that deviate from the textbook's by a few per cent, several at once.
 
-On top of the cases of tests/calib/gap (arms made without this project's kinematics, dynamics and beams). Every law departs in
-its own way, drawn per case and joint: a play that is worn unevenly, a gear that hardens, an eccentricity with a second and third
-harmonic, a scale and a belt that are not linear, a drift with two time constants, a beam that tapers, a motor that saturates.
+Based on benchmarks.gap.static.cases (arms made without this project's kinematics, dynamics and beams). Every law deviates in
+its own way, drawn per case and joint: unevenly worn backlash, a stiffening gear, an eccentricity with a second and third
+harmonic, a nonlinear scale and belt, a drift with two time constants, a tapered beam, a saturating motor.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.gap.static import physics as static_physics
 from benchmarks.gap.static.cases import Design, designed
 from benchmarks.gap.static.draws import drawn, drawn_design, drawn_foreign
-from benchmarks.gap.static.physics import Hidden
+from benchmarks.gap.static.physics import Hidden, Poses
 from control.model.arm import Arm, Effect
 
 LEAST, MOST = 0.04, 0.12  # of the law
@@ -28,7 +28,7 @@ PARAMETER = {
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """An arm as it is known, poses of the real one, and what is hidden in it (totals where the file knows a part)."""
+    """A known arm, poses of the real one, and its hidden effects (totals if the file has a part)."""
 
     arm: Arm
     points: Any
@@ -37,49 +37,46 @@ class Case:
 
 
 class Rough:
-    """Departures of one case, put in place of the textbook's laws while its poses are made."""
+    """Deviations of one case, which replace the textbook laws while its poses are made."""
 
     def __init__(self, seed: int, most: float = MOST) -> None:
         self.rng = np.random.default_rng(seed + 77_000_000)
         self.most = most
-        self.kept = dict(static_physics.JOINT_LAWS), static_physics.ahead_rad, static_physics._bent
+        self.originals = dict(static_physics.JOINT_LAWS), static_physics.ahead_rad, static_physics._bent
 
     def share(self) -> float:
-        """One departure."""
+        """A random relative deviation."""
         return float(self.rng.uniform(LEAST, self.most) * self.rng.choice((-1.0, 1.0)))
 
     def __enter__(self) -> Rough:
         laws, rng = static_physics.JOINT_LAWS, self.rng
 
-        def play(o, p, j):  # type: ignore[no-untyped-def]
+        def play(o: Hidden, p: Poses, j: int) -> np.ndarray:
             load = np.abs(p.transmitted[:, j])
             worn = 1.0 + self.share() * np.sin(rng.uniform(1, 2) * p.q[:, j] + rng.uniform(-3, 3))
-            return (
-                -0.5
-                * o.value
-                * np.sign(p.transmitted[:, j])
-                * (worn + 0.5 * self.share() * load / load.max())
-            )
+            worn += 0.5 * self.share() * load / load.max()
+            return np.asarray(-0.5 * o.value * np.sign(p.transmitted[:, j]) * worn)
 
-        def gear(o, p, j):  # type: ignore[no-untyped-def]
+        def gear(o: Hidden, p: Poses, j: int) -> np.ndarray:
             g = p.gravity[:, j]
-            return -g / o.value * (1.0 + self.share() * np.abs(g) / np.abs(g).max())
+            return np.asarray(-g / o.value * (1.0 + self.share() * np.abs(g) / np.abs(g).max()))
 
-        def scale(o, p, j):  # type: ignore[no-untyped-def]
+        def scale(o: Hidden, p: Poses, j: int) -> np.ndarray:
             q = p.q[:, j]
-            return o.value * (q + self.share() * np.std(q) * 1.4 * np.sin(2.0 * q + rng.uniform(-3, 3)))
+            nonlinear = self.share() * np.std(q) * 1.4 * np.sin(2.0 * q + rng.uniform(-3, 3))
+            return np.asarray(o.value * (q + nonlinear))
 
-        def wave(o, p, j):  # type: ignore[no-untyped-def]
+        def wave(o: Hidden, p: Poses, j: int) -> np.ndarray:
             q = p.q[:, j]
             more = self.share() * np.sin(2 * q + rng.uniform(-3, 3)) + 0.5 * self.share() * np.sin(
                 3 * q + rng.uniform(-3, 3)
             )
-            return o.value * (np.sin(q + o.more) + more)
+            return np.asarray(o.value * (np.sin(q + o.more) + more))
 
-        def drift(o, p, j):  # type: ignore[no-untyped-def]
+        def drift(o: Hidden, p: Poses, j: int) -> np.ndarray:
             share, times = abs(self.share()), float(rng.choice((0.3, 3.0)))
             slow = 1.0 - np.exp(-p.t_s / (o.more * times))
-            return o.value * ((1.0 - share) * (1.0 - np.exp(-p.t_s / o.more)) + share * slow)
+            return np.asarray(o.value * ((1.0 - share) * (1.0 - np.exp(-p.t_s / o.more)) + share * slow))
 
         laws |= {"backlash": play, "joint_compliance": gear, "encoder_scale": scale, "encoder_eccentricity": wave,
                  "thermal_drift": drift}  # fmt: skip
@@ -88,9 +85,9 @@ class Rough:
         return self
 
     def _ahead_rad(self, one: Hidden, at: Any, rig: Any) -> Any:
-        """A belt that is not quite linear; all else as the textbook has it."""
+        """A slightly nonlinear belt; textbook laws otherwise."""
         if one.effect != "belt_coupling":
-            return self.kept[1](one, at, rig)
+            return self.originals[1](one, at, rig)
         found, q = np.zeros_like(at.q), at.q[:, 1]
         found[:, 2] = one.value * (
             q + self.share() * 1.4 * np.std(q) * np.sin(2.0 * q + self.rng.uniform(-3, 3))
@@ -98,16 +95,16 @@ class Rough:
         return found
 
     def _tapered_m(self, one: Hidden, at: Any, rig: Any, frames: Any, tip: Any, down: Any) -> Any:
-        """Own and distal weight, and payload, not with the same EI."""
-        bent = self.kept[2]
+        """A tapered beam: own weight, distal weight and payload see different EI."""
+        bent = self.originals[2]
         whole = bent(one, at, rig, frames, tip, down)
         bare = bent(one, dataclasses.replace(at, payload=0.0 * at.payload), rig, frames, tip, down)
         return whole + self.share() * (whole - bare) + 0.5 * self.share() * bare
 
     def __exit__(self, *_: object) -> None:
-        static_physics.JOINT_LAWS.update(self.kept[0])
-        static_physics.ahead_rad = self.kept[1]
-        static_physics._bent = self.kept[2]
+        static_physics.JOINT_LAWS.update(self.originals[0])
+        static_physics.ahead_rad = self.originals[1]
+        static_physics._bent = self.originals[2]
 
 
 def several(rng: np.random.Generator, count: int, among: tuple[str, ...] | None = None) -> tuple[Any, ...]:
@@ -120,7 +117,7 @@ def several(rng: np.random.Generator, count: int, among: tuple[str, ...] | None 
 
 
 def known_half(one: Any, share: float) -> Effect:
-    """The same effect as the file knows it: partly right."""
+    """The effect as in the file: partly right."""
     value = one.value / share if one.effect in ("joint_compliance", "link_flexure") else one.value * share
     parameters = {PARAMETER[one.effect]: value}
     if one.effect == "encoder_eccentricity":

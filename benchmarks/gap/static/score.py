@@ -1,8 +1,8 @@
-"""Scores the static half of the gap workflow on fresh recordings in which something is hidden: `make gap-score`.
+"""Scores the static half of the gap workflow on new recordings with hidden effects: `make gap-score`.
 
 Named cases draw an effect of the list, its joint and its size; pairs and triples two and three of them; open-set cases leave the
-hidden effect out of the list, or hide what no list names; nulls hide nothing, in designs, noises and arms of all sorts. Seeds are
-none of those on which thresholds were set (below 1000). Prints every miss, the confusion matrix and the figures.
+hidden effect out of the list, or hide unlisted effects; nulls hide nothing, with various designs, noises and arms. Seeds are
+different from those used for thresholds (below 1000). Prints every miss, the confusion matrix and the figures.
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ from benchmarks.gap.static.cases import Design, designed
 from benchmarks.gap.static.draws import drawn, drawn_design, drawn_foreign, drawn_pair
 from benchmarks.gap.static.physics import Hidden
 from calib.gap.finding import EffectName
-from calib.gap.static.find import StaticGap, find
-from calib.gap.static.nameable import is_nameable
+from calib.gap.poses.find import find
+from calib.gap.poses.outcome import StaticGap
+from calib.gap.posterior.nameable import is_nameable
 
 FIRST_SEED = 2000
 FIRST_PARAMETER = {"base_frame": "x_m"}
 
 
 def names(found: StaticGap) -> list[EffectName]:
-    """What was named beside the geometry."""
+    """The named effects besides geometry."""
     return [e.name for e in found.finding.effects if e.name.effect != "link_geometry"]
 
 
 def name_of(one: Hidden) -> EffectName:
-    """As the finding says it."""
+    """The effect's name in the finding."""
     return EffectName(one.effect, one.joint)
 
 
@@ -93,9 +94,9 @@ def score_several(first: int, cases: int, count: int) -> None:
         found, _ = _found(seed, hidden)
         wanted, got = {name_of(one) for one in hidden}, set(names(found))
         could = {one.name for one in found.finding.nameable if is_nameable(one)}
-        told = got | {name for names_ in found.finding.ambiguous for name in names_}
+        reported = got | {name for names_ in found.finding.ambiguous for name in names_}
         tally.update(
-            exact=got == wanted, no_wrong=got <= wanted, some=bool(got & wanted), honest=wanted <= told,
+            exact=got == wanted, no_wrong=got <= wanted, some=bool(got & wanted), honest=wanted <= reported,
             nameable=wanted <= could, exact_nameable=wanted <= could and got == wanted,
         )  # fmt: skip
         if got != wanted:
@@ -114,12 +115,12 @@ def score_unlisted(first: int, cases: int) -> None:
 
 
 def score_foreign(first: int, cases: int) -> None:
-    """What no list names."""
+    """Score unlisted effects."""
     _score_open("open set, foreign", first + 6000, cases, lambda rng: (drawn_foreign(rng), (), Design()))
 
 
 def score_nulls(first: int, cases: int) -> None:
-    """Nothing hidden, in designs of all sorts."""
+    """Score recordings without hidden effects, in various designs."""
     _score_open("nulls", first + 7000, cases, lambda rng: (None, (), drawn_design(rng)))
 
 
@@ -163,16 +164,16 @@ def _short(name: EffectName) -> str:
 
 
 def _miss(seed: int, hidden: tuple[object, ...], found: StaticGap) -> None:
-    told = [[_short(n) for n in s] for s in found.finding.ambiguous]
+    ambiguous = [[_short(n) for n in s] for s in found.finding.ambiguous]
     where = found.finding.unknown
     _say(
-        f"  seed {seed}: {hidden}: named {[_short(n) for n in names(found)]}, ambiguous {told}, unknown"
+        f"  seed {seed}: {hidden}: named {[_short(n) for n in names(found)]}, ambiguous {ambiguous}, unknown"
         f" {where and (where.where, str(where.nearest), where.explained)}"
     )
 
 
 def _table(matrix: Counter[tuple[str, str]]) -> None:
-    """Rows: what was hidden; columns: what was answered."""
+    """Rows: hidden effects; columns: answers."""
     for row in sorted({row for row, _ in matrix}):
         cells = [f"{answer} {count}" for (own, answer), count in matrix.most_common() if own == row]
         _say(f"  {row:24} {', '.join(cells)}")

@@ -24,6 +24,7 @@ SMALLEST = {
     "torque_constant": 0.01,
     "command_delay": 2e-4,
     "supply_sag": 0.01,
+    "supply_sag by sum": 0.01,
     "payload": 0.01,
     "mass_kg": 0.03,
     "inertia_kg_m2": 0.003,

@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.gap.finding import Nameable
 from calib.gap.plan.plan import AVERAGE_s, RecordingPlan, Visit
-from calib.gap.static.find import find
-from calib.gap.static.nameable import is_nameable
+from calib.gap.poses.find import find
+from calib.gap.posterior.nameable import is_nameable
 from calib.points.points import Points, make_points
 from control.dynamics.static_pose import ASSUMED_FRICTION, gravity_Nm, torque_per_A
 from control.errors import MissingModel
@@ -76,29 +76,29 @@ def in_short(arm: Arm, plan: RecordingPlan) -> str:
 
 def in_words(arm: Arm, plan: RecordingPlan, payload_kg: float) -> tuple[str, ...]:
     """The plan for an operator: what is recorded, its duration, what it could name, and what not and why."""
-    said = [in_short(arm, plan)]
+    sentences = [in_short(arm, plan)]
     ranges = ", ".join(
         f"q{j + 1} {math.degrees(a):.0f} to {math.degrees(b):.0f}"
         for j, (a, b) in enumerate(zip(plan.room.lower_rad, plan.room.upper_rad, strict=True))
     )
-    said.append(f"Collision-free box: {ranges} deg; a few poses outside it are reached from its middle.")
+    sentences.append(f"Collision-free box: {ranges} deg; a few poses outside it are reached from its middle.")
     could = foreseen(arm, plan)
     if could:
         yes = [str(one.name) for one in could if is_nameable(one)]
-        said.append(f"Of usual size, the poses could name: {', '.join(yes) or 'nothing'}.")
-        said += [
+        sentences.append(f"Of usual size, the poses could name: {', '.join(yes) or 'nothing'}.")
+        sentences += [
             f"They could not name {one.name}: {_why(one, payload_kg)}."
             for one in could
             if not is_nameable(one)
         ]
     kinds = dict.fromkeys(run.kind for run in plan.runs)
     if kinds:
-        said.append("The motions show " + "; ".join(f"{SEEN_BY[kind]} ({kind})" for kind in kinds) + ".")
+        sentences.append("The motions show " + "; ".join(f"{SEEN_BY[kind]} ({kind})" for kind in kinds) + ".")
         if not payload_kg:
-            said.append(
+            sentences.append(
                 "Without --payload, load-dependent friction, torque constants and masses are hard to distinguish."
             )
-    return tuple(said)
+    return tuple(sentences)
 
 
 def _why(one: Nameable, payload_kg: float) -> str:

@@ -7,15 +7,12 @@ The scatter is that of friction, which holds a joint anywhere in its band; it is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Array, Mask
-from calib.gap.poses.candidate import Candidate
-from calib.gap.poses.evidence import Evidence
-from calib.gap.poses.loads import stated_kg
+from calib.gap.poses.effects.scene import stated_kg
 from calib.points.points import Points
 from control.dynamics.static_pose import gravity_Nm, torque_per_A
 from control.errors import MissingModel
@@ -24,6 +21,7 @@ from control.model.arm import Arm
 SATURATED = 0.98  # of the drive's limit
 CAUTION = 1.5  # neighbouring poses share their friction: fewer independent values than poses
 POSES_LEAST = 24
+RESOLUTION = 1e-3  # of a joint's largest torque: no motor current tells more
 SWAY = 3.0  # of a joint's largest torque: the prior of the friction's part
 
 
@@ -39,30 +37,28 @@ class Currents:
     sd_Nm: Array
     gravity_Nm: Array
 
-    def evidence(self, candidates: Sequence[Candidate], rows: Mask) -> Evidence:
-        """Of every candidate's columns in typical sizes, from the poses `rows` (m,)."""
-        columns = np.concatenate([_slopes(one, self.torque_Nm.shape) for one in candidates])
-        return self.evidence_of(columns, rows)
-
-    def evidence_of(self, columns_Nm: Array, rows: Mask) -> Evidence:
-        """Of columns (c, m, n)."""
-        total = Evidence.empty(len(columns_Nm))
+    def seen(self, columns_Nm: Array, rows: Mask) -> tuple[Array, Array]:
+        """G (c, c) and h (c,) of columns (c, m, n) at the poses `rows` (m,); friction is integrated out."""
+        gram, pull = np.zeros((len(columns_Nm), len(columns_Nm))), np.zeros(len(columns_Nm))
         for j, sd in enumerate(self.sd_Nm):
             keep = rows & self.usable[:, j]
             if keep.sum() >= POSES_LEAST and np.isfinite(sd):
-                base, own = self.friction[j][keep] / sd, columns_Nm[:, keep, j].T / sd
-                total = total.beside(Evidence.of(base, own, self.torque_Nm[keep, j] / sd))
-        return total
+                own = np.column_stack((columns_Nm[:, keep, j].T, self.torque_Nm[keep, j])) / sd
+                square = _beside(self.friction[j][keep] / sd, own)
+                gram, pull = gram + square[:-1, :-1], pull + square[:-1, -1]
+        return gram, pull
 
 
-def _slopes(one: Candidate, shape: tuple[int, ...]) -> Array:
-    if one.slope_Nm is None:
-        return np.zeros((len(one.size), *shape))
-    return one.slope_Nm * one.size[:, None, None]
+def _beside(base: Array, columns: Array) -> Array:
+    """C' (I + B B')^-1 C as a sum of squares, which keeps its sign where B all but explains C."""
+    inner = np.linalg.cholesky(base.T @ base + np.eye(base.shape[1]))
+    taken = np.linalg.solve(inner.T, np.linalg.solve(inner, base.T @ columns))
+    rest = columns - base @ taken
+    return np.asarray(rest.T @ rest + taken.T @ taken)
 
 
-def holding_currents(arm: Arm, points: Points, tried: Sequence[Candidate]) -> Currents | None:
-    """None where the arm's file lacks masses or drives, or the data currents."""
+def holding_currents(arm: Arm, points: Points, columns_Nm: Array) -> Currents | None:
+    """None where the arm's file lacks masses or drives, or the data currents; columns_Nm (c, m, n) of all that may act."""
     try:
         gravity, per_A = gravity_Nm(arm, points.q_rad, stated_kg(points)), torque_per_A(arm)
     except MissingModel:
@@ -73,10 +69,8 @@ def holding_currents(arm: Arm, points: Points, tried: Sequence[Candidate]) -> Cu
     if not (usable.sum(axis=0) >= POSES_LEAST).any():
         return None
     friction = np.stack([_friction(points, gravity, torque, j) for j in range(points.joint_count)])
-    explained = [one.slope_Nm for one in tried if one.slope_Nm is not None]
-    every = np.concatenate(explained) if explained else np.zeros((0, *torque.shape))
     sd = np.array(
-        [_scatter(friction[j], every[:, :, j], torque[:, j], usable[:, j]) for j in range(len(friction))]
+        [_scatter(friction[j], columns_Nm[:, :, j], torque[:, j], usable[:, j]) for j in range(len(friction))]
     )
     return Currents(torque, usable, friction, CAUTION * sd, gravity)
 
@@ -96,4 +90,5 @@ def _scatter(friction: Array, columns: Array, torque: Array, usable: Mask) -> fl
         return float("nan")
     found, _, rank, _ = np.linalg.lstsq(whole, torque[usable], rcond=1e-9)
     left = torque[usable] - whole @ found
-    return float(np.sqrt(left @ left / max(1, len(left) - int(rank)))) or float("nan")
+    resolution = RESOLUTION * float(np.abs(torque[usable]).max())
+    return max(float(np.sqrt(left @ left / max(1, len(left) - int(rank)))), resolution) or float("nan")

@@ -1,5 +1,4 @@
-"""One posterior over sets of effects: what a real arm lacks, its laws only roughly right, many effects at once.
+"""One posterior over sets of effects: names what a real arm lacks although no real law is exact and many effects act at once.
 
-Not in use yet: `armwright gap` still decides by calib.gap.static. `python -m benchmarks.gap.static.posterior_score` sets both
-engines on the same cases.
+It knows columns, their Gram matrix and priors, nothing of poses or time series: those are calib.gap.poses and calib.gap.dynamic.
 """

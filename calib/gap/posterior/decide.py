@@ -123,10 +123,14 @@ def _moves(evidence: Evidence, best: Weighed) -> dict[Key, float]:
 
 def share_of(evidence: Evidence, found: Weighed, drop: Sequence[int]) -> float:
     """Share of the excess of the tips over what the set leaves that the terms `drop` explain."""
-    whole = left_with(evidence, found)
+    excess = evidence.gram.left - left_with(evidence, found)
+    return explained_by(evidence, found, drop) / excess if excess > 0.0 else math.nan
+
+
+def explained_by(evidence: Evidence, found: Weighed, drop: Sequence[int]) -> float:
+    """The sum of squares, in variances of the floor, that the set leaves more without the terms `drop`."""
     rest = Weighed(tuple(one for one in found.members if one[0] not in drop), found.kappa, 0.0)
-    excess = evidence.gram.left - whole
-    return (left_with(evidence, rest) - whole) / excess if excess > 0.0 else math.nan
+    return left_with(evidence, rest) - left_with(evidence, found)
 
 
 def left_with(evidence: Evidence, found: Weighed) -> float:

@@ -13,15 +13,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import log_ndtr
 
 from calib.arrays import Array
-from calib.gap.posterior.linear import Gram
+from calib.gap.posterior.constants import LAW_LEAST
+from calib.gap.posterior.gram import Gram
 from calib.gap.posterior.term import Key, Term
 
 NEVER = -1e6  # log evidence of a play or a softness below nought, of departures without a law
-LAW_LEAST = 0.3  # of its size level, that a law must have for its departures to be its own
 
 Member = tuple[int, int]  # number of the term, number of its scales
 
@@ -102,9 +101,7 @@ class Evidence:
             seen = self.gram.tip[across] / kappa**2 + self.gram.current[across]
             own = sd * (self.gram.pull[at] / kappa**2 + self.gram.current_pull[at])
             inner = self._inner(at, sd, kappa)
-            both = solve_triangular(
-                inner, np.column_stack((sd[:, None] * seen, own)), lower=True, check_finite=False
-            )
+            both = np.linalg.inv(inner) @ np.column_stack((sd[:, None] * seen, own))
             taken, pull = both[:, :-1], pull - both[:, :-1].T @ both[:, -1]
         found = [self._of_batch(batch, taken, pull, kappa) for batch in batches]
         return Added.of([batch.numbers for batch in batches], found, len(self.terms))
@@ -159,7 +156,10 @@ class Evidence:
         ), covariance
 
     def inflation(self, members: Sequence[Member], kappa: float) -> float:
-        """The tips' noise over the floor that a set asks for."""
+        """The tips' noise over the floor that a set asks for; not below what the floor's own doubt allows.
+
+        A set that fits few poses too well would else call nothing noise.
+        """
         at, _ = self._columns(members)
         size, covariance = self.estimate(members, kappa)
         seen = self.gram.tip[np.ix_(at, at)]
@@ -168,7 +168,8 @@ class Evidence:
         free = max(self.gram.freedom - used, 1.0)
         wanted = 0.5 * math.log(max(left, 1e-12) / free)
         held = 1.0 / (1.0 + 1.0 / (2.0 * free * self.doubt**2))
-        return math.exp(wanted if wanted > 3.0 * self.doubt else held * wanted)
+        most = 3.0 * self.doubt
+        return math.exp(wanted if wanted > most else max(held * wanted, -most))
 
     def log_inflation(self, kappa: float) -> float:
         """Log prior of kappa: the floor's own doubt, or, one time in two, anything above it."""

@@ -5,14 +5,23 @@ A rival may depart from its law as real parts do, so that it passes for more tha
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName, Nameable
-from calib.gap.posterior.constants import DEPARTURES, SIZE_LEVELS
+from calib.gap.posterior.constants import CERTAIN, DEPARTURES, NAME_PRIOR, SIZE_LEVELS
 from calib.gap.posterior.evidence import Evidence
-from calib.gap.static.nameable import TOLD_APART_sd
 
+SIZE_COST = 1.5  # log evidence that an unknown size costs an effect which just stands out
+MOSTLY_sd = (
+    1.88  # noise adds one standard deviation to how far an effect stands out: enough in 97 of 100 recordings
+)
+_ODDS = math.log(CERTAIN / (1.0 - CERTAIN))
+# Standard deviations at which the expected log evidence, half their square, pays a name, and its margin over a rival:
+NAMEABLE_sd = math.sqrt(2.0 * (_ODDS - math.log(NAME_PRIOR) + SIZE_COST)) + MOSTLY_sd
+TOLD_APART_sd = math.sqrt(2.0 * _ODDS) + MOSTLY_sd
 RIVAL_LEVEL, RIVAL_DEPARTURE = SIZE_LEVELS[2], DEPARTURES[2]  # a large one, of the usual roughness
 
 
@@ -37,6 +46,11 @@ def nameable(evidence: Evidence) -> tuple[Nameable, ...]:
         ]
         found.append(Nameable(key, round(alone, 2), tuple(rivals)))
     return tuple(found)
+
+
+def is_nameable(one: Nameable) -> bool:
+    """Whether an effect of usual size would be named."""
+    return one.detectability >= NAMEABLE_sd and not one.confusable_with
 
 
 def _beside(evidence: Evidence, gram: Array, own: Array, rival: int) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.poses.candidate import Parameters
+from calib.gap.finding import Parameters
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Key, Term
@@ -17,19 +17,23 @@ NEGLIGIBLE = 5.0  # log evidence below the best at which a variant or a size doe
 
 @dataclass(frozen=True, slots=True)
 class Estimated:
-    """An effect of the set: parameters with sd, and how far it departs from its law, as a share, in which variable."""
+    """An effect of the set: parameters with sd, and how far it departs from its law, as a share, in which variable.
+
+    `variants`: numbers of the terms that may be it, and their posterior weights.
+    """
 
     parameters: Parameters
     departure: float
     variable: str
     value: Array
     sd: Array
+    variants: tuple[tuple[int, float], ...]
 
 
 def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
     """Averaged over the variants and sizes of the effect, all others at their best."""
     rest = [one for one in found.members if evidence.terms[one[0]].key != key]
-    means, covariances, weights, departs, terms = [], [], [], [], []
+    means, covariances, weights, departs, terms, numbers = [], [], [], [], [], []
     for number, scale, log in _ways(evidence, found, rest, key):
         term = evidence.terms[number]
         size, covariance = evidence.estimate([*rest, (number, scale)], found.kappa)
@@ -39,6 +43,7 @@ def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
         departs.append(_departure(term, size[len(size) - term.count :]))
         weights.append(np.exp(log))
         terms.append(term)
+        numbers.append(number)
     share = np.array(weights) / np.sum(weights)
     mean = np.einsum("v,vc->c", share, np.array(means))
     apart = np.array(means) - mean
@@ -47,22 +52,34 @@ def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
     )
     best = terms[int(np.argmax(share))]
     named = best.parameters(mean, covariance) if best.parameters is not None else {}
-    return Estimated(
-        named, float(share @ np.array(departs)), best.variable, mean, np.sqrt(np.diag(covariance))
-    )
+    summed = dict.fromkeys(numbers, 0.0)
+    for number, weight in zip(numbers, share.tolist(), strict=True):
+        summed[number] += weight
+    sd, departs_by = np.sqrt(np.diag(covariance)), float(share @ np.array(departs))
+    return Estimated(named, departs_by, best.variable, mean, sd, tuple(summed.items()))
 
 
 def _ways(
     evidence: Evidence, found: Weighed, rest: list[tuple[int, int]], key: Key
 ) -> list[tuple[int, int, float]]:
-    """Variants and sizes that count, with their log evidence."""
+    """Variants and sizes that count, with their log evidence; those of exact laws left out, where a law may depart.
+
+    No real part keeps its law: an interval holds only if it counts the departures that the data do not show.
+    """
     ways = [
         (number, scale, evidence.value([*rest, (number, scale)], found.kappa))
         for number in evidence.of_key[key]
         for scale in range(len(evidence.weights[number]))
+        if not _is_exact(evidence, number, scale)
     ]
     top = max(log for _, _, log in ways)
     return [(number, scale, log - top) for number, scale, log in ways if log > top - NEGLIGIBLE]
+
+
+def _is_exact(evidence: Evidence, number: int, scale: int) -> bool:
+    term = evidence.terms[number]
+    departs = evidence.scales[number][0][scale][term.laws : term.laws + term.departures]
+    return term.departures > 0 and not departs.any()
 
 
 def _departure(term: Term, size: Array) -> float:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.finding import EffectName
-from calib.gap.poses.candidate import Parameters
+from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.constants import (
     BLOCK_LEVELS,
     BLOCK_PRIOR,
@@ -62,6 +62,12 @@ class Term:
             if slope is not None:
                 return len(slope)
         return 0
+
+    def law_alone(self) -> Term:
+        """The same without departures and nuisances."""
+        slopes = (self.slope_rad, self.slope_m, self.slope_Nm)
+        rad, m, Nm = (None if slope is None else slope[: self.laws] for slope in slopes)
+        return dataclasses.replace(self, departures=0, slope_rad=rad, slope_m=m, slope_Nm=Nm)
 
     @property
     def is_name(self) -> bool:

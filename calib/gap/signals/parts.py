@@ -32,7 +32,7 @@ class Parts:
         for term in self.friction:
             if term.index == j and term.form in sums:
                 sums[term.form] += term.values[0]
-        return sums["coulomb_friction"], sums["viscous_friction"]
+        return max(sums["coulomb_friction"], 0.0), max(sums["viscous_friction"], 0.0)  # less than none drives
 
     def behind(self, term: Term) -> float:
         """The share of a friction that acts behind its elastic or loose gear."""

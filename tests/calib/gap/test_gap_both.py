@@ -54,7 +54,7 @@ def test_an_effect_of_both_is_listed_once_with_the_parameter_that_is_known_bette
     assert both.effects[0].evidence["width_rad by time series"] == 0.0051
     assert both.data == ("tip_m.csv", "current_A.csv")
     assert set(both.noise_floor) == {"tip_m", "current_A"}
-    assert gap_content(both)["format"] == "gap/1"
+    assert gap_content(both)["format"] == "gap/2"
     assert said == ()
 
 

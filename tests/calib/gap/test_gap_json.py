@@ -9,8 +9,17 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from calib.gap.finding import EffectName, GapFinding, Nameable, NamedEffect, Unknown, write_gap_json
-from calib.gap.model_update import updated_arm
+from calib.gap.finding import (
+    EffectName,
+    GapFinding,
+    Nameable,
+    NamedEffect,
+    OpenQuestion,
+    Remainder,
+    Unknown,
+    write_gap_json,
+)
+from calib.gap.model_update import as_totals, updated_arm
 from control.model.arm import Calibration, Effect
 from control.model.description import load_arm, save_arm
 
@@ -27,11 +36,19 @@ class Value(msgspec.Struct, forbid_unknown_fields=True):
     sd: float | None
 
 
+class Departure(msgspec.Struct, forbid_unknown_fields=True):
+    fraction: float
+    variable: str
+
+
 class Named(msgspec.Struct, forbid_unknown_fields=True):
     effect: str
     joint: int | None
     parameters: dict[str, Value]
     gap_after: float | None
+    probability: float | None
+    share: float | None
+    law_departure: Departure | None
     evidence: dict[str, float | None]
 
 
@@ -55,8 +72,19 @@ class Could(msgspec.Struct, forbid_unknown_fields=True):
     confusable_with: list[Name]
 
 
+class Rest(msgspec.Struct, forbid_unknown_fields=True):
+    where: str
+    share: float | None
+    size_si: dict[str, float | None]
+
+
+class Question(msgspec.Struct, forbid_unknown_fields=True):
+    question: str
+    next_experiment: str
+
+
 class GapJson(msgspec.Struct, forbid_unknown_fields=True):
-    """The format gap/1."""
+    """The format gap/2."""
 
     format: str
     arm: str
@@ -68,6 +96,8 @@ class GapJson(msgspec.Struct, forbid_unknown_fields=True):
     unknown: Left | None
     nameable: list[Could]
     next_experiment: str | None
+    remainder: list[Rest]
+    open_questions: list[Question]
 
 
 def full() -> GapFinding:
@@ -80,11 +110,18 @@ def full() -> GapFinding:
         float("nan"),
         {"tip_m": 2e-3},
         {"tip_m": float("inf")},
-        (NamedEffect(play, {"width_rad": (0.005, float("nan"))}, 1.05, {"margin": 9.0}),),
+        (
+            NamedEffect(
+                play, {"width_rad": (0.005, float("nan"))}, 1.05, {"margin": 9.0}, 0.99, 0.8, 0.04, "load"
+            ),
+            NamedEffect(EffectName("payload"), {"mass_kg": (0.1, 0.01)}, 1.02),
+        ),
         ((play, spring),),
         Unknown("joint 2: in steps", spring, 0.3),
         (Nameable(play, 12.0, (spring,)), Nameable(EffectName("payload"), 5.0)),
         "Record more.",
+        remainder=(Remainder("joint 2: in steps", 0.1, {"tip_m": 3e-4}),),
+        open_questions=(OpenQuestion("joint 2?", "Record more."),),
     )
 
 
@@ -102,7 +139,7 @@ def test_gap_json_has_all_keys_of_the_format_and_no_others(found: GapFinding, tm
     write_gap_json(tmp_path / "gap.json", found)
     text = (tmp_path / "gap.json").read_text()
     read = msgspec.json.decode(text, type=GapJson)
-    assert read.format == "gap/1"
+    assert read.format == "gap/2"
     assert len(read.effects) == len(found.effects)
     assert "NaN" not in text
     assert "Infinity" not in text
@@ -147,11 +184,13 @@ def found_with(*effects: tuple[str, int | None, dict[str, float]]) -> GapFinding
         ),
     ],
 )
-def test_what_is_found_comes_on_top_of_what_the_file_knows(
+def test_a_change_beside_what_the_file_knows_is_said_and_written_as_the_total(
     effect, joint, known, found, sum_, tmp_path
 ) -> None:
     arm = dataclasses.replace(load_arm("right"), effects=(Effect(effect, joint, known),))
-    model = updated_arm(arm, found_with((effect, joint, found)), None, MADE)
+    total = as_totals(arm, found_with((effect, joint, found)))
+    model = updated_arm(arm, total, None, MADE)
+    assert {key: value for key, (value, _) in total.effects[0].parameters.items()} == pytest.approx(sum_)
     assert len(model.effects) == 1
     assert dict(model.effects[0].parameters) == pytest.approx(sum_)
     save_arm(model, tmp_path / "arm.toml")

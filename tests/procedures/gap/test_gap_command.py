@@ -45,7 +45,7 @@ def test_a_hidden_play_is_named_and_added_to_a_new_arm(points, tmp_path, capsys)
     assert main(["gap", "--points", str(points), "--out", str(tmp_path)]) == 0
     assert "Named: backlash on joint 1" in capsys.readouterr().out
     content = json.loads((tmp_path / "gap.json").read_text())
-    assert content["format"] == "gap/1"
+    assert content["format"] == "gap/2"
     assert [e["effect"] for e in content["effects"]] == ["link_geometry", "backlash"]
     assert content["gap"]["before"] > 5.0
     assert content["gap"]["after"] < 1.1
@@ -85,7 +85,7 @@ def test_neither_poses_nor_time_series_is_an_error(tmp_path, capsys) -> None:
 
 
 def test_a_log_alone_names_a_hidden_friction(tmp_path, capsys) -> None:
-    (hidden,) = made([Asked(113, "stribeck_friction", 2)], Conditions(seconds=3.0))
+    (hidden,) = made([Asked(113, "stribeck_friction", 2)], Conditions(seconds=2.0))
     write(hidden, tmp_path)
     arguments = ["gap", "--arm", str(tmp_path / "arm.toml"), "--log", str(tmp_path / "log.csv.gz")]
     assert main([*arguments, "--out", str(tmp_path / "gap")]) == 0

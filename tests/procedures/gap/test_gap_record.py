@@ -65,7 +65,7 @@ def tiny() -> RecordingPlan:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recorded]:
+def recorded(tmp_path_factory: pytest.TempPathFactory, nobody_below: None) -> Iterator[Recorded]:
     """Interrupted before the third step, and gone on with."""
     folder = tmp_path_factory.mktemp("gap_record")
     scenario, out = folder / "scenario.toml", folder / "recorded"

@@ -19,7 +19,7 @@ from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
 
-RATE_Hz, SECONDS = 500.0, 4.0
+RATE_Hz, SECONDS = 500.0, 2.0
 COULOMB_Nm = (0.6, 0.7, 0.5)
 VISCOUS = (0.7, 0.5, 0.4)
 STIFFER = 5.0

@@ -121,6 +121,7 @@ def late_camera() -> DynamicOutcome:
     return examine(ARM, changed(late, log_of(ARM, link_friction)), candidates=names)
 
 
+@pytest.mark.usefixtures("without_motion")
 def test_a_late_camera_is_said_and_the_answer_given_all_the_same() -> None:
     outcome = late_camera()
     assert any("6.0" in text and "late" in text for text in outcome.warnings)

@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from calib.arrays import Array
 from calib.gap.dynamic.find import DynamicOutcome, examine
 from calib.gap.finding import EffectName
 from calib.gap.log import Log, Run
 from tests.calib.gap.dynamic.prescribed import arm_with_friction, log_of
+
+pytestmark = pytest.mark.usefixtures("without_motion")
 
 ARM = arm_with_friction()
 LOAD_2 = EffectName("load_friction", 2)

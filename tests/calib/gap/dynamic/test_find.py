@@ -1,6 +1,6 @@
 """What is hidden in prescribed motions is named, what is in no list is unknown, and nothing is found in nothing.
 
-The parameters' tolerances are the issue's 10 %; motions of 4 s with the noise of the reference arm's sensors give far less.
+The parameters' tolerances are the issue's 10 %; motions of 2 s with the noise of the reference arm's sensors give far less.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from calib.gap.log import Log, Run
 from calib.gap.signals.recording import UnusableLogError
 from control.kinematics.kinematics import Kinematics
 from tests.calib.gap.dynamic.prescribed import Hidden, arm_with_friction, log_of
+
+pytestmark = pytest.mark.usefixtures("without_motion")
 
 ARM = arm_with_friction()
 FEW = (
@@ -169,7 +171,7 @@ def test_a_gap_and_a_saturated_current_are_said_and_their_samples_not_used() -> 
         keep = np.ones(len(run), dtype=bool)
         keep[900:960] = False
         current = np.array(run.current_A)
-        current[1200:1210, 0] = 8.0
+        current[600:610, 0] = 8.0
         fields = ("t_s", "q_rad", "q_set_rad", "voltage_V", "payload_kg", "tip_m")
         return replace(run, current_A=current[keep], **{name: getattr(run, name)[keep] for name in fields})
 
@@ -194,14 +196,6 @@ def test_progress_is_told_from_start_to_end() -> None:
     assert shares[0] == 0.0
     assert shares[-1] == 1.0
     assert shares == sorted(shares)
-
-
-def test_the_motion_from_voltage_comes_closer_with_what_was_named() -> None:
-    """Windows of 0.2 s from measured states, and whole runs in closed loop: checks that took no part in naming."""
-    found = hiding(on_joint(2, lambda j, q, speed, link: 0.2 * np.abs(link) * np.sign(speed)))
-    assert found.after_si["q_rad"] < 0.5 * found.before_si["q_rad"]
-    assert found.noise_floor["q_rad"] < found.after_si["q_rad"]
-    assert found.after_si["q_loop_rad"] < 0.5 * found.before_si["q_loop_rad"] < found.before_si["q_rad"]
 
 
 def test_a_tip_that_warms_up_is_named_with_its_joint_and_time() -> None:

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.arrays import Array
+from calib.gap.dynamic.find import find
 from calib.gap.finding import EffectName
 from calib.gap.log import Log
 from calib.gap.signals.forms import known_terms
@@ -81,3 +83,16 @@ def test_where_a_driver_is_off_only_windows_are_compared() -> None:
     known = known_terms(ARM)
     assert set(motion_gaps(physics, known, known, ("2", "7"))) == {OPEN}
     assert set(motion_gaps(physics, known, known, ("7",))) == {OPEN, CLOSED}
+
+
+def test_the_motion_from_voltage_comes_closer_with_what_was_named() -> None:
+    """Windows of 0.2 s from measured states, and whole runs in closed loop: checks that took no part in naming."""
+
+    def law(j: int, q: Array, speed: Array, link: Array) -> Array:
+        return np.asarray(0.2 * np.abs(link) * np.sign(speed)) if j == 1 else np.zeros_like(q)
+
+    found = find(ARM, log_of(ARM, law), candidates=("load_friction", "coulomb_friction"))
+    assert [effect.name for effect in found.effects] == [EffectName("load_friction", 2)]
+    assert found.after_si["q_rad"] < 0.5 * found.before_si["q_rad"]
+    assert found.noise_floor["q_rad"] < found.after_si["q_rad"]
+    assert found.after_si["q_loop_rad"] < 0.5 * found.before_si["q_loop_rad"] < found.before_si["q_rad"]

@@ -14,7 +14,9 @@ from calib.gap.log import Log
 from calib.gap.signals.staircase import Winding, response
 from control.model.arm import Arm
 
-SLOW = Conditions(rate_Hz=250, seconds=4.0, sampled_late=15)  # 1.5 ms after the voltage has changed
+pytestmark = pytest.mark.usefixtures("without_motion")
+
+SLOW = Conditions(rate_Hz=250, seconds=3.0, sampled_late=15)  # 1.5 ms after the voltage has changed
 
 
 @pytest.fixture(scope="module")

@@ -89,7 +89,7 @@ def test_figures_stand_among_nameable_cases_and_over_all_of_them() -> None:
     text = figures(answers, 1.1)
     assert "nameable: effect and joint right in 1 of 1 (100%), exact set in 1 of 1 (100%)" in text
     assert "all: 1 of 2 (50%), exact 1 of 2 (50%)" in text
-    assert "no name in 2 of 2; nothing at all said in 1" in text
+    assert "no name in 2 of 2; neither name, set nor unknown in 1" in text
     assert "no wrong name in 1 of 2; unknown in 1" in text
     assert "within 10% in 1 of 1" in text
 

@@ -20,7 +20,7 @@ from calib.arrays import Array
 from calib.gap.dynamic.find import find as find_in_motion
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log
-from calib.gap.static.find import find as find_in_poses
+from calib.gap.poses.find import find as find_in_poses
 from calib.points.points import Points, read_points
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -62,14 +62,13 @@ def test_play_in_poses_of_the_mock_arm_is_named_with_its_width() -> None:
     assert found.gap_after == pytest.approx(1.0, abs=0.2)
 
 
-def test_a_soft_spring_keeps_its_name_beside_a_remainder_that_is_next_to_nothing_of_it() -> None:
-    """It takes the gap from 54 to 1.4; in a few poses the link came to rest otherwise than by its last motion."""
+def test_a_soft_spring_is_named_although_friction_winds_it_up_in_some_poses() -> None:
+    """In a few poses the link came to rest otherwise than by its last motion."""
     found = find_in_poses(ARM, poses("soft_spring2")).finding
     assert names(found) == [EffectName("joint_compliance", 2)]
     assert found.effects[-1].parameters["stiffness_Nm_rad"][0] == pytest.approx(341.1, rel=0.02)
-    assert found.gap_after < 2.0
-    assert found.unknown is not None
-    assert found.unknown.nearest is None
+    assert found.after_si["tip_m"] < 0.03 * found.before_si["tip_m"]
+    assert found.unknown is None
 
 
 def test_nothing_is_named_in_poses_of_a_crooked_but_perfect_mock_arm() -> None:

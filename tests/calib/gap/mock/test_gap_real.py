@@ -9,7 +9,7 @@ import pytest
 from calib.gap.dynamic.find import DynamicOutcome, examine
 from calib.gap.finding import EffectName
 from calib.gap.log import Log, read_log
-from calib.gap.static.find import find as find_in_poses
+from calib.gap.poses.find import find as find_in_poses
 from calib.points.points import read_points
 from control.model.arm import Effect
 from control.model.description import load_arm

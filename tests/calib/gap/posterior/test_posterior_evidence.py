@@ -6,7 +6,7 @@ import pytest
 from calib.gap.finding import EffectName
 from calib.gap.posterior.decide import decide
 from calib.gap.posterior.evidence import Evidence
-from calib.gap.posterior.linear import Gram
+from calib.gap.posterior.gram import Gram
 from calib.gap.posterior.search import Search, Weighed
 from calib.gap.posterior.term import Block, Term
 

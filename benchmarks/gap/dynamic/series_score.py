@@ -1,0 +1,162 @@
+"""Scores the posterior of time series beside the engine before it, on the same cases: exact and rough laws, many at once, nulls,
+what no list names.
+
+    python -m benchmarks.gap.dynamic.series_score --sorts rough many --cases 60 --first-seed 90000 --engines new old
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.gap.dynamic.cases import Asked, Case, made
+from benchmarks.gap.dynamic.hidden import FOREIGN, LISTED, LISTED_BY_JOINT
+from benchmarks.gap.dynamic.score import arm_of, log_of
+from calib.gap.dynamic.find import DynamicOutcome
+from calib.gap.dynamic.find import examine as old
+from calib.gap.dynamic.sizes import is_nameable
+from calib.gap.finding import EffectName
+from calib.gap.series.find import examine as new
+from control.model.effects import EFFECTS
+
+ENGINES = {"new": new, "old": old}
+SORTS = ("exact", "rough", "many", "null", "foreign")
+ROUGH, ROUGH_MANY = 0.08, 0.08
+MANY = (
+    "coulomb_friction", "viscous_friction", "stribeck_friction", "load_friction", "asymmetric_friction", "cogging",
+    "torque_constant", "joint_compliance", "backlash", "encoder_eccentricity", "encoder_scale", "thermal_drift",
+)  # fmt: skip
+GEARS = ("joint_compliance", "backlash")
+
+
+def asked(sort: str, seed: int) -> Asked:
+    """What a case of a sort hides."""
+    rng = np.random.default_rng(seed + 31_000_000)
+    every = [*((name, j) for name in LISTED_BY_JOINT for j in (1, 2, 3)), *((name, None) for name in LISTED)]
+    match sort:
+        case "null":
+            return Asked(seed, "none")
+        case "foreign":
+            return Asked(seed, str(FOREIGN[int(rng.integers(len(FOREIGN)))]))
+        case "many":
+            names: list[str] = []
+            while len(names) < int(seed % 4) + 3:
+                one = str(rng.choice(MANY))
+                if one not in names and not (one in GEARS and any(g in names for g in GEARS)):
+                    names.append(one)
+            return Asked(seed, "+".join(names), rough=ROUGH_MANY)
+        case _:
+            name, joint = every[int(rng.integers(len(every)))]
+            return Asked(
+                seed,
+                name,
+                joint or (2 if name == "link_geometry" else 1),
+                rough=ROUGH if sort == "rough" else 0.0,
+            )
+
+
+def main() -> None:
+    """Run the study."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=60)
+    parser.add_argument("--first-seed", type=int, default=90_000)
+    parser.add_argument("--sorts", nargs="*", choices=SORTS, default=list(SORTS))
+    parser.add_argument("--engines", nargs="*", choices=tuple(ENGINES), default=["new"])
+    given = parser.parse_args()
+    for k, sort in enumerate(SORTS):
+        if sort in given.sorts:
+            first = given.first_seed + 1000 * k if given.first_seed >= 10_000 else given.first_seed + 100 * k
+            _score(sort, given.engines, [asked(sort, first + n) for n in range(given.cases)])
+
+
+class Tally:
+    """What is counted of one sort and engine."""
+
+    def __init__(self) -> None:
+        self.count: Counter[str] = Counter()
+        self.errors: list[float] = []
+        self.inside: list[float] = []
+        self.gaps: list[float] = []
+        self.took: list[float] = []
+
+    def line(self) -> str:
+        """In a line."""
+        text = "  ".join(f"{key} {count}" for key, count in sorted(self.count.items()))
+        text += f"; seconds median {np.median(self.took):.0f}, most {max(self.took):.0f}"
+        if self.errors:
+            text += f"; parameters: median {np.median(self.errors):.1%}, within 10 % {np.mean(np.array(self.errors) <= 0.1):.0%}"
+            text += f", within 2 sd {np.mean(np.array(self.inside) <= 1.96):.0%} of {len(self.inside)}"
+        if self.gaps:
+            text += f"; gap after median {np.median(self.gaps):.2f}, largest {max(self.gaps):.2f}"
+        return text
+
+
+def _score(sort: str, engines: Sequence[str], some: Sequence[Asked]) -> None:
+    tallies = {engine: Tally() for engine in engines}
+    for case in made(some):
+        for engine in engines:
+            began = time.process_time()
+            outcome = ENGINES[engine](arm_of(case.arm_toml), log_of(case))
+            tallies[engine].took.append(time.process_time() - began)
+            _judge(case, outcome, tallies[engine], f"{sort} {engine} {case.asked.seed}")
+    for engine, tally in tallies.items():
+        _say(f"== {sort} {engine} {len(some)}: {tally.line()}")
+
+
+def _key(entry: dict[str, Any]) -> EffectName:
+    kind = EFFECTS.get(entry["effect"])
+    return EffectName(entry["effect"], None if kind is not None and kind.place == "none" else entry["joint"])
+
+
+def _judge(case: Case, outcome: DynamicOutcome, tally: Tally, label: str) -> None:
+    found = outcome.finding
+    wanted = {_key(entry): entry["parameters"] for entry in case.truth if entry["effect"] in EFFECTS}
+    got = {one.name: one for one in found.effects}
+    could = {one.name for one in found.nameable if is_nameable(one)}
+    in_set = {name for names in found.ambiguous for name in names}
+    wrong = got.keys() - wanted.keys()
+    is_exact = got.keys() == wanted.keys()
+    tally.count["exact"] += is_exact
+    tally.count["right"] += bool(wanted) and wanted.keys() <= got.keys()
+    tally.count["right or set"] += bool(wanted) and wanted.keys() <= got.keys() | in_set
+    tally.count["nameable"] += bool(wanted) and wanted.keys() <= could
+    tally.count["nameable right"] += bool(wanted) and wanted.keys() <= could and wanted.keys() <= got.keys()
+    tally.count["wrong name"] += bool(wrong)
+    tally.count["unknown"] += found.unknown is not None
+    for name in wanted.keys() & got.keys():
+        for key, true in wanted[name].items():
+            if key in got[name].parameters and key not in (
+                "order",
+                "phase_rad",
+                "speed_rad_s",
+                "time_constant_s",
+            ):
+                value, sd = got[name].parameters[key]
+                base = true - 1.0 if name.effect == "torque_constant" else true
+                tally.errors.append(abs(value - true) / abs(base))
+                tally.inside.append(abs(value - true) / max(sd, 1e-300))
+    if wanted and wanted.keys() <= got.keys():
+        tally.gaps.append(found.gap_after)
+    said = {str(name): {k: (float(f"{v[0]:.4g}"), float(f"{v[1]:.2g}")) for k, v in one.parameters.items()}
+            for name, one in got.items() if name.effect != "link_geometry"}  # fmt: skip
+    _say(
+        f"  {label} {'ok ' if is_exact and not (found.unknown and wanted) else 'BAD' if wrong or not wanted else '-- '}"
+        f" {[(str(n), {k: float(f'{v:.4g}') for k, v in p.items()}) for n, p in wanted.items()] or case.asked.effects}: {said}"
+        f" sets {[[str(n) for n in s] for s in found.ambiguous]} unknown {found.unknown and found.unknown.where}"
+        f" gap {found.gap_before:.2f} {found.gap_after:.2f} nameable {wanted.keys() <= could} {tally.took[-1]:.0f} s"
+    )
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

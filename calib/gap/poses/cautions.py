@@ -1,0 +1,192 @@
+"""What is odd about poses, and what an answer from them is worth less for: in sentences. What is hopeless is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.arm_problem.assembly import problem_of
+from calib.arm_problem.checks import require_usable
+from calib.arm_problem.problem import ArmProblem
+from calib.arrays import Array, Mask, frozen
+from calib.errors import UnusablePointsError
+from calib.gap.poses.currents import SATURATED
+from calib.gap.poses.effects.scene import load_of
+from calib.gap.poses.floor import Floor
+from calib.gap.poses.recordings import RECORDINGS_LEAST, recordings
+from calib.points.points import Points
+from control.model.arm import Arm
+
+FEW_POSES = 24
+GAP_SHARE = 0.4  # of a joint's travel without a single pose
+AT_BOUND = 0.999
+BOUNDED_LEAST = 3
+UNBEARABLE = 5.0  # times what a drive holds at its current limit
+MILLI = 10.0  # times the limit
+INFLATED = 1.3  # times the floor, from which on what the list leaves is worth saying
+
+
+def require_posed(arm: Arm, points: Points) -> tuple[str, ...]:
+    """UnusablePointsError for points that are misread or too few; warnings otherwise."""
+    warnings = require_usable(arm, points, problem_of(arm, points))
+    _require_bearable(arm, points)
+    return warnings
+
+
+def _require_bearable(arm: Arm, points: Points) -> None:
+    """A payload that no drive could hold was not written in kilograms."""
+    load = load_of(arm, points)
+    if load is None or len(arm.drives) < points.joint_count or not np.nan_to_num(points.payload_kg).any():
+        return
+    drives = [arm.drive(j + 1) for j in range(points.joint_count)]
+    most = np.array([d.current_limit_A * d.gear_ratio * d.torque_constant_Nm_A for d in drives])
+    joint = int(np.argmax(np.abs(load).max(axis=0) / most))
+    torque = float(np.abs(load[:, joint]).max())
+    if torque > UNBEARABLE * most[joint]:
+        heaviest = float(np.nanmax(points.payload_kg))
+        raise UnusablePointsError(
+            f"payload_kg reaches {heaviest:g}: joint {joint + 1} would hold {torque:.0f} N m, its drive gives"
+            f" {most[joint]:.0f} at its limit; grams? Expected kilograms"
+        )
+
+
+def cleaned(points: Points) -> Points:
+    """The same, currents that never change taken out: nobody measured them."""
+    current = np.array(points.current_A)
+    for own in current.T:
+        if _is_constant(own):
+            own[:] = np.nan
+    return dataclasses.replace(points, current_A=frozen(current))
+
+
+def _is_constant(own: Array) -> bool:
+    known = own[np.isfinite(own)]
+    return len(known) > 1 and bool(np.ptp(known) == 0.0)
+
+
+def about_data(arm: Arm, points: Points) -> Iterator[str]:
+    """What the columns lack or hold, and what cannot be named for it."""
+    yield from _about_recordings(points)
+    yield from _about_time(points)
+    yield from _about_currents(arm, points)
+    yield from _about_loads(arm, points)
+    yield from _about_travel(points)
+
+
+def _about_recordings(points: Points) -> Iterator[str]:
+    if len(points) < FEW_POSES:
+        yield f"{len(points)} poses are few: little can be named, and a small effect passes for noise"
+    setups, count = set(points.setup), len(set(recordings(points).tolist()))
+    if len(setups) == 1:
+        yield (
+            f'all poses are of one setup, "{points.setup[0]}": what the geometry and an effect do alike there cannot be told'
+            " apart; take free poses away from the table, or tilt the board"
+        )
+    if count < RECORDINGS_LEAST:
+        yield (
+            f"{count} recording{'s' if count > 1 else ''} (setup, payload, approach), and it takes {RECORDINGS_LEAST}"
+            " to keep some apart: nothing is held out, and the gap is that of the poses which were fitted"
+        )
+    last = points.direction
+    if not last.any():
+        yield (
+            "the directions of the last motion (dir1 ...) are missing or all 0: play shows only where gravity alone tells its"
+            " flank"
+        )
+    elif not ((last > 0).any() and (last < 0).any()):
+        yield "every pose was approached from one side: play of a joint that gravity does not turn cannot be told from its zero"
+
+
+def _about_time(points: Points) -> Iterator[str]:
+    time = points.t_s
+    if not np.isfinite(time).any():
+        yield "there is no t_s: a thermal drift cannot be told, and would pass for something else or for noise"
+    elif not np.isfinite(time).all():
+        missing = int(np.sum(~np.isfinite(time)))
+        yield f"t_s is missing in {missing} poses: thermal drift is not tried"
+    elif np.ptp(time) == 0.0:
+        yield "t_s is the same in every pose: thermal drift is not tried"
+    elif (np.diff(time) < 0.0).any():
+        row = int(np.argmax(np.diff(time) < 0.0)) + 1
+        yield (
+            f"t_s runs backwards at pose {row + 1} (line {row + 2}): if that is not the order in which files were joined, drift"
+            " and steps in time cannot be believed"
+        )
+
+
+def _about_currents(arm: Arm, points: Points) -> Iterator[str]:
+    if not np.isfinite(points.current_A).any():
+        yield "there are no holding currents (i1_A ...): payload, masses and torque constants are not tried"
+        return
+    for drive in arm.drives:
+        own = points.current_A[:, drive.joint - 1]
+        count = int(np.sum(np.abs(own) >= SATURATED * drive.current_limit_A))
+        if count > 0 and np.nanmedian(np.abs(own)) > MILLI * drive.current_limit_A:
+            yield f"i{drive.joint}_A is far beyond the drive's limit of {drive.current_limit_A:g} A: milliamperes? Not used"
+        elif count:
+            yield (
+                f"i{drive.joint}_A is at the drive's limit of {drive.current_limit_A:g} A in {count} poses: the joint may not"
+                " have stood where it was sent, and these currents are not used"
+            )
+        if _is_constant(own):
+            yield f"i{drive.joint}_A never changes: the column seems not to be measured, and is not used"
+
+
+def _about_loads(arm: Arm, points: Points) -> Iterator[str]:
+    has_masses = any(link.mass_kg for link in arm.links)
+    if not has_masses:
+        yield (
+            f"arm {arm.name} has no masses: backlash, compliance, flexure and loads are not tried, and would be unknown"
+        )
+    if np.nan_to_num(points.payload_kg).any() and not has_masses:
+        yield "payload_kg is not used: without masses there is no torque for it to add to"
+    if 0 < np.isfinite(points.payload_kg).sum() < len(points):
+        yield "payload_kg is missing in some poses: they count as unloaded"
+
+
+def _about_travel(points: Points) -> Iterator[str]:
+    for j, own in enumerate(points.q_rad.T):
+        steps, travel = np.diff(np.sort(own)), float(np.ptp(own))
+        if len(own) >= FEW_POSES and travel > 0.0 and steps.max() > GAP_SHARE * travel:
+            at = int(np.argmax(steps))
+            low, high = np.sort(own)[at], np.sort(own)[at + 1]
+            yield (
+                f"no pose has q{j + 1}_rad between {low:.2f} and {high:.2f}, {100 * steps.max() / travel:.0f} % of its travel:"
+                " what happens there is not known"
+            )
+
+
+def about_outliers(points: Points, out: Mask) -> Iterator[str]:
+    """Which poses are left out."""
+    rows = np.flatnonzero(out)
+    if len(rows):
+        told = ", ".join(
+            f"{row + 1} ({points.setup[row]}, {points.point[row]}, line {row + 2})"
+            for row in rows[:5].tolist()
+        )
+        more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""
+        yield (
+            f"{len(rows)} of {len(points)} poses are far from what any effect explains and are left out: {told}{more}; swapped,"
+            " or the marker was lost?"
+        )
+
+
+def about_fit(arm: Arm, problem: ArmProblem, x: Array, floor: Floor, noise_m: float) -> Iterator[str]:
+    """What the fit itself says against the answer; noise_m: what the best set of effects leaves."""
+    bounded = [
+        parameter.name
+        for parameter, value in zip(problem.parameters, x, strict=False)
+        if parameter.has_bound and abs(value) > AT_BOUND * parameter.limit
+    ]
+    times = noise_m / floor.tip_m
+    if len(bounded) >= BOUNDED_LEAST and times > INFLATED:
+        yield (
+            f"the geometry ends at its bounds ({', '.join(bounded[:6])}) and leaves {times:.1f} times the noise: are these poses"
+            f" of arm {arm.name}, with its zeros?"
+        )
+    if times > INFLATED:
+        yield (
+            f"everything that was found leaves {times:.1f} times the noise floor ({floor.source}): names are weighed against that"
+        )

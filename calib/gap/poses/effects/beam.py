@@ -1,0 +1,76 @@
+"""Links that bend under their own weight, the weight beyond them, and the payload."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.link_bending import beams, bending_m
+from calib.arm_problem.link_frames import link_frames
+from calib.arrays import Array
+from calib.gap.finding import EffectName
+from calib.gap.poses.effects.record import EffectRecord
+from calib.gap.poses.effects.scene import Scene, stated_kg
+from calib.gap.posterior.coefficients import inverse
+from calib.gap.posterior.term import Term
+from control.dynamics.feedforward import own_payload_kg, with_link_inertia
+from control.model.arm import Arm
+
+
+def _flexure(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+    """A cantilever; its own weight in its centre of mass, or spread along it."""
+    arm = with_link_inertia(scene.arm)
+    if not any(link.mass_kg for link in arm.links):
+        return
+    q, hung = scene.points.q_rad, stated_kg(scene.points) + own_payload_kg(arm)
+    for link in beams(arm):
+        bare = bending_m(arm, arm.dh, q, np.zeros(len(q)), link)
+        payload = bending_m(arm, arm.dh, q, hung, link) - bare
+        alone = dataclasses.replace(
+            arm, links=tuple(dataclasses.replace(one, mass_kg=one.mass_kg if k == link else 0.0)
+                             for k, one in enumerate(arm.links, start=1)),
+        )  # fmt: skip
+        own = (
+            bending_m(alone, arm.dh, q, np.zeros(len(q)), link)
+            if alone.links[link - 1].mass_kg
+            else 0.0 * bare
+        )
+        for variant, weight in enumerate((own, _spread_m(arm, q, link)) if own.any() else (own,)):
+            parts = [weight, bare - own, payload]
+            total = np.asarray(sum(parts))
+            if np.ptp(total, axis=0).max() == 0.0:
+                continue
+            departs = [part for part in parts if np.ptp(part, axis=0).max() > 0.0]
+            yield Term(
+                EffectName(record.effect, link), "", 1, len(departs), record.size,
+                slope_m=record.size * np.array([total, *departs]), variant=float(variant), is_positive=True,
+                parameters=inverse(record.parameter), variable="load",
+            )  # fmt: skip
+
+
+def _spread_m(arm: Arm, q_rad: Array, link: int) -> Array:
+    """How the tip moves, (m, 3) per 1 / EI, when a link's own weight is spread evenly along it (q l^4 / 8, q l^3 / 6)."""
+    frames = link_frames(ArmModel(arm), arm.dh, q_rad)
+    before = 0 if arm.dh_convention == "modified" else 1
+    following = next(
+        (k for k, one in enumerate(arm.links, start=1) if k > link and one.joint == "revolute"), None
+    )
+    begin = frames.origin_m[:, link - before]
+    end = frames.tip_m if following is None else frames.origin_m[:, following - before]
+    length = np.linalg.norm(end - begin, axis=1, keepdims=True)
+    along = (end - begin) / length
+    mass = sum(
+        one.mass_kg or 0.0
+        for k, one in enumerate(arm.links, start=1)
+        if k >= link and (following is None or k < following)
+    )
+    force = np.broadcast_to(mass * np.asarray(arm.gravity_m_s2), begin.shape)
+    across = force - np.sum(force * along, axis=1, keepdims=True) * along
+    turn = np.cross(along, across) * length**2 / 6.0
+    return np.asarray(across * length**3 / 8.0 + np.cross(turn, frames.tip_m - end))
+
+
+RECORDS = (EffectRecord("link_flexure", 1.0 / 400.0, _flexure, "EI_Nm2"),)

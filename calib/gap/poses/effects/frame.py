@@ -1,0 +1,84 @@
+"""The frame that the camera and the table call base, where it is not the arm's: base_frame.
+
+What the first link's d and theta do (and in the modified convention its L and alpha) is the same as a move of that frame along
+and about the first axis: no pose can tell it, and it counts as geometry. The rest is rigid in the world, and no joint's doing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.arm_problem.assembly import BASE_FRAME, base_frame_of
+from calib.arm_problem.frames import rotation_of
+from calib.arrays import Array
+from calib.gap.finding import EffectName, Parameters
+from calib.gap.poses.effects.record import EffectRecord
+from calib.gap.poses.effects.scene import Scene
+from calib.gap.posterior.coefficients import ToParameters, sized
+from calib.gap.posterior.term import Term
+from control.model.arm import Arm
+
+FRAME = "base_frame"
+SHIFT_m, TURN_rad = 0.002, 0.005
+_AXES_OF = {2: (1,), 4: (0, 1)}  # base axes that the geometry cannot take over, by the number of columns
+
+
+def _frame(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+    """One term, unless no tip was measured in the base frame and the board's own place is unknown anyway."""
+    arm, points = scene.nominal, scene.points
+    if not np.isfinite(points.tip_m).all():
+        return
+    place = base_frame_of(arm).to_base(points.tip_m)
+    columns, sizes = [], []
+    for axis in _AXES_OF[2] if arm.dh_convention == "modified" else _AXES_OF[4]:
+        unit = np.eye(3)[axis]
+        columns += [np.broadcast_to(-SHIFT_m * unit, place.shape), -TURN_rad * np.cross(unit, place)]
+        sizes += [SHIFT_m, TURN_rad]
+    yield Term(
+        EffectName(record.effect), "", len(sizes), 0, 1.0, slope_m=np.stack(columns),
+        parameters=sized(np.array(sizes), _total(arm)),
+    )  # fmt: skip
+
+
+def _total(arm: Arm) -> ToParameters:
+    """The frame of the arm's file, moved by what is found."""
+    known = base_frame_of(arm)
+
+    def made(value: Array, covariance: Array) -> Parameters:
+        move, turn = _move_and_turn(value)
+        rotation = rotation_of(turn)
+        vector = Rotation.from_matrix(rotation @ known.rotation).as_rotvec()
+        total = np.concatenate((rotation @ known.origin_m + move, vector))
+        sd = np.concatenate(_move_and_turn(np.sqrt(np.diag(covariance))))
+        return {
+            name: (float(v), float(s))
+            for name, v, s in zip(BASE_FRAME, total, sd, strict=True)
+            if v != 0.0 or s > 0.0
+        }
+
+    return made
+
+
+def _move_and_turn(value: Array) -> tuple[Array, Array]:
+    """Of coefficients (2,) or (4,) that alternate, (3,) each."""
+    move, turn = np.zeros(3), np.zeros(3)
+    axes = list(_AXES_OF[len(value)])
+    move[axes], turn[axes] = value[0::2], value[1::2]
+    return move, turn
+
+
+def beyond_linear_m(one: Term, coefficients: Array, position_m: Array) -> Array:
+    """What a frame of these coefficients does to the tips (m, 3) beyond the term's columns.
+
+    Half the square of a turn of 20 mrad is 0.1 mm at arm's length: as much as the noise.
+    """
+    move, turn = _move_and_turn(coefficients * np.tile((SHIFT_m, TURN_rad), len(coefficients) // 2))
+    moved = position_m - (position_m @ rotation_of(turn).T + move)
+    linear = 0.0 if one.slope_m is None else np.einsum("c,cmi->mi", coefficients, one.slope_m)
+    return np.asarray(moved - linear)
+
+
+RECORDS = (EffectRecord(FRAME, 1.0, _frame),)

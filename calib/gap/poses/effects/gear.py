@@ -1,0 +1,111 @@
+"""Gears that are loose or soft: what they do depends on the torque that they transmit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.special import erf
+
+from calib.arrays import Array
+from calib.gap.poses.effects.record import EffectRecord, NO_TORQUE_Nm, harmonics
+from calib.gap.poses.effects.scene import Scene
+from calib.gap.posterior.coefficients import inverse
+from calib.gap.posterior.constants import WOUND_SHARE
+from calib.gap.posterior.term import Term, like, on_joint
+from control.dynamics.effect_laws import backlash_rad, compliance_rad
+from control.dynamics.static_pose import CURRENT_NOISE_A, GRAVITY_ERROR, RestingPose, torque_per_A
+
+CLEAR_SHARE = 0.5  # of the poses must lie on a known flank: else a play fits anything
+TILT_rad = 0.003  # accuracy of a fitted link's direction: where gravity turns round, its sign is uncertain
+LEVELS = 16  # of constant friction on the link's side
+LINK_SHARES = tuple(np.linspace(0.0, 1.0, 11).tolist())
+
+
+def _play(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+    """For every share of friction behind the gear that lays it on other flanks."""
+    if scene.pose is None:
+        return
+    q, n, noise = scene.points.q_rad, scene.points.joint_count, CURRENT_NOISE_A * torque_per_A(scene.arm)
+    for j in range(n):
+        load = np.abs(scene.pose.gravity_Nm[:, j])
+        ways = [*harmonics(q[:, j], 1, 2), *([load / load.max()] if load.max() > NO_TORQUE_Nm else [])]
+        for share, flank, doubt in _flanks(scene.pose, j, noise[j]):
+            law = backlash_rad(flank, 1.0)
+            departs = like(law, [law * way for way in ways])
+            columns = on_joint(np.array([law, *departs]), j, n)
+            yield record.term(
+                j + 1, 1, columns, len(departs), variant=share, is_positive=True, doubt=0.25 * doubt,
+                variable=f"q{j + 1} and load",
+            )  # fmt: skip
+
+
+def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float, Array, Array]]:
+    """The expected flank (m,) of joint j and its variance, for every share of friction on the link's side that matters.
+
+    Poses in which the motor holds little friction may have been led by a hand, or not: both are tried.
+    """
+    distinct: list[Array] = []
+    gravity, led = pose.gravity_Nm[:, j], pose.is_led[:, j]
+    turned = TILT_rad * float(np.abs(gravity).max())
+    for is_led in (np.zeros_like(led), led) if led.any() else (led,):
+        for share, behind, doubt in _behind_the_gear(pose, j, noise_Nm):
+            torque = gravity + behind
+            sd = np.maximum(0.5 * GRAVITY_ERROR * np.abs(gravity) + turned + doubt, NO_TORQUE_Nm)
+            flank = np.where(np.abs(torque) > NO_TORQUE_Nm, erf(torque / (np.sqrt(2.0) * sd)), 0.0)
+            flank = np.where(is_led, pose.flank[:, j], flank)
+            if np.mean(flank**2) >= CLEAR_SHARE and not any(
+                np.abs(flank - other).max() < 0.2 for other in distinct
+            ):
+                distinct.append(flank)
+                yield share, flank, 1.0 - flank**2
+
+
+def _behind_the_gear(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float, Array, Array]]:
+    """Friction on the link's side (m,) and its doubt (m,): a share of what the motor holds, or a constant in the last direction.
+
+    Of constants only those differ between which poses change their flank.
+    """
+    gravity, held = pose.gravity_Nm[:, j], pose.held_Nm[:, j]
+    for share in LINK_SHARES:
+        yield share, share * held, 0.03 * np.abs(held) + share * noise_Nm
+    last, most = np.sign(held), float(np.abs(held).max())
+    turning = np.sort(-(gravity * last)[(gravity * last < 0.0) & (-gravity * last < most)])
+    if len(turning) == 0:
+        return
+    levels = np.unique(np.quantile(turning, np.linspace(0.0, 1.0, LEVELS + 2)[1:-1]))
+    for k, level in enumerate(levels.tolist()):
+        step = 0.5 * float(np.min(np.abs(np.diff(levels)[max(0, k - 1) : k + 1]))) if len(levels) > 1 else 0.0
+        yield 2.0 + level, level * last, np.full_like(held, 0.5 * step)
+
+
+def _compliance(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+    if scene.pose is None:
+        return
+    for j in range(scene.points.joint_count):
+        torque, held = scene.pose.gravity_Nm[:, j], scene.pose.held_Nm[:, j]
+        if np.abs(torque).max() <= NO_TORQUE_Nm:
+            continue
+        law = compliance_rad(torque, 1.0)
+        departs = like(law, [law * np.abs(torque), law * torque**2])
+        for more in _wound(held):
+            columns = on_joint(np.array([law, *departs, *more]), j, scene.points.joint_count)
+            yield record.term(
+                j + 1, 1, columns, len(departs), is_positive=True, parameters=inverse(record.parameter), variable="load",
+                variant=float(len(more)),
+            )  # fmt: skip
+
+
+def _wound(held_Nm: Array) -> list[list[Array]]:
+    """Ways in which friction behind a soft gear winds it up: none, a share of what the motor holds, or a constant besides."""
+    if not held_Nm.any():
+        return [[]]
+    share = compliance_rad(WOUND_SHARE * held_Nm, 1.0)
+    constant = compliance_rad(WOUND_SHARE * float(np.abs(held_Nm).mean()) * np.sign(held_Nm), 1.0)
+    return [[], [share], [share, constant]]
+
+
+RECORDS = (
+    EffectRecord("backlash", 0.005, _play, "width_rad"),
+    EffectRecord("joint_compliance", 1.0 / 800.0, _compliance, "stiffness_Nm_rad"),
+)

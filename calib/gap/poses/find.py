@@ -1,0 +1,158 @@
+"""Static poses from end to end: noise floor, the posterior over sets of effects, and its answer."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Collection
+
+import numpy as np
+
+from calib.arm_problem.assembly import problem_of
+from calib.arm_problem.joint_laws import LAWS
+from calib.arm_problem.problem import ArmProblem
+from calib.arrays import Array, Mask
+from calib.errors import UnusablePointsError
+from calib.gap.finding import EffectName
+from calib.gap.poses.answer import UNMEASURED, Looked, answered
+from calib.gap.poses.cautions import about_data, about_outliers, cleaned, require_posed
+from calib.gap.poses.currents import holding_currents
+from calib.gap.poses.effects.catalogue import terms_of
+from calib.gap.poses.effects.loads import LOADS
+from calib.gap.poses.effects.scene import Scene
+from calib.gap.poses.floor import Floor, noise_floor
+from calib.gap.poses.linear import Linear
+from calib.gap.poses.outcome import StaticGap
+from calib.gap.poses.outlying import outlying
+from calib.gap.poses.recordings import Split, split
+from calib.gap.poses.state import Around, State
+from calib.gap.posterior.constants import FLOOR_DOUBT
+from calib.gap.posterior.decide import Decision, decide
+from calib.gap.posterior.search import Search
+from calib.gap.posterior.term import Key, Term
+from calib.identify.objective import LeastSquares
+from calib.identify.solver import minimise
+from calib.points.points import Points
+from control.model.arm import Arm
+from control.progress import Advance, silent
+
+LOOKS = 3  # linearisations, at most
+TOTALS = (*LAWS, *LOADS, "link_flexure")  # what of the arm's file is looked for as a whole
+FREEDOM_LEAST = 60  # values beyond all parameters that a noise from the richest model needs
+
+
+def find(
+    arm: Arm,
+    points: Points,
+    advance: Advance = silent,
+    without: Collection[str] = (),
+    source: str = "points.csv",
+) -> StaticGap:
+    """Name what is missing in the model of `arm` at these poses; `without` leaves effects out of the list.
+
+    UnusablePointsError for points that tell nothing.
+    """
+    advance("reading the poses", 0.0)
+    warnings = [*require_posed(arm, points), *about_data(arm, points)]
+    advance("fitting the geometry", 0.05)
+    looked = _prepared(arm, cleaned(points), without)
+    looked, around, decision = _searched(looked, without, advance)
+    advance("reporting", 0.85)
+    warnings += about_outliers(points, looked.out)
+    return answered(looked, around, decision, tuple(warnings), source)
+
+
+def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
+    """The geometry alone fitted, outliers left out, the noise found."""
+    own = [one for one in arm.effects if one.effect in TOTALS and one.effect not in without]
+    loads = [one for one in own if one.effect in LOADS]
+    bare_arm = dataclasses.replace(arm, effects=tuple(one for one in arm.effects if one not in own))
+    loaded = dataclasses.replace(bare_arm, effects=(*bare_arm.effects, *loads))
+    parts = split(points)
+    problem, x = _geometry(bare_arm, points, parts.known)
+    fitted = bare_arm.with_dh(problem.solution(x).dh)
+    scene = Scene.of(fitted, dataclasses.replace(fitted, effects=loaded.effects), points)
+    laws = _laws(scene, without)
+    linear = Linear.around(problem, x, np.zeros((len(points), 3)), laws)
+    residual = problem.residuals(x)
+    out = outlying(linear, _scatter_m(noise_floor(arm, points, residual), residual))
+    if out.any():
+        parts = parts.without(out)
+        problem, x = _geometry(bare_arm, points, parts.known)
+        residual = problem.residuals(x)
+    floor = noise_floor(arm, points, residual, out)
+    if not math.isfinite(floor.tip_m):
+        floor = _from_the_richest(linear, parts, residual)
+    torques = [one.slope_Nm for one in laws if one.slope_Nm is not None]
+    columns = np.concatenate(torques) if torques else np.zeros((0, *points.q_rad.shape))
+    currents = holding_currents(bare_arm, points, columns)
+    return Looked(arm, bare_arm, loaded, points, parts, problem, x, floor, currents, out)
+
+
+def _laws(scene: Scene, without: Collection[str]) -> list[Term]:
+    """The law of every effect on every joint, the middle one of its variants, without departures."""
+    variants: dict[Key, list[Term]] = {}
+    for one in terms_of(scene):
+        if isinstance(one.key, EffectName) and one.key.effect not in without:
+            variants.setdefault(one.key, []).append(one)
+    return [same[len(same) // 2].law_alone() for same in variants.values()]
+
+
+def _geometry(arm: Arm, points: Points, rows: Mask) -> tuple[ArmProblem, Array]:
+    """Fitted to the poses of a mask (m,); the geometry is near and interior, so that one search finds it."""
+    problem = problem_of(arm, points)
+    return problem, minimise(problem.of_rows(rows), LeastSquares(), 1).x
+
+
+def _scatter_m(floor: Floor, residual_m: Array) -> float:
+    """A first idea of the noise: that of repeats or the data sheet, else of what the better half of the poses leave."""
+    return floor.tip_m if math.isfinite(floor.tip_m) else float(np.median(np.abs(residual_m))) / 0.6745
+
+
+def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
+    """The noise as what every effect of the list together leaves, where nothing else tells it.
+
+    UnusablePointsError where the poses are too few for that.
+    """
+    scale = float(np.sqrt(np.mean(residual_m[parts.known] ** 2)))
+    gram = linear.projected(parts.known, scale)
+    freedom = 3 * int(parts.known.sum()) - linear.base.shape[1] - len(gram.pull)
+    if freedom < FREEDOM_LEAST:
+        raise UnusablePointsError(
+            "the noise of these points is not known: repeat a dozen of them, or give [camera] position_noise_m in arm.toml"
+        )
+    size = np.linalg.solve(np.eye(len(gram.pull)) + gram.tip, gram.pull)
+    left = gram.left - 2.0 * size @ gram.pull + size @ gram.tip @ size
+    return Floor(
+        scale * math.sqrt(left / freedom),
+        "what the best explanation leaves: there are no repeats and no camera's noise, so that an effect beyond the list would"
+        " pass for noise",
+        UNMEASURED,
+    )
+
+
+def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tuple[Looked, Around, Decision]:
+    """Look, linearise anew around what was found, with the noise that repeats then show, and look again until it stays."""
+    forced = [EffectName(one.effect, one.joint) for one in looked.arm.effects if one.effect in TOTALS]
+    state = State.bare(looked.problem, looked.x, looked.loaded)
+    known: list[frozenset[Key]] = []
+    blocks: tuple[Term, ...] = ()
+    for look in range(LOOKS):
+        advance("weighing effects", 0.2 + 0.2 * look)
+        noise = looked.floor.tip_m, max(looked.floor.doubt, FLOOR_DOUBT)
+        around = Around.of(
+            state, looked.bare_arm, looked.points, looked.parts.known, noise, looked.currents, without, blocks
+        )
+        blocks = around.blocks
+        search = Search(around.evidence, forced)
+        found = search.run(known)
+        decision = decide(around.evidence, found)
+        keys = search.keys(decision.best.members)
+        if (look and keys == known[0]) or not keys:
+            break
+        names = frozenset(key for key in keys if isinstance(key, EffectName))
+        known = [keys, names]
+        if look < LOOKS - 1:
+            state = around.next_state(decision.best)
+            looked = looked.refloored(around.fitted(decision.best)[1])
+    return looked, around, decision

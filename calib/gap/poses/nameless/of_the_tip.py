@@ -1,0 +1,123 @@
+"""Shapes of the tip that have no name and are no joint's: the camera, boards that are not where they should be, axes that
+wobble, a tool that is loose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.link_frames import LinkFrames, link_frames
+from calib.arrays import Array
+from calib.gap.poses.nameless.shape import Shape, edges, harmonic, of_tip
+from calib.points.points import Points
+from control.model.arm import Arm
+
+AXES = "xyz"
+RIGID_STEPS = 12  # times at which a board or camera may have moved
+RECORDING_STEPS = 3  # the same within one setup
+RIGID_POSES_LEAST = 4
+
+
+def of_the_tip(arm: Arm, points: Points) -> Iterator[Shape]:
+    """All of them, at the nominal geometry."""
+    frames = link_frames(ArmModel(arm), arm.dh, points.q_rad)
+    yield from _of_the_camera(points, frames.tip_m)
+    yield from _of_setups(points, frames.tip_m)
+    yield from _of_the_axes(arm, points, frames)
+    yield from _of_the_tool(arm, points, frames)
+    if len(points) > 1:
+        before = np.roll(frames.tip_m, 1, axis=0) - frames.tip_m
+        before[0] = 0.0
+        words = "everywhere: the places lag behind, towards those of the pose before"
+        yield of_tip(points.joint_count, "time", words, before)
+
+
+def _of_the_camera(points: Points, tip: Array) -> Iterator[Shape]:
+    """Scale, skew and distortion: what the measured place itself decides."""
+    n, centred = points.joint_count, tip - tip.mean(axis=0)
+    unit = np.eye(3)
+    yield of_tip(n, "place", "everywhere: the measured places are scaled", centred)
+    for a, b in combinations_with_replacement(range(3), 2):
+        strain = centred[:, a : a + 1] * unit[b] + centred[:, b : b + 1] * unit[a]
+        words = f"stretched along {AXES[a]}" if a == b else f"skewed between {AXES[a]} and {AXES[b]}"
+        yield of_tip(n, "place", f"everywhere: the measured places are {words}", strain)
+        bent = [(centred[:, a] * centred[:, b])[:, None] * unit[c] for c in range(3)]
+        words = f"everywhere: the measured places are distorted with {AXES[a]} times {AXES[b]}"
+        yield of_tip(n, "place", words, *bent)
+    square = np.sum(centred**2, axis=1, keepdims=True)
+    yield of_tip(
+        n, "place", "everywhere: the measured places are distorted with their distance", centred * square
+    )
+    flat = [centred * np.delete(centred, c, axis=1).__pow__(2).sum(axis=1, keepdims=True) for c in range(3)]
+    for c, move in enumerate(flat):
+        words = f"everywhere: the measured places are distorted about {AXES[c]}"
+        yield of_tip(n, "place", words, move * (1.0 - unit[c]))
+
+
+def _rigid(tip: Array, course: Array) -> list[Array]:
+    """The six moves and turns of poses (m, 3), each times a course (m,)."""
+    weight = course[:, None]
+    about = tip - tip[course != 0.0].mean(axis=0) if (course != 0.0).any() else tip
+    return [weight * np.broadcast_to(u, tip.shape) for u in np.eye(3)] + [
+        weight * np.cross(u, about) for u in np.eye(3)
+    ]
+
+
+def _of_setups(points: Points, tip: Array) -> Iterator[Shape]:
+    """Boards and cameras that stand elsewhere in one setup, from some time on, or more and more."""
+    n, setups = points.joint_count, np.array(points.setup)
+    has_time = bool(np.isfinite(points.t_s).all()) and float(np.ptp(points.t_s)) > 0.0
+    names = list(dict.fromkeys(points.setup))
+    for name in names if len(names) > 1 else ():
+        yield of_tip(n, "setup", f"setup {name} stands elsewhere", *_rigid(tip, (setups == name) * 1.0))
+    if not has_time:
+        return
+    time = (points.t_s - points.t_s.min()) / np.ptp(points.t_s)
+    yield of_tip(n, "time", "everywhere: drifts with time as one body", *_rigid(tip, time))
+    for edge in edges(points.t_s, RIGID_STEPS):
+        words = f"everywhere: from {edge:.0f} s on all stands elsewhere"
+        yield of_tip(n, "time", words, *_rigid(tip, (points.t_s > edge) * 1.0))
+    for name in names:
+        for edge in edges(points.t_s[setups == name], RECORDING_STEPS):
+            course = ((setups == name) & (points.t_s > edge)) * 1.0
+            if RIGID_POSES_LEAST <= course.sum() <= (setups == name).sum() - RIGID_POSES_LEAST:
+                yield of_tip(
+                    n, "time", f"setup {name} stands elsewhere from {edge:.0f} s on", *_rigid(tip, course)
+                )
+
+
+def _of_the_axes(arm: Arm, points: Points, frames: LinkFrames) -> Iterator[Shape]:
+    """Joints whose axis wobbles or whose bearing runs out of round, once and twice per turn."""
+    turning = [k for k, link in enumerate(arm.links) if link.joint == "revolute"]
+    is_modified = arm.dh_convention == "modified"
+    for j, link in enumerate(turning):
+        axis = frames.axes[:, link + 1 if is_modified else link, :, 2]
+        first = frames.axes[:, link, :, 0]
+        beyond = frames.tip_m - frames.origin_m[:, link + 1 if is_modified else link]
+        across = (first, np.cross(axis, first))
+        for order in (1, 2):
+            courses = harmonic(points.q_rad[:, j], order)
+            tilts = [course[:, None] * np.cross(a, beyond) for a in across for course in courses]
+            words = f"joint {j + 1}: its axis wobbles {order} times per turn"
+            yield of_tip(points.joint_count, f"q{j + 1}", words, *tilts)
+            shifts = [course[:, None] * a for a in across for course in courses]
+            words = f"joint {j + 1}: its axis runs out of round {order} times per turn"
+            yield of_tip(points.joint_count, f"q{j + 1}", words, *shifts)
+
+
+def _of_the_tool(arm: Arm, points: Points, frames: LinkFrames) -> Iterator[Shape]:
+    """A tool that is loose: it falls to one side or the other as gravity turns round."""
+    axes, down = frames.axes[:, -1], np.asarray(arm.gravity_m_s2)
+    for k in range(3):
+        side = np.sign(axes[:, :, k] @ down)[:, None]
+        words = f"the tool: slides from side to side with gravity along its {AXES[k]}"
+        yield of_tip(points.joint_count, "tool", words, side * axes[:, :, k])
+        moves = [side * axes[:, :, c] for c in range(3)]
+        words = f"the tool: falls from side to side with gravity along its {AXES[k]}"
+        yield of_tip(points.joint_count, "tool", words, *moves)
+    hang = [(axes[:, :, k] @ down)[:, None] * axes[:, :, c] for k in range(3) for c in range(3)]
+    yield of_tip(points.joint_count, "tool", "the tool: gives way to gravity", *hang)

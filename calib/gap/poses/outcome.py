@@ -1,0 +1,54 @@
+"""What the look at static poses found, with what its report draws."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from calib.arm_problem.problem import ArmProblem
+from calib.arrays import Array, Mask
+from calib.gap.finding import EffectName, GapFinding
+from calib.gap.poses.floor import Floor
+from calib.gap.poses.recordings import Split
+from calib.points.points import Points
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnLaw:
+    """A named effect over its own variable at k poses: what the data show of it, its law, and the law with its departure.
+
+    `at` (k,) with the label `variable`; data, law, whole (k,) in mrad of the joint, or mm of the tip (`unit`).
+    """
+
+    name: EffectName
+    variable: str
+    unit: str
+    at: Array
+    data: Array
+    law: Array
+    whole: Array
+
+
+@dataclass(frozen=True, slots=True)
+class StaticGap:
+    """The finding, and what its report draws: poses, their split, residuals (m, 3) as the model grows, stage by stage.
+
+    `problem` at its unknowns `x` has the fitted geometry, `warnings` are sentences about the data and the fit, `left_out` (m,)
+    marks poses that no model explains, `load_Nm` (m, n) are gravity's torques (None for an arm without masses).
+    """
+
+    finding: GapFinding
+    points: Points
+    split: Split
+    floor: Floor
+    stages: tuple[tuple[str, Array], ...]
+    problem: ArmProblem
+    x: Array
+    warnings: tuple[str, ...]
+    left_out: Mask
+    load_Nm: Array | None
+    laws: tuple[DrawnLaw, ...]
+
+    @property
+    def dh(self) -> Array:
+        """The fitted geometry, (rows, 4)."""
+        return self.problem.solution(self.x).dh

@@ -1,0 +1,79 @@
+"""Which poses are fitted and which only report: by recording, never by pose, wherever there are recordings to spare.
+
+A recording is what was taken in one go: one setup, one payload, one approach. Poses of one recording share more than their
+model, so a recording is never divided, unless recordings are too few or stand on boards whose places are unknown.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import Mask
+from calib.points.points import Points
+
+POSES_LEAST = 4  # of a recording, on average: an approach of its own for every pose is no recording
+RECORDINGS_LEAST = 4  # fewer cannot spare one for the report
+EVERY = 4  # pose of a setup reports where no whole recording can
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """Masks (m,) of the poses that are fitted and those that only report; `is_divided` is False where all do both."""
+
+    known: Mask
+    report: Mask
+    is_divided: bool
+    recordings_count: int
+
+    def without(self, out: Mask) -> Split:
+        """The same, some poses (m,) left out of everything."""
+        return dataclasses.replace(self, known=self.known & ~out, report=self.report & ~out)
+
+
+def split(points: Points) -> Split:
+    """By recording, the last one of every setup that has two reports; else every fourth pose of each setup does.
+
+    A setup never reports as a whole where its board's place is unknown: a board that was not fitted has no place.
+    """
+    labels = recordings(points)
+    names = list(dict.fromkeys(labels.tolist()))
+    if len(names) < RECORDINGS_LEAST or len(points) < POSES_LEAST * len(names):
+        return _alternating(points)
+    setups = np.array(points.setup)
+    report = np.zeros(len(points), dtype=bool)
+    for setup in dict.fromkeys(points.setup):
+        own = list(dict.fromkeys(labels[setups == setup].tolist()))
+        report |= (labels == own[-1]) & (len(own) > 1)
+    if not report.any():  # every setup is one recording
+        report = labels == names[-1]
+    unplaced = np.asarray(np.isnan(points.tip_m).any(axis=1))
+    for setup in dict.fromkeys(points.setup):
+        if report[setups == setup].all() and unplaced[setups == setup].any():
+            return _alternating(points)
+    return Split(~report, report, True, len(names))
+
+
+def _alternating(points: Points) -> Split:
+    setups = np.array(points.setup)
+    report = np.zeros(len(points), dtype=bool)
+    for name in dict.fromkeys(points.setup):
+        report[np.flatnonzero(setups == name)[EVERY - 1 :: EVERY]] = True
+    if not report.any():
+        return Split(~report, ~report, False, len(set(points.setup)))
+    return Split(~report, report, True, len(set(points.setup)))
+
+
+def recordings(points: Points) -> npt.NDArray[np.str_]:
+    """The recording of every pose, (m,): setup, payload and directions of approach."""
+    return np.array(
+        [
+            f"{setup}|{payload:g}|{''.join(f'{int(last):+d}' for last in direction)}"
+            for setup, payload, direction in zip(
+                points.setup, points.payload_kg, points.direction, strict=True
+            )
+        ]
+    )

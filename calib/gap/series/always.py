@@ -1,0 +1,54 @@
+"""What is never known better: integrated out of every set, so that nothing of it is taken for an effect.
+
+Nominal values are right to a part of the smallest size that is worth a name, and parts whose laws the file has depart from
+them as all real parts do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from calib.gap.finding import EffectName
+from calib.gap.posterior.constants import DEPARTURES
+from calib.gap.posterior.term import Block, Key
+from calib.gap.series.departures import departures
+from calib.gap.series.effects import FRICTION, Around, usual
+from calib.gap.series.term import SeriesTerm, scaled
+from calib.gap.signals.terms import Term as Law
+
+IMMATERIAL = 0.4  # of the smallest size that is worth a name: to this the nominal values are known
+KNOWN_DEPARTURE = DEPARTURES[2]
+ALWAYS = Block(0, "always")
+
+
+def always(around: Around, terms: Sequence[SeriesTerm]) -> Iterator[SeriesTerm]:
+    """Terms of prior standard deviation one."""
+    variants: dict[tuple[Key, str], list[SeriesTerm]] = {}
+    for one in terms:
+        variants.setdefault((one.key, one.words), []).append(one)
+    for some in variants.values():
+        one = some[len(some) // 2]
+        is_small = isinstance(one.key, EffectName) and one.key.effect != "cogging"
+        if is_small or (isinstance(one.key, Block) and one.count == 1):
+            own = {cell: columns[:, : one.laws] for cell, columns in one.response.items()}
+            effect = one.key.effect if isinstance(one.key, EffectName) else one.key.variable
+            yield _always(str(one.key), scaled(own, IMMATERIAL / usual(effect)), one.laws)
+    for law in around.known:
+        yield from _departing(around, law)
+
+
+def _departing(around: Around, law: Law) -> Iterator[SeriesTerm]:
+    if law.form not in (*FRICTION, "stribeck_friction", "cogging") or law.name.joint is None:
+        return
+    column = around.scene.split(around.scene.rows.friction_slope(law)[:, None])
+    bent = departures(around.scene, law.form, law.name.joint - 1, column)
+    if bent:
+        yield _always(
+            f"{law.name}, as it departs", scaled(bent, KNOWN_DEPARTURE), next(iter(bent.values())).shape[1]
+        )
+
+
+def _always(words: str, response: dict[int, np.ndarray], width: int) -> SeriesTerm:
+    return SeriesTerm(ALWAYS, words, width, 0, 1.0, response=response, width=width)

@@ -1,0 +1,97 @@
+"""The ways in which a real part departs from its law: functions of its own variable, by which the law is multiplied."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.gap.series.scene import Beside, Response, Scene
+from calib.gap.series.term import departed, stacked
+
+Shape = Callable[[Beside, int], Array]  # (c, rows), from what stands beside and the joint
+
+
+def _unit(values: Array) -> Array:
+    """Over the root mean square."""
+    size = float(np.sqrt(np.mean(values**2)))
+    return values / size if size > 0.0 else values
+
+
+def by_angle(at: Beside, j: int) -> Array:
+    """Two harmonics of the joint's turn, and what is slower over its travel."""
+    q = at.q[:, j]
+    return np.array([np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q)])
+
+
+def by_speed(at: Beside, j: int) -> Array:
+    """Its absolute value and its square."""
+    v = _unit(at.speed[:, j])
+    return np.array([np.abs(v), v**2])
+
+
+def by_direction(at: Beside, j: int) -> Array:
+    """One way and the other."""
+    return at.direction[:, j][None]
+
+
+def by_load(at: Beside, j: int) -> Array:
+    """Of what the gear transmits: its absolute value, its root and its square."""
+    load = np.abs(_unit(at.load_Nm[:, j]))
+    return np.array([load, np.sqrt(load), load**2])
+
+
+def by_current(at: Beside, j: int) -> Array:
+    """Of the motor: its absolute value and its square."""
+    i = _unit(at.current_A[:, j])
+    return np.array([np.abs(i), i**2])
+
+
+def by_currents(at: Beside, j: int) -> Array:
+    """Of all motors together."""
+    return _unit(np.sum(np.abs(at.current_A), axis=1))[None]
+
+
+OF_EFFECT: Mapping[str, tuple[Shape, ...]] = {
+    "coulomb_friction": (by_angle, by_direction),  # with speed it is viscous friction
+    "viscous_friction": (by_speed, by_angle, by_direction),
+    "load_friction": (by_load, by_angle),
+    "stribeck_friction": (by_speed, by_angle),
+    "asymmetric_friction": (by_angle, by_speed),
+    "cogging": (by_angle,),
+    "torque_constant": (by_current, by_angle),
+    "joint_compliance": (by_load,),
+    "backlash": (by_angle,),
+    "encoder_eccentricity": (by_angle,),
+    "encoder_scale": (by_angle,),
+    "belt_coupling": (by_angle,),
+    "supply_sag": (by_currents,),
+}
+VARIABLE = {
+    "coulomb_friction": "angle", "viscous_friction": "speed", "load_friction": "load", "stribeck_friction": "speed",
+    "asymmetric_friction": "angle", "cogging": "angle", "torque_constant": "current", "joint_compliance": "load",
+    "backlash": "angle", "encoder_eccentricity": "angle", "encoder_scale": "angle", "belt_coupling": "angle of joint 2",
+    "supply_sag": "current",
+}  # fmt: skip
+
+
+def departures(scene: Scene, effect: str, joint: int, law: Response) -> dict[int, Array]:
+    """Columns of an effect's departures on a joint (0-based), each as large as its law; tip and currents each for themselves.
+
+    What the tip shows of a gear is its angle, what the currents show is mostly how that angle changes: not the same law's shape.
+    """
+    shapes = OF_EFFECT.get(effect, ())
+    if not shapes or not law:
+        return {}
+    parts = []
+    for is_tip in (True, False):
+        own = {cell: columns for cell, columns in law.items() if (scene.cells[cell].joint < 0) == is_tip}
+        if own:
+            wanted = {
+                cell: np.concatenate([one(scene.beside[cell], joint) for one in shapes]) for cell in own
+            }
+            bent = departed(own, wanted)
+            if bent:
+                parts.append(bent)
+    return stacked(parts) if parts else {}

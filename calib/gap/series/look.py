@@ -1,0 +1,188 @@
+"""Looks: linearise around what was found, weigh sets of effects, and look again until the answer stays."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.gap.dynamic.fit import bounded
+from calib.gap.dynamic.split import Picked, Split
+from calib.gap.finding import EffectName
+from calib.gap.posterior.constants import DEPARTURES, FLOOR_DOUBT, SIZE_LEVELS
+from calib.gap.posterior.decide import Decision, decide
+from calib.gap.posterior.evidence import Evidence
+from calib.gap.posterior.search import Weighed
+from calib.gap.posterior.term import Key
+from calib.gap.series.always import always
+from calib.gap.series.blocks import blocks_of
+from calib.gap.series.effects import Around, terms_of
+from calib.gap.series.linear import Linear, foretold, noises_of
+from calib.gap.series.scene import Scene
+from calib.gap.series.search import SeriesSearch
+from calib.gap.series.term import SeriesTerm
+from calib.gap.series.whitening import Noise
+from calib.gap.signals.terms import STEP
+from calib.gap.signals.terms import Term as Law
+from control.progress import Advance
+
+LOOKS = 3  # linearisations, at most
+UNTOLD = 1.05  # times the floor: what the first look leaves above it is noise that nobody has measured yet
+SETTLINGS = 5  # refits of laws that bend
+SETTLED = 0.01  # of a value
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One linearisation, the noise around it, and what was decided."""
+
+    around: Around
+    linear: Linear
+    noises: tuple[Noise, ...]
+    evidence: Evidence
+    decision: Decision
+    rows: Picked
+
+    @property
+    def best(self) -> Weighed:
+        """The set of largest posterior."""
+        return self.decision.best
+
+    @property
+    def numbers(self) -> list[int]:
+        """Terms of the best set."""
+        return [number for number, _ in self.best.members]
+
+    def laws(self, names: Collection[Key] | None = None) -> dict[Key, Law]:
+        """The physics' terms of the best set's effects, at its estimates."""
+        size, _ = self.evidence.estimate(self.best.members, self.best.kappa)
+        found, first = {}, 0
+        for number in self.numbers:
+            one = self.linear.terms[number]
+            if one.law is not None and (names is None or one.key in names):
+                found[one.key] = _bounded(one.law(size[first : first + one.count]))
+            first += one.count
+        return found
+
+
+def looked(
+    scene: Scene, known: Sequence[Law], split: Split, names: Collection[str] | None, advance: Advance
+) -> Look:
+    """The last look."""
+    around = Around(scene, tuple(known), {}, scene.rows.residual(tuple(known)))
+    starts: list[frozenset[Key]] = []
+    noises = [Noise.white(len(scene.recording.runs)) for _ in scene.cells]
+    terms: list[SeriesTerm] = []
+    blocks = list(blocks_of(around))
+    for count in range(LOOKS):
+        advance("what every effect would do", 0.1 + 0.28 * count)
+        terms = [*terms_of(around, names, terms), *blocks]
+        linear = Linear.around(around, terms, tuple(always(around, terms)))
+        advance("weighing effects", 0.2 + 0.28 * count)
+        look = _weighed(around, linear, noises, split, starts)
+        if count or look.best.kappa > UNTOLD:
+            noises = list(measured(look, split))
+            look = _weighed(around, linear, noises, split, starts)
+        noises = list(measured(look, split))
+        keys = frozenset(linear.terms[number].key for number in look.numbers)
+        laws = look.laws()
+        if not laws or (count and starts[:1] == [keys]) or count == LOOKS - 1:
+            return look
+        starts = [keys, frozenset(key for key in keys if isinstance(key, EffectName))]
+        advance("settling what bends", 0.36 + 0.28 * count)
+        around = settled(look, split)
+    return look
+
+
+def _bounded(law: Law) -> Law:
+    """Where the effect means something."""
+    return law.at(tuple(bounded(law, np.array(law.values)).tolist()))
+
+
+def settled(look: Look, split: Split) -> Around:
+    """Around the best set, its laws' values refitted until those that the rows follow in no straight line stay."""
+    scene, known, laws = look.around.scene, look.around.known, look.laws()
+    blocks = [look.linear.terms[k] for k in look.numbers if look.linear.terms[k].law is None]
+    for turn in range(SETTLINGS):
+        model = (*known, *laws.values())
+        scene.keep(scene.rows.resting(model))
+        around = Around(scene, known, laws, scene.rows.residual(model))
+        if turn == SETTLINGS - 1 or not any(law.form in STEP for law in laws.values()):
+            break
+        terms = [one for one in terms_of(around, keys=laws.keys()) if one.now is not None]
+        linear = Linear.around(around, [*terms, *blocks])
+        gram = linear.gram(look.noises, split.deciding & scene.kept)
+        sd = np.concatenate([_usual(one) for one in linear.terms])
+        inner = np.eye(len(sd)) + sd[:, None] * gram.tip * sd
+        size, first = sd * np.linalg.solve(inner, sd * gram.pull), 0
+        moved, largest = dict(laws), 0.0
+        for one in terms:
+            own = size[first : first + one.count]
+            first += one.count
+            if one.law is None or not isinstance(one.key, EffectName):
+                continue
+            if one.is_positive and own[0] <= 0.0:
+                continue
+            moved[one.key] = _bounded(one.law(own))
+            if laws[one.key].form in STEP:
+                now = laws[one.key].values[0]
+                largest = max(largest, abs(moved[one.key].values[0] / now - 1.0) if now else 0.0)
+        laws = moved
+        if largest < SETTLED:
+            model = (*known, *laws.values())
+            return Around(scene, known, laws, scene.rows.residual(model))
+    return around
+
+
+def _usual(one: SeriesTerm) -> Array:
+    """Standard deviations of a term that is surely there: of a large size and of the usual roughness."""
+    scales, _ = one.scales()
+    return (
+        np.asarray(scales[-1])
+        if not one.is_name
+        else np.concatenate(
+            [
+                np.full(one.laws, SIZE_LEVELS[-1]),
+                np.full(one.departures, DEPARTURES[2]),
+                np.ones(one.count - one.laws - one.departures),
+            ]
+        )
+    )
+
+
+def _weighed(
+    around: Around, linear: Linear, noises: Sequence[Noise], split: Split, starts: Sequence[frozenset[Key]]
+) -> Look:
+    rows = split.deciding & around.scene.kept
+    evidence = Evidence(linear.gram(noises, rows), linear.terms, FLOOR_DOUBT)
+    found = SeriesSearch(evidence).run(starts)
+    return Look(around, linear, tuple(noises), evidence, decide(evidence, found), rows)
+
+
+def measured(look: Look, split: Split) -> list[Noise]:
+    """The noise of every cell: what the best set leaves of recordings that it was not fitted to."""
+    scene, members = look.around.scene, look.best.members
+    sd = np.concatenate([look.evidence.scales[k][0][h] for k, h in members] or [np.zeros(0)])
+    groups = [group & scene.kept for group in split.groups]
+    rest = foretold(look.linear, look.numbers, sd, look.noises, groups)
+    return noises_of(scene, rest, look.rows)
+
+
+def left(look: Look, numbers: Sequence[int], drop: Collection[int] = ()) -> Array:
+    """What terms of the best set leave of all rows (rows,), refitted beside what is always there, without those of `drop`."""
+    scales = dict(look.best.members)
+    sd = np.concatenate([np.zeros(0), *(look.evidence.scales[k][0][scales[k]] for k in numbers)])
+    terms = [*(look.linear.terms[k] for k in numbers), *look.linear.always]
+    columns = look.linear.columns_of(terms)
+    sd = np.concatenate((sd, np.ones(columns.shape[1] - len(sd))))
+    white = (
+        look.linear.whitened(np.column_stack((columns, look.linear.y)), look.noises)[look.rows]
+        / look.best.kappa
+    )
+    gram = white.T @ white
+    size = sd * np.linalg.solve(np.eye(len(sd)) + sd[:, None] * gram[:-1, :-1] * sd, sd * gram[:-1, -1])
+    kept = [np.full(one.count, k not in drop) for k, one in zip(numbers, terms, strict=False)]
+    size *= np.concatenate([*kept, *(np.ones(one.count, dtype=bool) for one in look.linear.always)])
+    return np.asarray(look.linear.y - columns @ size)

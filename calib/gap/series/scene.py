@@ -1,0 +1,177 @@
+"""What stands beside every row: the joints' angles, speeds, loads and currents, so that laws and blocks are functions of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arrays import Array
+from calib.gap.dynamic.rows import Cell, Rows
+from calib.gap.series.whitening import Series
+from calib.gap.signals.body import Load
+from calib.gap.signals.laws import sampled_friction_Nm
+from calib.gap.signals.parts import sorted_terms
+from calib.gap.signals.physics import Physics
+from calib.gap.signals.terms import Term as Law
+
+Response = Mapping[int, Array]  # of each cell (number) that something changes: (its rows, columns)
+REST_rad_s = 0.003
+Places = npt.NDArray[np.intp]
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """At every row of a cell: run, sample, time in the run, and (m, n) angles, speeds, accelerations, loads, currents."""
+
+    run: Places
+    sample: Places
+    t_s: Array
+    q: Array
+    speed: Array
+    acceleration: Array
+    load_Nm: Array
+    current_A: Array
+    payload_kg: Array
+    turned_rad: Array  # since the joint last turned round
+    axis: Places  # of the tip's rows
+
+    @property
+    def direction(self) -> Array:
+        """Signs of the speeds, smooth through rest, (m, n)."""
+        return np.asarray(np.tanh(self.speed / REST_rad_s))
+
+
+class Scene:
+    """Rows and what stands beside them."""
+
+    def __init__(self, rows: Rows, known: Sequence[Law]) -> None:
+        self.rows = rows
+        self.cells = rows.table.cells
+        self.arm, self.recording = rows.physics.arm, rows.recording
+        load = rows.physics.body.link_torques(Load())
+        current = [_drawn(rows.physics, k, known) for k in range(len(self.recording.runs))]
+        turned = [_since_turn(run.q, run.speed) for run in self.recording.runs]
+        self.beside = [self._beside(cell, load, current, turned) for cell in self.cells]
+        self.whole = self._whole(load, current, turned)
+        self.kept = np.ones(len(rows.table.run), dtype=bool)
+        self.series = self._followed()
+
+    def keep(self, kept: Flags) -> None:
+        """Rows (k,) that models can speak of from now on; the others are like gaps."""
+        self.kept = kept
+        self.series = self._followed()
+
+    def _followed(self) -> list[Series]:
+        return [
+            Series.of(own.run, own.sample, self._step(cell), 3 if cell.joint < 0 else 1, self.kept[cell.rows])
+            for cell, own in zip(self.cells, self.beside, strict=True)
+        ]
+
+    def _step(self, cell: Cell) -> int:
+        """Samples from a row of a cell to the next."""
+        if cell.joint >= 0:
+            return self.recording.filters.step
+        steps = np.concatenate([np.diff(run.frames) for run in self.recording.runs])
+        return int(np.median(steps)) if len(steps) else 1
+
+    def _beside(self, cell: Cell, load: list[Array], current: list[Array], turned: list[Array]) -> Beside:
+        table, runs = self.rows.table, self.recording.runs
+        run = table.run[cell.rows]
+        sample = np.round(table.t_s[cell.rows] * self.recording.filters.rate_Hz).astype(np.intp)
+        n = self.arm.joint_count
+
+        def at(values: list[Array]) -> Array:
+            found = np.empty((len(run), n))
+            for k in range(len(runs)):
+                mine = run == k
+                found[mine] = values[k][sample[mine]]
+            return found
+
+        carried = at([np.repeat(one.payload_kg[:, None], n, axis=1) for one in runs])[:, 0]
+        q, speed, acceleration = (
+            at([getattr(one, key) for one in runs]) for key in ("q", "speed", "acceleration")
+        )
+        axis = np.arange(len(run)) % 3 if cell.joint < 0 else np.zeros(len(run), dtype=int)
+        return Beside(
+            run, sample, table.t_s[cell.rows], q, speed, acceleration, at(load), at(current), carried, at(turned),
+            axis.astype(np.intp),
+        )  # fmt: skip
+
+    def _whole(self, load: list[Array], current: list[Array], turned: list[Array]) -> Beside:
+        """What stands beside every sample, run after run."""
+        runs = self.recording.runs
+
+        def joined(key: str) -> Array:
+            return np.concatenate([getattr(one, key) for one in runs])
+
+        lengths = [len(one) for one in runs]
+        run = np.repeat(np.arange(len(runs)), lengths)
+        sample = np.concatenate([np.arange(length) for length in lengths])
+        t_s = np.concatenate([one.t_s - one.t_s[0] for one in runs])
+        return Beside(
+            run.astype(np.intp), sample.astype(np.intp), t_s, joined("q"), joined("speed"), joined("acceleration"),
+            np.concatenate(load), np.concatenate(current), joined("payload_kg"), np.concatenate(turned), np.zeros_like(run),
+        )  # fmt: skip
+
+    def number(self, channel: str, joint: int = -1) -> int | None:
+        """Of the cell of a channel and joint (0-based), if there is one."""
+        for k, cell in enumerate(self.cells):
+            if cell.channel == channel and cell.joint == joint:
+                return k
+        return None
+
+    def split(self, columns: Array) -> dict[int, Array]:
+        """Columns (rows, c) by cell, without the cells where they are nought."""
+        found = {}
+        for k, cell in enumerate(self.cells):
+            own = columns[cell.rows]
+            if own.size and np.any(np.abs(own) > 1e-9):
+                found[k] = np.ascontiguousarray(own)
+        return found
+
+    def torque(self, joint: int, torque_Nm: Array) -> dict[int, Array]:
+        """The response to torques (c, samples) at a motor, filtered as the rows of its current are."""
+        k = self.number("current_A", joint)
+        if k is None:
+            return {}
+        cell, beside = self.cells[k], self.beside[k]
+        found = np.empty((len(beside.run), len(torque_Nm)))
+        for number in range(len(self.recording.runs)):
+            mine = beside.run == number
+            if mine.any():
+                filters = self.recording.filters
+                rows = filters.rows(torque_Nm[:, self.whole.run == number].T)
+                found[mine] = rows[(beside.sample[mine] - filters.reach) // filters.step]
+        return {k: found / (float(self.rows.physics.torque_per_A[joint]) * cell.floor)}
+
+    def ahead(self, joint: int, angle_rad: Array) -> dict[int, Array]:
+        """The tips' response to a joint that is further than its encoder says by angles (c, tip rows)."""
+        k = self.number("tip_m")
+        return {} if k is None else {k: (angle_rad * self.lever_m(joint)).T / self.cells[k].floor}
+
+    def lever_m(self, joint: int) -> Array:
+        """How each row of the tips follows a joint (0-based)."""
+        parts = [own[:, :, joint].ravel() for own in self.rows.physics.tips.jacobians]
+        return np.concatenate(parts)
+
+
+def _drawn(physics: Physics, k: int, known: Sequence[Law]) -> Array:
+    """Currents of run k (m, n) that the known model asks for: measured ones would bring their own noise into every column."""
+    run = physics.recording.runs[k]
+    torque = physics.body.link_torques(Load())[k] + physics.body.rotor_kg_m2 * run.acceleration
+    for law in sorted_terms(known).friction:
+        j = law.index
+        torque[:, j] += sampled_friction_Nm(law, run, j, torque[:, j], physics.gear_ratios[j])
+    return np.asarray(torque / physics.torque_per_A)
+
+
+def _since_turn(q: Array, speed: Array) -> Array:
+    """How far each joint has gone since it last turned round, (m, n)."""
+    sign = np.sign(speed)
+    turned = np.vstack([np.ones((1, sign.shape[1]), dtype=bool), sign[1:] != sign[:-1]])
+    last = np.maximum.accumulate(np.where(turned, np.arange(len(sign))[:, None], 0), axis=0)
+    return np.asarray(np.abs(q - np.take_along_axis(q, last, axis=0)))

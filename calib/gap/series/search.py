@@ -1,0 +1,41 @@
+"""The search of the poses, with one more step: two members make room for one other.
+
+Friction laws of a joint look alike: two wrong ones that grew first (viscous, and Coulomb of the other sign) do what one
+nameless block (drag) does better, and no exchange of single members gets there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import combinations
+
+from calib.gap.posterior.search import Search, Weighed
+from calib.gap.posterior.term import Key
+
+MERGES = 3
+BESIDE = 2  # terms that are tried in the place of two
+
+
+class SeriesSearch(Search):
+    """Over the sets of an Evidence."""
+
+    def run(self, known: Iterable[frozenset[Key]] = ()) -> list[Weighed]:
+        """All sets that were weighed, best first; `known`: sets to start from besides."""
+        found = super().run(known)
+        for _ in range(MERGES):
+            best = found[0]
+            for pair in combinations(best.members, 2):
+                places = {self._joint(number) for number, _ in pair}
+                if len(places) == 1:
+                    rest = [one for one in best.members if one not in pair]
+                    self._weigh(rest)
+                    self._grow(rest, best.kappa, BESIDE)
+            self._improve(set())
+            found = sorted(self.seen.values(), key=lambda one: -one.log)
+            if found[0] is best:
+                break
+        return found
+
+    def _joint(self, number: int) -> int:
+        key = self.evidence.terms[number].key
+        return key.joint or 0

@@ -1,0 +1,62 @@
+"""Poses of arms made without this project's kinematics: exact laws, laws that are only roughly right, several at once."""
+
+import dataclasses
+
+import pytest
+
+from benchmarks.gap.static.cases import ARM, Hidden, case
+from calib.gap.finding import EffectName
+from calib.gap.poses.find import find
+from calib.gap.poses.outcome import StaticGap
+from control.model.arm import Effect
+
+
+def names(found: StaticGap) -> set[EffectName]:
+    return {effect.name for effect in found.finding.effects if effect.name.effect != "link_geometry"}
+
+
+def value(found: StaticGap, effect: str, parameter: str) -> tuple[float, float]:
+    return next(one for one in found.finding.effects if one.name.effect == effect).parameters[parameter]
+
+
+def test_a_play_and_a_drift_are_named_together_and_the_gap_closes() -> None:
+    found = find(ARM, case(31, (Hidden("backlash", 1, 0.006), Hidden("thermal_drift", 2, 0.005, 1500.0))))
+    assert names(found) == {EffectName("backlash", 1), EffectName("thermal_drift", 2)}
+    assert value(found, "backlash", "width_rad")[0] == pytest.approx(0.006, rel=0.05)
+    assert found.finding.gap_after < 1.15
+    assert found.finding.unknown is None
+
+
+def test_nothing_hidden_is_named_nothing_and_nothing_is_left() -> None:
+    found = find(ARM, case(32))
+    assert names(found) == set()
+    assert found.finding.ambiguous == ()
+    assert found.finding.unknown is None
+
+
+def test_a_zero_that_slips_is_unknown_with_its_joint() -> None:
+    found = find(ARM, case(33, (Hidden("slip", 3, 0.006, 0.5),)))
+    assert names(found) == set()
+    assert found.finding.unknown is not None
+    assert found.finding.unknown.where.startswith("joint 3: steps at")
+
+
+def test_an_effect_that_the_file_knows_in_part_comes_out_as_the_total() -> None:
+    known = dataclasses.replace(ARM, effects=(Effect("encoder_scale", 2, {"scale": 0.002}),))
+    found = find(known, case(34, (Hidden("encoder_scale", 2, 0.006),)))
+    assert names(found) == {EffectName("encoder_scale", 2)}
+    total, sd = value(found, "encoder_scale", "scale")
+    assert total == pytest.approx(0.006, abs=3.0 * sd)
+
+
+def test_an_effect_that_the_file_has_right_is_not_missing() -> None:
+    known = dataclasses.replace(ARM, effects=(Effect("encoder_scale", 2, {"scale": 0.006 / 1.006}),))
+    assert names(find(known, case(34, (Hidden("encoder_scale", 2, 0.006),)))) == set()
+
+
+def test_what_is_named_says_its_probability_and_how_far_it_departs_from_its_law() -> None:
+    found = find(ARM, case(35, (Hidden("belt_coupling", None, 0.012),)))
+    belt = next(one for one in found.finding.effects if one.name.effect == "belt_coupling")
+    assert belt.probability > 0.95
+    assert belt.share > 0.9
+    assert (belt.departure, belt.variable) == (pytest.approx(0.0, abs=0.05), "q2")
