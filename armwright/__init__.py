@@ -1,7 +1,7 @@
 """armwright for Python programs: the public names (docs/python.md).
 
 Quantities are in SI units, angles in rad, tip positions in m in the arm's base frame; arrays are NumPy's float64. A name is
-imported when it is first used, so that `import armwright` loads neither NumPy nor anything else that takes time.
+imported on first use, so that `import armwright` is fast.
 """
 
 import importlib
@@ -134,7 +134,7 @@ def __dir__() -> list[str]:
 
 
 def _claim_packages() -> None:
-    """Our packages are those beside this one, also where the working directory has a folder of such a name."""
+    """Import our packages from beside this one, even if the working directory has a folder of the same name."""
     root = str(Path(__file__).resolve().parents[1])
     sys.path.insert(0, root)
     try:

@@ -1,4 +1,4 @@
-"""The command `armwright`, also as `python -m armwright`."""
+"""`python -m armwright`: the command `armwright`."""
 
 import sys
 

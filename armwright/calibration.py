@@ -50,7 +50,7 @@ class CalibrationResult:
 
     @property
     def verdict(self) -> tuple[str, ...]:
-        """Sentences: the answer, why, and what to do next."""
+        """Sentences: the verdict, the reasons, and the next steps."""
         return self.calibrated.verdict.in_words()
 
     @property
@@ -68,7 +68,7 @@ class CalibrationResult:
 
     @property
     def error_after_m(self) -> Array:
-        """The same by the calibrated arm."""
+        """Error vectors (m, 3) [m] by the calibrated arm."""
         return self.calibrated.found.error_after_m
 
     @property
@@ -77,7 +77,7 @@ class CalibrationResult:
         return self.calibrated.warnings
 
     def save(self, folder: str | Path) -> None:
-        """Write arm.toml, calibration.json and report.html. CalibrationError where one is there already; nothing is written."""
+        """Write arm.toml, calibration.json and report.html. CalibrationError if one exists; then nothing is written."""
         out = Path(folder)
         for name in RESULTS:
             if (out / name).exists():
@@ -113,15 +113,15 @@ def make_points(
     Args:
         q_rad: (m, n) encoder angles [rad].
         tip_m: (m, 3) measured tip positions [m] in the base frame, NaN where not measured; None for none.
-        setup: one name for all or one each: "normal", "roll", "pitch" for the calibration board's tilts, any other else.
-        point: (m,) names, those of the board's cavities where the tip sat in one; "1" to "m" by default.
+        setup: one name for all or one each: "normal", "roll", "pitch" for the calibration board's tilts, otherwise any name.
+        point: (m,) names, those of the board's cavities if the tip was seated in one; "1" to "m" by default.
         repeat: (m,) number of the visit to the point, 1 by default.
-        direction: (m, n) sign of each joint's last motion, 0 unknown; what backlash needs.
+        direction: (m, n) sign of each joint's last motion, 0 unknown; needed for backlash.
         current_A: (m, n) motor currents [A], NaN unknown.
         payload_kg: (m,) mass at the tip [kg], NaN unknown.
 
     Raises:
-        CalibrationError: names the array, its shape and the shape that is expected.
+        CalibrationError: names the array, its shape and the expected shape.
     """
     angles = _array(q_rad, "q_rad")
     if angles.ndim != 2 or not len(angles) or not np.isfinite(angles).all():
@@ -140,9 +140,9 @@ def make_points(
 
 
 def read_points(path: str | Path, joint_count: int | None = None) -> Points:
-    """The points of a points.csv or points.csv.gz; Python warnings for columns that are not known.
+    """Read a points.csv or points.csv.gz; unknown columns give Python warnings.
 
-    CalibrationError names file, line and column of what is wrong; with `joint_count` also another number of joints is.
+    CalibrationError names file, line and column; `joint_count` is checked if given.
     """
     points, notes = points_of(Path(path), joint_count)
     for sentence in notes:
@@ -162,21 +162,21 @@ def calibrate(
     leave_out: LeaveOut = None,
     seed: int = 0,
 ) -> CalibrationResult:
-    """Identify the geometry of `arm` from points, look for outliers, leave points out, and judge. `arm` is unchanged.
+    """Identify the geometry of `arm` from points, find outliers, cross-validate, and give a verdict. `arm` is unchanged.
 
     Args:
         arm: the nominal arm.
         points: with measured tips, or in cavities of the arm's calibration table.
-        effects: identified too: "backlash:2", "joint_compliance:2", "encoder_scale:1", "belt_coupling" ...
-        free: frames that are identified too, of "base", "table", "tool".
-        fixed: names of parameters that keep their value, as "theta4".
+        effects: to identify as well: "backlash:2", "joint_compliance:2", "encoder_scale:1", "belt_coupling" ...
+        free: frames to identify as well, of "base", "table", "tool".
+        fixed: names of parameters that keep their value, such as "theta4".
         objective: "e2" sum of distances, "e1" sum of absolute coordinates, "lsq" least squares, "huber".
-        accuracy_m: the mean distance that is wanted; the verdict says whether it is met.
-        leave_out: "setup", or k for every k-th point, for the held-out error; setups by default, where there are several.
-        seed: of the places where the searches start.
+        accuracy_m: the required mean distance; the verdict says whether it is met.
+        leave_out: "setup", or k for every k-th point, for the held-out error; by default setups, if there are several.
+        seed: of the random starts of the search.
 
     Raises:
-        CalibrationError: the points or the choice cannot be used; says which and why.
+        CalibrationError: the points or the options are not usable.
     """
     _require_of(arm, points)
     choice = Choice(fixed=tuple(fixed), freed=tuple(free), effects=tuple(effects))
@@ -185,9 +185,9 @@ def calibrate(
 
 
 def verify(nominal: Arm, calibrated_arm: Arm, points: Points) -> Comparison:
-    """Errors at points by two models of one arm; take points that the calibration did not use.
+    """Compare errors of two models of one arm; use points that the calibration did not use.
 
-    `of("all")` gives mean, RMS, largest and whether the difference is more than chance; `of(setup)` that of one setup.
+    `of("all")` gives mean, RMS, largest and the significance of the difference; `of(setup)` that of one setup.
     CalibrationError if no point has a tip to compare with.
     """
     _require_of(nominal, points)

@@ -1,4 +1,4 @@
-"""An arm whose control loop runs: a client of `armwright serve` over its local socket."""
+"""A running arm: a client of `armwright serve` over its local socket."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,16 +19,16 @@ from control.server.client import ArmClient, ArmFaulted, SocketChannel, fault_te
 from control.server.server import default_path
 
 Array = NDArray[np.float64]
-APPROACH_SPEED = 0.5  # of the joints' limits, on the way to the start of a path
+APPROACH_SPEED = 0.5  # of the joints' limits, for the move to the start of a path
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """The arm at one moment of the loop's clock, `t_s`.
+    """State of the arm at the loop's time `t_s`.
 
-    `mode` is one of docs/state_machine.md. joint_rad, encoder_rad (they differ where the arm's file knows backlash, compliance
+    `mode` is one of docs/state_machine.md. joint_rad, encoder_rad (they differ if the arm's file has backlash, compliance
     or encoder errors), speed_rad_s, current_A: (n,). tip_m (3,) in the base frame by the model, None before homing; camera_m
-    (3,) as the camera sees it, None without a fresh frame. `faults` and `warnings` are sentences.
+    (3,) by the camera, None without a fresh frame. `faults` and `warnings` are sentences.
     """
 
     mode: str
@@ -45,19 +45,19 @@ class Status:
 
 
 class RunningArm:
-    """An arm that a control loop moves. Made by `connect` or `mock_arm`; a context manager that disconnects at its end.
+    """A running arm, from `connect` or `mock_arm`; a context manager that disconnects on exit.
 
     Methods that move return when the arm is at rest at the target. A motion that this connection started is stopped when the
     connection ends, for whatever reason. They raise:
 
-        RequestRefused: the loop did not take the request; nothing has moved.
-        ArmFaulted: the arm stopped by itself and is in FAULT; the message says why.
-        MotionStopped: somebody stopped the motion before its end.
+        RequestRefused: the loop refused the request; nothing has moved.
+        ArmFaulted: the arm stopped and is in FAULT; the message says why.
+        MotionStopped: the motion was stopped before its end.
         RuntimeGone: the loop does not answer.
     """
 
     def __init__(self, client: ArmClient, arm: Arm) -> None:
-        """`arm`: the description that the loop works with."""
+        """`arm`: the description used by the loop."""
         self.arm = arm
         self._client = client
 
@@ -80,12 +80,12 @@ class RunningArm:
 
     @property
     def joint_rad(self) -> Array:
-        """Joint angles (n,) [rad] now; meaningful once the arm is homed."""
+        """Present joint angles (n,) [rad]; valid once the arm is homed."""
         return self.status().joint_rad
 
     @property
     def tip_m(self) -> Array:
-        """Tip position (3,) [m] in the base frame now, by the model. ArmError before homing."""
+        """Present tip position (3,) [m] in the base frame by the model. ArmError before homing."""
         tip = self.status().tip_m
         if tip is None:
             raise ArmError(f"arm {self.arm.name}: the tip position is unknown before homing: call home()")
@@ -102,7 +102,7 @@ class RunningArm:
             self._client.enable()
 
     def home(self, timeout_s: float = 120.0) -> None:
-        """Find the zero of every joint, one after the other; at once where the boards still know it."""
+        """Home every joint, one after the other; returns at once if the boards still have their zeros."""
         self._client.home(timeout_s)
 
     def move_joints(
@@ -115,9 +115,9 @@ class RunningArm:
         self._client.move_joints(_numbers(joint_rad, self.arm.joint_count, "joint_rad"), speed, wait)
 
     def move_tip(self, tip_m: Sequence[float] | Array, speed: float = 1.0, *, wait: bool = True) -> None:
-        """Move the joints to where the tip is at `tip_m` (3,) [m] in the base frame; the tip's way there is not straight.
+        """Move the joints so that the tip ends at `tip_m` (3,) [m] in the base frame; the tip's path is not straight.
 
-        OutOfReach, JointLimitViolated or NearSingular where no pose is there; nothing has moved then.
+        OutOfReach, JointLimitViolated or NearSingular if there is no such pose; nothing has moved then.
         """
         point = _numbers(tip_m, 3, "tip_m")
         target = InverseKinematics(self.arm).nearest(point, self._client.status()["joint_rad"])
@@ -126,29 +126,29 @@ class RunningArm:
     def run(self, trajectory: Trajectory, *, wait: bool = True) -> None:
         """Move to the start of a planned path at half speed, then run the path.
 
-        With `wait=False` it returns when the path has begun.
+        With `wait=False` it returns when the path has started.
         """
         self._client.move_joints(trajectory.start_rad, APPROACH_SPEED)
         self._client.run_path(trajectory.path.to_message(), wait)
 
     def jog_joint(self, joint: int, by_rad: float) -> str:
-        """Move one joint (1-based) by an angle; returns what limited it in words, empty for nothing."""
+        """Move one joint (1-based) by an angle; returns what limited the motion as text, or ""."""
         return self._client.jog(joint=joint, by_rad=by_rad)
 
     def jog_tip(self, axis: Literal["x", "y", "z"], by_m: float) -> str:
-        """Move the tip along an axis of the base frame; returns what limited it in words, empty for nothing."""
+        """Move the tip along an axis of the base frame; returns what limited the motion as text, or ""."""
         return self._client.jog(axis=axis, by_m=by_m)
 
     def stop(self) -> None:
-        """Controlled stop of whatever moves; returns when the arm holds. No replacement for an emergency stop."""
+        """Controlled stop; returns when the arm holds. Not a replacement for an emergency stop."""
         self._client.stop()
 
     def pause(self) -> None:
-        """Slow the motion to rest on its path; `resume` goes on."""
+        """Slow the motion to rest on its path; `resume` continues it."""
         self._client.pause()
 
     def resume(self) -> None:
-        """Go on after `pause`."""
+        """Continue after `pause`."""
         self._client.resume()
 
     def wait_until_holding(self, timeout_s: float = 60.0) -> None:
@@ -156,7 +156,7 @@ class RunningArm:
         self._client.arrive(timeout_s)
 
     def guide(self) -> None:
-        """Let a hand guide the arm: the drives are off, so somebody must hold it first. `hold` ends it."""
+        """Start hand guiding: the drives turn off, so somebody must hold the arm first. `hold` ends it."""
         self._client.guide()
 
     def hold(self) -> None:
@@ -172,18 +172,18 @@ class RunningArm:
         self._client.acknowledge()
 
     def off(self) -> None:
-        """Stop, lower the arm to rest with shorted windings, switch the drives off. The loop goes on."""
+        """Stop, lower the arm to rest with shorted windings, switch the drives off. The loop keeps running."""
         self._client.off()
 
     def wait(self, duration_s: float) -> None:
-        """Let time pass on the loop's clock: on a stepped mock arm nothing happens in between."""
+        """Let time pass on the loop's clock; on a stepped mock arm, time passes only during calls."""
         self._client.wait(duration_s)
         status = self._client.status()
         if status["mode"] == "FAULT":
             raise ArmFaulted(fault_text(status))
 
     def close(self) -> None:
-        """Disconnect. A motion that this connection started is stopped; the loop goes on."""
+        """Disconnect. A motion that this connection started is stopped; the loop keeps running."""
         self._client.close()
 
     def __enter__(self) -> Self:
@@ -196,11 +196,11 @@ class RunningArm:
 
 
 def connect(arm: Arm | str | Path, socket: str | Path | None = None, timeout_s: float = 2.0) -> RunningArm:
-    """Connect to the loop that runs `arm`: the same file or shipped name that `armwright serve --arm` was given.
+    """Connect to the loop that runs `arm`: the same file or name as for `armwright serve --arm`.
 
     Args:
-        arm: an Arm, the path of an arm.toml, or the name of an arm that ships.
-        socket: of the loop, where `armwright serve --socket` set another than that of the arm's name.
+        arm: an Arm, the path of an arm.toml, or the name of a supplied arm.
+        socket: of the loop, if `armwright serve --socket` set another than the default.
         timeout_s: longest wait for an answer.
 
     Raises:
@@ -217,7 +217,7 @@ def _array(values: Any) -> Array:
 
 
 def _numbers(values: Sequence[float] | Array, count: int, what: str) -> list[float]:
-    """`values` as plain numbers; BadTarget where they are not `count` finite ones."""
+    """`values` as plain numbers; BadTarget unless they are `count` finite ones."""
     array = np.asarray(values, dtype=np.float64)
     if array.shape != (count,) or not np.isfinite(array).all():
         raise BadTarget(f"{what}: expected {count} finite numbers, got {array.tolist()}")

@@ -1,4 +1,4 @@
-"""The gap workflow: where a model and measurements disagree, and which effect is missing in the model."""
+"""The gap workflow: which effects are missing in the model."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ Files = str | Path | Sequence[str | Path]
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """The result; `str()` gives it in sentences, the answer first."""
+    """The result; `str()` gives it in sentences, the conclusion first."""
 
     arm: Arm
     recordings: Recordings
@@ -25,23 +25,23 @@ class Gap:
 
     @property
     def finding(self) -> GapFinding:
-        """Effects with parameters and evidence, what stays ambiguous or unknown, the gap before and after."""
+        """Effects with parameters and evidence, ambiguous or unknown ones, the gap before and after."""
         return self.outcome.finding
 
     @property
     def named(self) -> tuple[str, ...]:
-        """The effects that are named, as "backlash on joint 2"."""
+        """The named effects, such as "backlash on joint 2"."""
         return tuple(str(effect.name) for effect in self.finding.effects)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences about the measurements, and about where poses and time series disagree."""
+        """Sentences about the measurements, and about contradictions between poses and time series."""
         return (*self.outcome.warnings, *self.outcome.agreement)
 
     def save(self, folder: str | Path) -> Arm:
-        """Write gap.json, arm.toml and report.html; returns the model with what was named.
+        """Write gap.json, arm.toml and report.html; return the model with the named effects.
 
-        ArmError where one of them is there already; nothing is written then.
+        ArmError if one of them exists; then nothing is written.
         """
         return write_gap(self.outcome, self.arm, self.recordings, Path(folder))
 
@@ -52,13 +52,13 @@ class Gap:
 def find_gap(
     arm: Arm, points: Points | Files | None = None, log: Files | None = None, *, without: Sequence[str] = ()
 ) -> Gap:
-    """Look for effects that the model of `arm` lacks: in static poses, in time series, or in both.
+    """Find effects that the model of `arm` lacks, from static poses, time series, or both.
 
     Args:
         arm: the model.
         points: Points, or one or more points.csv.
         log: one or more log.csv.
-        without: names of effects that are not tried.
+        without: names of effects to exclude.
 
     Raises:
         CalibrationError: a file names its line and column; or the measurements are too few.

@@ -14,8 +14,8 @@ class Kinematics:
     """The geometry of one arm with n joints: DH table and tool, from the arm's file.
 
     Joint angles in rad, tip positions in m in the base frame. Leading axes of an argument are kept: (n,) gives one result,
-    (m, n) gives m of them. Angles are those of the joints; what lies between encoder and joint (backlash, compliance) is no
-    part of it.
+    (m, n) gives m of them. Angles are joint angles; effects between encoder and joint (backlash, compliance) are not
+    included.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -26,7 +26,7 @@ class Kinematics:
         self.joint_count = arm.joint_count
 
     def forward(self, joint_rad: ArrayLike) -> Array:
-        """Tip positions (..., 3) [m] of joint angles (..., n). BadTarget for another shape or a number that is not finite."""
+        """Tip positions (..., 3) [m] of joint angles (..., n). BadTarget for another shape or a non-finite number."""
         poses, shape = _rows(joint_rad, self.joint_count, "joint angles")
         return self._forward.tips(poses).reshape(*shape, 3)
 
@@ -38,11 +38,11 @@ class Kinematics:
     def inverse(self, tip_m: ArrayLike, near_rad: ArrayLike | None = None) -> Array:
         """Joint angles (..., n) within the joint limits for tip positions (..., 3), to 1e-9 m.
 
-        Of several solutions the one with the least largest joint travel from `near_rad` (n,) or (..., n), by default from the
+        Of several solutions, the one that minimises the largest joint travel from `near_rad` (n,) or (..., n), by default the
         arm's rest pose.
 
         Raises:
-            OutOfReach: `distance_m` says how far outside of the reach the first such position lies.
+            OutOfReach: `distance_m` of the first such position from the reach.
             JointLimitViolated: only poses beyond the limits reach it; `joint` and `excess_rad` say by how much.
             NearSingular: the arm would lose a direction of motion there.
             BadTarget: another shape, or a number that is not finite.

@@ -1,4 +1,4 @@
-"""A mock arm to try programs on: boards and physics are simulated, the control loop is the real one."""
+"""A mock arm for testing programs: boards and physics are simulated, the control loop is the real one."""
 
 import tempfile
 from collections.abc import Iterator
@@ -26,11 +26,11 @@ class MockArm(RunningArm):
         self._rig = rig
 
     def true_tip_m(self) -> Array:
-        """Where the simulated tip is, (3,) [m] in the base frame."""
+        """The true tip position (3,) [m] in the base frame."""
         return np.array(self._rig.tip_m(), dtype=np.float64)
 
     def true_joint_rad(self) -> Array:
-        """The simulated joint angles (n,) [rad]."""
+        """The true joint angles (n,) [rad]."""
         return np.array(self._rig.joint_rad(), dtype=np.float64)
 
     def set_payload(self, mass_kg: float) -> None:
@@ -49,10 +49,10 @@ def mock_arm(
     """Start a mock of `arm` with a control loop, connect, and end both afterwards. The drives are off at first.
 
     Args:
-        arm: an Arm, the path of an arm.toml, or the name of an arm that ships.
+        arm: an Arm, the path of an arm.toml, or the name of a supplied arm.
         scenario: what the mock hides from the loop: "ideal", "demo", "paper", or a file (docs/mock_robot.md).
         realtime: False simulates in this process on a stepped clock, faster than real time; time passes only while a method
-            waits. True starts boards and loop as processes of their own, as with a real arm.
+            waits. True starts boards and loop as separate processes, as with a real arm.
         folder: for the recordings; without it they are deleted at the end.
 
     Raises:

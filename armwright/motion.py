@@ -1,4 +1,4 @@
-"""Paths of the tip: planned and checked before anything moves, and sampled as the loop will follow them."""
+"""Paths of the tip: planned and checked before anything moves, and sampled as followed by the loop."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ class Trajectory:
 
     @property
     def slowdowns(self) -> tuple[str, ...]:
-        """A sentence for each section that the arm's limits make slower than asked."""
+        """A sentence for each section that the arm's limits make slower than requested."""
         return tuple(map(str, self.path.slowdowns))
 
     def sample(self, t_s: ArrayLike) -> Samples:
@@ -81,10 +81,10 @@ def plan_path(
         arm: of three joints; its geometry, limits and calibration table are respected.
         waypoints_m: (m, 3) in the base frame, or a CSV file with the columns x_m, y_m, z_m and, optionally, speed_m_s.
         speed_m_s: one speed for all sections or one for each way-point; None takes the file's, else 0.1 m/s.
-        near_rad: (n,) of the postures that can run the whole path, the one nearest to it; the arm's rest pose by default.
+        near_rad: (n,) the posture nearest to this is chosen; by default the arm's rest pose.
 
     Raises:
-        PathError: names the way-point, what is in the way and by how much.
+        PathError: names the way-point, the obstacle and the amount.
         ArmError: the arm has not three joints, or a number is not usable.
     """
     waypoints = read_waypoints(waypoints_m) if isinstance(waypoints_m, str | Path) else _listed(waypoints_m)

@@ -1,5 +1,5 @@
-"""Measured claims, beside peers, in one run: `python -m benchmarks`."""
+"""Measured claims, compared with peers, in one run: `python -m benchmarks`."""
 
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for us and for peers, as console.main has it
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for us and for peers, as in console.main

@@ -36,7 +36,7 @@ INTERRUPTED = 130
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure the sections named, or all; 1 where one failed. A missed target is no failure: the machine may have been busy."""
+    """Measure the named sections, or all; 1 if one failed. A missed target is not a failure: the machine may have been busy."""
     unknown = [name for name in arguments if name not in SECTIONS]
     if unknown:
         print(f"unknown section {unknown[0]!r}: expected some of {', '.join(SECTIONS)}", file=sys.stderr)
@@ -49,14 +49,14 @@ def main(arguments: Sequence[str]) -> int:
             failed += _measured(name, found[name])
             _save(found, failed)
     except KeyboardInterrupt:
-        print(f"\ninterrupted; what was measured is in {OUT}")
+        print(f"\ninterrupted; results so far are in {OUT}")
         return INTERRUPTED
     _sum_up(found, failed)
     return 1 if failed else 0
 
 
 def _measured(name: str, rows: list[BenchRow]) -> list[str]:
-    """Print and collect a section's rows as they come. Where it fails, one line that says why."""
+    """Print and collect a section's rows as they are measured. If it fails, print one line with the reason."""
     title, module = SECTIONS[name]
     print(f"\n{title}\n{_heading()}", flush=True)
     start_s = time.monotonic()
@@ -65,7 +65,7 @@ def _measured(name: str, rows: list[BenchRow]) -> list[str]:
         for row in importlib.import_module(module).rows():
             rows.append(row)
             print(_line(row), flush=True)
-    except Exception as error:  # whatever a section raises, the others are measured
+    except Exception as error:  # a failed section must not prevent the others
         reason = " ".join(str(error).split())
         failures.append(f"{name} failed: {type(error).__name__}: {reason}")
         print(failures[0])
@@ -96,7 +96,7 @@ def _line(row: BenchRow) -> str:
 
 
 def _save(found: dict[str, list[BenchRow]], failed: Sequence[str]) -> None:
-    """All rows, with what the numbers depend on; nothing that names the machine."""
+    """Save all rows and the software versions, but nothing that identifies the machine."""
     about = {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "program": f"armwright {version('armwright')}",

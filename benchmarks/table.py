@@ -9,8 +9,8 @@ from time import perf_counter
 class BenchRow:
     """A measured claim.
 
-    `ratio` is value / peer_value; `target` says in words what must hold, and `passed` whether it does: None where
-    there is no target, or where the peer it needs could not be run (then `peer` says so).
+    `ratio` is value / peer_value; `target` describes the requirement, and `passed` whether it holds: None if
+    there is no target, or if the required peer could not be run (see `peer`).
     """
 
     name: str
@@ -32,7 +32,7 @@ def compared(
     target: str,
     largest_ratio: float | None,
 ) -> BenchRow:
-    """Return a row beside a peer; without the peer's value there is no verdict, and beside zero there is no ratio."""
+    """Return a row with a peer; without the peer's value there is no verdict, and for zero there is no ratio."""
     if peer_value is None:
         return BenchRow(name, value, unit, peer, target=target)
     ratio = value / peer_value if peer_value > 0.0 else None

@@ -1,4 +1,4 @@
-"""Measured against modelled: table sessions, identification of DH deviations, verification, report."""
+"""Calibration: table sessions, identification of DH deviations, verification, report."""
 
 from firmware_iface.installation import claim
 

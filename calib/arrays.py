@@ -10,7 +10,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 def frozen(values: npt.ArrayLike) -> Array:
-    """A read-only float copy, so that a frozen dataclass is frozen all the way down."""
+    """A read-only float copy, for frozen dataclasses."""
     copy = np.array(values, dtype=np.float64)
     copy.flags.writeable = False
     return copy

@@ -1,4 +1,4 @@
-"""What can be wrong with calibration data; str() of each is the message an operator reads."""
+"""Errors of calibration data; str() of each is the message for the operator."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from firmware_iface.errors import ArmwrightError
 
 
 class CalibrationError(ArmwrightError):
-    """Base of everything that calib refuses."""
+    """Base of all errors of calib."""
 
 
 class PointsFileError(CalibrationError):
-    """points.csv does not follow its format; the message names file, line and column."""
+    """An invalid points.csv; the message names file, line and column."""
 
 
 class UnusablePointsError(CalibrationError):
-    """The points are well-formed, but no calibration can be made of them."""
+    """The points are well-formed, but not usable for a calibration."""
 
 
 class SessionError(CalibrationError):
-    """A session cannot go on: the arm does not come to rest, or the record does not belong to it."""
+    """A session cannot continue: the arm does not come to rest, or the record does not belong to it."""
 
 
 class RegistrationError(CalibrationError):
-    """Where a board stands cannot be found from the markers that were seen; nothing is guessed."""
+    """The measured markers do not determine the board's pose."""

@@ -17,6 +17,6 @@ class InputFile:
 
 
 def input_file(path: Path, what: str) -> InputFile:
-    """Name and SHA-256 of a file as it is now."""
+    """Name and SHA-256 of a file."""
     with path.open("rb") as file:
         return InputFile(path.name, hashlib.file_digest(file, "sha256").hexdigest(), what)

@@ -1,4 +1,4 @@
-"""Options of the command line as data, so that the whole `--help` needs nothing but argparse."""
+"""Options of the command line as data, so that `--help` needs only argparse."""
 
 import argparse
 import math
@@ -11,7 +11,7 @@ Command = Callable[[argparse.Namespace], int]
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """One argument: its flags (or its bare name) and what argparse wants to know of it."""
+    """One argument: its flags (or its name) and the keywords for argparse."""
 
     flags: tuple[str, ...]
     details: dict[str, Any] = field(default_factory=dict)
@@ -21,8 +21,8 @@ class Option:
 class CommandSpec:
     """One subcommand.
 
-    `module` names the one that runs it where that is not named as the command is: it stands in a folder, or is shared with
-    other commands, which `given.command` then tells apart.
+    `module` names the module that runs it, if its name differs from the command's: it is in a folder, or shared with
+    other commands, which `given.command` distinguishes.
     """
 
     name: str
@@ -54,7 +54,7 @@ def finite(text: str) -> float:
 
 
 def option(*flags: str, **details: Any) -> Option:
-    """An option or positional argument in argparse's words."""
+    """An option or positional argument with argparse's keywords."""
     return Option(flags, details)
 
 
@@ -77,7 +77,7 @@ ARM = option(
     "--arm",
     default=USERS_ARM,
     metavar="A",
-    help="an arm.toml, or the name of an arm that ships (default: $ARMWRIGHT_ARM, `arm` in"
+    help="an arm.toml, or the name of a supplied arm (default: $ARMWRIGHT_ARM, `arm` in"
     " ~/.config/armwright/config.toml, or right)",
 )
 SOCKET = option("--socket", metavar="PATH", help="the runtime's socket (default: chosen by the arm's name)")

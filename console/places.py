@@ -1,4 +1,4 @@
-"""Named places: a TOML file that says joint angles, or a tip position, for each name. Written by hand or by `armwright mark`.
+"""Named places: a TOML file with joint angles or a tip position for each name. Written by hand or by `armwright mark`.
 
 [above_board]
 q_rad = [0.0, -0.6, 0.2]
@@ -26,7 +26,7 @@ class PlacesError(ArmError):
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Joint angles, or a tip position in the base frame that joint angles must be found for."""
+    """Joint angles, or a tip position in the base frame."""
 
     name: str
     q_rad: tuple[float, ...] | None
@@ -49,7 +49,7 @@ def find_place(file: Path, name: str) -> Place:
 def save_place(file: Path, name: str, q_rad: Sequence[float]) -> bool:
     """Add a place of joint angles, or replace its pose; other places are unchanged, comments are lost.
 
-    Returns whether there was one of this name.
+    Returns whether the name existed.
     """
     import tomli_w
 

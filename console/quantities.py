@@ -1,8 +1,8 @@
-"""Quantities as an operator writes them, `5mm` or `2deg`, in SI units for the packages.
+"""Quantities with units, such as `5mm` or `2deg`, converted to SI.
 
-What is printed, reported and drawn has the same units everywhere: lengths in mm; poses, ranges and the model's angles (with
-their deviations and standard deviations beside them) in deg; angular errors, play and noise by themselves in mrad. SI stands in
-files for programs, and where an operator copies a value into arm.toml or back into a command that takes rad or m.
+Printed and drawn values have the same units everywhere: lengths in mm; poses, ranges and the model's angles (with
+their deviations and standard deviations) in deg; angular errors, backlash and noise in mrad. SI is used in
+files for programs, and where an operator copies a value to arm.toml or to a command that takes rad or m.
 """
 
 import math
@@ -17,9 +17,9 @@ UNITS = {
 
 
 def quantity(text: str, unit: str, what: str) -> float:
-    """A number with a unit of the same kind as `unit` ("m" or "rad"), in that unit; ArmError if it is none.
+    """Parse a number with a unit of the same kind as `unit` ("m" or "rad"), converted to it; ArmError if invalid.
 
-    Without a unit it is refused: 8 may be millimetres to who writes it and metres to who reads it.
+    A number without a unit is refused: 8 may be meant in millimetres and read in metres.
     """
     found = re.fullmatch(r"\s*([-+0-9.eE]+)\s*([a-z]+)\s*", text)
     factor = UNITS[unit].get(found[2]) if found else None

@@ -15,12 +15,12 @@ class ConfigError(ArmError):
 
 
 def config_file() -> Path:
-    """Where the user's configuration is (XDG base directory specification)."""
+    """Path of the user's configuration (XDG base directory specification)."""
     return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "armwright" / "config.toml"
 
 
 def default_arm() -> str:
-    """A path to an arm.toml or the name of an arm that ships. ConfigError."""
+    """A path to an arm.toml or the name of a supplied arm. Raises ConfigError."""
     if named := os.environ.get(VARIABLE):
         return _existing(named, Path(), VARIABLE)
     file = config_file()
@@ -38,7 +38,7 @@ def default_arm() -> str:
 
 
 def _existing(text: str, folder: Path, where: str) -> str:
-    """A path as seen from `folder`, or a name unchanged. ConfigError if a path does not exist."""
+    """A path relative to `folder`, or a name unchanged. ConfigError if a path does not exist."""
     path = folder / Path(text).expanduser()
     if path.suffix != ".toml" and len(path.parts) <= len(folder.parts) + 1:
         return text

@@ -1,4 +1,4 @@
-"""Shows on standard error that a command works while it waits for the arm: one line, redrawn on a terminal."""
+"""Shows progress on standard error while a command waits for the arm: one line, redrawn on a terminal."""
 
 import argparse
 import contextlib
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from control.server.client import ArmClient, Message
 
 QUIET_S = 1.0  # most commands are done by then
-QUARTERS = 4  # of a motion, where there is no terminal
+QUARTERS = 4  # of a motion, without a terminal
 
 
 class Progress:

@@ -1,19 +1,19 @@
-"""What can be wrong with an arm, its file, or a request to it: an operator can act on every message."""
+"""Errors of an arm, its file, or a request to it. An operator can act on every message."""
 
 from pathlib import Path
 
 from firmware_iface.errors import ArmwrightError
 from firmware_iface.installation import claim
 
-claim()  # here too: python-control's __init__.py may stand in the place of ours
+claim()  # here too: python-control's __init__.py may have replaced ours
 
 
 class ArmError(ArmwrightError):
-    """Base of everything that the package `control` raises on purpose; `str()` is the message to show."""
+    """Base of all errors that the package `control` raises deliberately; `str()` is the message to show."""
 
 
 class ArmFileError(ArmError):
-    """An arm.toml that cannot be taken: names file, line, key, what was expected and what was got."""
+    """An invalid arm.toml; names file, line, key, the expected value and the actual one."""
 
     def __init__(
         self, file: str | Path, line: int | None, key: str, expected: str, got: str, hint: str = ""
@@ -31,15 +31,15 @@ class ArmFileError(ArmError):
 
 
 class MissingModel(ArmError):
-    """The description lacks something that this request needs (masses, a drive, a table, a closed form)."""
+    """The arm's description lacks something that the request needs (masses, a drive, a table, a closed form)."""
 
 
 class BadTarget(ArmError):
-    """A target or joint vector that means nothing: not finite, or of the wrong length."""
+    """An invalid target or joint vector: not finite, or of the wrong length."""
 
 
 class OutOfReach(ArmError):
-    """No joint angles bring the tip there; `distance_m` is how far outside of the reachable space it lies."""
+    """No joint angles reach the target; `distance_m` is its distance from the reachable space."""
 
     def __init__(self, message: str, distance_m: float) -> None:
         self.distance_m = distance_m
@@ -47,10 +47,10 @@ class OutOfReach(ArmError):
 
 
 class NearSingular(ArmError):
-    """The target is reachable only in, or too near to, a pose where the arm loses a direction of motion.
+    """The target can be reached only in, or too close to, a singular pose.
 
     `which` is "elbow", "shoulder" or "arm"; `margin` is the distance from the singularity and
-    `limit` the least one allowed, both in `unit`.
+    `limit` the smallest one allowed, both in `unit`.
     """
 
     def __init__(self, message: str, which: str, margin: float, limit: float, unit: str) -> None:

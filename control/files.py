@@ -1,4 +1,4 @@
-"""Results on the disk: whole or not at all, and one sentence that names the file where there is no room."""
+"""Writes result files atomically: complete or not at all, with one error that names the file."""
 
 import contextlib
 import errno
@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import TypeVar
 
 T = TypeVar("T")
-PROBE_bytes = 1 << 18  # written to try a place: some full disks still take a small file
+PROBE_bytes = 1 << 18  # size of the trial file: some full disks still accept a small one
 LONGEST_NAME_bytes = 255
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
 
 class NotWritten(OSError):
-    """A file that could not be written; what stood there before is as it was. `str()` names the file and says why."""
+    """A file could not be written; a previous version is unchanged. `str()` names the file and the reason."""
 
     @classmethod
     def of(cls, error: OSError, path: Path) -> "NotWritten":
-        """What the system said of `path`."""
+        """Make one from the system's error about `path`."""
         return cls(error.errno, error.strerror or str(error), str(path))
 
     def __str__(self) -> str:
@@ -28,9 +28,9 @@ class NotWritten(OSError):
 
 
 def make_whole(path: Path, write: Callable[[Path], T]) -> T:
-    """Let `write` fill a file beside `path`, put it on the disk and rename it; returns what `write` returned.
+    """Let `write` fill a temporary file beside `path`, sync it and rename it; return the result of `write`.
 
-    Whatever fails, `path` stays as it was and nothing is left beside it. NotWritten names `path`.
+    On failure `path` is unchanged and the temporary file is removed. NotWritten names `path`.
     """
     beside = _beside(path)
     try:
@@ -41,26 +41,26 @@ def make_whole(path: Path, write: Callable[[Path], T]) -> T:
     except OSError as error:
         raise NotWritten.of(error, path) from error
     finally:
-        with contextlib.suppress(OSError):  # why the file was not written is what counts
+        with contextlib.suppress(OSError):  # the original error matters more
             beside.unlink(missing_ok=True)
     return result
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """The file with this content (text in UTF-8), or as it was. NotWritten names `path`."""
+    """Write a file atomically (text as UTF-8). NotWritten names `path`."""
     written = utf_8(content) if isinstance(content, str) else content
     make_whole(path, lambda beside: beside.write_bytes(written))
 
 
 def write_new(path: Path, content: str | bytes) -> None:
-    """As `write_whole`, for a file that must not exist: FileExistsError where it does."""
+    """As `write_whole`, but FileExistsError if the file exists."""
     if path.exists():
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
     write_whole(path, content)
 
 
 def append_whole(fd: int, path: Path, content: bytes) -> None:
-    """Append to the open file `path` and wait for the disk; NotWritten where not all of it fits, and then none is there."""
+    """Append to the open file `path` and sync; NotWritten if not all of it fits, and then nothing is appended."""
     begun = os.lseek(fd, 0, os.SEEK_END)
     try:
         _write_all(fd, content)
@@ -72,7 +72,7 @@ def append_whole(fd: int, path: Path, content: bytes) -> None:
 
 
 def require_writable(folder: Path) -> None:
-    """NotWritten where nothing can be written into `folder`, which need not exist yet; leaves no trace of the trial."""
+    """NotWritten if `folder`, which need not exist yet, cannot be written to; the trial leaves no trace."""
     made = [part for part in (folder, *folder.parents) if not part.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -90,12 +90,12 @@ def require_writable(folder: Path) -> None:
 
 
 def utf_8(text: str) -> bytes:
-    """The text in UTF-8, with whatever bytes of file names it carries: as the characters that they are, else as U+FFFD."""
+    """Encode as UTF-8; undecodable bytes of file names become their characters if valid, else U+FFFD."""
     return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace").encode()
 
 
 def _beside(path: Path) -> Path:
-    """A hidden name in the same folder with the same endings, which writers choose a format by."""
+    """A hidden name in the same folder with the same suffixes, by which writers choose a format."""
     named = path.with_name(f".partial-{path.name}")
     is_short = len(os.fsencode(named.name)) <= LONGEST_NAME_bytes
     return named if is_short else path.with_name(f".partial{path.suffix}")

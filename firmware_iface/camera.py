@@ -1,4 +1,4 @@
-"""Camera frames over UDP, one datagram a marker and picture. docs/camera.md is the definition.
+"""Camera frames over UDP: one datagram per marker and image. docs/camera.md defines the format.
 
 offset 0 magic b"AWCM", 4 version u8 = 1, 5 flags u8 (bit 0: visible), 6 source u16,
 8 sequence u32, 12 time_s f64, 20 x_m, 28 y_m, 36 z_m f64; little endian, 44 bytes
@@ -21,7 +21,7 @@ _LONGEST_DATAGRAM = 65536
 
 @dataclass(frozen=True, slots=True)
 class CameraFrame:
-    """Where a marker was at `time_s` of the camera's own clock; position in the base frame."""
+    """Position of a marker in the base frame at `time_s` of the camera's own clock."""
 
     sequence: int
     time_s: float
@@ -41,7 +41,7 @@ class CameraFrame:
 
 
 def unpack(datagram: bytes) -> CameraFrame | None:
-    """The frame in `datagram`, None if it is none."""
+    """Return the frame in `datagram`, or None if it is not a camera frame."""
     if len(datagram) != _LAYOUT.size:
         return None
     magic, version, flags, source, sequence, time_s, x_m, y_m, z_m = _LAYOUT.unpack(datagram)
@@ -53,7 +53,7 @@ def unpack(datagram: bytes) -> CameraFrame | None:
 
 
 class CameraReceiver:
-    """Listens on a UDP port. Datagrams that are no camera frames are dropped and counted in `rejected`."""
+    """Listens on a UDP port. Datagrams that are not camera frames are dropped and counted in `rejected`."""
 
     def __init__(self, port: int = DEFAULT_PORT, host: str = "127.0.0.1") -> None:
         """Listen on `port` of the interface with address `host`; port 0 takes any free one."""
@@ -72,7 +72,7 @@ class CameraReceiver:
         self.name = f"udp://{host}:{self.port}"
 
     def receive(self) -> list[CameraFrame]:
-        """All frames that are there, in the order of arrival; never blocks. Raises LinkLost."""
+        """Return all frames received so far, in order of arrival; never blocks. Raises LinkLost."""
         frames = []
         while (datagram := self._datagram()) is not None:
             if (frame := unpack(datagram)) is None:
@@ -103,7 +103,7 @@ class CameraSender:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
     def send_frame(self, frame: CameraFrame) -> None:
-        """Put one frame on its way. Raises MisuseError for a frame that cannot be written."""
+        """Send one frame. Raises MisuseError for a frame that cannot be encoded."""
         self._socket.sendto(frame.pack(), self._address)
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
-"""Time as the devices see it: whoever waits, waits through a Clock.
+"""Clocks. Everything that waits does so through a Clock.
 
-Real time sleeps; the stepped mock lets the simulation run on until the wanted time.
+In real time, waiting sleeps. On the stepped mock, waiting advances the simulation to that time.
 Device code is the same on both.
 """
 
@@ -16,9 +16,9 @@ class Clock(Protocol):
         ...
 
     def wait_until_s(self, t: float) -> None:
-        """Return once `now_s() >= t`, at once if that is so already.
+        """Return once `now_s() >= t`; immediately if `t` has passed.
 
-        `t` is absolute, so that lateness does not add up.
+        `t` is absolute, so lateness does not accumulate.
         """
         ...
 
@@ -32,6 +32,6 @@ class MonotonicClock:
 
     def wait_until_s(self, t: float) -> None:
         """Sleep until the absolute time `t` [s]."""
-        # A sleep may end early by the clock's resolution: look again until the time has come.
+        # A sleep may end early by the clock's resolution: check again.
         while (left_s := t - time.monotonic()) > 0.0:
             time.sleep(left_s)

@@ -1,8 +1,8 @@
-"""What can go wrong between the host and a board, and whose fault it is.
+"""Errors between the host and the boards, by who is at fault.
 
 The text of each error is the message for the operator: which device, where, what was expected,
-what came, what to do. Noise on a line is no error: it is counted, and becomes one only when an
-answer or the stream stays away.
+what was received, what to do. Noise on a line is counted; it becomes an error only when an
+answer or the stream is missing.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -12,19 +12,19 @@ T = TypeVar("T")
 
 
 class ArmwrightError(Exception):
-    """Base of everything that armwright raises on purpose; `str()` is the message to show."""
+    """Base of all errors that armwright raises deliberately; `str()` is the message to show."""
 
 
 class LinkError(ArmwrightError):
-    """Base of everything that the devices raise."""
+    """Base of all errors raised by devices."""
 
 
 class PortMissing(LinkError):
-    """The port or bus is not there, is taken, or its driver is not installed."""
+    """The port or bus does not exist or is in use, or its driver is not installed."""
 
 
 class LinkLost(LinkError):
-    """A port or bus that was open has gone (unplugged, bus off, peer closed)."""
+    """An open port or bus was lost (unplugged, bus off, closed by the peer)."""
 
 
 class BoardSilent(LinkError):
@@ -32,23 +32,23 @@ class BoardSilent(LinkError):
 
 
 class BoardReset(LinkError):
-    """A board restarted by itself: its counts and parameters are lost. Raised once for each restart."""
+    """A board restarted unexpectedly: its counts and parameters are lost. Raised once per restart."""
 
 
 class BoardFaulted(LinkError):
-    """A board is in FAULT, and what was asked needs its fault acknowledged first."""
+    """A board is in FAULT, and the request requires its fault to be acknowledged first."""
 
 
 class WrongIdentity(LinkError):
-    """A board answers but is not the one asked for: serial number, protocol version, kind."""
+    """A board answers but is not the expected one: serial number, protocol version or type."""
 
 
 class RequestRefused(LinkError):
-    """A board understood the request and said no; nothing changed on it."""
+    """A board rejected a valid request; its state is unchanged."""
 
 
 class ProtocolViolation(LinkError):
-    """A board, or somebody else on the line, sent what its document does not allow. Carries the bytes."""
+    """A board, or another sender on the line, violated the protocol. Carries the received bytes."""
 
     def __init__(self, message: str, received: bytes = b"") -> None:
         super().__init__(f"{message} (received: {received.hex(' ')})" if received else message)
@@ -56,11 +56,11 @@ class ProtocolViolation(LinkError):
 
 
 class MisuseError(LinkError):
-    """Our own side asked for what cannot be: nothing was sent and nothing changed."""
+    """An invalid request on the host's side: nothing was sent and nothing changed."""
 
 
 class ConnectionFailed(LinkError):
-    """One error for all devices that failed to connect, each with its own message in `failures`."""
+    """One error for all devices that failed to connect, with a message for each in `failures`."""
 
     def __init__(self, failures: Sequence[LinkError], attempted: int) -> None:
         self.failures = tuple(failures)
@@ -69,7 +69,7 @@ class ConnectionFailed(LinkError):
 
 
 def connect_all(steps: Iterable[Callable[[], T]]) -> list[T]:
-    """The results of all steps. Each is tried; then one ConnectionFailed names all that failed."""
+    """Run all steps and return their results. One ConnectionFailed names every step that failed."""
     results: list[T] = []
     failures: list[LinkError] = []
     for step in steps:

@@ -1,14 +1,15 @@
-"""The top-level packages of armwright are those that stand beside this one, whatever else has one of their names.
+"""Ensures that armwright's top-level packages are imported from beside this one, not from elsewhere on the path.
 
-`control` is also what python-control installs, and `control/`, `console/` or `calib/` are likely names of a folder in which
-somebody works. Two distributions that write into one folder cannot be used together: that is refused with one sentence. A
-folder of the same name elsewhere on `sys.path` is passed over: a finder takes our names from beside this package. It costs
-some calls of stat(2) at the first import.
+python-control installs `control` too, and a user's working directory may well contain a folder `control/`, `console/` or
+`calib/`. Two distributions that install into one folder cannot be used together: this is refused with a clear error. A
+folder of the same name elsewhere on `sys.path` is ignored: a finder resolves our names beside this package. It costs
+a few stat(2) calls at the first import.
 
-As a program (`python installation.py MODULE ARGUMENT...`) it runs a module as `python -m` does, with the same care; `command`
-gives that line for every process that armwright starts.
+As a program (`python installation.py MODULE ARGUMENT...`) it runs a module like `python -m`, with the same protection; `command`
+returns that command line for every process that armwright starts.
 """
 
+import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -18,7 +19,7 @@ from types import ModuleType
 
 PACKAGES = ("armwright", "console", "procedures", "calib", "hil_mocks", "control", "firmware_iface")
 ROOT = Path(__file__).resolve().parents[1]
-# A package of ours, a file that only the other distribution has in a folder of that name, and what `pip` calls it.
+# Our package, a file that only the other distribution has in a folder of that name, and that distribution's name.
 OTHERS = (
     ("control", "xferfcn.py", "control (python-control)"),
     ("console", "detection.py", "console"),
@@ -27,7 +28,7 @@ OTHERS = (
 
 
 def claim() -> None:
-    """Make our names ours in this process. ImportError where they cannot be: says which file is in the way and what to do."""
+    """Claim our package names in this process. ImportError names the conflicting file and the remedy."""
     if not any(isinstance(finder, _Beside) for finder in sys.meta_path):
         _refuse_shared_environment()
         _refuse_imported()
@@ -39,13 +40,24 @@ def command(module: str, *arguments: str) -> list[str]:
     return [sys.executable, "-P", str(Path(__file__).resolve()), module, *arguments]
 
 
+def run_command() -> int:
+    """The command `armwright`: a sentence and exit status 2 where another package is in the way."""
+    try:
+        claim()
+    except ImportError as error:
+        sys.stderr.write(f"armwright: {error}\n")
+        return 2
+    status: int = importlib.import_module("console.main").main()
+    return status
+
+
 class _Beside:
-    """Finds our top-level packages beside this one, before anything else is asked."""
+    """Finds our top-level packages beside this one, before any other finder."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """The package of that name, None for a name that is not ours. ImportError where its folder is not whole."""
+        """The spec of one of our packages, None for other names. ImportError if its folder is incomplete."""
         if name not in PACKAGES:
             return None
         spec = PathFinder.find_spec(name, [str(ROOT)])
@@ -59,7 +71,7 @@ class _Beside:
 
 
 def _refuse_shared_environment() -> None:
-    """ImportError where another distribution has put one of our names on the path."""
+    """ImportError if another distribution provides one of our names."""
     for package, theirs, distribution in OTHERS:
         for entry in dict.fromkeys((str(ROOT), *sys.path)):
             file = Path(entry, package, theirs)
@@ -73,7 +85,7 @@ def _refuse_shared_environment() -> None:
 
 
 def _refuse_imported() -> None:
-    """ImportError where this process uses another package by one of our names already."""
+    """ImportError if this process has already imported another package by one of our names."""
     for package in PACKAGES:
         module = sys.modules.get(package)
         if module is None:

@@ -1,7 +1,7 @@
-"""The two kinds of link, and how they are opened. The only file that knows pyserial and python-can.
+"""Serial and CAN links, and how they are opened. The only file that imports pyserial and python-can.
 
-A link carries bytes (serial) or frames (CAN); what they mean is the boards' affair.
-Neither kind ever blocks on reading.
+A link carries bytes (serial) or frames (CAN) and does not interpret them.
+Reading never blocks.
 """
 
 import contextlib
@@ -25,10 +25,10 @@ from firmware_iface.errors import LinkLost, MisuseError, PortMissing
 _READ_BYTES = 65536  # more than a serial driver buffers
 _INT = Struct("i")
 _NO_BYTES = _INT.pack(0)
-WRITE_TIMEOUT_ms = 200  # requests are a dozen bytes: a line that does not take them in this time is dead
+WRITE_TIMEOUT_ms = 200  # requests are about 12 bytes: a line that does not accept them in this time is dead
 _SOCKETCAN_BUS_OFF = 0x40  # CAN_ERR_BUSOFF of linux/can/error.h, in the id of an error frame
-_ADAPTERS = ("socketcan", "pcan")  # python-can can ask these without waiting, and they say nothing of others
-_ECHO_MEMORY = 64  # frames of ours that may be on their way back at once
+_ADAPTERS = ("socketcan", "pcan")  # python-can detects these without waiting
+_ECHO_MEMORY = 64  # our own frames that may be echoed at once
 
 
 class ByteLink(Protocol):
@@ -36,7 +36,7 @@ class ByteLink(Protocol):
 
     @property
     def name(self) -> str:
-        """Where it goes, for messages: `/dev/ttyUSB0`."""
+        """Name in messages: `/dev/ttyUSB0`."""
         ...
 
     @property
@@ -45,7 +45,7 @@ class ByteLink(Protocol):
         ...
 
     def read(self) -> bytes:
-        """All bytes that are there, b"" if none; never blocks. Raises LinkLost."""
+        """Return all bytes received, b"" if none; never blocks. Raises LinkLost."""
         ...
 
     def write(self, data: bytes) -> None:
@@ -53,16 +53,16 @@ class ByteLink(Protocol):
         ...
 
     def close(self) -> None:
-        """Close it; once closed, again does nothing."""
+        """Close the port; idempotent."""
         ...
 
 
 class FrameLink(Protocol):
-    """A CAN bus: classic data frames with 11-bit ids. Frames are broadcast; one's own do not come back."""
+    """A CAN bus: classic data frames with 11-bit ids. Own frames are not received."""
 
     @property
     def name(self) -> str:
-        """Where it goes, for messages: `socketcan:can0`."""
+        """Name in messages: `socketcan:can0`."""
         ...
 
     def send(self, can_id: int, payload: bytes) -> None:
@@ -70,18 +70,18 @@ class FrameLink(Protocol):
         ...
 
     def receive(self) -> list[tuple[int, bytes]]:
-        """All frames that are there as (id, payload), oldest first; never blocks. Raises LinkLost."""
+        """Return all frames received as (id, payload), oldest first; never blocks. Raises LinkLost."""
         ...
 
     def close(self) -> None:
-        """Leave the bus; once closed, again does nothing."""
+        """Leave the bus; idempotent."""
         ...
 
 
 def open_serial(url: str, baud: int) -> ByteLink:
     """Open a serial port by any URL that pyserial takes: /dev/ttyUSB0, COM3, socket://host:port, loop:// ...
 
-    8N1, exclusive, low-latency mode where there is one. Raises PortMissing, naming the ports that are there.
+    8N1, exclusive, low-latency mode where supported. Raises PortMissing, which lists the available ports.
     """
     if baud <= 0:
         raise MisuseError(f"serial port {url}: baud must be positive, got {baud}")
@@ -103,23 +103,23 @@ def open_serial(url: str, baud: int) -> ByteLink:
 
 @dataclass(frozen=True, slots=True)
 class PortHere:
-    """A serial port of this machine: its path, and what the system calls what is plugged in ("" if it does not know)."""
+    """A serial port of this machine: its path and the system's description of the device ("" if unknown)."""
 
     path: str
     description: str
 
 
 def serial_ports() -> list[PortHere]:
-    """The serial ports of this machine that somebody could have plugged a board into; none is opened."""
+    """List the serial ports of this machine without opening them."""
     ports = sorted(list_ports.comports(), key=lambda port: port.device)
     return [PortHere(port.device, "" if port.description == "n/a" else port.description) for port in ports]
 
 
 def can_buses() -> list[tuple[str, str]]:
-    """Interface and channel of the CAN adapters that are here, as far as their drivers can tell; none is opened."""
-    with _heard_from_can():
-        found = can.detect_available_configs([name for name in _ADAPTERS if name in can.VALID_INTERFACES])
-    return [(str(bus["interface"]), str(bus["channel"])) for bus in found]
+    """List interface and channel of the CAN adapters that their drivers can detect, without opening them."""
+    with _can_log():
+        adapters = can.detect_available_configs([name for name in _ADAPTERS if name in can.VALID_INTERFACES])
+    return [(str(bus["interface"]), str(bus["channel"])) for bus in adapters]
 
 
 def _ports_here() -> str:
@@ -132,7 +132,7 @@ def _ports_here() -> str:
 
 
 class _PosixByteLink:
-    """A tty or pty: opened by pyserial, read and written without its layers (some 20 us a read)."""
+    """A tty or pty: opened by pyserial, read and written directly (pyserial's layers cost some 20 us a read)."""
 
     def __init__(self, port: serial.SerialBase, name: str, baud: int) -> None:
         self.name = name
@@ -144,14 +144,14 @@ class _PosixByteLink:
         self._writable.register(self._fd, select.POLLOUT)
 
     def read(self) -> bytes:
-        # Asked first how much there is, because reading an empty tty is not free of waiting: the kernel then finishes what is
-        # on its way in a worker of ordinary priority, for which a real-time loop would wait behind everybody.
+        # Query the number of bytes first, because reading an empty tty may wait: the kernel then flushes pending
+        # input in a worker of ordinary priority, and a real-time loop would wait for it.
         try:
             (waiting,) = _INT.unpack(fcntl.ioctl(self._fd, termios.FIONREAD, _NO_BYTES))
             return os.read(self._fd, waiting) if waiting else b""
         except BlockingIOError:
             return b""
-        except (OSError, ValueError) as problem:  # a port that was unplugged, or closed under its hands
+        except (OSError, ValueError) as problem:  # the port was unplugged, or closed during the call
             raise self._lost(problem) from None
 
     def write(self, data: bytes) -> None:
@@ -169,12 +169,12 @@ class _PosixByteLink:
         return LinkLost(f"serial port {self.name}: lost: {problem}; check the cable")
 
     def close(self) -> None:
-        self._fd = -1  # the number may soon be somebody else's
+        self._fd = -1  # the descriptor may be reused
         self._port.close()
 
 
 class _SocketByteLink(_PosixByteLink):
-    """A TCP connection to a serial server, or to a mock: opened by pyserial, read and written without its layers."""
+    """A TCP connection to a serial server or a mock: opened by pyserial, read and written directly."""
 
     def read(self) -> bytes:
         try:
@@ -189,7 +189,7 @@ class _SocketByteLink(_PosixByteLink):
 
 
 class _PyserialByteLink:
-    """Any other port that pyserial has: loops, RFC 2217, Windows."""
+    """Any other port that pyserial supports: loop://, RFC 2217, Windows."""
 
     def __init__(self, port: serial.SerialBase, name: str, baud: int) -> None:
         self.name = name
@@ -198,9 +198,9 @@ class _PyserialByteLink:
 
     def read(self) -> bytes:
         try:
-            # With timeout 0, pyserial gives what is there.
+            # With timeout 0, pyserial returns what is buffered.
             return bytes(self._port.read(_READ_BYTES))
-        except (OSError, TypeError) as problem:  # TypeError: closed under its hands
+        except (OSError, TypeError) as problem:  # TypeError: closed during the call
             raise self._lost(problem) from None
 
     def write(self, data: bytes) -> None:
@@ -217,21 +217,21 @@ class _PyserialByteLink:
 
 
 def open_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: object) -> FrameLink:
-    """Join a CAN bus by any interface that python-can has: socketcan, slcan, pcan, udp_multicast, virtual ...
+    """Open a CAN bus by any interface of python-can: socketcan, slcan, pcan, udp_multicast, virtual ...
 
-    `options` go to python-can as they are. Raises PortMissing with the remedy.
+    `options` are passed to python-can unchanged. Raises PortMissing with the remedy.
     """
     name = f"{interface}:{channel}"
     arguments: dict[str, object] = {"bitrate": bitrate, "receive_own_messages": False, **options}
     if interface == "udp_multicast":
         arguments.setdefault("fd", False)
-    with _heard_from_can() as heard:
+    with _can_log() as log_messages:
         try:
             bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **arguments)  # type: ignore[arg-type]
-        except Exception as problem:  # drivers raise what they like: OSError, NameError, their own
-            said = "; ".join(dict.fromkeys([str(problem) or type(problem).__name__, *heard]))
+        except Exception as problem:  # drivers raise anything: OSError, NameError, their own errors
+            reason = "; ".join(dict.fromkeys([str(problem) or type(problem).__name__, *log_messages]))
             remedy = _can_remedy(interface, channel, bitrate)
-            raise PortMissing(f"CAN bus {name}: cannot open it: {said}; {remedy}") from None
+            raise PortMissing(f"CAN bus {name}: cannot open it: {reason}; {remedy}") from None
     return _CanFrameLink(bus, name, hears_itself=interface == "udp_multicast")
 
 
@@ -252,26 +252,26 @@ def _can_remedy(interface: str, channel: str, bitrate: int) -> str:
 
 
 @contextlib.contextmanager
-def _heard_from_can() -> Iterator[list[str]]:
-    """What python-can logs meanwhile: drivers that are not there say so by logging, not in their errors."""
-    heard: list[str] = []
+def _can_log() -> Iterator[list[str]]:
+    """Collect python-can's log messages: it reports missing drivers there, not in its errors."""
+    messages: list[str] = []
     logger = logging.getLogger("can")
     listener = logging.Handler(logging.WARNING)
-    listener.emit = lambda record: heard.append(record.getMessage())  # type: ignore[method-assign]
+    listener.emit = lambda record: messages.append(record.getMessage())  # type: ignore[method-assign]
     if not any(isinstance(handler, logging.NullHandler) for handler in logger.handlers):
-        # As a library should do: without it, a bus that failed to open talks past us to stderr.
+        # As libraries should: without it, python-can logs a failure to stderr.
         logger.addHandler(logging.NullHandler())
     logger.addHandler(listener)
     try:
-        yield heard
+        yield messages
     finally:
         logger.removeHandler(listener)
 
 
 class _OwnMessage(can.Message):
-    """A message that is made for one `send` and never touched again, so it need not be copied.
+    """A message for one `send` that is never modified, so it need not be copied.
 
-    python-can's virtual bus copies what it sends for every receiver, deeply, which costs five times the rest.
+    python-can's virtual bus deep-copies each message for every receiver, which costs five times the rest.
     """
 
     __slots__ = ()
@@ -281,13 +281,13 @@ class _OwnMessage(can.Message):
 
 
 class _CanFrameLink:
-    """Any python-can bus. What is no classic data frame with an 11-bit id is counted in `rejected`."""
+    """Any python-can bus. Frames other than classic data frames with an 11-bit id are counted in `rejected`."""
 
     def __init__(self, bus: can.BusABC, name: str, hears_itself: bool) -> None:
         self.name = name
         self.rejected = 0
         self._bus = bus
-        # Multicast sends our own frames back to us; each is dropped once.
+        # Multicast echoes our own frames; each is dropped once.
         self._echoes: deque[tuple[int, bytes]] | None = deque(maxlen=_ECHO_MEMORY) if hears_itself else None
         self._is_open = True
 
@@ -319,7 +319,7 @@ class _CanFrameLink:
             except can.CanOperationError as problem:
                 if "unpack" not in str(problem):
                     raise self._lost(problem) from None
-                self.rejected += 1  # a datagram of somebody else's, to our multicast group: noise
+                self.rejected += 1  # a foreign datagram in our multicast group: noise
             except (can.CanError, OSError, ValueError) as problem:
                 raise self._lost(problem) from None
 
@@ -328,13 +328,13 @@ class _CanFrameLink:
             raise self._lost("bus off: wiring, termination (120 ohm at both ends) or bit rate is wrong")
 
     def _without_echoes(self, frames: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
-        kept = []
+        ours_removed = []
         for frame in frames:
             if self._echoes and frame in self._echoes:
                 self._echoes.remove(frame)
             else:
-                kept.append(frame)
-        return kept
+                ours_removed.append(frame)
+        return ours_removed
 
     def _lost(self, problem: object) -> LinkLost:
         return LinkLost(f"CAN bus {self.name}: lost: {problem}")

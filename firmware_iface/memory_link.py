@@ -1,6 +1,6 @@
-"""Links inside one process, without ports or drivers: for tests and for boards simulated in step.
+"""Links within one process, without ports or drivers: for tests and for boards simulated in step.
 
-They meet the same contract as the real ones (tests/contract).
+The same contract tests cover them and the real links (tests/contract).
 """
 
 from firmware_iface.errors import LinkLost
@@ -9,7 +9,7 @@ _BUFFER_BYTES = 1 << 16
 
 
 class MemoryByteLink:
-    """One end of a wire; make two with `byte_pair`."""
+    """One end of a wire; `byte_pair` makes both."""
 
     def __init__(self, name: str, baud: int) -> None:
         self.name = name
@@ -19,11 +19,11 @@ class MemoryByteLink:
         self._is_open = True
 
     def connect(self, peer: "MemoryByteLink") -> None:
-        """Lead our bytes to `peer`."""
+        """Send our bytes to `peer`."""
         self._peer = peer
 
     def read(self) -> bytes:
-        """All bytes that are there. What the peer sent before it closed is still read."""
+        """Return all bytes received, including those that the peer sent before it closed."""
         if self._incoming:
             received = bytes(self._incoming)
             self._incoming.clear()
@@ -37,7 +37,7 @@ class MemoryByteLink:
         if not self._is_open or self._peer is None or not self._peer._is_open:
             raise self._lost()
         self._peer._incoming += data
-        # Nobody reads: a driver's buffer overflows too, and keeps what came first.
+        # Nobody reads: like a driver's buffer, this one overflows and keeps the oldest bytes.
         del self._peer._incoming[_BUFFER_BYTES:]
 
     def close(self) -> None:
@@ -65,14 +65,14 @@ class MemoryBus:
         self.members: list[MemoryFrameLink] = []
 
     def join(self) -> "MemoryFrameLink":
-        """A new place on the bus; it hears what is sent from now on."""
+        """Connect a new node; it receives what is sent from now on."""
         link = MemoryFrameLink(self)
         self.members.append(link)
         return link
 
 
 class MemoryFrameLink:
-    """One place on a MemoryBus."""
+    """One node of a MemoryBus."""
 
     def __init__(self, bus: MemoryBus) -> None:
         self.name = bus.name
@@ -88,7 +88,7 @@ class MemoryFrameLink:
                 member._frames.append(frame)
 
     def receive(self) -> list[tuple[int, bytes]]:
-        """All frames that are there."""
+        """Return all frames received."""
         self._check_open()
         frames, self._frames = self._frames, []
         return frames

@@ -1,4 +1,4 @@
-"""A robot without the robot: plant, boards and camera."""
+"""Simulated robot: plant, boards and camera."""
 
 from firmware_iface.installation import claim
 

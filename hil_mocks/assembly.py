@@ -15,11 +15,11 @@ from hil_mocks.scenario import Scenario
 from hil_mocks.wiring import ENCODER_BOARD_SERIAL, JointWiring
 
 _MOTOR_BOARD_RATING_mA = 20_000
-_CAMERA_NOISE_M = 0.00014  # where neither scenario nor arm.toml says: 0.28 mm at 95 %
+_CAMERA_NOISE_M = 0.00014  # default of scenario and arm.toml: 0.28 mm at 95 %
 
 
 def effects_of(arm: Arm, scenario: Scenario) -> PlantEffects:
-    """Effects of the real arm: those of arm.toml, then the scenario's in their place, then its hidden DH deviations."""
+    """Effects of the real arm: those of arm.toml, overridden by the scenario's, and its hidden DH deviations."""
     where = f"scenario {scenario.path or scenario.name}"
     known = (
         [EffectEntry(e.effect, e.joint or 0, e.parameters) for e in arm.effects]
@@ -42,7 +42,7 @@ def start_pose(arm: Arm, scenario: Scenario) -> tuple[float, ...]:
 
 
 def build_plant(arm: Arm, scenario: Scenario) -> Plant:
-    """The physics."""
+    """Build the physics."""
     options = PlantOptions(
         timestep_s=scenario.plant.timestep_s,
         link_share=scenario.plant.link_share,
@@ -57,7 +57,7 @@ def build_plant(arm: Arm, scenario: Scenario) -> Plant:
 def build_encoder_boards(
     arm: Arm, scenario: Scenario, wiring: Sequence[JointWiring]
 ) -> list[EncoderBoardMock]:
-    """One board for each that a drive names, in order."""
+    """Build one board for each named by a drive, in order."""
     boards = []
     for i in range(1 + max(w.encoder_board for w in wiring)):
         on_it = {w.encoder_channel: w for w in wiring if w.encoder_board == i}
@@ -78,7 +78,7 @@ def build_encoder_boards(
 def build_motor_board(
     wiring: JointWiring, scenario: Scenario, read_shaft: Callable[[], int]
 ) -> MotorBoardMock:
-    """The board of one joint; `read_shaft` is its encoder input."""
+    """Build the board of one joint; `read_shaft` is its encoder input."""
     table = scenario.motor_board
     setup = MotorBoardSetup(
         node=wiring.motor_node,
@@ -100,7 +100,7 @@ def build_motor_board(
 
 
 def build_camera(arm: Arm, scenario: Scenario) -> CameraMock:
-    """The camera; its noise is the scenario's, else that of arm.toml."""
+    """Build the camera; its noise is the scenario's, else that of arm.toml."""
     table = scenario.camera
     noise_m = table.noise_m
     if noise_m is None:

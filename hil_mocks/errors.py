@@ -1,4 +1,4 @@
-"""What can go wrong with a mock robot; every message is one sentence that can be shown to an operator."""
+"""Errors of a mock robot; every message is one sentence for the operator."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ class MockError(ArmwrightError):
 
 
 class ScenarioError(MockError):
-    """A scenario file says something that the mock does not understand; names file and key."""
+    """An invalid scenario file; the message names file and key."""
 
 
 class UnreachableError(MockError):
-    """The hand was asked to seat the tip where the arm cannot be."""
+    """The hand cannot seat the tip because the arm cannot reach the point."""
 
 
 class RigError(MockError):
-    """The mock robot did not start, or its process is gone."""
+    """The mock robot did not start, or its process has ended."""

@@ -1,7 +1,7 @@
-"""Faults that a scenario or an operator switches on: on the lines, in the boards, in the wiring. Seeded; several at once.
+"""Injected faults on lines, boards and wiring, by scenario or operator. Seeded; several may be active.
 
-Kinds and their `value` are listed in docs/mock_robot.md. Every fault has a time at which it begins and may have one at which
-it ends; what acts on frames acts on each with its probability.
+Kinds and their `value` are listed in docs/mock_robot.md. Every fault has a start time and may have an end time;
+faults on frames act on each frame with their probability.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ OF_MOTOR = (
     | {"over_current", "over_temperature", "supply", "encoder_fault", "swapped_polarity"}
     | {"dead_motor", "stuck_joint"}
 )
-OF_CAMERA = ON_FRAMES - {"delay_frames"}  # its latency is a key of its own
+OF_CAMERA = ON_FRAMES - {"delay_frames"}  # its latency is a separate key
 BUILT_IN = _BUILT_INTO_ENCODER | _BUILT_INTO_MOTOR  # before power-up
 _NEED_VALUE = {
     "delay_frames",
@@ -42,7 +42,7 @@ _NEED_VALUE = {
     "wrong_gear",
     "supply",
 }
-Frames = list[tuple[float, bytes]]  # (when it is there for the host, frame)
+Frames = list[tuple[float, bytes]]  # (arrival time at the host, frame)
 
 
 def check_fault(fault: FaultTable, boards: Sequence[str], where: str) -> None:
@@ -63,7 +63,7 @@ def check_fault(fault: FaultTable, boards: Sequence[str], where: str) -> None:
 
 
 class FaultPlan:
-    """All faults by time. `next_change_s` is when `update` has something to do."""
+    """All faults by time. `update` has nothing to do before `next_change_s`."""
 
     def __init__(self, faults: Sequence[FaultTable]) -> None:
         self._faults = list(faults)
@@ -71,17 +71,17 @@ class FaultPlan:
         self.next_change_s = 0.0 if faults else float("inf")
 
     def add(self, fault: FaultTable) -> None:
-        """One more from now on; its times count as any other's."""
+        """Add a fault."""
         self._faults.append(fault)
         self.next_change_s = 0.0
 
     def clear(self) -> None:
-        """No more faults."""
+        """Remove all faults."""
         self._faults.clear()
         self.next_change_s = 0.0
 
     def update(self, now_s: float) -> tuple[list[FaultTable], list[FaultTable]]:
-        """Faults that have begun and that have ended since the last call."""
+        """Faults that have started and ended since the last call."""
         moment_s = now_s + 1e-9
         active = tuple(
             f for f in self._faults if f.at_s <= moment_s and (f.until_s is None or moment_s < f.until_s)
@@ -99,7 +99,7 @@ class FaultPlan:
 
 
 class Line:
-    """What happens to the frames of one board on their way to the host."""
+    """Faults on the frames of one board to the host."""
 
     def __init__(self, board: str, seed: int) -> None:
         self._random = random.Random(f"line {board} {seed}")
@@ -107,11 +107,11 @@ class Line:
 
     @property
     def is_silent(self) -> bool:
-        """Nothing comes through in either direction."""
+        """Whether nothing is transmitted in either direction."""
         return any(fault.kind == "silent" for fault in self.faults)
 
     def passed(self, frames: Frames) -> Frames:
-        """The frames as they arrive, in the order in which they were sent."""
+        """The frames as they arrive, in the order of sending."""
         for fault in self.faults:
             frames = [arrived for sent in frames for arrived in self._through(fault, *sent)]
         return frames
@@ -129,7 +129,7 @@ class Line:
         return []
 
     def _flipped(self, frame: bytes) -> bytes:
-        """One bit changed."""
+        """Flip one bit."""
         at = self._random.randrange(8 * len(frame))
         changed = bytearray(frame)
         changed[at // 8] ^= 1 << at % 8

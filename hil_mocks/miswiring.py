@@ -1,4 +1,4 @@
-"""What a scenario builds wrongly into a mock arm before power-up: plugs changed over, another gear, a loose coupling."""
+"""Wiring and assembly errors of a scenario: swapped plugs, another gear, a loose coupling."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from control.model.description import Arm, Drive
 from hil_mocks.errors import ScenarioError
 from hil_mocks.scenario import FaultTable, Scenario
 
-LOOSE_PART = 0.05  # of its motion that a loose coupling loses, where the scenario does not say
-_SLIP_TURNS = 0.3  # of the motor, on average, from one slip of a loose coupling to the next
+LOOSE_PART = 0.05  # default share of motion lost by a loose coupling
+_SLIP_TURNS = 0.3  # motor turns, on average, between slips of a loose coupling
 
 
 def as_built(arm: Arm, scenario: Scenario) -> Arm:
-    """The arm as the scenario's faults have wired it. Raises ScenarioError where a fault names what is not there."""
+    """The arm as wired by the scenario's faults. Raises ScenarioError if a fault names a missing part."""
     drives = list(arm.drives)
     for fault in scenario.fault:
         if fault.kind == "reversed_encoder":
@@ -50,7 +50,7 @@ def _with_swapped_motors(drives: Sequence[Drive], fault: FaultTable) -> list[Dri
 
 
 class LooseCoupling:
-    """An encoder that slips on its shaft: now and then it loses part of what the shaft has turned, seeded."""
+    """An encoder that slips on its shaft: at random times (seeded) it loses part of the motion."""
 
     def __init__(self, part: float, turn_rad: float, seed: str) -> None:
         """`part`: of the motion, on average; `turn_rad`: one motor turn, in joint angles."""
@@ -61,7 +61,7 @@ class LooseCoupling:
         self.slip_rad = 0.0
 
     def reading_rad(self, shaft_rad: float) -> float:
-        """The angle of the encoder for that of the shaft."""
+        """The encoder angle for a shaft angle."""
         if self._from_rad is None:
             self._from_rad = shaft_rad
         turned_rad = shaft_rad - self._from_rad

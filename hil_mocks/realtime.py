@@ -1,4 +1,4 @@
-"""The mock arm in real time: a process of its own, reached by pty, UDP multicast and a Unix socket."""
+"""The mock arm in real time: a separate process, reached by pty, UDP multicast and a Unix socket."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from hil_mocks.plant.hand import Point
 from hil_mocks.rig import MockArm, MockHand, SteppedRig
 from hil_mocks.scenario import FaultTable
 
-_START_LIMIT_S = 60.0  # Python, MuJoCo and a busy machine; a process that ends is noticed at once
+_START_LIMIT_S = 60.0  # Python, MuJoCo and a busy machine; a process that ends is detected at once
 _ANSWER_LIMIT_S = 15.0
 _END_LIMIT_S = 5.0
 
 
 class _Hand:
-    """The human at the arm, over the socket."""
+    """The operator's hand, over the socket."""
 
     def __init__(self, rig: RealTimeRig) -> None:
         self._rig = rig
 
     def seat(self, point_m: Sequence[float]) -> float:
-        """Take the tip, drag it to a point and hold it there; returns how long that takes, in s."""
+        """Grip the tip, drag it to a point and hold it there; returns the duration in s."""
         return float(self._rig.ask("seat", point_m=[float(value) for value in point_m])["duration_s"])
 
     def let_go(self) -> None:
@@ -40,7 +40,7 @@ class _Hand:
         self._rig.ask("let_go")
 
     def residual_m(self) -> float:
-        """Distance of the tip from where the hand is."""
+        """Distance of the tip from the hand."""
         return float(self._rig.ask("hand")["residual_m"])
 
     @property
@@ -50,7 +50,7 @@ class _Hand:
 
 
 class RealTimeRig:
-    """A mock arm in a process of its own. Ends with `close`, and by itself when this process dies."""
+    """A mock arm in a separate process, which ends with `close` or when this process dies."""
 
     def __init__(self, arm: str | Path, scenario: str | Path = "ideal") -> None:
         self._process = subprocess.Popen(
@@ -60,25 +60,25 @@ class RealTimeRig:
             stderr=subprocess.PIPE,
         )
         try:
-            said = self._announcement()
+            announcement = self._announcement()
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
             self._socket.settimeout(_ANSWER_LIMIT_S)
-            self._socket.connect(said["socket"])
+            self._socket.connect(announcement["socket"])
         except BaseException:
             self._end_process()
             raise
         self._lines = self._socket.makefile("rb")
         self.clock: Clock = MonotonicClock()
-        self.encoder_urls: list[str] = said["encoder_urls"]
-        self.can_interface: str = said["can_interface"]
-        self.can_channel: str = said["can_channel"]
-        self.can_options: dict[str, int] = said["can_options"]
-        self.camera_port: int = said["camera_port"]
+        self.encoder_urls: list[str] = announcement["encoder_urls"]
+        self.can_interface: str = announcement["can_interface"]
+        self.can_channel: str = announcement["can_channel"]
+        self.can_options: dict[str, int] = announcement["can_options"]
+        self.camera_port: int = announcement["camera_port"]
         self.hand: MockHand = _Hand(self)
 
     @property
     def pid(self) -> int:
-        """Number of its process."""
+        """Process id."""
         return self._process.pid
 
     @property
@@ -96,11 +96,11 @@ class RealTimeRig:
         return tuple(self.ask("truth")["joint_rad"])
 
     def set_payload(self, mass_kg: float) -> None:
-        """Hang a point mass at the tip."""
+        """Set the point mass at the tip."""
         self.ask("payload", mass_kg=mass_kg)
 
     def inject(self, fault: FaultTable) -> None:
-        """A fault from now on."""
+        """Inject a fault."""
         self.ask("inject", fault=msgspec.to_builtins(fault))
 
     def clear_faults(self) -> None:
@@ -112,7 +112,7 @@ class RealTimeRig:
         return self.ask("status")
 
     def ask(self, do: str, **arguments: object) -> dict[str, Any]:
-        """One request of docs/mock_robot.md and its answer. Raises RigError."""
+        """Send one request of docs/mock_robot.md and return its answer. Raises RigError."""
         try:
             self._socket.sendall(json.dumps({"do": do, **arguments}).encode() + b"\n")
             line = self._lines.readline()
@@ -126,12 +126,12 @@ class RealTimeRig:
         return answer
 
     def close_pipe(self) -> None:
-        """What the process sees when this one dies: its standard input ends."""
+        """Close its standard input, as when this process dies."""
         if self._process.stdin is not None:
             self._process.stdin.close()
 
     def wait_for_end(self, limit_s: float | None = _END_LIMIT_S) -> int:
-        """Exit status of the process once it has ended by itself; without a limit for as long as it takes."""
+        """Wait for the process to end; return its exit status. Waits indefinitely without a limit."""
         return self._process.wait(limit_s)
 
     def close(self) -> None:
@@ -146,8 +146,8 @@ class RealTimeRig:
             raise RigError(f"mock arm: its process did not start within {_START_LIMIT_S:g} s.")
         line = out.readline()
         if not line:
-            said = self._process.stderr.read().decode(errors="replace") if self._process.stderr else ""
-            raise RigError(f"mock arm: its process ended at once: {said.strip() or 'it said nothing'}")
+            message = self._process.stderr.read().decode(errors="replace") if self._process.stderr else ""
+            raise RigError(f"mock arm: its process ended at once: {message.strip() or 'no message'}")
         announcement: dict[str, Any] = json.loads(line)
         return announcement
 
@@ -173,5 +173,5 @@ class RealTimeRig:
 
 
 def open_mock_arm(arm: str | Path, scenario: str | Path = "ideal", is_realtime: bool = False) -> MockArm:
-    """A mock arm by either clock; whoever opens it closes it."""
+    """Open a mock arm with either clock; the caller closes it."""
     return RealTimeRig(arm, scenario) if is_realtime else SteppedRig(arm, scenario)

@@ -1,7 +1,7 @@
-"""A mock arm to plug into: the Protocol that both rigs meet, and the stepped one, all in one process.
+"""Mock arms with links: the Protocol of both rigs, and the stepped one, in one process.
 
-The stepped rig's clock is the simulation's: whoever waits on it lets plant, boards and camera run on, in ticks, to the wanted
-time. Bytes really go through a pty and frames through a CAN bus of python-can, so the host's drivers are the real ones.
+The stepped rig's clock is the simulation's: waiting on it advances plant, boards and camera, in ticks, to that
+time. Bytes go through a real pty and frames through a CAN bus of python-can, so the host's drivers are the real ones.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable, Scenario, load_scenario
 from hil_mocks.wires import Wires
 
-_channels = itertools.count(1)  # a virtual bus is shared by all in the process who say the same channel
-_SLACK_S = 1e-9  # of sums of ticks
+_channels = itertools.count(1)  # a virtual bus is shared by all users of its channel in the process
+_SLACK_S = 1e-9  # rounding of sums of ticks
 
 
 class MockHand(Protocol):
-    """The human at the arm."""
+    """The operator's hand."""
 
     def seat(self, point_m: Sequence[float]) -> float:
-        """Take the tip, drag it to a point in the base frame and hold it there; returns how long that takes, in s."""
+        """Grip the tip, drag it to a point in the base frame and hold it there; returns the duration in s."""
         ...
 
     def let_go(self) -> None:
@@ -36,7 +36,7 @@ class MockHand(Protocol):
         ...
 
     def residual_m(self) -> float:
-        """Distance of the tip from where the hand is."""
+        """Distance of the tip from the hand."""
         ...
 
     @property
@@ -46,7 +46,7 @@ class MockHand(Protocol):
 
 
 class MockArm(Protocol):
-    """A mock arm as the host and the human see it. Times in s, lengths in m, angles in rad, base frame."""
+    """Interface of a mock arm for host and operator. Times in s, lengths in m, angles in rad, base frame."""
 
     @property
     def clock(self) -> Clock: ...
@@ -73,7 +73,7 @@ class MockArm(Protocol):
 
 
 class SteppedClock:
-    """The simulation's time; waiting is what makes it pass. Exact in ticks: a wait ends at the first tick at or after."""
+    """The simulation's time, which passes only by waiting. Exact in ticks: a wait ends at the first tick at or after `t`."""
 
     def __init__(self, robot: MockRobot, wires: Wires) -> None:
         self._robot, self._wires = robot, wires
@@ -83,7 +83,7 @@ class SteppedClock:
         return self._robot.now_s
 
     def wait_until_s(self, t: float) -> None:
-        """Let the host's bytes take effect, then advance everything to `t`."""
+        """Process the host's bytes, then advance everything to `t`."""
         robot, wires = self._robot, self._wires
         end_s = t - _SLACK_S
         if robot.now_s >= end_s:
@@ -91,8 +91,8 @@ class SteppedClock:
         wires.from_host(robot)
         while robot.now_s < end_s:
             if robot.now_s + robot.tick_s >= end_s:
-                # The host reads no sooner than when this returns, so what arrives within the last tick may enter the pty
-                # before the physics runs: the kernel carries it meanwhile.
+                # The host reads only after this returns, so data of the last tick may enter the pty
+                # before the physics runs: the kernel transfers it meanwhile.
                 wires.serial_to_host(robot, robot.tick_s)
             robot.tick()
         wires.to_host(robot)
@@ -121,7 +121,7 @@ class SteppedRig:
 
     @property
     def hand(self) -> MockHand:
-        """The human at the arm."""
+        """The operator's hand."""
         return self.robot.hand
 
     def tip_m(self) -> Point:
@@ -133,11 +133,11 @@ class SteppedRig:
         return self.robot.joint_rad()
 
     def set_payload(self, mass_kg: float) -> None:
-        """Hang a point mass at the tip."""
+        """Set the point mass at the tip."""
         self.robot.plant.set_payload(mass_kg)
 
     def inject(self, fault: FaultTable) -> None:
-        """A fault from now on."""
+        """Inject a fault."""
         self.robot.inject(fault)
 
     def clear_faults(self) -> None:
@@ -145,7 +145,7 @@ class SteppedRig:
         self.robot.clear_faults()
 
     def close(self) -> None:
-        """Pull all plugs."""
+        """Close all links."""
         self.wires.close()
 
     def __enter__(self) -> Self:

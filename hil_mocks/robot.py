@@ -1,7 +1,7 @@
-"""A whole fake arm without its wires: plant, boards, camera and faults, advanced together in ticks.
+"""A whole mock arm without its wires: plant, boards, camera and faults, advanced together in ticks.
 
 At time t the host's bytes take effect; a tick then runs the plant to t + tick with the outputs of t, lets every
-board measure and control there, and gathers what the boards send. Nothing here knows a clock of the machine or a
+board measure and control there, and collects what the boards send. Nothing here uses a clock of the machine or a
 file descriptor.
 """
 
@@ -23,11 +23,11 @@ from hil_mocks.scenario import FaultTable, Scenario
 from hil_mocks.wiring import Channels, wiring_of
 
 _FORCED = {"over_current": 1, "over_temperature": 2, "encoder_fault": 32}
-_SLACK_S = 1e-9  # of sums of ticks
+_SLACK_S = 1e-9  # rounding of sums of ticks
 
 
 class MockRobot:
-    """An arm as built (`arm` and what the scenario hides) with its boards. Joints 0-based; time from power-up."""
+    """An arm as built (`arm` and the scenario's hidden errors) with its boards. Joints 0-based; time from power-up."""
 
     def __init__(self, arm: Arm, scenario: Scenario) -> None:
         self.scenario, self.tick_s = scenario, scenario.tick_s
@@ -85,13 +85,13 @@ class MockRobot:
         return self.plant.joint_rad()
 
     def from_host_serial(self, board: int, received: bytes) -> None:
-        """Bytes from the host to an encoder board, which take effect now."""
+        """Process bytes from the host to an encoder board now."""
         if not self._lines[self._encoder_names[board]].is_silent:
             self.encoder_boards[board].receive(received, self.now_s)
             self._gather_serial(board)
 
     def from_host_can(self, can_id: int, payload: bytes) -> None:
-        """A frame from the host; replies go to `can_outgoing`, outputs take effect now."""
+        """Process a frame from the host now; replies go to `can_outgoing`."""
         if can_id == 0:
             for j in range(self.plant.joints):
                 self._to_motor_board(j, can_id, payload)
@@ -126,7 +126,7 @@ class MockRobot:
             self._look(now_s)
 
     def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes:
-        """Bytes of an encoder board that have arrived at the host by now, or will have in `ahead_s`."""
+        """Bytes of an encoder board that arrive at the host by now, or within `ahead_s`."""
         queue = self._serial[board]
         if not queue:
             return b""
@@ -137,7 +137,7 @@ class MockRobot:
         return b"".join(there)
 
     def inject(self, fault: FaultTable) -> None:
-        """A fault from now on; its times are those of the simulation. Raises ScenarioError."""
+        """Inject a fault; its times are those of the simulation. Raises ScenarioError."""
         check_fault(fault, self.board_names, "inject")
         self._plan.add(fault)
         self._change_faults(self.now_s)
@@ -148,7 +148,7 @@ class MockRobot:
         self._change_faults(self.now_s)
 
     def _power_up(self) -> None:
-        """Boards come up where the arm stands; the encoder board perhaps had its power before."""
+        """Power up the boards at the present pose; the encoder board may have been powered before."""
         start = self.scenario.start
         self._change_faults(0.0)
         for i, encoder in enumerate(self.encoder_boards):
@@ -175,7 +175,7 @@ class MockRobot:
         return self._wiring[j].motor_count(reading_rad)
 
     def _encoder_rad(self) -> list[float]:
-        """How far the encoders have turned, in joint angles."""
+        """Encoder angles in joint angles."""
         readings_rad = self.plant.encoder_angles_rad()
         for j, coupling in self._loose.items():
             readings_rad[j] = coupling.reading_rad(readings_rad[j])
@@ -196,7 +196,7 @@ class MockRobot:
             self._drive(j)
 
     def _drive(self, j: int) -> None:
-        """The board's output onto the motor."""
+        """Apply the board's output to the motor."""
         board, plant = self.motor_boards[j], self.plant
         self._limits_A[j] = board.current_limit_A
         plant.bridges.limit_current(j, self._limits_A[j])
@@ -296,7 +296,7 @@ class MockRobot:
             board.setup = replace(board.setup, protocol=int(fault.value or 0))
 
     def _loosen(self, i: int, fault: FaultTable, is_on: bool) -> None:
-        """A coupling that was tightened again stays where it slipped to."""
+        """Start or end the loose coupling; a tightened coupling keeps its slip."""
         at = (i, fault.channel)
         for j, wired in enumerate(self._wiring):
             if (wired.encoder_board, wired.encoder_channel) == at:

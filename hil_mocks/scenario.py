@@ -1,6 +1,6 @@
-"""Scenario files: what the mock robot hides and how its surroundings behave. Reference: docs/mock_robot.md.
+"""Scenario files: hidden errors of the mock robot, and its environment. Reference: docs/mock_robot.md.
 
-Strict: an unknown key, a wrong type or a number that is not finite is one clear error that names file and key.
+Strict: an unknown key, a wrong type or a non-finite number is an error that names file and key.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ Count = Annotated[int, msgspec.Meta(ge=0)]
 
 
 class TrueDh(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How far the real arm is off its nominal DH parameters: drawn from a seed within +- sizes, or given."""
+    """Deviations of the real arm from its nominal DH parameters: drawn from a seed within +- sizes, or given."""
 
     seed: int | None = None  # absent: the scenario's
     d_m: NotNegative = 0.0
     theta_rad: NotNegative = 0.0
     L_m: NotNegative = 0.0
     alpha_rad: NotNegative = 0.0
-    deviations: dict[str, float] = {}  # link{i}_d_m ...; replaces what was drawn
+    deviations: dict[str, float] = {}  # link{i}_d_m ...; replaces drawn values
 
 
 class EffectTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One `[[effect]]`; `joint` carries the link's number where the effect is at a link."""
+    """One `[[effect]]`; `joint` is the link's number for an effect of a link."""
 
     effect: str
     joint: int = 0
@@ -45,12 +45,12 @@ class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The arm at power-up."""
 
     q_rad: tuple[float, ...] | None = None  # absent: the rest pose of arm.toml, else all zero
-    raw_counts: tuple[int, ...] | None = None  # what the encoder board's counters say; absent: 0
+    raw_counts: tuple[int, ...] | None = None  # counters of the encoder board; absent: 0
     homed: bool = False  # the encoder board was zeroed earlier and kept its power
 
 
 class PlantTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the physics is simulated."""
+    """Options of the physics."""
 
     timestep_s: Positive = 5e-4
     link_share: Share = 0.5
@@ -68,7 +68,7 @@ class HandTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class EncoderBoardTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The encoder board's own imperfections."""
 
-    clock_ppm: float = 20.0  # its clock is fast by this
+    clock_ppm: float = 20.0  # its clock runs fast by this
     index_error_rad: NotNegative = 0.0  # joint angle; the true index is off nominal by up to this, seeded
 
 
@@ -81,7 +81,7 @@ class MotorBoardTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ambient_degC: float = 25.0
     thermal_K_W: NotNegative = 2.0  # power stage to ambient
     thermal_time_s: Positive = 60.0
-    bridge_ohm: NotNegative = 0.02  # what heats the power stage
+    bridge_ohm: NotNegative = 0.02  # heats the power stage
     rated_degC: float = 90.0
 
 
@@ -91,7 +91,7 @@ class CameraTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rate_Hz: Positive = 100.0
     noise_m: NotNegative | None = None  # absent: that of arm.toml, else 0.14 mm
     latency_s: NotNegative = 0.008
-    dropout: Share = 0.0  # part of the frames in which the tip is not visible
+    dropout: Share = 0.0  # share of frames without the tip
     clock_ppm: float = 0.0
 
 
@@ -125,7 +125,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     path: str = ""  # set by the reader
 
     def drawn_deviations(self, links: int) -> dict[str, float]:
-        """The true DH deviations by name, `link1_d_m` ...; drawn ones first, given ones in their place."""
+        """The true DH deviations by name, `link1_d_m` ...; drawn ones, overridden by given ones."""
         table = self.true_dh
         source = random.Random(f"dh {self.seed if table.seed is None else table.seed}")
         sizes = {
@@ -141,14 +141,14 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def shipped_scenarios() -> list[str]:
-    """Names of the scenarios that come with the program."""
+    """Names of the supplied scenarios."""
     return sorted(
         entry.name[:-5] for entry in files("hil_mocks.scenarios").iterdir() if entry.name.endswith(".toml")
     )
 
 
 def load_scenario(path_or_name: str | Path) -> Scenario:
-    """Read a scenario file, or a shipped one by name. Raises ScenarioError."""
+    """Read a scenario file, or a supplied one by name. Raises ScenarioError."""
     where = str(path_or_name)
     if where in shipped_scenarios():
         return parse_scenario(
@@ -188,7 +188,7 @@ def _check_finite(value: object, where: str, key: str) -> None:
 
 
 def _readable(message: str) -> str:
-    """Msgspec's `Object contains unknown field `x` - at `$.camera`` in the words of a TOML file."""
+    """Translate msgspec's `Object contains unknown field `x` - at `$.camera`` to the terms of TOML."""
     what, _, at = message.partition(" - at ")
     what = what.replace("Object contains unknown field", "unknown key").replace(
         "Object missing required field", "missing key"

@@ -1,7 +1,7 @@
-"""`python -m hil_mocks.serve`: a mock arm in real time, in a process of its own.
+"""`python -m hil_mocks.serve`: a mock arm in real time as a separate process.
 
-Announces its ports as one JSON line on stdout; obeys JSON lines on a Unix socket (docs/mock_robot.md); ends on SIGTERM,
-SIGINT, `{"do": "quit"}` and when its standard input is closed, which happens when its parent dies.
+Prints its ports as one JSON line on stdout; serves JSON requests on a Unix socket (docs/mock_robot.md); ends on SIGTERM,
+SIGINT, `{"do": "quit"}` or the end of its standard input, which happens when its parent dies.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable, load_scenario
 from hil_mocks.wires import Wires
 
-_MOST_CATCH_UP_TICKS = 50  # later than this, the simulation lets the time go that it has lost
+_MOST_CATCH_UP_TICKS = 50  # beyond this lateness, the simulation drops the lost time
 _PRIORITY = 60  # of SCHED_FIFO; the loop's is 80
 _LOOKS_PER_TICK = 2  # so that a board answers a COMMAND within half a millisecond
 
 
 class Pacer:
-    """How many ticks are due: simulated time follows a clock, but never runs to catch up more than a bounded lateness."""
+    """Number of ticks due: simulated time follows a clock, but catches up only a bounded lateness."""
 
     def __init__(self, tick_s: float, now_s: float) -> None:
         self._tick_s, self._zero_s, self._done = tick_s, now_s, 0
@@ -76,7 +76,7 @@ class Server:
         self._is_ending = False
 
     def announcement(self) -> dict[str, Any]:
-        """Where everything is."""
+        """The ports, as printed at the start."""
         return {
             "encoder_urls": [pty.path for pty in self._wires.ptys],
             "can_interface": "udp_multicast",
@@ -88,7 +88,7 @@ class Server:
         }
 
     def end(self) -> None:
-        """Leave the loop at the next look."""
+        """End the loop at its next iteration."""
         self._is_ending = True
 
     def run(self) -> None:
@@ -107,7 +107,7 @@ class Server:
             time.sleep(max(0.0, next_s - time.monotonic()))
 
     def close(self) -> None:
-        """Take everything away that was made."""
+        """Remove everything that was created."""
         for connection in self._unfinished:
             connection.close()
         self._selector.close()
@@ -214,7 +214,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _be_punctual() -> None:
-    """Boards do not wait for a desktop: a real-time class below the control loop's, where that is allowed."""
+    """Request a real-time class below the control loop's, if permitted, because real boards are punctual."""
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
 

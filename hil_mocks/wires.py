@@ -23,7 +23,7 @@ _ROOM_BYTES = 3500  # of the 4095 that a tty holds for a host that does not read
 
 
 class OnWires(Protocol):
-    """What the wires need of a robot."""
+    """The robot's interface for the wires."""
 
     can_outgoing: list[Frame]
     camera_outgoing: list[bytes]
@@ -34,7 +34,7 @@ class OnWires(Protocol):
 
 
 class Pty:
-    """A pseudo terminal in raw mode; its other end stays open here, so that hosts may come and go."""
+    """A pseudo terminal in raw mode; its other end stays open here, so that hosts may reconnect."""
 
     def __init__(self) -> None:
         self._ours, self._theirs = os.openpty()
@@ -42,14 +42,14 @@ class Pty:
         os.set_blocking(self._ours, False)
         self._readable = select.poll()
         self._readable.register(self._theirs, select.POLLIN)
-        self._expected_bytes = 0  # that the host will find, once the kernel has carried all to it
+        self._expected_bytes = 0  # bytes that the host will find once the kernel has transferred all
         self.path = os.ttyname(self._theirs)
 
     def read(self) -> bytes:
-        """All that the host has written."""
+        """Read everything that the host has written."""
         received = b""
         try:
-            # The kernel carries bytes through a pty in its own time; only an empty read has waited for all of them.
+            # The kernel transfers bytes through a pty asynchronously; only an empty read ensures that all have arrived.
             while part := os.read(self._ours, 65536):
                 received += part
         except BlockingIOError:
@@ -57,7 +57,7 @@ class Pty:
         return received
 
     def write(self, sent: bytes) -> None:
-        """Send; of what a host that does not read has no room for, the oldest frames are lost."""
+        """Send; if a host does not read, the oldest frames are lost."""
         if len(sent) > _ROOM_BYTES:
             sent = sent[-_ROOM_BYTES:]
             sent = sent[sent.index(0) + 1 :]
@@ -66,11 +66,11 @@ class Pty:
             os.write(self._ours, sent)
 
     def settle(self) -> None:
-        """Return when the host can read what was sent: what it reads next does not hang on the kernel's mood."""
+        """Return when the host can read what was sent, independent of the kernel's scheduling."""
         if not self._expected_bytes:
             return
         for _ in range(_MOST_LOOKS):
-            self._readable.poll(0)  # of an empty tty: waits for what is on its way
+            self._readable.poll(0)  # of an empty tty: waits for pending bytes
             if self._unread() >= self._expected_bytes:
                 break
         self._expected_bytes = 0
@@ -79,7 +79,7 @@ class Pty:
         return int.from_bytes(fcntl.ioctl(self._theirs, termios.FIONREAD, b"\0\0\0\0"), sys.byteorder)
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the pty."""
         os.close(self._ours)
         os.close(self._theirs)
 
@@ -91,7 +91,7 @@ class Wires:
         self, encoder_boards: int, can_interface: str, can_channel: str, camera_port: int = 0
     ) -> None:
         self.ptys = [Pty() for _ in range(encoder_boards)]
-        # A port of its own: python-can listens to all groups of a port. No hops: frames stay on this machine.
+        # A separate port, because python-can receives all groups of a port. No hops: frames stay on this machine.
         is_multicast = can_interface == "udp_multicast"
         self.can_options: dict[str, int] = {"port": free_udp_port(), "hop_limit": 0} if is_multicast else {}
         self._can = open_can(can_interface, can_channel, **self.can_options)
@@ -100,7 +100,7 @@ class Wires:
         self.camera_port = camera_port or free_udp_port()
 
     def from_host(self, robot: OnWires) -> None:
-        """Give the robot what the host has sent."""
+        """Pass the host's data to the robot."""
         for i, pty in enumerate(self.ptys):
             received = pty.read()
             if received:
@@ -109,7 +109,7 @@ class Wires:
             robot.from_host_can(can_id, payload)
 
     def serial_to_host(self, robot: OnWires, ahead_s: float = 0.0) -> None:
-        """Give the host the bytes that have arrived by now, or will have in `ahead_s`."""
+        """Send the host the bytes that arrive by now, or within `ahead_s`."""
         for i, pty in enumerate(self.ptys):
             sent = robot.serial_outgoing(i, ahead_s)
             if sent:
@@ -121,7 +121,7 @@ class Wires:
             pty.settle()
 
     def to_host(self, robot: OnWires) -> None:
-        """Give the host what the robot has sent by now; over a pty it may take a little to get there."""
+        """Send the host what the robot has sent by now; a pty may delay it slightly."""
         self.serial_to_host(robot)
         if robot.can_outgoing:
             for can_id, payload in robot.can_outgoing:
@@ -139,7 +139,7 @@ class Wires:
             return  # a full buffer loses a datagram, as a network does
 
     def close(self) -> None:
-        """Take all wires away."""
+        """Close all wires."""
         for pty in self.ptys:
             pty.close()
         self._can.close()
@@ -147,7 +147,7 @@ class Wires:
 
 
 def free_udp_port() -> int:
-    """A UDP port on loopback that nobody has at the moment."""
+    """A UDP port on loopback that is free at the moment."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

@@ -1,4 +1,4 @@
-"""How motors, encoders and boards of a mock arm are wired: by arm.toml, the scenario's faults and its seed."""
+"""Wiring of motors, encoders and boards of a mock arm, from arm.toml, the scenario's faults and its seed."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from control.model.description import Arm
 from hil_mocks.errors import ScenarioError
 from hil_mocks.scenario import Scenario
 
-ENCODER_BOARD_SERIAL = 0xE0001  # of the first encoder board where arm.toml names none
+ENCODER_BOARD_SERIAL = 0xE0001  # default of the first encoder board
 MOTOR_BOARD_SERIAL = 0xD0000  # plus the node
 
 
 @dataclass(frozen=True, slots=True)
 class JointWiring:
-    """One joint's encoder and motor as they are wired."""
+    """Wiring of one joint's encoder and motor."""
 
     encoder_board: int
     encoder_channel: int
@@ -25,20 +25,20 @@ class JointWiring:
     motor_node: int
     motor_direction: int
     motor_serial_number: int
-    counts_per_turn: int  # that the encoder really gives
-    said_counts_per_turn: int  # that its boards say
+    counts_per_turn: int  # true counts of the encoder
+    said_counts_per_turn: int  # reported by its boards
     counts_per_rad: float  # of joint angle
-    phase_count: float  # where between two edges the encoder stands at joint angle zero
+    phase_count: float  # phase between two edges at joint angle zero
     index_rad: float  # joint angle of one of its index pulses
-    switch_rad: float  # where the home switch changes; it is active on the side of the index
+    switch_rad: float  # joint angle where the home switch changes; it is active on the side of the index
     zero_count: int
 
     def raw_count(self, encoder_rad: float) -> int:
-        """Edges that the encoder has passed, without wrap; direction as wired."""
+        """Edges counted by the encoder, without wrap; direction as wired."""
         return math.floor(self.encoder_direction * encoder_rad * self.counts_per_rad + self.phase_count)
 
     def motor_count(self, encoder_rad: float) -> int:
-        """The same as the motor board sees it: a positive voltage counts up."""
+        """The count at the motor board: a positive voltage counts up."""
         return math.floor(self.motor_direction * encoder_rad * self.counts_per_rad + self.phase_count)
 
     def index_count(self) -> int:
@@ -47,7 +47,7 @@ class JointWiring:
 
 
 def wiring_of(arm: Arm, scenario: Scenario) -> list[JointWiring]:
-    """Wiring of all joints. Raises ScenarioError for a swap with a channel that is not there."""
+    """Wiring of all joints. Raises ScenarioError for a swap with a missing channel."""
     source = random.Random(f"wiring {scenario.seed}")
     wiring = [_joint(arm, j, scenario, source) for j in range(len(arm.drives))]
     for fault in scenario.fault:
@@ -58,11 +58,11 @@ def wiring_of(arm: Arm, scenario: Scenario) -> list[JointWiring]:
 
 def _joint(arm: Arm, j: int, scenario: Scenario, source: random.Random) -> JointWiring:
     drive = arm.drives[j]
-    counts = said = drive.encoder_counts_per_rev
+    counts = reported = drive.encoder_counts_per_rev
     for fault in scenario.fault:
         if fault.board == "encoder" and fault.channel == drive.encoder_channel:
             if fault.kind == "wrong_counts":
-                counts = said = int(fault.value or counts)
+                counts = reported = int(fault.value or counts)
             elif fault.kind == "wrong_encoder":
                 counts = int(fault.value or counts)
     error_rad = scenario.encoder_board.index_error_rad
@@ -75,7 +75,7 @@ def _joint(arm: Arm, j: int, scenario: Scenario, source: random.Random) -> Joint
         motor_direction=drive.motor_direction,
         motor_serial_number=drive.motor_serial_number or MOTOR_BOARD_SERIAL + drive.motor_node,
         counts_per_turn=counts,
-        said_counts_per_turn=said,
+        said_counts_per_turn=reported,
         counts_per_rad=drive.gear_ratio * counts / (2.0 * math.pi),
         phase_count=source.random(),
         index_rad=(home.index_rad if home else 0.0) + source.uniform(-error_rad, error_rad),
@@ -85,7 +85,7 @@ def _joint(arm: Arm, j: int, scenario: Scenario, source: random.Random) -> Joint
 
 
 def _swapped(wiring: list[JointWiring], first: int, second: int) -> list[JointWiring]:
-    """Two plugs of an encoder board changed over."""
+    """Swap two plugs of an encoder board."""
     if not {first, second} <= {w.encoder_channel for w in wiring}:
         raise ScenarioError(f'fault "swapped_channels": there are no encoder channels {first} and {second}.')
     other = {first: second, second: first}

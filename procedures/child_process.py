@@ -1,7 +1,7 @@
-"""Child processes that do not outlive the console or demo that started them, whatever ended it.
+"""Child processes that never outlive the console or demo that started them.
 
-A script's background job starts with SIGINT ignored, nohup's with SIGHUP, and exec hands that on: a child would ignore the
-signal that is to end it.
+A script's background job starts with SIGINT ignored, nohup's with SIGHUP, and exec inherits that: a child would ignore the
+signal that should end it.
 """
 
 import ctypes
@@ -15,17 +15,17 @@ _HEARD = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def ends_with_parent(number: signal.Signals) -> Callable[[], None]:
-    """A `preexec_fn`: signals as a program expects them, and `number` to the child when this process dies."""
+    """A `preexec_fn`: default signal handling, and the child gets signal `number` when this process dies."""
     parent = os.getpid()
-    libc = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded here: after a fork it may not be
+    libc = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded here: not safe after a fork
 
     def before_exec() -> None:
-        for heard in _HEARD:
-            signal.signal(heard, signal.SIG_DFL)
+        for handled in _HEARD:
+            signal.signal(handled, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _HEARD)
         if libc is not None:
             libc.prctl(_PR_SET_PDEATHSIG, number)
-        if os.getppid() != parent:  # it died before this was asked for
+        if os.getppid() != parent:  # the parent died before the request
             os.kill(os.getpid(), number)
 
     return before_exec

@@ -1,4 +1,4 @@
-"""Folders for results: none is overwritten, and each is tried before anything moves."""
+"""Folders for results: never overwritten, and checked before anything moves."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from control.errors import ArmError
 
 
 def free_folder(wanted: Path) -> Path:
-    """`wanted`, or the first of `wanted-2`, `wanted-3`, ... that is not there."""
+    """`wanted`, or the first of `wanted-2`, `wanted-3`, ... that does not exist."""
     folder, number = wanted, 1
     while folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         number += 1

@@ -1,4 +1,4 @@
-"""The runtime, the mock hand and the camera, with the interfaces of a calibration session (calib.session.moves.ports)."""
+"""Adapters of runtime, mock hand and camera to the interfaces of a session (calib.session.moves.ports)."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from control.errors import ArmError
 from control.server.client import ArmClient, ArmFaulted, fault_text
 
 if TYPE_CHECKING:
-    from hil_mocks.rig import MockHand  # brings the physics with it
+    from hil_mocks.rig import MockHand  # imports the physics
 
-SEATED_m = 2e-4  # a tip that is this near the hand sits in its cavity
+SEATED_m = 2e-4  # a tip this close to the hand is seated
 CAMERA_PATIENCE_S = 2.0  # a marker may be hidden for a moment, a host may pause
-SEAT_PATIENCE = 3.0  # times what the hand said that it takes
+SEAT_PATIENCE = 3.0  # times the duration that the hand predicts
 CREEP = 0.1  # of the speed of other moves
 
 
@@ -34,11 +34,11 @@ class RuntimePort:
         return float(self._client.status()["t_s"])
 
     def move_to_q(self, q_rad: Sequence[float]) -> None:
-        """Joint move, done when the arm holds there."""
+        """Joint move; returns when the arm holds there."""
         self._client.move_joints(q_rad, self._speed, as_encoders=self._as_encoders)
 
     def creep_to_q(self, q_rad: Sequence[float]) -> None:
-        """The same, slowly: for jogging."""
+        """A slow joint move, for jogging."""
         self._client.move_joints(q_rad, CREEP * self._speed, as_encoders=self._as_encoders)
 
     def release(self) -> None:
@@ -60,7 +60,7 @@ class RuntimePort:
         return Sample(mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction, warmth)
 
     def measure(self, duration_s: float) -> tuple[Vector, Vector]:
-        """Mean of the camera's tip positions and their standard deviation. ArmError when none came."""
+        """Mean of the camera's tip positions and their standard deviation. ArmError if there are none."""
         for _ in range(1 + int(CAMERA_PATIENCE_S / duration_s)):
             mean = self._client.average(duration_s)
             if mean.tip_m is not None and mean.tip_std_m is not None:
@@ -71,21 +71,21 @@ class RuntimePort:
 
 
 class MockHandSeat:
-    """`calib.session.conduct.Hand` by the mock arm's hand, which knows where the cavities really are."""
+    """`calib.session.conduct.Hand` by the mock arm's hand, which knows the true cavities."""
 
     def __init__(self, hand: HandPort, place_of: Callable[[Target], Vector]) -> None:
         self._hand, self._place_of = hand, place_of
 
     def grip(self) -> None:
-        """The hand has the tip."""
+        """Grip the tip."""
         self._hand.grip()
 
     def seat(self, target: Target) -> None:
-        """Drag the tip to the cavity; returns when it sits."""
+        """Drag the tip to the cavity; returns when it is seated."""
         self._hand.seat(self._place_of(target))
 
     def let_go(self) -> None:
-        """Leave the tip to the arm."""
+        """Release the tip."""
         self._hand.let_go()
 
 
@@ -97,10 +97,10 @@ class HandPort:
         self._wait = wait
 
     def grip(self) -> None:
-        """The mock hand is quicker than gravity: nothing to wait for."""
+        """Nothing to do: the mock hand is faster than gravity."""
 
     def seat(self, point_m: Vector) -> None:
-        """Drag the tip to the cavity; returns when it sits. ArmError when it cannot be brought there."""
+        """Drag the tip to the cavity; returns when it is seated. ArmError if that fails."""
         duration_s = self._hand.seat(point_m)
         self._wait(duration_s)
         for _ in range(int(SEAT_PATIENCE / 0.1)):
@@ -113,5 +113,5 @@ class HandPort:
         )
 
     def let_go(self) -> None:
-        """Leave the tip to the arm."""
+        """Release the tip."""
         self._hand.let_go()

@@ -14,6 +14,14 @@ if TYPE_CHECKING:
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported, as console.main has it
 
 
+@pytest.fixture(scope="module")
+def nobody_below() -> Iterator[None]:
+    """A shutdown does not wait until the arm has sunk: for modules whose claims are others."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("control.loop.standstill.SINK_LIMIT_S", 0.6)
+        yield
+
+
 @pytest.fixture
 def cell() -> Iterator[Cell]:
     """A stretched, homed arm that is held; see tests/cell.py."""

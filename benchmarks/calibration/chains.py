@@ -1,4 +1,4 @@
-"""Arms and boards as plain 4x4 chains, for tests and benchmarks: they share nothing with control.model."""
+"""Arms and boards as plain 4x4 chains, for tests and benchmarks: independent of control.model."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What the controller makes of an effect that was named: tip errors of the mock arm with the effect in its model and without.
+"""Correction of named effects by the controller: tip errors of the mock arm with and without the effect in its model.
 
-The mock hides friction and one effect. The tip runs a circle and comes to rest at points all over the workspace; its true place
-is compared with where it was sent. Three runs: the arm without the effect, with it unknown, with it in arm.toml.
+The mock hides friction and one effect. The tip runs a circle and comes to rest at points over the workspace; its true position
+is compared with the commanded one. Three runs: the arm without the effect, with it unknown, with it in arm.toml.
 Run with `python -m benchmarks.calibration.corrections`; docs/corrections.md has the table.
 """
 
@@ -31,7 +31,7 @@ from procedures.mock.arm import wired_to
 Points = NDArray[np.float64]
 PERIOD_S = 0.002
 RIGHT = load_arm("right")
-# In front of the arm, from low to high, and where gravity turns round for joints 2 and 3.
+# In front of the arm, from low to high, and where gravity changes sign for joints 2 and 3.
 STOPS_m = (
     (0.45, 0.1, 0.25), (0.3, -0.3, 0.3), (0.1, 0.4, 0.55), (0.35, 0.15, 0.62), (0.05, 0.12, 0.78), (-0.1, 0.15, 0.76),
     (0.2, -0.1, 0.7), (0.5, -0.2, 0.12),
@@ -43,7 +43,7 @@ GENTLE = 0.4  # of the joints' limits, between stops
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """An effect that the mock hides, with what else belongs to it."""
+    """A hidden effect of the mock, with its settings."""
 
     name: str
     effects: tuple[Effect, ...]
@@ -76,9 +76,9 @@ class Errors:
     path_most_m: float
 
 
-def run(hidden: Sequence[Effect], believed: Sequence[Effect], seed: int = 7) -> Errors:
+def run(hidden: Sequence[Effect], modelled: Sequence[Effect], seed: int = 7) -> Errors:
     """One run of the whole programme."""
-    arm = dataclasses.replace(RIGHT, effects=tuple(believed))
+    arm = dataclasses.replace(RIGHT, effects=tuple(modelled))
     with SteppedRig(RIGHT, _scenario(hidden, seed)) as rig:
         connection = connect(wired_to(arm, rig), rig.clock, PERIOD_S)
         assembly = assemble(arm, connection.hardware, PERIOD_S, stopwatch_s=rig.clock.now_s)
@@ -102,7 +102,7 @@ def _scenario(hidden: Sequence[Effect], seed: int) -> Scenario:
 
 
 def _stops(rig: SteppedRig, client: ArmClient) -> Points:
-    """Errors (m, 3) at rest; each stop is passed there and back, so that joints come from both sides."""
+    """Errors (m, 3) at rest; each stop is approached in both directions, so that joints come from both sides."""
     inverse = InverseKinematics(RIGHT)
     q: tuple[float, ...] = (0.1, -0.6, 0.2)
     errors = []
@@ -115,7 +115,7 @@ def _stops(rig: SteppedRig, client: ArmClient) -> Points:
 
 
 def circle() -> PlannedPath:
-    """A circle in a plane that is tilted so that all joints turn round on it."""
+    """A circle in a tilted plane on which all joints reverse."""
     turns = np.linspace(0.0, 2.0 * np.pi, 25)
     x, y, z = CIRCLE_m
     points = [
@@ -188,9 +188,9 @@ FED_FORWARD = (
 )
 
 
-def tracking_rad(hidden: Sequence[Effect], believed: Sequence[Effect], joint: int) -> float:
+def tracking_rad(hidden: Sequence[Effect], modelled: Sequence[Effect], joint: int) -> float:
     """RMS following error of a joint (1-based) on slow moves there and back."""
-    arm = dataclasses.replace(RIGHT, effects=tuple(believed))
+    arm = dataclasses.replace(RIGHT, effects=tuple(modelled))
     errors: list[float] = []
     with SteppedRig(RIGHT, _scenario(hidden, 7)) as rig:
         connection = connect(wired_to(arm, rig), rig.clock, PERIOD_S)

@@ -28,13 +28,13 @@ from control.model.description import load_arm
 from control.model.table import board_cavities, board_origin, board_rotation, table_of
 
 NOISE_m = 0.00014
-OWN_SHARE = 0.02  # of a parameter that may be open for it to be scored
+OWN_SHARE = 0.02  # largest undetermined share of a scored parameter
 KINDS = ("known", "tool", "boards")
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """What is simulated: points_count points, what is unknown besides DH, deviations up to `size` bounds."""
+    """A simulated session: points_count points, unknowns besides DH, deviations up to `size` bounds."""
 
     kind: str
     points_count: int
@@ -44,7 +44,7 @@ class Session:
 
 @dataclass(slots=True)
 class Tally:
-    """How many scores, covered by each sort of interval, and normalised errors."""
+    """Number of scores, coverage of each kind of interval, and normalised errors."""
 
     count: int = 0
     by_sd: int = 0
@@ -80,7 +80,7 @@ def simulated(arm: Arm, what: Session, draw: np.random.Generator) -> tuple[ArmPr
     wanted = np.array([frames[f].to_base(p[None])[0] for f, p in zip(frame, positions, strict=True)])
     q = _seated(model, true_dh, true_tool, wanted)
     noise = draw.normal(0.0, NOISE_m, wanted.shape)
-    if what.kind == "boards":  # the tip does not sit exactly; the reference is the cavity
+    if what.kind == "boards":  # seating error; the reference is the cavity
         q = _seated(model, true_dh, true_tool, wanted + noise, q)
     else:
         positions, frame, frames = model.tips(true_dh, q, true_tool) + noise, 0 * frame, (Frame.base(),)
@@ -112,7 +112,7 @@ def _references(
 def _redundant(
     model: ArmModel, what: Session, positions: Array, frame: NDArray[np.intp], frames: tuple[Frame, ...]
 ) -> list[str]:
-    """DH parameters that the points do not determine beside the others: the last ones that a pivoted QR would take."""
+    """DH parameters that the points do not determine besides the others: the last pivots of a QR decomposition."""
     from scipy.linalg import qr
 
     tips = np.array([frames[f].to_base(p[None])[0] for f, p in zip(frame, positions, strict=True)])

@@ -1,4 +1,4 @@
-"""Planned free poses against random and spread ones on the reference arm: what an identification makes of them.
+"""Planned free poses against random and spread ones on the reference arm: accuracy of the identification.
 
 `python -m benchmarks.calibration.design_trial [seeds]` prints the table of docs/plan_poses.md; the tests run a few seeds of it.
 
@@ -31,7 +31,7 @@ ARM = load_arm("right")
 
 
 def measured(dh: np.ndarray, q: np.ndarray, rng: np.random.Generator, setup: str = "free") -> Points:
-    """Poses q (m, n) as a camera measures them on an arm with parameters dh."""
+    """Poses q (m, n) measured by a camera on an arm with parameters dh."""
     tips = REFERENCE.tips(dh, q) + rng.normal(0.0, NOISE_m, (len(q), 3))
     return make_points([setup] * len(q), [f"{setup}{k}" for k in range(len(q))], [1] * len(q), q, tips)
 
@@ -57,13 +57,13 @@ def both(first: Points, second: Points) -> Points:
 
 
 def random_poses(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Clear poses drawn evenly from the joints' ranges."""
+    """Collision-free poses drawn uniformly from the joints' ranges."""
     pool = workspace_poses(ARM, [], 3000)
     return pool[rng.choice(len(pool), count, replace=False)]
 
 
 def spread(count: int) -> np.ndarray:
-    """Clear poses spread evenly: each the farthest from those before it, as an operator would who is told to."""
+    """Collision-free poses spread evenly: each the farthest from the previous ones."""
     pool = workspace_poses(ARM, [], 2000)
     span = np.ptp(pool, axis=0)
     chosen = [int(np.argmin(np.abs((pool - pool.mean(axis=0)) / span).max(axis=1)))]

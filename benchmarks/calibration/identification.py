@@ -1,8 +1,8 @@
-"""Identification beside pybotics and scipy's SLSQP: same points, same run; and its memory at 100,000 points.
+"""Identification compared with pybotics and scipy's SLSQP on the same points; and its memory at 100,000 points.
 
-pybotics runs as its example calls it, in an environment of its own. SLSQP is called as one commonly does, in metres and radians,
-within the bounds, without a gradient, at its defaults; what it minimises is this repository's vectorised model, which is kinder
-to it than a loop. One processor thread for all.
+pybotics runs as in its example, in a separate environment. SLSQP is called as is common, in metres and radians,
+within the bounds, without a gradient, at its defaults; it minimises this repository's vectorised model, which favours it
+compared with a loop. One processor thread for all.
 """
 
 import json
@@ -45,7 +45,7 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def rows() -> Iterator[BenchRow]:
-    """The measured rows, as they come."""
+    """Yield the rows as they are measured."""
     for count in FASTER:
         yield from _beside_pybotics(count)
     for count in FASTER:
@@ -79,7 +79,7 @@ def own(count: int, objective: Objective) -> tuple[float, float]:
 
 
 def _beside_pybotics(count: int) -> Iterator[BenchRow]:
-    """Least squares; with the example's residuals too, where that takes no hour."""
+    """Least squares; also with the example's residuals, if that takes less than an hour."""
     target = f"at least {FASTER[count]:.0f} times faster"
     label = f"least squares, {count} points, 16 parameters"
     took_s, value = own(count, LeastSquares())
@@ -100,7 +100,7 @@ def _beside_pybotics(count: int) -> Iterator[BenchRow]:
 
 
 def _identified(peer: Peer, count: int, kind: str, how: str) -> tuple[dict[str, float], str]:
-    """What pybotics makes of the points, and its name in the table."""
+    """The result of pybotics, and its name in the table."""
     q, tips = points(count)
     asked = {"q_rad": np.column_stack((q, np.zeros(count))).tolist(), "tip_m": tips.tolist()}
     found = peer.ask({**asked, "kind": kind})
@@ -113,7 +113,7 @@ def _objectives(label: str, value: float, name: str, theirs: dict[str, float]) -
 
 
 def _require_same_arm(answers: dict[str, list[list[float]]]) -> None:
-    """The peer's arm must be ours, or there is nothing to compare."""
+    """Check that the peer's arm equals ours."""
     model = ArmModel(load_arm("right"))
     tips = model.tips(model.nominal_dh, np.array(answers["poses"])[:, :3])
     if not np.allclose(tips, answers["tips_m"], atol=1e-9):
@@ -151,7 +151,7 @@ def _beside_slsqp(count: int, name: str) -> list[BenchRow]:
 
 
 def _memory() -> Iterator[BenchRow]:
-    """What 100,000 points add to the peak of a process of its own."""
+    """Additional peak memory of a separate process with 100,000 points."""
     ours = _in_own_process("own")
     label = f"least squares, {MEMORY_POINTS} points"
     for solver, name in MEMORY_PEERS.items():
@@ -161,7 +161,7 @@ def _memory() -> Iterator[BenchRow]:
 
 
 def _in_own_process(solver: str) -> dict[str, float]:
-    """What one identification took. RuntimeError with the process's last words where it fails."""
+    """Time and memory of one identification. RuntimeError with the process's last message if it fails."""
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.calibration.identification_memory", solver, str(MEMORY_POINTS)],
         capture_output=True,

@@ -1,4 +1,4 @@
-"""One identification of many points by one solver, in a process of its own: its time, objective, and memory at the peak.
+"""One identification of many points by one solver in a separate process: time, objective, and peak memory.
 
 python -m benchmarks.calibration.identification_memory own|least_squares|slsqp POINTS
 """
@@ -54,13 +54,13 @@ SOLVERS: dict[str, Callable[[ArmProblem], float]] = {
 
 
 def _peak_kB() -> int:
-    """Most memory this process has had since its peak was reset."""
+    """Peak memory of this process since the reset."""
     lines = STATUS.read_text(encoding="ascii").splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
 
 
 def main() -> None:
-    """Imports and the making of points come first; their peak is forgotten before the solver begins."""
+    """Imports and making the points come first; the peak is reset before the solver starts."""
     work, count = SOLVERS[sys.argv[1]], int(sys.argv[2])
     importlib.import_module("scipy.optimize")
     work(problem_of(50))

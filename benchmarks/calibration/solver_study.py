@@ -1,5 +1,5 @@
-"""`make solver-study`: is the optimum of an identification a real one? Fresh cases, several solvers, how often and by how much
-ours misses the best that any of them finds.
+"""`make solver-study`: is the optimum of an identification global? New cases, several solvers, how often and by how much
+ours misses the best solution of any of them.
 
 python -m benchmarks.calibration.solver_study [--cases N] [--seed FIRST] [--objective e2 ...]
 
@@ -120,7 +120,7 @@ def best_known(
 
 
 def slsqp(problem: ArmProblem, objective: Objective, start: Array) -> float:
-    """Scipy's SLSQP as well as it can be called: scaled, analytic gradient, tight, no smoothing."""
+    """Scipy's SLSQP with the best settings: scaled, analytic gradient, tight tolerance, no smoothing."""
     optimize: Any = importlib.import_module("scipy.optimize")
     unit = 1.0 / max(value_of(objective, problem.residuals(start)), 1e-300)
 

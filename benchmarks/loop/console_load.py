@@ -1,8 +1,8 @@
-"""What the console costs the loop: lateness with it open and without, by turns, and its share of a processor.
+"""Load of the console on the loop: lateness with and without it, alternating, and its share of a processor.
 
 `armwright serve` on a mock arm in real time, holding; `armwright console` in a pseudo-terminal of 120 by 40 characters, whose
-output is read and thrown away. By turns, because a machine's own load changes over minutes: each phase without
-the console stands beside one with it. Lateness is what the recording says.
+output is read and discarded. Alternating, because a machine's own load changes over minutes: each phase without
+the console is paired with one with it. Lateness is taken from the recording.
 """
 
 import fcntl
@@ -36,7 +36,7 @@ def rows() -> list[BenchRow]:
     """Return the measured rows."""
     try:
         return _rows()
-    except ArmError as error:  # this machine paused for so long that the arm stopped
+    except ArmError as error:  # a long pause of this machine stopped the arm
         return [
             BenchRow("console: ended early", float("nan"), "", str(error).replace("\n", " "), passed=False)
         ]
@@ -72,14 +72,14 @@ def _rows() -> list[BenchRow]:
 
 
 def _phase(client: ArmClient) -> tuple[float, float]:
-    """Some seconds of nothing but holding; from when to when on the loop's clock."""
+    """Hold for some seconds; return start and end on the loop's clock."""
     begun_s = client.status()["t_s"]
     time.sleep(PHASE_S)
     return begun_s, client.status()["t_s"]
 
 
 def _phase_with_console(client: ArmClient, folder: Path) -> tuple[tuple[float, float], float]:
-    """The same with the console open, and its share of a processor meanwhile."""
+    """Hold with the console open; also return its share of a processor."""
     screen, terminal = pty.openpty()
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, COLUMNS, 0, 0))
     command = [
@@ -104,7 +104,7 @@ def _phase_with_console(client: ArmClient, folder: Path) -> tuple[tuple[float, f
 
 
 def _read_for(screen: int, duration_s: float, console: "subprocess.Popen[bytes]") -> None:
-    """Take what the console draws, as a terminal does. ArmError where it has ended."""
+    """Read the console's output like a terminal. ArmError if it has ended."""
     end_s = time.monotonic() + duration_s
     while (left_s := end_s - time.monotonic()) > 0.0:
         if select.select([screen], [], [], left_s)[0]:

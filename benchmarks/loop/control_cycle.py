@@ -1,6 +1,6 @@
 """One whole control cycle without waiting: `Runtime.cycle` on the Cartesian circle, every DH parameter of the arm off nominal.
 
-Only the call of `cycle` is timed: what boards and clock cost lies between the cycles. Once over links in memory whose boards
+Only the call of `cycle` is timed: boards and clock run between the cycles. Once over links in memory whose boards
 are a script (benchmarks.loop.memory_rig), once over a pty and a python-can bus with the mock boards behind them; both in turn.
 """
 
@@ -50,7 +50,7 @@ class Stopwatch:
         self.is_on = False
 
     def timed(self, name: str, work: Callable[P, R]) -> Callable[P, R]:
-        """`work`, timed."""
+        """Wrap `work` with timing."""
         took_us = self.took_us.setdefault(name, [])
 
         def run(*given: P.args, **named: P.kwargs) -> R:
@@ -63,7 +63,7 @@ class Stopwatch:
         return run
 
     def time_cycles(self, runtime: Runtime, afterwards: Callable[[], None]) -> None:
-        """Time every cycle of a runtime, but not what is done after it."""
+        """Time every cycle of a runtime, but not the work after it."""
         timed = self.timed(WHOLE, runtime.cycle)
 
         def cycle(now_s: float, late_s: float, missed: int, missed_in_row: int) -> bool:
@@ -74,20 +74,20 @@ class Stopwatch:
         setattr(runtime, "cycle", cycle)  # noqa: B010  (a method is no variable, says mypy)
 
     def time_parts(self, runtime: Runtime) -> None:
-        """Time what a cycle consists of; timing a part costs about 0.3 us."""
+        """Time the parts of a cycle; timing a part costs about 0.3 us."""
         for name in (f"_{part}" for part in PARTS):
             setattr(runtime, name, self.timed(name[1:], getattr(runtime, name)))
 
 
 class DrainedPipe:
-    """The pipe to a writer, without the writer: it is emptied between the cycles."""
+    """The pipe to a writer, without the writer: drained between the cycles."""
 
     def __init__(self) -> None:
         self._out, into = os.pipe()
         self.sink = PipeSink(into)
 
     def drain(self) -> None:
-        """Take all that is in it."""
+        """Drain the pipe."""
         os.read(self._out, 1 << 16)
 
     def close(self) -> None:
@@ -148,7 +148,7 @@ def _hand_inlined_us() -> float:
 
 
 def _recorded(arm: Arm) -> Sequence[Delivery]:
-    """What the boards say while the arm runs the circle."""
+    """Record the boards' output while the arm runs the circle."""
     rig = MemoryRig(arm, known_geometry(has_friction=True, seed=1), PERIOD_S)
     _run_circle(arm, rig.hardware, rig.clock, False)
     return rig.script

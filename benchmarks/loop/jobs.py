@@ -1,4 +1,4 @@
-"""What the arm does while it is measured: the arm, its scenario, and the way round the circle."""
+"""Setup of the measurements: the arm, its scenario, and the circle."""
 
 from dataclasses import replace
 from typing import Literal
@@ -19,13 +19,13 @@ PidMode = Literal["voltage", "current", "position"]
 
 
 def reference_arm(mode: PidMode = "voltage") -> Arm:
-    """The arm that ships, with all drives in one mode; gains follow from the model."""
+    """The supplied arm, with all drives in one mode; gains are derived from the model."""
     arm = load_arm("right")
     return replace(arm, drives=tuple(replace(d, pid=replace(d.pid, mode=mode)) for d in arm.drives))
 
 
 def known_geometry(has_friction: bool, seed: int) -> Scenario:
-    """The demo's arm as arm.toml has it: no hidden DH deviations, its zeros known, its noise as it is."""
+    """The demo's arm as in arm.toml: no hidden DH deviations, zeros known, with its noise."""
     demo = load_scenario("demo")
     effects = demo.effect if has_friction else ()
     return msgspec.structs.replace(demo, seed=seed, true_dh=TrueDh(), effect=effects, start=Start(homed=True))
@@ -39,12 +39,12 @@ def circle_path(arm: Arm, turns: int = 1) -> PlannedPath:
 
 
 def turns_after(once: Waypoints, turns: int) -> tuple[tuple[float, float, float], ...]:
-    """The points of the turns behind the first, which begin where it ended."""
+    """The points of the later turns, which start where the first ended."""
     return once.points[1:] * (turns - 1)
 
 
 def go_to_start(client: ArmClient, path: PlannedPath, speed: float = 1.0) -> None:
-    """Drives on, zeros found or believed, the tip at the path's first point, at a fraction of the joints' speed."""
+    """Enable and home the arm, and move the tip to the path's first point, at a fraction of the joints' speed."""
     client.enable()
     client.home()
     client.move_joints(path.q_start_rad, speed)

@@ -1,6 +1,6 @@
 """Kinematics and dynamics, one call and in batches: against a hand-inlined closed form, and against pinocchio.
 
-Own and peer's runs alternate, so that a change of clock or load meets both; of the runs the fastest counts.
+Own and peer's runs alternate, so that a change of clock or load affects both; the fastest run counts.
 """
 
 import contextlib
@@ -66,7 +66,7 @@ def _poses() -> list[Pose]:
 
 
 def _own_work(arm: Arm, poses: Sequence[Pose]) -> dict[str, tuple[Callable[[], object], int]]:
-    """What is timed: name -> (work, calls in it)."""
+    """The timed work: name -> (work, calls in it)."""
     nominal, k = Kinematics(load_arm("right")), Kinematics(arm)
     inverse, exact = InverseKinematics(arm), InverseKinematics(load_arm("right"))
     targets, exact_targets = [k.tip(*q) for q in poses], [nominal.tip(*q) for q in poses]
@@ -95,7 +95,7 @@ def _alternate(
     theirs: dict[str, float] = {}
     for _ in range(ROUNDS):
         for name, (run, calls) in work.items():
-            run()  # untimed: the peer has had the caches
+            run()  # untimed warm-up: the peer has used the caches
             own[name] = min(own[name], 1e6 * seconds_a_call(run, calls))
         if peer is not None:
             for name, us in peer.ask("measure").items():
@@ -154,7 +154,7 @@ def _task(arm: Arm, poses: Sequence[Pose]) -> dict[str, Any]:
 
 
 def _require_same_answers(arm: Arm, poses: Sequence[Pose], answers: dict[str, Any]) -> None:
-    """A comparison is worth something only if both compute the same."""
+    """Check that both compute the same."""
     k, torques = Kinematics(arm), Dynamics(arm).inverse
     same = (
         np.allclose(k.tips(poses), answers["tips_m"], atol=1e-12)

@@ -1,7 +1,7 @@
-"""A mock arm on links in memory, whose every byte is kept, so that a second run can have the boards as a script.
+"""A mock arm on links in memory with all bytes recorded, so that a second run can replay the boards.
 
-The first run has the physics and the mock boards behind the links; the further ones only hand out what those sent, at the same
-times. A host that does the same gets the same, and the boards cost nothing while it is measured.
+The first run has the physics and the mock boards behind the links; later ones only replay what those sent, at the same
+times. A host that behaves identically gets identical data, and the boards cost nothing during the measurement.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,12 +17,12 @@ from firmware_iface.motor.board import MotorBoard, MotorBus
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import Scenario
 
-SLACK_S = 1e-9  # of sums of ticks
+SLACK_S = 1e-9  # rounding of sums of ticks
 
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """What the boards had sent by a time."""
+    """Data sent by the boards by a given time."""
 
     at_s: float
     serial: bytes
@@ -30,7 +30,7 @@ class Delivery:
 
 
 class LiveClock:
-    """Waiting lets the mock arm run, and keeps what it sends in `script`."""
+    """Waiting advances the mock arm, and records what it sends in `script`."""
 
     def __init__(self, robot: MockRobot, serial: MemoryByteLink, can: MemoryFrameLink) -> None:
         self.script: list[Delivery] = []
@@ -41,7 +41,7 @@ class LiveClock:
         return self._robot.now_s
 
     def wait_until_s(self, t: float) -> None:
-        """Let the host's bytes take effect, advance to `t`, hand out what was sent."""
+        """Process the host's bytes, advance to `t`, deliver what was sent."""
         robot = self._robot
         received = self._serial.read()
         if received:
@@ -58,7 +58,7 @@ class LiveClock:
 
 
 class ScriptClock:
-    """Waiting hands out the next delivery of a script; what the host says is not listened to."""
+    """Waiting delivers the next entry of a script; the host's output is ignored."""
 
     def __init__(self, script: Sequence[Delivery], serial: MemoryByteLink, can: MemoryFrameLink) -> None:
         self._script: Iterator[Delivery] = iter(script)
@@ -70,7 +70,7 @@ class ScriptClock:
         return self._now_s
 
     def wait_until_s(self, t: float) -> None:
-        """On to the next delivery."""
+        """Advance to the next delivery."""
         self._serial.read()
         self._can.receive()
         sent = next(self._script)

@@ -1,7 +1,7 @@
 """The loop in its own process against the wall clock, over the mock boards in theirs: missed cycles and lateness.
 
 `armwright serve --rate` over a pty and CAN frames in UDP multicast, holding for 20 s and then around the circle for as long.
-Lateness is what the recording says: how long after its deadline each cycle began.
+Lateness is taken from the recording: the delay of each cycle's start after its deadline.
 """
 
 import subprocess
@@ -24,7 +24,7 @@ from control.server.client import ArmClient, RuntimeGone, SocketChannel
 from hil_mocks.realtime import RealTimeRig
 from procedures.mock.arm import wired_to
 
-APPROACH_SPEED = 0.3  # so that an arm whose host pauses does not get far at its last voltage
+APPROACH_SPEED = 0.3  # so that an arm does not move far at its last voltage if the host pauses
 RATES_Hz = (1000, 500)
 HOLDING_S = 20.0
 TURNS = 5  # of 3.8 s
@@ -34,13 +34,13 @@ PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
 
 
 def rows() -> Iterator[BenchRow]:
-    """The measured rows, as they come."""
+    """Yield the rows as they are measured."""
     for rate_Hz in RATES_Hz:
         yield from _rows_or_reason(rate_Hz)
 
 
 def _rows_or_reason(rate_Hz: int) -> list[BenchRow]:
-    """The rows of a rate; where this machine paused for so long that the arm stopped, that is the row."""
+    """The rows of a rate; or one row with the reason if a long pause of this machine stopped the arm."""
     try:
         return _rows_at(rate_Hz)
     except ArmError as error:

@@ -1,6 +1,6 @@
 """The whole loop on the stepped clock, in simulated seconds per second: physics, mock boards, wires, drivers, control, recording.
 
-The demo's arm with everything it hides. Holding, joint moves and the circle; and where the time goes.
+The demo's arm with all hidden errors. Holding, joint moves and the circle; and the share of each part.
 """
 
 import tempfile
@@ -33,14 +33,14 @@ Job = Callable[[ArmClient], None]
 
 
 class Shares:
-    """Seconds spent in calls that are counted, the inner ones taken off the outer ones."""
+    """Seconds spent in counted calls, inner ones subtracted from outer ones."""
 
     def __init__(self) -> None:
         self.spent_s: dict[str, float] = {}
         self._inner_s = 0.0
 
     def counted(self, name: str, work: Callable[P, R]) -> Callable[P, R]:
-        """`work`, its time booked on `name`."""
+        """Wrap `work`, with its time booked on `name`."""
         self.spent_s[name] = 0.0
 
         def run(*given: P.args, **named: P.kwargs) -> R:
@@ -55,7 +55,7 @@ class Shares:
         return run
 
     def watch(self, rig: SteppedRig) -> None:
-        """Book what a stepped mock arm does."""
+        """Book the calls of a stepped mock arm."""
         for name, part, method in (
             ("physics", rig.robot.plant, "step"),
             ("mock boards", rig.robot, "tick"),
@@ -105,7 +105,7 @@ def rows() -> list[BenchRow]:
 
 
 def _over_memory(arm: Arm) -> tuple[Clock, ArmClient]:
-    """The same without pty and python-can: what they cost is the difference."""
+    """The same without pty and python-can; the difference is their cost."""
     rig = MemoryRig(arm, load_scenario("demo"), PERIOD_S)
     assembly = assemble(arm, rig.hardware, PERIOD_S, stopwatch_s=rig.clock.now_s)
     client = ArmClient(InProcessChannel(assembly, rig.clock))
@@ -135,7 +135,7 @@ def _rate_rows(name: str, rates: Sequence[float]) -> list[BenchRow]:
 
 
 def _costs(rig: MockArm, client: ArmClient, job: Job) -> dict[str, float]:
-    """Least microseconds of each part in a cycle; what is no part of the mock is control: drivers, loop, recording, client."""
+    """Smallest microseconds of each part in a cycle; everything outside the mock is control: drivers, loop, recording, client."""
     shares = Shares()
     if isinstance(rig, SteppedRig):
         shares.watch(rig)

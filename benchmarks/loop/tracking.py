@@ -1,6 +1,6 @@
-"""Tip tracking on the Cartesian circle: the plant's true tip against the set-point's, through the model that control has.
+"""Tip tracking on the Cartesian circle: the plant's true tip against that of the set-point by control's model.
 
-Every cycle, at the time of the cycle. The arm's geometry is as arm.toml says, so that what is left is the tracking itself.
+Evaluated every cycle. The arm's geometry is that of arm.toml, so only tracking errors remain.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,7 +32,7 @@ Points = NDArray[np.float64]
 
 
 class TruthSink(NoSink):
-    """A recording that keeps the set-points of motions, and what the mock knows of its tip at the same time."""
+    """A recording sink that saves the set-points of motions with the mock's true tip at the same time."""
 
     def __init__(self, rig: MockArm, layout: Layout) -> None:
         self.q_set_rad: list[tuple[float, ...]] = []
@@ -44,7 +44,7 @@ class TruthSink(NoSink):
         self._q_set = [names.index(f"q{joint}_set_rad") for joint in range(1, layout.joint_count + 1)]
 
     def write(self, row: bytes) -> bool:
-        """Take the row of a cycle that has just ended; no time has passed since it began."""
+        """Store the row of the cycle that has just ended; no time has passed since its start."""
         values = self._unpack(row)
         if values[self._mode] == MOVING:
             self.run.append(values[self._run])
@@ -57,7 +57,7 @@ class TruthSink(NoSink):
 
 
 def rows() -> Iterator[BenchRow]:
-    """The measured rows, as they come."""
+    """Yield the rows as they are measured."""
     for has_friction in (False, True):
         for mode in get_args(PidMode):
             runs = [tip_errors_m(reference_arm(mode), has_friction, seed) for seed in SEEDS]

@@ -1,6 +1,6 @@
-"""What coding and decoding a frame costs: motor board frames beside cantools, a REPORT beside the `cobs` package.
+"""Cost of encoding and decoding a frame: motor board frames compared with cantools, a REPORT with the `cobs` package.
 
-cantools reads the same DBC in this process; `cobs` runs in an environment of its own. In turn; of the runs the fastest counts.
+cantools reads the same DBC in this process; `cobs` runs in a separate environment. Alternating; the fastest run counts.
 """
 
 import contextlib
@@ -45,12 +45,12 @@ def rows() -> list[BenchRow]:
         compared(
             "REPORT, bytes to counts, COBS and CRC checked", us["report"], "us", cobs_name, us.get("cobs"), "", None
         ),
-        BenchRow("REPORT, counts to bytes (what a mock board pays)", us["encode report"], "us"),
+        BenchRow("REPORT, counts to bytes (in a mock board)", us["encode report"], "us"),
     ]  # fmt: skip
 
 
 def _work() -> dict[str, Work]:
-    """What is timed, each CALLS times."""
+    """The timed work, each CALLS times."""
     with as_file(files("firmware_iface.motor") / "motor_board.dbc") as path:
         database: Any = cantools.database.load_file(path)
     pack, unpack, payload = motor_wire.pack_raw_command, motor_wire.unpack_reply, REPLY.pack()

@@ -1,4 +1,4 @@
-"""pybotics identifies the same arm from the same points, run by an environment of its own. Line in, line out, JSON.
+"""pybotics identifies the same arm from the same points in a separate environment. JSON lines in and out.
 
 The first line gives the arm; every further line gives points and asks for one identification, as pybotics' example notebook
 makes it (OptimizationHandler, scipy's least_squares from nominal, its defaults): "lengths" takes the distances as residuals, as
@@ -53,7 +53,7 @@ def coordinates(vector: Any, handler: Any, qs: Any, positions: Any) -> Any:
 
 
 def identified(dh: Any, question: dict[str, Any]) -> dict[str, Any]:
-    """One identification and what it took."""
+    """One identification with its cost."""
     handler = handler_of(dh)
     qs, positions = np.array(question["q_rad"]), np.array(question["tip_m"])
     kinds: dict[str, Callable[..., Any]] = {

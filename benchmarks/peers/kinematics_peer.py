@@ -1,4 +1,4 @@
-"""pinocchio on the same arm, run by the peers' own Python. Line in, line out, JSON.
+"""pinocchio on the same arm, in the peers' environment. JSON lines in and out.
 
 The first line describes the arm and the work; for every further line the work is timed once, and the answer gives
 microseconds a call. Nothing of this repository is imported here.
@@ -26,7 +26,7 @@ def _placed(d: float, theta: float, length: float, alpha: float) -> Any:
 
 
 def _model(arm: dict[str, Any]) -> tuple[Any, int]:
-    """Standard DH: joint i turns about z of the frame before it, so a joint sits where the last link ends."""
+    """Standard DH: joint i turns about z of the previous frame, so a joint is at the end of the previous link."""
     model = pin.Model()
     model.gravity.linear = np.array(arm["gravity_m_s2"])
     parent, placement = 0, pin.SE3.Identity()
@@ -89,7 +89,7 @@ class Work:
         }
 
     def answers(self) -> dict[str, Any]:
-        """What it computes, for the asker to compare."""
+        """The results, for comparison."""
         found = [self.inverse(p, q) for p, q in zip(self.targets, self.seeds, strict=True)]
         return {
             "tips_m": [self.forward(q).tolist() for q in self.poses],
@@ -102,7 +102,7 @@ class Work:
 
 
 def _us(work: Callable[[], object], calls: int) -> float:
-    work()  # untimed: the asker has had the caches
+    work()  # untimed warm-up: the other process has used the caches
     start = perf_counter()
     work()
     return (perf_counter() - start) / calls * 1e6

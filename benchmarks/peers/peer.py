@@ -1,4 +1,4 @@
-"""Peers run in environments of their own under `.venv-peers`, so that their dependencies are not ours, nor each other's."""
+"""Peers run in separate environments under `.venv-peers`, so that their dependencies do not mix."""
 
 import json
 import os
@@ -17,11 +17,11 @@ INSTALL_TIMEOUT_S = 600.0
 
 
 class PeerMissing(Exception):
-    """The peers' environment cannot be made here; says why."""
+    """The peers' environment cannot be created here."""
 
 
 def peer_python(lock_name: str = MAIN) -> Path:
-    """Return the Python of an environment of peers, made from <lock_name>.lock where it is not there yet."""
+    """Return the Python of an environment of peers, created from <lock_name>.lock if missing."""
     path, reason = _environment(lock_name)
     if reason:
         raise PeerMissing(reason)
@@ -30,7 +30,7 @@ def peer_python(lock_name: str = MAIN) -> Path:
 
 @cache
 def _environment(lock_name: str) -> tuple[Path, str]:
-    """Its Python, and why it cannot be made here: tried once a run, and said once."""
+    """Its Python, or the reason why it cannot be created; tried and reported once per run."""
     environment = ENVIRONMENT if lock_name == MAIN else ENVIRONMENT / lock_name
     lock = HERE / f"{lock_name}.lock"
     python, stamp = environment / "bin" / "python", environment / "installed"
@@ -50,17 +50,17 @@ def _environment(lock_name: str) -> tuple[Path, str]:
 
 
 def _failure(command: Sequence[str]) -> str:
-    """Run a command; its last error line where it fails."""
+    """Run a command; return its last error line if it fails."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=INSTALL_TIMEOUT_S, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"{type(error).__name__}: {error}"
-    said = (done.stderr.strip() or done.stdout.strip() or f"status {done.returncode}").splitlines()
-    return next((line for line in said if line.startswith("ERROR")), said[-1]) if done.returncode else ""
+    lines = (done.stderr.strip() or done.stdout.strip() or f"status {done.returncode}").splitlines()
+    return next((line for line in lines if line.startswith("ERROR")), lines[-1]) if done.returncode else ""
 
 
 class Peer:
-    """A peer script at work: one JSON line in, one out."""
+    """A running peer script: one JSON line in, one out."""
 
     def __init__(self, script: str, task: Mapping[str, Any], lock_name: str = MAIN) -> None:
         quiet = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -75,7 +75,7 @@ class Peer:
         self.answers = self.ask(task)
 
     def ask(self, question: Any) -> dict[str, Any]:
-        """Return the answer to one line; PeerMissing where the script has ended."""
+        """Return the answer to one line; PeerMissing if the script has ended."""
         if self._process.stdin is None or self._process.stdout is None:
             raise PeerMissing("has no pipes")
         try:

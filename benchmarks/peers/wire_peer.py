@@ -1,4 +1,4 @@
-"""A REPORT decoded with the `cobs` package (C), binascii's CRC and struct, run by the peers' own Python. Line in, line out, JSON.
+"""A REPORT decoded with the `cobs` package (C), binascii's CRC and struct, in the peers' environment. JSON lines in and out.
 
 The first line gives the frame and the number of calls; for every further line they are timed once. Nothing of this repository
 is imported here.
@@ -19,7 +19,7 @@ REPORT = Struct("<xBI3B3iH")
 
 
 def decoded(frame: bytes) -> tuple[int, ...]:
-    """Numbers of a REPORT, or nothing where the CRC is wrong."""
+    """Numbers of a REPORT, or None if the CRC is wrong."""
     raw = cobs.decode(frame[:-1])
     numbers = REPORT.unpack(raw)
     return numbers if crc_hqx(raw[:-2], 0xFFFF) == numbers[-1] else ()

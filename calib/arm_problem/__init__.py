@@ -1,1 +1,1 @@
-"""An arm and its points as a problem: residuals with exact derivatives, references, effects behind the encoders."""
+"""The identification problem of an arm and its points: residuals with exact derivatives, references, effects behind encoders."""

@@ -11,10 +11,10 @@ from control.model.arm import Arm
 
 
 class ArmModel:
-    """The structure of an arm: which links turn, the DH convention; nominal DH table and tool for whoever asks."""
+    """The structure of an arm: revolute links, DH convention, nominal DH table and tool."""
 
     def __init__(self, arm: Arm) -> None:
-        """Of `arm` the geometry is read, nothing else."""
+        """Only the geometry of `arm` is used."""
         self.joints, self._convention = arm.joints, arm.dh_convention
         self.nominal_dh, self.nominal_tool_m = arm.dh, np.array(arm.tool.position_m)
 
@@ -37,5 +37,5 @@ class ArmModel:
 
     @property
     def theta_places(self) -> tuple[int, ...]:
-        """Where in dh.ravel() each joint's theta stands: its column is the derivative by the joint's angle."""
+        """Index in dh.ravel() of each joint's theta, whose column is the derivative by the joint angle."""
         return tuple(4 * link + 1 for link, turns in enumerate(self.joints) if turns)

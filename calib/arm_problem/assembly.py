@@ -1,4 +1,4 @@
-"""From an arm and its points to a problem: which reference each pose has, and what is to be identified."""
+"""Builds the identification problem from an arm and its points: the reference of each pose, and the unknowns."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ BASE_FRAME = (
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What is identified, beside the DH parameters: `freed` of base, table, tool; `fixed` single parameters by name, or base.
+    """What is identified besides the DH parameters: `freed` of base, table, tool; `fixed` single parameters by name, or base.
 
-    `boards` says where a setup's board stands, as measured; they go before what the arm's [table] says. `effects`: static ones
-    behind the encoders that are identified too, as "backlash:2"; `corrections`: any others.
+    `boards` are measured board poses by setup, which override the arm's [table]. `effects`: static ones
+    behind the encoders to identify too, such as "backlash:2"; `corrections`: any others.
     """
 
     bounds: Bounds = field(default_factory=Bounds)
@@ -49,9 +49,9 @@ class Choice:
     corrections: tuple[Correction, ...] = ()
 
     def for_points(self, arm: Arm, points: Points) -> Choice:
-        """The same, the base frame freed where tips were measured in a frame that nothing ties to the arm's base.
+        """The same choice, with the base frame freed if the tips' frame has no known relation to the arm's base.
 
-        Nothing does where the arm's file has neither a `base_frame` nor a table of known place; "base" among `fixed` holds it.
+        That is so if the arm's file has neither a `base_frame` nor a table of known pose; "base" in `fixed` prevents it.
         """
         is_tied = _has_base_frame(arm) or _is_tied_by_table(arm)
         is_measured = bool(np.isfinite(points.tip_m).all(axis=1).any())
@@ -63,7 +63,7 @@ class Choice:
         )
 
     def __post_init__(self) -> None:
-        """CalibrationError for something that cannot be freed."""
+        """CalibrationError for a name that cannot be freed."""
         wrong = sorted(set(self.freed) - set(FREEABLE))
         if wrong:
             raise CalibrationError(
@@ -75,7 +75,7 @@ class Choice:
 
 
 def problem_of(arm: Arm, points: Points, choice: Choice | None = None) -> ArmProblem:
-    """The problem that the points pose. UnusablePointsError for a pose without a reference."""
+    """The identification problem of the points. UnusablePointsError for a pose without a reference."""
     wanted = choice or Choice()
     model = ArmModel(arm)
     observed = observations_of(arm, points, wanted)
@@ -94,7 +94,7 @@ def problem_of(arm: Arm, points: Points, choice: Choice | None = None) -> ArmPro
 def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
     """Each pose with its reference: the measured tip in the base frame, or the cavity in its board's frame.
 
-    Joint angles are the encoders' with the static effects that the arm has already.
+    Joint angles are encoder angles corrected by the static effects that the arm already has.
     """
     base = base_frame_of(arm, BASE in choice.freed)
     frames = [replace(base, is_placed=not base.is_free or _has_base_frame(arm) or _is_tied_by_table(arm))]
@@ -105,7 +105,7 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
         frame = _board(arm, setup, choice)
         which[rows] = 0 if frame is None else len(frames)
         cavities = _cavities(arm, setup, [points.point[k] for k in rows], rows)
-        if frame is None:  # the board's place is known, and the base frame as a whole is identified
+        if frame is None:  # the board's pose is known, and the base frame is identified as a whole
             position[rows] = _known_frame(arm, setup, choice).to_base(cavities)
         else:
             position[rows] = cavities
@@ -123,7 +123,7 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
 
 
 def referenced(arm: Arm, points: Points, choice: Choice) -> Points:
-    """The poses that say where the tip was: measured, or in a cavity of a board that `choice` or the arm's file places."""
+    """The poses with a known tip: measured, or in a cavity of a board whose pose is given by `choice` or the arm's file."""
     table = arm.table
     cavities = board_cavities(table) if table is not None else {}
     setups = set(points.setup) if table is not None and not table.known_pose else {*choice.boards, *SETUPS}
@@ -137,7 +137,7 @@ def referenced(arm: Arm, points: Points, choice: Choice) -> Points:
 
 
 def base_frame_of(arm: Arm, is_free: bool = False) -> Frame:
-    """What the camera and the table call base, in the arm's base frame: the arm's `base_frame` effect, if it has one."""
+    """The frame of camera and table in the arm's base frame: the arm's `base_frame` effect, if it has one."""
     for effect in arm.effects:
         if effect.effect == "base_frame":
             x, y, z, rx, ry, rz = (effect.parameters.get(name, 0.0) for name in BASE_FRAME)
@@ -160,12 +160,12 @@ def _has_base_frame(arm: Arm) -> bool:
 
 
 def _is_tied_by_table(arm: Arm) -> bool:
-    """Whether a table of known place ties what is measured to the arm's base."""
+    """Whether a table of known pose relates the measurements to the arm's base."""
     return arm.table is not None and arm.table.known_pose
 
 
 def _known_frame(arm: Arm, setup: str, choice: Choice) -> Frame:
-    """Where the board of a setup stands, as measured or as the arm's file says."""
+    """The pose of a setup's board, measured or from the arm's file."""
     if setup in choice.boards:
         return choice.boards[setup]
     table = table_of(arm)
@@ -178,7 +178,7 @@ def _known_frame(arm: Arm, setup: str, choice: Choice) -> Frame:
 
 
 def _cavities(arm: Arm, setup: str, names: list[str], rows: list[int]) -> Array:
-    """Places of cavities in the board's frame, (m, 3)."""
+    """Positions of cavities in the board's frame, (m, 3)."""
     known = board_cavities(table_of(arm))
     for name, row in zip(names, rows, strict=True):
         if name not in known:

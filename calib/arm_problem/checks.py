@@ -1,4 +1,4 @@
-"""Points that no calibration can be made of are refused before a solver sees them; what is odd about others is said."""
+"""Checks of points before a calibration: unusable points are refused, unusual ones give warnings."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from control.model.arm import Arm
 
 POINTS_MINIMUM_COUNT = 4
 LINE_TOLERANCE = 5e-3  # spread across the best line, as a share of the spread along it: 1 mm for 0.2 m
-OTHER_POSTURE_rad = 0.05  # between postures in one cavity that tell more than one posture does
+OTHER_POSTURE_rad = 0.05  # between postures in one cavity that count as different
 SAME_PLACE_m = 1e-3
 TURNS_LIMIT_rad = 6 * math.pi  # no joint turns more than three times
-COPIES_SHARE = 0.5  # of points that are copies of others: not a session any more
+COPIES_SHARE = 0.5  # of points that are copies of others: not a valid session
 STILL_rad = 1e-4
 
 
 def require_of_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tuple[str, ...]:
-    """Warnings about points that are what their columns say, and of this arm; UnusablePointsError for others.
+    """Return warnings for points in the right units and of this arm; UnusablePointsError for others.
 
-    Everything that takes points checks them here: numbers that are none, copies, degrees, counts, millimetres, swapped or turned
+    All users of points check them here: non-finite numbers, copies, degrees, counts, millimetres, swapped or rotated
     columns, another arm. Rows are named as poses, counted from 1, with the file's line in brackets (the header is line 1).
     """
     warnings = _copies(points)
     wanted = (choice or Choice()).for_points(arm, points)
-    told = require_columns_meant(arm, points, wanted)
-    if len(told) >= POINTS_MINIMUM_COUNT:
-        require_own_arm(arm, told, wanted)
+    referenced_points = require_columns_meant(arm, points, wanted)
+    if len(referenced_points) >= POINTS_MINIMUM_COUNT:
+        warnings = (*warnings, *require_own_arm(arm, referenced_points, wanted))
     return warnings
 
 
 def require_columns_meant(arm: Arm, points: Points, choice: Choice) -> Points:
-    """The poses that say where the tip was; UnusablePointsError for columns in other units, swapped, turned, or no numbers."""
+    """Return the poses with a known tip; UnusablePointsError for columns in other units, swapped, rotated, or not finite."""
     require_finite(points.q_rad, np.zeros((0, 3)))
-    told = referenced(arm, points, choice)
-    if len(told) >= POINTS_MINIMUM_COUNT:
-        require_read_as_meant(arm, problem_of(arm, told, choice))
+    referenced_points = referenced(arm, points, choice)
+    if len(referenced_points) >= POINTS_MINIMUM_COUNT:
+        require_read_as_meant(arm, problem_of(arm, referenced_points, choice))
     _require_radians(points.q_rad)
-    return told
+    return referenced_points
 
 
 def require_usable(
     arm: Arm, points: Points, problem: ArmProblem, choice: Choice | None = None
 ) -> tuple[str, ...]:
-    """`require_of_arm`, and points enough for a calibration: not too few places, nor all on a line."""
+    """`require_of_arm`, and enough points for a calibration: not too few places, not all on a line."""
     require_finite(problem.observed.q_rad, problem.observed.position_m)
     _require_count(problem.observed.q_rad, problem.references_m)
     warnings = require_of_arm(arm, points, choice)
@@ -61,7 +61,7 @@ def require_usable(
 
 
 def require_sound(problem: ArmProblem) -> None:
-    """UnusablePointsError for what makes any solver fail: numbers that are none, too few points, a line, no radians."""
+    """UnusablePointsError for points with which any solver fails: not finite, too few, on a line, not in radians."""
     observed = problem.observed
     require_finite(observed.q_rad, observed.position_m)
     _require_count(observed.q_rad, problem.references_m)
@@ -95,7 +95,7 @@ def _require_count(q_rad: Array, references_m: Array) -> None:
 
 
 def _require_spread(q_rad: Array, references_m: Array) -> None:
-    """Points on one line tell little, unless the same place was taken in several postures."""
+    """Refuse points on one line, unless the same place was recorded in several postures."""
     spread = np.linalg.svd(references_m - references_m.mean(axis=0), compute_uv=False)
     if spread[1] <= LINE_TOLERANCE * spread[0] and not _has_several_postures(q_rad, references_m):
         raise UnusablePointsError(
@@ -104,14 +104,14 @@ def _require_spread(q_rad: Array, references_m: Array) -> None:
 
 
 def _has_several_postures(q_rad: Array, references_m: Array) -> bool:
-    """Whether one place was taken in postures that differ."""
+    """Whether a place was recorded in different postures."""
     _, places = np.unique(np.round(references_m / SAME_PLACE_m), axis=0, return_inverse=True)
     flat = np.asarray(places).ravel()
     return any(np.ptp(q_rad[flat == place], axis=0).max() > OTHER_POSTURE_rad for place in set(flat.tolist()))
 
 
 def _require_radians(q_rad: Array) -> None:
-    """Beyond three turns, somebody wrote degrees or counts."""
+    """Refuse angles beyond three turns: they are degrees or counts."""
     largest = float(np.max(np.abs(q_rad)))
     if largest > TURNS_LIMIT_rad:
         joint = int(np.argmax(np.max(np.abs(q_rad), axis=0))) + 1
@@ -121,7 +121,7 @@ def _require_radians(q_rad: Array) -> None:
 
 
 def _copies(points: Points) -> tuple[str, ...]:
-    """A warning about rows that are copies; refused where most are: repeats differ by noise, copies do not."""
+    """A warning about identical rows; refused if most are: repeats differ by noise, copies do not."""
     seen: dict[tuple[object, ...], int] = {}
     copies: list[tuple[int, int]] = []
     for row in range(len(points)):
@@ -132,14 +132,14 @@ def _copies(points: Points) -> tuple[str, ...]:
             seen[key] = row
     if not copies:
         return ()
-    told = ", ".join(
+    listed_rows = ", ".join(
         f"{first + 1} and {row + 1} (lines {first + 2} and {row + 2})" for first, row in copies[:3]
     )
     more = f" and {len(copies) - 3} more" if len(copies) > 3 else ""
-    said = f"poses {told}{more} are identical to the last digit: they are copies, not repeats, and add no information"
+    warning = f"poses {listed_rows}{more} are identical to the last digit: they are copies, not repeats, and add no information"
     if len(copies) >= COPIES_SHARE * len(points):
-        raise UnusablePointsError(f"{said}; remove the copies")
-    return (said,)
+        raise UnusablePointsError(f"{warning}; remove the copies")
+    return (warning,)
 
 
 def _still_joints(q_rad: Array) -> tuple[str, ...]:

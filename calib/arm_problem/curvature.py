@@ -1,8 +1,8 @@
-"""Second derivatives of an arm's residuals, summed over poses with a weight vector each: what Newton's steps need.
+"""Second derivatives of an arm's residuals for Newton's method, summed over poses with a weight vector each.
 
-A turn about an axis e carries everything beyond it along, so with the derivative J_b of the tip by a parameter b beyond the
-turn a, or by a itself, d2 tip / da db = e x J_b; a move changes no derivative beyond it. With weights p the sum over poses
-is (p x e) . J_b: one product of matrices.
+A rotation about an axis e moves everything beyond it, so with the derivative J_b of the tip by a parameter b beyond the
+rotation a, or by a itself, d2 tip / da db = e x J_b; a translation changes no derivative beyond it. With weights p the sum
+over poses is (p x e) . J_b: one product of matrices.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def chain_curvature(columns: Array, weight: Array, is_modified: bool) -> Array:
     L and alpha before d and theta.
     """
     k = len(columns)
-    turns = np.arange(1, k - k % 4, 2)  # theta and alpha; the move before each goes along its axis
+    turns = np.arange(1, k - k % 4, 2)  # theta and alpha; the translation before each is along its axis
     order = _order(k, is_modified)
     levers = crossed(weight, columns[turns - 1])
     product = slim_product(levers.reshape(len(turns), -1), columns.reshape(k, -1))
@@ -48,7 +48,7 @@ def joint_curvature(columns: Array, weight: Array, is_modified: bool, joint: int
 
 
 def frame_curvature(arms: Array, weight: Array, turn_rad: Array) -> Array:
-    """Sum of weight . d2 reference / dw2, (3, 3), for a frame's turn w (3,); arms (m, 3), weight (3, m).
+    """Sum of weight . d2 reference / dw2, (3, 3), for a frame's rotation w (3,); arms (m, 3), weight (3, m).
 
     The first derivative is J(w) e_a x arm, so the second is (dJ/dw_b e_a) x arm + J e_a x (J e_b x arm).
     """
@@ -78,12 +78,12 @@ def crossed(weight: Array, axes: Array) -> Array:
 
 
 def _order(k: int, is_modified: bool) -> Order:
-    """Which parameter comes before which along the chain; two that share an axis, in the order of dh.ravel()."""
+    """Order of the parameters along the chain; two that share an axis are in the order of dh.ravel()."""
     order = np.arange(k)
     return np.where(order < k - k % 4, order ^ 2, order) if is_modified else order
 
 
 def _mirrored(found: Array, order: Order) -> Array:
-    """What stands at (a, b), a before b, at (b, a) too."""
+    """Make the matrix symmetric: copy entries (a, b), a before b, to (b, a)."""
     later = order[:, None] > order[None, :]
     return np.where(later, found.T, found)

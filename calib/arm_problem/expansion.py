@@ -19,7 +19,7 @@ class Expansion:
     """Residuals (m, 3), and columns (K, 3, m): minus their derivatives by every parameter in its own unit.
 
     Parameters are the `chain_count` of DH table and tool, six per free frame, the corrections; `places` (k,) are those
-    that are unknowns, `scale` (k,) their scales. The rest is what second derivatives are made of.
+    that are unknowns, `scale` (k,) their scales. The other fields are for second derivatives.
     """
 
     residuals: Array

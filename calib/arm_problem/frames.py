@@ -1,8 +1,8 @@
-"""Frames that reference points are given in: a board as it stands in one setup, or what camera and table call base.
+"""Frames of reference points: a board in one setup, or the base frame of camera and table.
 
-A deviation of a frame is a move t and a turn w (rotation vector) about the centre of its points:
-p_base = anchor + t + exp([w]x) R0 (p - centre), anchor = R0 centre + origin. Turning about the centre of the points
-keeps moves and turns apart.
+A deviation of a frame is a translation t and a rotation vector w about the centre of its points:
+p_base = anchor + t + exp([w]x) R0 (p - centre), anchor = R0 centre + origin. Rotating about the centre of the points
+decouples translations and rotations.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ AXIS_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """base_T_frame as it is known before: rotation (3, 3), origin_m (3,); identified too if `is_free`.
+    """Prior base_T_frame: rotation (3, 3), origin_m (3,); identified if `is_free`.
 
-    `is_placed` is False while nobody knows where it is: an identification then begins where the arm says.
+    `is_placed` is False if its pose is unknown: the identification then starts from the arm's prediction.
     """
 
     name: str
@@ -32,17 +32,17 @@ class Frame:
 
     @classmethod
     def unplaced(cls, name: str) -> Frame:
-        """A frame of which nothing is known."""
+        """A frame with an unknown pose."""
         return cls(name, frozen(np.eye(3)), frozen(np.zeros(3)), is_free=True, is_placed=False)
 
     @classmethod
     def base(cls, is_free: bool = False) -> Frame:
-        """The arm's base frame itself, as the camera or the table sees it."""
+        """The arm's base frame, as used by camera or table."""
         return cls("base", frozen(np.eye(3)), frozen(np.zeros(3)), is_free)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """base_x ... base_rz: a move [m] and a turn [rad], in the base frame's axes."""
+        """base_x ... base_rz: a translation [m] and a rotation [rad] in the base frame's axes."""
         return tuple(f"{self.name}_{axis}" for axis in AXES)
 
     def to_base(self, points_m: Array) -> Array:

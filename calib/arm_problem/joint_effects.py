@@ -4,15 +4,15 @@
 | --- | --- | --- |
 | encoder_scale of joint j | encoder_scale<j> = scale | q_j |
 | encoder_eccentricity | eccentricity<j>_sin, _cos = amplitude cos(phase), sin(phase) | sin q_j, cos q_j |
-| backlash | backlash<j> = width | -flank / 2, where the flank is clear |
-| | backlash<j>_unclear1 .. 8, _led = mean of width times flank | -leaning / 2, where it is not: driven poses, led ones |
+| backlash | backlash<j> = width | -flank / 2, if the flank is known |
+| | backlash<j>_unclear1 .. 8, _led = mean of width times flank | -leaning / 2, if it is not: driven, hand-guided poses |
 | joint_compliance | compliance<j> = 1 / stiffness | -gravity torque |
-| | compliance<j>_held = link's share of friction / stiffness | -held friction |
+| | compliance<j>_held = link-side share of friction / stiffness | -held friction |
 | belt_coupling | belt_coupling = ratio | q_2, of joint 3 |
 
 Signs as in control.dynamics.effect_laws; flank, gravity torque and held friction as in control.dynamics.static_pose,
 from currents and directions of the points. How friction is shared between motor and link is unknown, hence the side
-parameters, which are no part of the effect. An effect is asked for by name and joint: "backlash:2", "belt_coupling".
+parameters, which are not part of the effect. An effect is requested by name and joint: "backlash:2", "belt_coupling".
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ Key = tuple[str, int | None]  # effect and joint
 
 
 def corrections(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[Correction, ...]:
-    """The linear parameters of the wanted effects, starting from those that the arm has already.
+    """The linear parameters of the wanted effects, starting from those that the arm already has.
 
-    CalibrationError for an effect or a joint that there is not; MissingModel where a flank or torque is wanted and the
+    CalibrationError for an unknown effect or joint; MissingModel if a flank or torque is needed and the
     arm's file lacks masses or drives.
     """
     at = RestingPoints(arm, points)
@@ -54,7 +54,7 @@ def corrections(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[Correc
 
 
 def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> Array:
-    """What the arm's own static effects add to the encoder angles, (m, n) [rad]; but those that are `wanted` anew."""
+    """Joint minus encoder angles by the arm's own static effects, (m, n) [rad], except those in `wanted`."""
     left_out = {_key(text, arm.joint_count) for text in wanted}
     known = [
         f"{effect.effect}:{effect.joint}" if effect.joint is not None else effect.effect
@@ -68,7 +68,7 @@ def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> A
 
 
 def effects_of(values: Mapping[str, float]) -> tuple[Effect, ...]:
-    """Effects of docs/formats.md, of the corrections' values by name; what came out as none (`unphysical`) is left out."""
+    """Effects of docs/formats.md from the corrections' values by name, without unphysical ones."""
     found = []
     for (name, joint), linear in _gathered(values).items():
         parameters = LAWS[name].parameters(linear)
@@ -78,48 +78,48 @@ def effects_of(values: Mapping[str, float]) -> tuple[Effect, ...]:
 
 
 def with_effects(arm: Arm, values: Mapping[str, float]) -> Arm:
-    """The arm with the effects of these corrections in place of its own of the same name and joint."""
+    """The arm with the effects of these corrections, replacing its own of the same name and joint."""
     replaced = set(_gathered(values))
-    kept = [effect for effect in arm.effects if (effect.effect, effect.joint) not in replaced]
-    return dataclasses.replace(arm, effects=(*kept, *effects_of(values)))
+    others = [effect for effect in arm.effects if (effect.effect, effect.joint) not in replaced]
+    return dataclasses.replace(arm, effects=(*others, *effects_of(values)))
 
 
 def unphysical(values: Mapping[str, float]) -> tuple[str, ...]:
-    """A sentence for each effect that came out as none: a play or a compliance below 0."""
-    said = []
+    """A sentence for each unphysical effect: negative backlash or compliance."""
+    sentences = []
     for (name, joint), linear in _gathered(values).items():
         if LAWS[name].parameters(linear) is None:
-            said.append(
+            sentences.append(
                 f"{name} of joint {joint}: the estimate {linear[0]:.2g} is physically impossible; it is omitted. Either these"
                 " points do not show the effect, or another effect is present."
             )
-    return tuple(said)
+    return tuple(sentences)
 
 
 def unclear_flanks(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[str, ...]:
-    """A sentence for each wanted backlash whose flank is unknown in some poses, or never changes."""
+    """A sentence for each requested backlash whose flank is unknown in some poses, or never changes."""
     at = RestingPoints(arm, points)
-    said = []
+    sentences = []
     for name, joint in (_key(text, arm.joint_count) for text in wanted):
         if name == "backlash" and joint is not None:
-            said += _about_flanks(at.resting.flank[:, joint - 1], joint)
-    return tuple(said)
+            sentences += _about_flanks(at.resting.flank[:, joint - 1], joint)
+    return tuple(sentences)
 
 
 def _about_flanks(flank: Array, joint: int) -> list[str]:
     open_count, sides = int(np.sum(flank == 0.0)), set(flank[flank != 0.0].tolist())
-    said = []
+    sentences = []
     if open_count:
-        said.append(
+        sentences.append(
             f"backlash of joint {joint}: currents, directions and gravity do not determine the gear's flank in {open_count} of"
-            f" {len(flank)} poses; their mean position in the play is identified."
+            f" {len(flank)} poses; their mean position in the backlash is identified."
         )
     if len(sides) < 2:
-        said.append(
-            f"backlash of joint {joint}: the gear lies on the same flank in every pose whose flank is known; its play cannot be"
+        sentences.append(
+            f"backlash of joint {joint}: the gear lies on the same flank in every pose with a known flank; its backlash cannot be"
             " distinguished from the joint's zero. Take poses from both sides, or where gravity changes sign."
         )
-    return said
+    return sentences
 
 
 def _key(text: str, joint_count: int) -> Key:
@@ -156,7 +156,7 @@ def _of_joint(slope: Array, joint: int, joint_count: int) -> Array:
 
 
 def _gathered(values: Mapping[str, float]) -> dict[Key, list[float]]:
-    """Values by effect and joint, in the order of the law's terms; CalibrationError for a name that is none of ours."""
+    """Values by effect and joint, in the order of the law's terms; CalibrationError for an unknown name."""
     found: dict[Key, dict[int, float]] = {}
     for name, value in values.items():
         effect, joint, place = _named(name)

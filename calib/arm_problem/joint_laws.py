@@ -1,4 +1,4 @@
-"""The static effects between encoder and joint as laws that are linear in what is identified; `joint_effects` applies them."""
+"""Static effects between encoder and joint as laws that are linear in their unknowns; `joint_effects` applies them."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ SHARE_PARTS: Final = 8
 
 
 class RestingPoints:
-    """The points, and what the gears transmit at them once somebody asks: that needs masses and drives."""
+    """The points and, computed on demand from masses and drives, the state of their gears."""
 
     def __init__(self, arm: Arm, points: Points) -> None:
         self.points, self._arm = points, arm
 
     @cached_property
     def resting(self) -> RestingPose:
-        """MissingModel where the arm's file lacks what that takes."""
+        """The state of the gears. MissingModel if the arm's file lacks masses or drives."""
         seen = self.points
         payload_kg = np.nan_to_num(seen.payload_kg)
         return resting(self._arm, seen.q_rad, seen.direction, seen.current_A, payload_kg)
@@ -58,14 +58,14 @@ class RestingPoints:
         return np.asarray(self.resting.held_Nm[:, joint - 1])
 
     def led_side(self, joint: int) -> Array:
-        """The flank (m,) that the gear lies near where a hand led the joint and the motor does not push it, else 0."""
+        """The flank (m,) near which the gear lies after hand guiding, if the motor does not push it, else 0."""
         return self._leaning(joint, self.resting.is_led[:, joint - 1])
 
     def unclear_side(self, joint: int, part: int) -> Array:
-        """The flank (m,) by friction alone where a driven joint's is unclear, else 0.
+        """The flank (m,) by friction alone if a driven joint's is unclear, else 0.
 
-        `part` of SHARE_PARTS: friction decides where its share on the link's side exceeds -gravity / held torque; poses with
-        that ratio in this part of 0 .. 1 flip together but for one part.
+        `part` of SHARE_PARTS: friction decides if its link-side share exceeds -gravity / held torque; poses with
+        that ratio in this part of 0 .. 1 change flank together.
         """
         gravity, held = self.gravity_Nm(joint), self.held_Nm(joint)
         ratio = np.divide(-gravity, held, out=np.zeros(held.shape), where=held != 0.0)
@@ -82,9 +82,9 @@ Slope = Callable[[RestingPoints, int], Array]
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One linear parameter: its name around the joint's number, unit, how far it may go, slope (m,).
+    """One linear parameter: name before and after the joint's number, unit, bound, slope (m,).
 
-    `is_side`: no part of the effect, and left out where it changes nothing.
+    `is_side`: not part of the effect, and omitted if it has no influence.
     """
 
     head: str
@@ -101,7 +101,7 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """An effect: its linear parameters, and the way from those of docs/formats.md to them and back (None: no such effect)."""
+    """An effect: its linear parameters, and the conversions from and to those of docs/formats.md (None: no such effect)."""
 
     terms: tuple[Term, ...]
     linear: Callable[[Mapping[str, float]], tuple[float, ...]]
@@ -125,7 +125,7 @@ def _eccentricity(values: Sequence[float]) -> dict[str, float] | None:
 
 
 def _unclear(part: int) -> Term:
-    """How the unclear poses of one part of SHARE_PARTS lie in the play, on average."""
+    """Mean position in the backlash of the unclear poses of one part of SHARE_PARTS."""
 
     def slope(at: RestingPoints, joint: int) -> Array:
         return np.asarray(backlash_rad(at.unclear_side(joint, part), 1.0))

@@ -1,11 +1,11 @@
-"""Links that bend: how far the tip moves when a link is an elastic beam, clamped where its joint holds it.
+"""Link flexure: displacement of the tip if a link is an elastic beam, clamped at its joint.
 
 Euler-Bernoulli cantilever (Gere, Mechanics of Materials, deflections of cantilever beams): a force F at distance a from the
 clamp of a beam of length l deflects its end by F a^2 (3 l - a) / (6 EI) and turns it by F a^2 / (2 EI); a moment M there by
 M (a l - a^2 / 2) / EI and M a / EI. Loads are the weights of everything beyond the link and of the payload, at its end, and
-the link's own, at its centre of mass. Only bending counts, across the beam in both directions, not torsion.
+the link's own, at its centre of mass. Only bending in both transverse directions is modelled, not torsion.
 
-A link is what its joint turns: from that joint to the next, or to the tip, fixed links between included.
+A link extends from its joint to the next, or to the tip, including fixed links in between.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from control.errors import MissingModel
 from control.model.arm import Arm
 
 FLEXURE = "link_flexure"
-BEAM_LEAST_m = 0.05  # shorter links are blocks
+BEAM_LEAST_m = 0.05  # shorter links are rigid
 
 
 def beams(arm: Arm) -> tuple[int, ...]:
@@ -38,10 +38,10 @@ def _next_turning(arm: Arm, link: int) -> int | None:
 
 
 def _ends_m(arm: Arm, frames: LinkFrames, link: int) -> tuple[Array, Array]:
-    """Where the beam is clamped and where it ends, (m, 3) each: at its joint, and at the next or the tip."""
+    """Clamp and end of the beam, (m, 3) each: at its joint, and at the next joint or the tip."""
     before = (
         0 if arm.dh_convention == "modified" else 1
-    )  # a joint is at its own frame's origin, or at the one before
+    )  # a joint is at its own frame's origin, or at the previous one
     following = _next_turning(arm, link)
     end = frames.tip_m if following is None else frames.origin_m[:, following - before]
     return frames.origin_m[:, link - before], end
@@ -55,10 +55,10 @@ def bending_m(
     link: int,
     accelerated: Callable[[Array], Array] | None = None,
 ) -> Array:
-    """How the tip moves, (m, 3) per 1 / EI [1 / (N m^2)], when `link` (1-based) bends; base frame.
+    """Displacement of the tip, (m, 3) per 1 / EI [1 / (N m^2)], if `link` (1-based) bends; base frame.
 
-    dh (links, 4), q_rad (m, n), payload_kg (m,). `accelerated`: of poses that follow each other in time, from the places (m, 3)
-    of a mass to its accelerations, whose forces bend too. MissingModel where the arm's file has no masses.
+    dh (links, 4), q_rad (m, n), payload_kg (m,). `accelerated`: for time series, from the positions (m, 3)
+    of a mass to its accelerations, whose forces also bend. MissingModel if the arm's file has no masses.
     """
     if not any(one.mass_kg for one in arm.links):
         raise MissingModel(f"arm {arm.name}: a link's bending needs masses (mass_kg, com_m) of the links")
@@ -71,7 +71,7 @@ def bending_m(
         pull = np.asarray(arm.gravity_m_s2) - (0.0 if accelerated is None else accelerated(place_m))
         force_N = mass_kg[:, None] * pull
         own = np.clip(np.sum((place_m - begin) * along, axis=1, keepdims=True), 0.0, length)
-        at = length if is_beyond else own  # what is beyond hangs on the beam's end, wherever it is
+        at = length if is_beyond else own  # everything beyond acts on the beam's end
         across = _across(force_N, along)
         moment = _across(np.cross(place_m - begin - at * along, force_N), along)
         shift += across * at**2 * (3.0 * length - at) / 6.0
@@ -83,7 +83,7 @@ def bending_m(
 def _masses(
     arm: Arm, frames: LinkFrames, payload_kg: Array, link: int
 ) -> Iterator[tuple[bool, Array, Array]]:
-    """Whether each mass is beyond the link, where (m, 3) it is, and how much it is (m,)."""
+    """For each mass: whether it is beyond the link, its position (m, 3), and its mass (m,)."""
     following = _next_turning(arm, link)
     for k, one in enumerate(arm.links[link - 1 :], start=link):
         if one.mass_kg and one.com_m is not None:
@@ -94,12 +94,12 @@ def _masses(
 
 
 def _across(vectors: Array, along: Array) -> Array:
-    """The part (m, 3) that is across the beam."""
+    """The transverse component (m, 3)."""
     return np.asarray(vectors - np.sum(vectors * along, axis=1, keepdims=True) * along)
 
 
 def known_bending_m(arm: Arm, q_rad: Array, payload_kg: Array) -> Array | None:
-    """How the tip moves, (m, 3), by the flexures that the arm has already; None if it has none."""
+    """Displacement of the tip, (m, 3), by the flexures that the arm already has; None if it has none."""
     known = [one for one in arm.effects if one.effect == FLEXURE and one.joint is not None]
     if not known:
         return None

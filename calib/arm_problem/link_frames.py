@@ -1,4 +1,4 @@
-"""Where every link's frame is, for many poses: what bends, wobbles or hangs on a link needs more than the tip."""
+"""Frames of all links for many poses, needed for effects that act on a link."""
 
 from __future__ import annotations
 

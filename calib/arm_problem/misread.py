@@ -1,7 +1,7 @@
-"""Points that were written in another way than they are read: degrees, counts, millimetres, swapped or turned columns.
+"""Detects misread points: degrees, counts, millimetres, swapped or rotated columns.
 
-At nominal parameters a calibration starts some millimetres, or some tens of them, from the points. Where it starts a
-hand's width off, and one other reading of the columns starts near, that reading is what was meant; where none does,
+At nominal parameters a calibration starts some millimetres to some centimetres from the points. If it starts more than
+about 10 cm away, and another reading of the columns starts close, that reading is the intended one. If there is none,
 the points are not of this arm.
 """
 
@@ -21,30 +21,32 @@ from calib.arrays import Array, norms
 from calib.errors import UnusablePointsError
 from control.model.arm import Arm
 
-ODD_m = 0.01  # a median distance at nominal below which nothing is suspected
-NEARER = 4.0  # times nearer to its points that another reading must bring the arm
+ODD_m = 0.01  # median distance at nominal below which no check is made
+NEARER = 4.0  # factor by which another reading must reduce the distance
 FAR_TIMES = 1.5  # the reach of all bounds together, some 0.1 m: no deviation explains a distance beyond
-WHOLE_PERMUTATIONS_JOINTS = 4  # up to here every order of the joints is tried, beyond only swapped pairs
-AS_GOOD = 1.5  # readings this near to the best cannot be told apart: a mirrored arm has mirrored deviations
+WHOLE_PERMUTATIONS_JOINTS = (
+    4  # up to this count all orders of the joints are tried, beyond only swapped pairs
+)
+AS_GOOD = 1.5  # readings this close to the best are ambiguous: a mirrored arm has mirrored deviations
 REPORTED_LIMIT = 3
-ROWS_LIMIT = 300  # as many rows tell
+ROWS_LIMIT = 300  # this many rows suffice
 
 Reading = tuple[str, Array, Array]
 
 
 def require_read_as_meant(arm: Arm, problem: ArmProblem) -> None:
-    """UnusablePointsError that says how the columns should be read, or that the points are of another arm."""
+    """UnusablePointsError says how the columns should be read, or that the points are of another arm."""
     observed = _some(problem.observed)
     as_read = _distance_m(problem, observed)
     if as_read < ODD_m:
         return
     tried = [
-        (_distance_m(problem, dataclasses.replace(observed, q_rad=q, position_m=position)), said)
-        for said, q, position in _readings(arm, observed)
+        (_distance_m(problem, dataclasses.replace(observed, q_rad=q, position_m=position)), description)
+        for description, q, position in _readings(arm, observed)
     ]
     best = min(distance for distance, _ in tried)
     if best < as_read / NEARER:
-        alike = [said for distance, said in tried if distance < AS_GOOD * best]
+        alike = [description for distance, description in tried if distance < AS_GOOD * best]
         raise UnusablePointsError(
             f"{', or '.join(alike[:REPORTED_LIMIT])}: the nominal arm would then be {1e3 * best:.1f} mm from the points (median);"
             f" with the file as given it is {_length(as_read)}; correct the file"
@@ -58,7 +60,7 @@ def require_read_as_meant(arm: Arm, problem: ArmProblem) -> None:
 
 
 def _some(observed: Observations) -> Observations:
-    """At most ROWS_LIMIT poses, evenly taken; corrections left out, free frames to be placed anew."""
+    """At most ROWS_LIMIT evenly spaced poses, without corrections, with free frames unplaced."""
     every = max(1, -(-len(observed) // ROWS_LIMIT))
     frames = tuple(dataclasses.replace(frame, is_placed=not frame.is_free) for frame in observed.frames)
     chosen = observed.chosen(np.arange(0, len(observed), every))
@@ -79,7 +81,7 @@ def _distance_m(problem: ArmProblem, observed: Observations) -> float:
 
 
 def _reach_m(problem: ArmProblem) -> float:
-    """How far all bounded parameters at their bounds together move a tip, median over the points."""
+    """Largest displacement of a tip with all bounded parameters at their bounds, median over the points."""
     bounded = [k for k, p in enumerate(problem.parameters) if p.has_bound]
     jacobian = problem.residuals_and_jacobian(np.zeros(len(problem.parameters)))[1][:, :, bounded]
     limits = np.array([problem.parameters[k].limit for k in bounded])
@@ -87,7 +89,7 @@ def _reach_m(problem: ArmProblem) -> float:
 
 
 def _readings(arm: Arm, observed: Observations) -> Iterator[Reading]:
-    """Every other way to read the columns: words, joint angles, positions."""
+    """All other readings of the columns: description, joint angles, positions."""
     q, position = observed.q_rad, observed.position_m
     yield "the joint angles look like degrees", np.radians(q), position
     if len(arm.drives) == q.shape[1]:

@@ -1,4 +1,4 @@
-"""What was measured, as an identification needs it: joint angles, and a reference point for the tip of each pose."""
+"""Measurements for an identification: joint angles, and a reference point for the tip of each pose."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Correction:
     """One effect behind the encoder, linear in its parameter: joint angle = encoder angle + parameter * slope_rad.
 
     `slope_rad` (m, n) per unit of the parameter; e.g. the encoder angle itself for a scale, -flank / 2 for a backlash's
-    width. `slope_m` (m, 3): how the effect moves the tip beyond what joints do, base frame; a link that bends. `bound` and
+    width. `slope_m` (m, 3): displacement of the tip by the effect besides joint angles (flexure), base frame. `bound` and
     `typical` as of a Parameter.
     """
 
@@ -31,7 +31,7 @@ class Correction:
     slope_m: Array | None = None
 
     def chosen(self, keep: npt.NDArray[np.intp]) -> Correction:
-        """The same at these poses."""
+        """The correction at these poses."""
         slope_m = None if self.slope_m is None else frozen(self.slope_m[keep])
         return dataclasses.replace(self, slope_rad=frozen(self.slope_rad[keep]), slope_m=slope_m)
 
@@ -41,8 +41,8 @@ class Observations:
     """m poses. Arrays are read-only.
 
     q_rad (m, n) from the encoders; position_m (m, 3): where the tip was, in the frame frames[frame[i]];
-    `setup` and `point` name each pose. `known_shift_m` (m, 3): how effects that the arm has already move the tip beyond what
-    joints do.
+    `setup` and `point` name each pose. `known_shift_m` (m, 3): displacement of the tip by the arm's present effects, besides
+    joint angles.
     """
 
     q_rad: Array
@@ -55,7 +55,7 @@ class Observations:
     known_shift_m: Array | None = None
 
     def __post_init__(self) -> None:
-        """Shapes that do not fit are a programming error of whoever assembles them."""
+        """ValueError for inconsistent shapes, which are a programming error."""
         m = len(self.q_rad)
         if self.q_rad.ndim != 2 or self.position_m.shape != (m, 3) or self.frame.shape != (m,):
             raise UnusablePointsError(

@@ -1,13 +1,13 @@
-"""Points of another arm, such as the left one of a pair: found by comparing arms, as no single residual tells.
+"""Detects points of another arm, such as the left one of a pair, by comparing arms.
 
-Deviations within their bounds bend one arm a good way towards another, so that a small residual proves nothing. What tells
-is how large deviations an arm needs. Each candidate (this arm, those that ship, this arm with offsets of the other sign) is
-fitted with the same prior, and the one with the least cost is what the points are of:
+Deviations within their bounds bring one arm close to another, so a small residual proves nothing. The criterion
+is the size of the deviations. Each candidate (this arm, the supplied ones, this arm with offsets of opposite sign) is
+fitted with the same prior, and the points are attributed to the one with the lowest cost:
 
     cost = sum over poses of (nu + 3) log(1 + |r|^2 / (nu s^2)) + sum over deviations of (x / p)^2,
 
 twice the negative logarithm of a posterior with Student's errors (no single pose decides). The scale s of the errors and the
-size p of the deviations are those that the best candidates show (the evidence framework: MacKay, Neural Computation 4 (1992)
+size p of the deviations are estimated from the best candidates (the evidence framework: MacKay, Neural Computation 4 (1992)
 415); candidates have the same unknowns, so that the volumes of their posteriors cancel.
 """
 
@@ -27,21 +27,22 @@ from control.model.arm import Arm
 from control.model.description import arm_names, load_arm
 
 LARGEST, SMALLEST = 0.5, 0.02  # size of the deviations in their bounds: the spread of uniform ones is 0.58
-NU = 4.0  # degrees of freedom of Student's errors: outliers and effects that no candidate has are usual
-SCALE_m = 2e-4  # the smallest scale of errors that is believed: better points come from no camera
+NU = 4.0  # degrees of freedom of Student's errors, for outliers and effects that no candidate has
+SCALE_m = 2e-4  # smallest scale of errors: no camera is better
 MEDIAN_LENGTH = 1.54  # of a normal vector of three coordinates, standard deviation 1
-UNBOUNDED = 1e-6  # precision of an unknown that has no bound: any place of a board is as likely
-STILL = 1e-4  # a step that moves no deviation by more is the last
-STEPS = 12  # of the search; its quadratic is good for half a bound
+UNBOUNDED = 1e-6  # precision of an unknown without a bound: all board poses are equally likely
+STILL = 1e-4  # converged if no deviation changes by more
+STEPS = 12  # longest step; the quadratic model is valid for half a bound
 SURE = 20.0  # twice the logarithm of the odds: 1 to 20,000 against a mistake; points of the arm itself stayed below 6
-ROWS_LIMIT = 300  # as many tell
-FEWEST = 8  # poses; with fewer, deviations make up for anything
-MIRRORED_LIMIT = 4  # offsets of which every combination of signs is tried
+LIKELY = 8.0  # odds of 55 to 1: a warning, no refusal
+ROWS_LIMIT = 300  # this many suffice
+FEWEST = 8  # poses; with fewer, deviations can explain anything
+MIRRORED_LIMIT = 4  # number of offsets up to which all combinations of signs are tried
 
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """An arm that the points may be of, and what to call it."""
+    """An arm that the points may belong to, and its name."""
 
     arm: Arm
     name: str
@@ -50,10 +51,10 @@ class _Candidate:
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """How well a candidate explains the points: residual lengths (m,), and the deviations that it takes for that.
+    """Fit of a candidate to the points: residual lengths (m,), and the required deviations.
 
     `nominal_m`: median distance before any; `square`: sum of the squared deviations in their bounds; `size`: their standard
-    deviation, of those that the points show.
+    deviation, of the determined ones.
     """
 
     nominal_m: float
@@ -67,29 +68,33 @@ class _Fit:
         return (NU + 3.0) * float(np.sum(errors)) + self.square / size**2
 
 
-def require_own_arm(arm: Arm, points: Points, choice: Choice | None = None) -> None:
-    """UnusablePointsError that names the arm which the points fit far better than `arm`."""
+def require_own_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tuple[str, ...]:
+    """UnusablePointsError that names the arm which the points fit far better than `arm`; a warning where they fit one better."""
     if len(points) < FEWEST:
-        return
+        return ()
     some = points.chosen(range(0, len(points), -(-len(points) // ROWS_LIMIT)))
     candidates = [_Candidate(arm, "", ""), *_alternatives(arm)]
     size = min(_fitted(one.arm, some, choice, LARGEST).size for one in candidates)
     own, *others = [_fitted(one.arm, some, choice, size) for one in candidates]
     if not others:
-        return
+        return ()
     scale_m = max(SCALE_m, min(_scale_m(fit) for fit in (own, *others)))
     costs = [fit.cost(scale_m, size) for fit in others]
     best = int(np.argmin(costs))
-    if own.cost(scale_m, size) - costs[best] > SURE:
-        other, fit = candidates[1 + best], others[best]
-        raise UnusablePointsError(
-            f"these points fit {other.name} far better than arm {arm.name} (nominal distance {1e3 * fit.nominal_m:.1f} mm against"
-            f" {1e3 * own.nominal_m:.1f} mm, and smaller deviations from nominal); {other.advice}"
-        )
+    excess, other = own.cost(scale_m, size) - costs[best], candidates[1 + best]
+    if excess <= LIKELY:
+        return ()
+    distances = (
+        f"(nominal distance {1e3 * others[best].nominal_m:.1f} mm against {1e3 * own.nominal_m:.1f} mm, and"
+        f" smaller deviations from nominal); {other.advice}"
+    )
+    if excess > SURE:
+        raise UnusablePointsError(f"these points fit {other.name} far better than arm {arm.name} {distances}")
+    return (f"these points fit {other.name} better than arm {arm.name} {distances}",)
 
 
 def _alternatives(arm: Arm) -> Iterator[_Candidate]:
-    """Arms of the same kind with another geometry: those that ship, and this one with offsets of the other sign."""
+    """Arms of the same kind with another geometry: the supplied ones, and this one with offsets of opposite sign."""
     for name in arm_names():
         other = load_arm(name)
         if _is_of_kind(other, arm) and not np.allclose(other.dh, arm.dh):
@@ -110,13 +115,13 @@ def _alternatives(arm: Arm) -> Iterator[_Candidate]:
 
 
 def _is_of_kind(other: Arm, arm: Arm) -> bool:
-    """Whether one arm's geometry can stand in for the other's."""
+    """Whether one arm's geometry can replace the other's."""
     kinds = [[link.joint for link in one.links] for one in (other, arm)]
     return kinds[0] == kinds[1] and other.dh_convention == arm.dh_convention
 
 
 def _subsets(links: list[int]) -> Iterator[tuple[int, ...]]:
-    """Which offsets change their sign: every combination of a few, else one at a time and all of them."""
+    """Sets of offsets that change sign: all combinations of a few, else one at a time and all together."""
     if len(links) <= MIRRORED_LIMIT:
         return chain.from_iterable(combinations(links, count + 1) for count in range(len(links)))
     return chain(((k,) for k in links), (tuple(links),))

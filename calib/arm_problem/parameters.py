@@ -1,4 +1,4 @@
-"""The parameters that are identified: names, units, nominal values and how far each may go."""
+"""The identified parameters: names, units, nominal values and bounds."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ DH_KINDS = ("d", "theta", "L", "alpha")
 DH_UNITS = ("m", "rad", "m", "rad")
 LENGTH_BOUND_m = 0.005  # SpringerPlus 5:1771, eq. (4)
 ANGLE_BOUND_rad = math.radians(2.0)
-# Unknowns without a nominal value (where a board stands, how long a tool is) are scaled by this many times the
-# bounds above. What the data cannot tell apart from a DH parameter then moves them and leaves the DH parameter.
+# Unknowns without a nominal value (pose of a board, length of a tool) are scaled by this many times the
+# bounds above, so that what the data cannot distinguish from a DH parameter moves them instead of the DH parameter.
 FREE_TIMES = 100.0
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One unknown: `name` as in theta2, its unit ("m", "rad" or another), start value, largest deviation from it.
+    """One unknown: name such as theta2, unit ("m", "rad" or another), nominal value, largest deviation.
 
-    An infinite `bound` stands for no bound. `typical` is the deviation that the solver's x = 1 means; 0 for the
+    An infinite `bound` means no bound. `typical` is the deviation of the solver's x = 1; 0 for the
     bound itself.
     """
 
@@ -34,7 +34,7 @@ class Parameter:
 
     @property
     def scale(self) -> float:
-        """The deviation that x = 1 stands for, in the parameter's unit."""
+        """The deviation at x = 1, in the parameter's unit."""
         if self.typical > 0.0:
             return self.typical
         if math.isfinite(self.bound):
@@ -48,14 +48,13 @@ class Parameter:
 
     @property
     def has_bound(self) -> bool:
-        """Whether it has a nominal value that it must stay near."""
+        """Whether the deviation from nominal is bounded."""
         return math.isfinite(self.bound)
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Largest deviation per parameter. The defaults are those of SpringerPlus 5:1771, eq. (4): 5 mm and 2
-    degrees.
+    """Largest deviation per parameter. Defaults of SpringerPlus 5:1771, eq. (4): 5 mm and 2 degrees.
 
     `own` overrides single parameters by name, in their unit.
     """

@@ -1,7 +1,7 @@
 """Residuals of an arm and their analytic Jacobian in scaled unknowns.
 
-An unknown x is a deviation divided by its scale (its bound, where it has one), so that the box is -1 .. 1 for
-millimetres and radians alike: in SI units a solver stops far from the optimum, because a radian moves the tip half a
+An unknown x is a deviation divided by its scale (its bound, if it has one), so that the box is -1 .. 1 for
+lengths and angles alike: in SI units a solver stops far from the optimum, because a radian moves the tip half a
 metre and a metre moves it one.
 """
 
@@ -32,9 +32,9 @@ REACHABLE = 1e-2  # share of the strongest direction of the tip that joints must
 
 
 class Problem(Protocol):
-    """What the solver needs to know: unknowns x (k,) within +-limits, and residuals reference minus modelled [m].
+    """The problem for the solver: unknowns x (k,) within +-limits, and residuals reference minus modelled [m].
 
-    The Jacobian (m, 3, k) is a view of (k, 3, m) in one piece: jacobian.transpose(2, 1, 0) costs nothing.
+    The Jacobian (m, 3, k) is a view of a contiguous (k, 3, m) array: jacobian.transpose(2, 1, 0) costs nothing.
     """
 
     @property
@@ -42,7 +42,7 @@ class Problem(Protocol):
         """The k unknowns, in the order of x."""
 
     def __len__(self) -> int:
-        """How many poses, m."""
+        """Number of poses, m."""
 
     def residuals(self, x: Array, rows: slice = ALL) -> Array:
         """(m, 3) [m], of all poses or a slice of them."""
@@ -54,12 +54,12 @@ class Problem(Protocol):
         """The residuals, and sums of their derivatives for Newton's steps."""
 
     def sensitivity(self, x: Array) -> Array:
-        """(m, 3, k): the Jacobian as if the residuals were nought, for what the points determine."""
+        """(m, 3, k): the Jacobian for zero residuals, which shows what the points determine."""
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """What unknowns x stand for: DH table (links, 4), tool (3,), frames, values of the corrections."""
+    """Parameters at unknowns x: DH table (links, 4), tool (3,), frames, values of the corrections."""
 
     dh: Array
     tool_m: Array
@@ -68,9 +68,7 @@ class Solution:
 
 
 class ArmProblem:
-    """Reference points of the tip against DH deviations, tool, frames and joint corrections; SpringerPlus 5:1771,
-    eq. (4), and past it.
-    """
+    """Reference points of the tip against DH deviations (SpringerPlus 5:1771, eq. (4)), tool, frames, corrections."""
 
     def __init__(
         self,
@@ -82,9 +80,9 @@ class ArmProblem:
         is_tool_free: bool = False,
         tool_m: Array | None = None,
     ) -> None:
-        """`fixed` names parameters that keep their start value; `tool_m` (3,) is the tool's, nominal by default.
+        """`fixed` names parameters that keep their start value; `tool_m` (3,) is the tool, by default nominal.
 
-        Frames that are free start where `observed` has them. CalibrationError for a name that is none, or if nothing is
+        Free frames start at their pose in `observed`. CalibrationError for an unknown name, or if nothing is
         left to identify.
         """
         self.model, self.observed = model, observed
@@ -92,7 +90,7 @@ class ArmProblem:
         self._centres = _centres(observed)
         self._free = [k for k, frame in enumerate(observed.frames) if frame.is_free]
         self.references_m = _in_base(observed)
-        self._tool_at = model.nominal_dh.size  # where each part stands in the whole deviation vector
+        self._tool_at = model.nominal_dh.size  # position of each part in the deviation vector
         self._frames_at = self._tool_at + 3 * is_tool_free
         self._corrections_at = self._frames_at + 6 * len(self._free)
         everything = self._every_parameter(bounds or Bounds(), is_tool_free)
@@ -127,7 +125,7 @@ class ArmProblem:
 
     @property
     def free_frames(self) -> tuple[Frame, ...]:
-        """Frames that are identified too."""
+        """Indices of the identified frames."""
         return tuple(frame for frame in self.observed.frames if frame.is_free)
 
     @property
@@ -140,14 +138,14 @@ class ArmProblem:
         return len(self.observed)
 
     def of_rows(self, rows: npt.ArrayLike) -> ArmProblem:
-        """The same unknowns with the same meaning, posed by some of the poses (indices or a mask) only."""
+        """The problem with the same unknowns for some of the poses (indices or a mask)."""
         some = copy.copy(self)
         keep = np.arange(len(self))[np.asarray(rows)]
         some.observed, some.references_m = self.observed.chosen(keep), self.references_m[keep]
         return some
 
     def solution(self, x: Array) -> Solution:
-        """What the unknowns x (k,) stand for."""
+        """The parameters at unknowns x (k,)."""
         dh, tool, moves, values = self._parts(x)
         frames = list(self.observed.frames)
         for index, move in zip(self._free, moves, strict=True):
@@ -158,13 +156,13 @@ class ArmProblem:
         )
 
     def tips(self, solution: Solution) -> Array:
-        """Where the tip of a solution is at these poses, (m, 3), base frame: by joints, corrections and links that bend."""
+        """Tips of a solution at these poses, (m, 3), base frame, including corrections and flexure."""
         values = np.array([solution.corrections[one.name] for one in self.observed.corrections])
         joint_rad = self._joint_rad(values, ALL)
         return self._bent(self.model.tips(solution.dh, joint_rad, solution.tool_m), values, ALL)
 
     def _parts(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """DH table, tool, moves of the free frames (f, 6), values of the corrections, at unknowns x."""
+        """DH table, tool, deviations of the free frames (f, 6), values of the corrections, at unknowns x."""
         whole = np.zeros(self._whole_size)
         whole[self._places] = x * self._scale
         dh, tool, moves, values = np.split(whole, [self._tool_at, self._frames_at, self._corrections_at])
@@ -179,7 +177,7 @@ class ArmProblem:
         return q
 
     def _bent(self, tips: Array, values: Array, rows: slice) -> Array:
-        """Tips (m, 3) moved by what no joint's angle does: links that bend."""
+        """Tips (m, 3) with the displacement by flexure."""
         if self.observed.known_shift_m is not None:
             tips = tips + self.observed.known_shift_m[rows]
         for value, correction in zip(values, self.observed.corrections, strict=True):
@@ -201,7 +199,7 @@ class ArmProblem:
         return found.residuals, chosen.transpose(2, 1, 0)
 
     def expanded(self, x: Array, rows: slice = ALL) -> Expansion:
-        """Residuals and what their first and second derivatives add up to."""
+        """Residuals, and sums of their first and second derivatives."""
         dh, tool, moves, values = self._parts(x)
         slopes = self.model.slopes(dh, self._joint_rad(values, rows), tool)
         references, arms = self._references(moves, rows)
@@ -229,11 +227,11 @@ class ArmProblem:
         )
 
     def sensitivity(self, x: Array) -> Array:
-        """The Jacobian (m, 3, k) at poses beside the measured ones, whose tips are where their references are.
+        """The Jacobian (m, 3, k) at poses near the measured ones whose tips are at their references.
 
-        For what the points determine: turning arm and board together turns a residual r too, so that the Jacobian holds
-        w x r of it as if that turn could be seen, though no distance changes. Without residuals there is no such thing.
-        Where no board is free, none can turn, and it is the Jacobian at the measured poses.
+        It shows what the points determine. Rotating arm and board together also rotates a residual r, so the Jacobian contains
+        w x r as if that rotation were observable, although no distance changes. Zero residuals avoid this.
+        If no board is free, it is the Jacobian at the measured poses.
         """
         seated = copy.copy(self)
         for _ in range(SEATING_STEPS if self._free else 0):
@@ -259,7 +257,7 @@ class ArmProblem:
         return references, arms
 
     def _frame_columns(self, columns: Array, moves: Array, arms: Array, rows: slice) -> None:
-        """Minus the derivative of the references by each free frame's move and turn, as the tip's are plus."""
+        """Minus the derivative of the references by each free frame's translation and rotation (the tip's have a plus)."""
         which = self.observed.frame[rows]
         for place, (index, move) in enumerate(zip(self._free, moves, strict=True)):
             here = np.flatnonzero(which == index)
@@ -280,7 +278,7 @@ class ArmProblem:
 
 
 def _centres(observed: Observations) -> list[Array]:
-    """The middle of each frame's points, in the frame."""
+    """The centre of each frame's points, in the frame."""
     return [
         observed.position_m[observed.rows_of(k)].mean(axis=0) if (observed.frame == k).any() else np.zeros(3)
         for k in range(len(observed.frames))
@@ -288,7 +286,7 @@ def _centres(observed: Observations) -> list[Array]:
 
 
 def _in_base(observed: Observations) -> Array:
-    """The reference points in the base frame, as the frames are known before, (m, 3)."""
+    """The reference points in the base frame by the prior frames, (m, 3)."""
     references = np.array(observed.position_m)
     for k, frame in enumerate(observed.frames):
         here = observed.rows_of(k)

@@ -1,4 +1,4 @@
-"""Products of slim matrices, a few rows and very many columns, without threads."""
+"""Products of matrices with few rows and very many columns, without threads."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from calib.arrays import Array
 
-# A product with more multiplications than 2^18 is shared out over threads by OpenBLAS. They gain little on matrices this
-# slim, and where the other processors are busy the product waits for them.
+# OpenBLAS uses threads for products with more than 2^18 multiplications. They gain little on matrices this
+# slim, and if the other processors are busy, the product waits for them.
 SERIAL = 200_000
 
 

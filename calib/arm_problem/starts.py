@@ -1,6 +1,6 @@
-"""Where the search for a tool or a board begins that nobody knows: closed forms at the nominal geometry.
+"""Starting values for unknown tools and boards: closed forms at the nominal geometry.
 
-A tip that sits in the same socket in many postures gives the tool (pivot calibration): base_p_flange + base_R_flange t
+A tip in the same socket in many postures determines the tool (pivot calibration): base_p_flange + base_R_flange t
 is the same point for all of them, which is linear in the tool t and the socket.
 """
 
@@ -16,12 +16,12 @@ from calib.arm_problem.observations import Observations
 from calib.arrays import Array, frozen
 from calib.boards.rigid import best_motion
 
-WEAK = 1e-2  # share of the best seen direction of the tool below which the nominal value stays
+WEAK = 1e-2  # share of the best determined direction of the tool below which the nominal value is kept
 
 
 def started_tool(model: ArmModel, observed: Observations) -> Array:
-    """The tool (3,) that makes poses in one socket, or with a known reference, agree best; nominal where they do not
-    tell.
+    """The tool (3,) for which poses in one socket, or with a known reference, agree best; nominal if they do not
+    determine it.
     """
     slopes = model.slopes(model.nominal_dh, observed.q_rad)
     groups = _groups([*zip(observed.frame.tolist(), map(tuple, observed.position_m.tolist()), strict=True)])
@@ -43,7 +43,7 @@ def started_tool(model: ArmModel, observed: Observations) -> Array:
 
 
 def with_started_frames(model: ArmModel, observed: Observations, tool_m: Array) -> Observations:
-    """The same observations, frames that nobody knows where the nominal arm says that they stand."""
+    """The observations with unknown frames placed where the nominal arm predicts them."""
     tips = model.tips(model.nominal_dh, observed.q_rad, tool_m)
     frames = list(observed.frames)
     for k, frame in enumerate(frames):

@@ -1,1 +1,1 @@
-"""Where calibration boards stand: markers, registration, outliers."""
+"""Poses of calibration boards: markers, registration, outliers."""

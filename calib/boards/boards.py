@@ -1,4 +1,4 @@
-"""boards.json: where the calibration board stood in each setup, as a registration found it."""
+"""boards.json: registered poses of the calibration board in each setup."""
 
 from __future__ import annotations
 

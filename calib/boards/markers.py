@@ -1,4 +1,4 @@
-"""markers.csv: where a camera saw a board's markers, or the tip in the board's cavities.
+"""markers.csv: positions of a board's markers, or of the tip in the board's cavities, measured by a camera.
 
 Required columns: setup, marker, x_m, y_m, z_m (base frame). Several rows of one marker are repeats. Other columns are ignored
 with a warning. Comma-separated, .csv or .csv.gz.
@@ -24,7 +24,7 @@ REQUIRED = ("setup", "marker", "x_m", "y_m", "z_m")
 
 @dataclass(frozen=True, slots=True)
 class Markers:
-    """m sightings: setup and marker names, seen_m (m, 3) in the base frame; warnings of the reader."""
+    """m measurements: setup and marker names, seen_m (m, 3) in the base frame; warnings of the reader."""
 
     setup: tuple[str, ...]
     marker: tuple[str, ...]
@@ -32,11 +32,11 @@ class Markers:
     warnings: tuple[str, ...] = ()
 
     def __len__(self) -> int:
-        """How many sightings."""
+        """Number of measurements."""
         return len(self.setup)
 
     def means_m(self, setup: str) -> dict[str, Array]:
-        """Mean position (3,) of each marker in a setup, in the order in which they were first seen."""
+        """Mean position (3,) of each marker in a setup, in order of their first measurement."""
         rows: dict[str, list[int]] = {}
         for row, (stood, name) in enumerate(zip(self.setup, self.marker, strict=True)):
             if stood == setup:
@@ -45,7 +45,7 @@ class Markers:
 
 
 def read_markers(path: Path) -> Markers:
-    """The sightings of a file. PointsFileError names file, line and column."""
+    """Read the measurements of a file. PointsFileError names file, line and column."""
     with opened_text(path) as file:
         reader = csv.reader(file)
         header = [name.strip() for name in next(reader, [])]

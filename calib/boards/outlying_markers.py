@@ -1,7 +1,7 @@
-"""Which markers do not stand where the board says: outliers of a rigid registration.
+"""Outliers of a rigid registration: markers that are not at their place on the board.
 
-For j = 0, 1, 2, ... the k - j markers that agree best are searched for (least trimmed squares: Rousseeuw 1984), and whether
-leaving one more out is more than chance is an F test; the largest j that passes counts, so that several outliers do not hide
+For j = 0, 1, 2, ... the k - j best agreeing markers are searched (least trimmed squares: Rousseeuw 1984), and an F test decides
+whether leaving one more out is significant; the largest j that passes counts, so that several outliers do not mask
 each other (generalised extreme studentised deviate test: Rosner 1983).
 """
 
@@ -14,25 +14,25 @@ import numpy as np
 from calib.arrays import Array
 from calib.boards.rigid import Motion, best_motion, squares_m2
 
-FEWEST_TO_NAME = 5  # with four, leaving out any one leaves three, and three nearly always fit
+FEWEST_TO_NAME = 5  # with four, leaving one out leaves three, which nearly always fit
 FALSE_ALARM = 0.01  # probability that a registration without an outlier names one
-RESOLUTION_m = 1e-6  # residuals below this are no information: a set without noise names nothing
-LARGEST_SHARE = 3  # at most every third marker is wrong; else the whole set is
+RESOLUTION_m = 1e-6  # smaller residuals are ignored, so that a set without noise has no outliers
+LARGEST_SHARE = 3  # at most every third marker may be wrong; else the whole set is
 TRIPLES = 2000  # starts of the search
-REFINED = 20  # of them, the best are refined
+REFINED = 20  # number of best starts to refine
 POSE_UNKNOWNS = 6
 
 
 def outlying(board_m: Array, seen_m: Array) -> tuple[int, ...]:
-    """Rows of the outliers among markers board_m (k, 3) and seen_m (k, 3); none where k is below five."""
+    """Rows of the outliers among markers board_m (k, 3) and seen_m (k, 3); none if k is below five."""
     k = len(board_m)
     if k < FEWEST_TO_NAME:
         return ()
     motions = _starts(board_m, seen_m)
-    kept = [_agreeing(motions, board_m, seen_m, k - j) for j in range(min(k // LARGEST_SHARE, k - 4) + 1)]
-    squares = [_sum_of_squares(board_m, seen_m, rows) for rows in kept]
-    passed = [j for j in range(1, len(kept)) if _is_more_than_chance(squares[j - 1], squares[j], k - j)]
-    return tuple(sorted(set(range(k)) - set(kept[max(passed)]))) if passed else ()
+    agreeing = [_agreeing(motions, board_m, seen_m, k - j) for j in range(min(k // LARGEST_SHARE, k - 4) + 1)]
+    squares = [_sum_of_squares(board_m, seen_m, rows) for rows in agreeing]
+    passed = [j for j in range(1, len(agreeing)) if _is_more_than_chance(squares[j - 1], squares[j], k - j)]
+    return tuple(sorted(set(range(k)) - set(agreeing[max(passed)]))) if passed else ()
 
 
 def _starts(board_m: Array, seen_m: Array) -> Motion:
@@ -54,7 +54,7 @@ def _agreeing(motions: Motion, board_m: Array, seen_m: Array, count: int) -> tup
 
 
 def _refined(motion: Motion, board_m: Array, seen_m: Array, count: int) -> tuple[int, ...]:
-    """Take the best markers, fit, take the best again, until they stay."""
+    """Fit the best markers and select again, until the selection is stable."""
     rows: tuple[int, ...] = ()
     for _ in range(10):
         best = np.argsort(squares_m2(motion, board_m, seen_m), kind="stable")[:count]
@@ -72,7 +72,7 @@ def _sum_of_squares(board_m: Array, seen_m: Array, rows: tuple[int, ...]) -> flo
 
 
 def _is_more_than_chance(before_m2: float, after_m2: float, left: int) -> bool:
-    """Whether leaving one of left + 1 markers out lowers the sum of squares by more than chance would."""
+    """Whether leaving out one of left + 1 markers reduces the sum of squares significantly."""
     from scipy.special import fdtrc
 
     freedom = 3 * left - POSE_UNKNOWNS

@@ -1,6 +1,6 @@
-"""Where a calibration board stands, from three or more of its cavities or markers that a camera saw.
+"""Registration of a calibration board from three or more of its cavities or markers measured by a camera.
 
-`register` works on arrays, `register_boards` on the rows of a markers.csv. Frames: seen positions are in the arm's base
+`register` works on arrays, `register_boards` on the rows of a markers.csv. Frames: measured positions are in the arm's base
 frame, board positions in the board's own; base = rotation @ board + origin_m.
 """
 
@@ -22,13 +22,13 @@ __all__ = ["Markers", "Registration", "read_markers", "register", "register_boar
 
 FEWEST = 3
 LINE_TOLERANCE = 0.02  # spread across the best line, as a share of that along it
-MISFIT = 0.1  # root mean square residual, as a share of the markers' spread: no board is that bad
+MISFIT = 0.1  # largest root mean square residual, as a share of the markers' spread
 Cavities = Mapping[str, Sequence[float] | Array]
 
 
 @dataclass(frozen=True, slots=True)
 class Registration:
-    """A board's pose in the base frame and how well it is known.
+    """A board's pose in the base frame and its uncertainty.
 
     rotation (3, 3): base_R_board; origin_m (3,) of the board's frame; residual_m (k, 3) seen minus board, also of the
     outliers, which the pose does not use. noise_m: standard deviation per axis of the markers that were used.
@@ -62,8 +62,8 @@ class Registration:
 def register(board_m: Array, seen_m: Array, names: Sequence[str] | None = None) -> Registration:
     """Least-squares pose of the board from markers board_m (k, 3) seen at seen_m (k, 3), outliers left out.
 
-    Outliers are looked for among five markers or more. RegistrationError where the markers determine no pose: fewer
-    than three, in line, not finite, named wrongly.
+    Outliers are searched among five markers or more. RegistrationError if the markers determine no pose: fewer
+    than three, collinear, not finite, or wrongly named.
     """
     board, seen = np.asarray(board_m, dtype=float), np.asarray(seen_m, dtype=float)
     called = tuple(names) if names is not None else tuple(str(k + 1) for k in range(len(board)))
@@ -92,7 +92,7 @@ def register(board_m: Array, seen_m: Array, names: Sequence[str] | None = None) 
 def register_boards(markers: Markers, cavities: Cavities) -> dict[str, Registration]:
     """The pose of the board in each setup of `markers`, by setup; repeats of a marker are averaged.
 
-    `cavities` are the markers' places in the board's frame. RegistrationError names setup and marker.
+    `cavities` are the markers' positions in the board's frame. RegistrationError names setup and marker.
     """
     return {setup: _register_setup(markers, cavities, setup) for setup in dict.fromkeys(markers.setup)}
 
@@ -153,7 +153,7 @@ def _require_area(board_m: Array, names: Sequence[str]) -> None:
 
 
 def _require_match(board_m: Array, seen_m: Array, names: Sequence[str]) -> None:
-    """What is seen has the board's shape, and not its mirror image's."""
+    """Check that the measured markers have the board's shape, and not that of its mirror image."""
     spread_m2 = float(np.sum((board_m - board_m.mean(axis=0)) ** 2))
     turned = float(squares_m2(best_motion(board_m, seen_m), board_m, seen_m).sum())
     if turned <= MISFIT**2 * spread_m2:

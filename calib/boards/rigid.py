@@ -29,7 +29,7 @@ class Motion:
 def best_motion(board_m: Array, seen_m: Array, may_mirror: bool = False) -> Motion:
     """The motion with the least sum of squared distances; board_m and seen_m (..., k, 3).
 
-    With `may_mirror` a reflection is taken where it fits better.
+    With `may_mirror` a reflection is used if it fits better.
     """
     board_centre = board_m.mean(axis=-2, keepdims=True)
     seen_centre = seen_m.mean(axis=-2, keepdims=True)

@@ -1,1 +1,1 @@
-"""A calibration from end to end: points in, a judged result and a calibrated arm out."""
+"""The whole calibration: from points to a validated result and a calibrated arm."""

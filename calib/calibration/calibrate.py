@@ -1,4 +1,4 @@
-"""A calibration from end to end: points in, a judged result out. Nothing here reads or writes a file."""
+"""The whole calibration, from points to a validated result. Nothing here reads or writes a file."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ LeaveOut = Literal["setup"] | int | None
 
 @dataclass(frozen=True, slots=True)
 class CalibrationPlan:
-    """What to identify, by which objective, and how to judge it.
+    """What to identify, by which objective, and how to validate it.
 
-    `accuracy_limit_m` is the a of E <= k a (SpringerPlus 5:1771, eq. 4), None without it. `leave_out` as `held_out` takes it.
+    `accuracy_limit_m` is the a of E <= k a (SpringerPlus 5:1771, eq. 4), None without it. `leave_out`: argument of `held_out`.
     """
 
     choice: Choice = field(default_factory=Choice)
@@ -45,9 +45,9 @@ class CalibrationPlan:
 
 @dataclass(frozen=True, slots=True)
 class Calibrated:
-    """The result: the calibrated arm, how it was found, and what it is worth.
+    """The result: the calibrated arm, its identification and its validation.
 
-    `held` is None where nothing can be left out; `floor` where nothing tells the noise.
+    `held` is None if nothing can be left out; `floor` is None if the noise is unknown.
     """
 
     nominal: Arm
@@ -63,7 +63,7 @@ class Calibrated:
 
 
 def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance = silent) -> Calibrated:
-    """Identify, look for outliers, leave points out, judge. UnusablePointsError if no calibration can be made of them."""
+    """Identify, find outliers, cross-validate, give a verdict. UnusablePointsError if the points allow no calibration."""
     advance("checking the points", 0.0)
     asked, plan = plan, replace(plan, choice=plan.choice.for_points(arm, points))
     problem = problem_of(arm, points, plan.choice)
@@ -84,7 +84,7 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
     advance("looking for outliers", 0.4)
     floor = noise_floor(arm, points, problem, found.x)
     suspects = find_suspects(problem, found.x, _cavities(arm), floor.axis_m if floor is not None else 0.0)
-    held, said = _held_out(arm, points, plan, advance)
+    held, reasons = _held_out(arm, points, plan, advance)
     judged = verdict(found, held, floor, suspects, points.setup)
     advance("done", 1.0)
     return Calibrated(
@@ -97,7 +97,7 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
         held,
         floor,
         judged,
-        (*warnings, *said),
+        (*warnings, *reasons),
     )
 
 
@@ -109,7 +109,7 @@ def _about_frame(arm: Arm) -> str:
 
 
 def _cavities(arm: Arm) -> Mapping[str, Array]:
-    """Every cavity in the board's frame, for a guess at which one a tip sat in."""
+    """All cavities in the board's frame, to guess in which one a tip was seated."""
     if arm.table is None:
         return {}
     return {name: np.array(place) for name, place in board_cavities(arm.table).items()}

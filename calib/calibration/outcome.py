@@ -1,4 +1,4 @@
-"""What a calibration leaves behind besides the report: a calibrated arm.toml and calibration.json."""
+"""Results of a calibration besides the report: the calibrated arm.toml and calibration.json."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def write_calibrated_arm(
 ) -> Arm:
     """Save the arm with the identified parameters as a new file, and return it.
 
-    `inputs` maps files to their SHA-256. The file that the nominal arm came from stays as it is; an existing file at
+    `inputs` maps files to their SHA-256. The nominal arm's file is not changed; an existing file at
     `path` is refused (ArmFileError).
     """
     source = str(nominal.path.name) if nominal.path is not None else nominal.name
@@ -42,7 +42,7 @@ def write_calibrated_arm(
 
 
 def calibrated_arm(nominal: Arm, found: Identification) -> Arm:
-    """The arm with what was identified: DH table, tool, base frame, effects."""
+    """The arm with the identified DH table, tool, base frame and effects."""
     x, y, z = found.solution.tool_m.tolist()
     tool = nominal.tool
     if any(estimate.parameter.name.startswith("tool_") for estimate in found.estimates):
@@ -52,14 +52,14 @@ def calibrated_arm(nominal: Arm, found: Identification) -> Arm:
 
 
 def _with_base_frame(arm: Arm, found: Identification) -> Arm:
-    """The arm with the base frame that was identified, if one was."""
+    """The arm with the identified base frame, if any."""
     base = found.solution.frames[0]
     if not base.is_free:
         return arm
     vector = [*base.origin_m.tolist(), *rotation_vector(base.rotation).tolist()]
     effect = Effect("base_frame", None, dict(zip(BASE_FRAME, vector, strict=True)))
-    kept = (e for e in arm.effects if e.effect != "base_frame")
-    return dataclasses.replace(arm, effects=(*kept, effect))
+    others = (e for e in arm.effects if e.effect != "base_frame")
+    return dataclasses.replace(arm, effects=(*others, effect))
 
 
 def write_calibration_json(
@@ -72,7 +72,7 @@ def write_calibration_json(
     verification: Comparison | None = None,
     more: Mapping[str, object] | None = None,
 ) -> None:
-    """The result for other programs. SI units; a number that there is not is null.
+    """Write the result for other programs. SI units; missing numbers are null.
 
     `more` is added under its own keys: outliers, held-out errors, the verdict.
     """

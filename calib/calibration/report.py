@@ -1,4 +1,4 @@
-"""report.html of a calibration: the answer, what it rests on, what the points say and what they do not."""
+"""report.html of a calibration: the verdict, its evidence, and what the points determine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from calib.validation.verify import Comparison, compare
 def calibration_report(
     made: Calibrated, inputs: tuple[InputFile, ...], date: str, program_version: str
 ) -> ReportData:
-    """What the report shows."""
+    """The report of a calibration."""
     found = made.found
     return ReportData(
         title="Calibration",
@@ -61,8 +61,8 @@ def _sections(made: Calibrated) -> list[Section]:
     if made.held is not None:
         sections.append(_held_section(made.held))
     suspicious = made.suspects.in_words()
-    said = suspicious or ("None: no point contradicts the others by more than the noise.",)
-    sections.append(Section("Suspicious points", bullets(said)))
+    findings = suspicious or ("None: no point contradicts the others by more than the noise.",)
+    sections.append(Section("Suspicious points", bullets(findings)))
     if any(frame.is_free for frame in made.found.solution.frames):
         sections.append(frames_section(made.found))
     if made.found.accuracy is not None:

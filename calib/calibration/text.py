@@ -1,4 +1,4 @@
-"""The result of a calibration in words and figures for a terminal, and as entries of calibration.json."""
+"""The result of a calibration as text for a terminal, and as entries of calibration.json."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def summary_text(made: Calibrated) -> str:
 
 
 def parameter_text(made: Calibrated) -> str:
-    """One line a parameter; then the identified poses of boards."""
+    """One line per parameter; then the identified poses of boards."""
     rows = [f"{'parameter':<20}{'unit':<9}{'nominal':>12}{'identified':>12}{'deviation':>12}{'sd':>10}"]
     rows += [_parameter_line(one) for one in of_the_arm(made.found)]
     free = [frame for frame in made.found.solution.frames if frame.is_free]
@@ -73,7 +73,7 @@ def _frame_line(frame: Frame) -> str:
 
 
 def judgement_json(made: Calibrated) -> dict[str, object]:
-    """What calibration.json holds beside the identification."""
+    """Entries of calibration.json besides the identification."""
     return {
         "verdict": {
             "grade": made.verdict.grade,

@@ -1,4 +1,4 @@
-"""Design of the measurement: which points, tilts and free poses to take next, and what each would bring."""
+"""Design of experiments: which points, tilts and free poses to record next, and the gain of each."""
 
 from calib.design.boards import OTHER_TILTS
 from calib.design.candidates import View

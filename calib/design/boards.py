@@ -1,4 +1,4 @@
-"""Where the calibration board stands in each setup, as far as it takes to plan on it."""
+"""Poses of the calibration board in each setup, for planning."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from calib.points.points import Points
 from control.model.arm import Arm, Table
 from control.model.table import SETUPS, board_cavities, board_rotation
 
-OTHER_TILTS = ("roll-", "pitch-", "roll+pitch")  # the board tilted the other way, and both ways at once
+OTHER_TILTS = ("roll-", "pitch-", "roll+pitch")  # the opposite tilts, and both tilts at once
 FLAT = 5e-3  # spread of cavities across their best line, as a share of that along it
 
 
@@ -26,8 +26,8 @@ FLAT = 5e-3  # spread of cavities across their best line, as a share of that alo
 class PlacedBoard:
     """The board of one setup: base_R_board (3, 3), origin_m (3,), cavities [m] in its own frame.
 
-    `is_known`: the place is known (or measured) and not identified with the rest. `has_plane`: how the board lies is
-    known at least about; not where only cavities in a line were taken.
+    `is_known`: the pose is known (or measured) and not identified. `has_plane`: the board's plane is
+    approximately known; False if only collinear cavities were recorded.
     """
 
     setup: str
@@ -55,12 +55,12 @@ class PlacedBoard:
 
     @property
     def frame(self) -> Frame:
-        """As the identification wants it."""
+        """The frame for the identification."""
         return Frame(f"table_{self.setup}", frozen(self.rotation), frozen(self.origin_m))
 
 
 def usual_setups(arm: Arm, points: Points | None, measured: Mapping[str, Frame]) -> list[str]:
-    """The setups to plan for unless others are asked for: the table's own, those measured, those of the points."""
+    """The default setups to plan for: the table's own, measured ones, and those of the points."""
     if arm.table is None:
         return []
     own = ["normal"] if arm.table.origin_m is not None else []
@@ -77,9 +77,9 @@ def usual_setups(arm: Arm, points: Points | None, measured: Mapping[str, Frame])
 def placed_boards(
     arm: Arm, setups: Sequence[str], points: Points | None, measured: Mapping[str, Frame]
 ) -> dict[str, PlacedBoard]:
-    """The board in each of the setups. CalibrationError for a setup that nobody can place.
+    """The board in each of the setups. CalibrationError for a setup with an unknown board pose.
 
-    What was measured goes before what the arm's [table] says, that before where the points of the setup were taken.
+    Measured poses take precedence over the arm's [table], and that over an estimate from the setup's points.
     """
     if setups and arm.table is None:
         raise CalibrationError(
@@ -91,7 +91,7 @@ def placed_boards(
 def boards_in_the_way(
     arm: Arm, taken: Points | None, measured: Mapping[str, Frame], planned: Mapping[str, PlacedBoard]
 ) -> tuple[PlacedBoard, ...]:
-    """The board as it may stand while free poses are taken: in every setup that can be placed."""
+    """Possible poses of the board while free poses are recorded: in every setup with a known pose."""
     found = dict(planned)
     for setup in usual_setups(arm, taken, measured):
         with contextlib.suppress(CalibrationError):
@@ -136,7 +136,7 @@ def tilted(table: Table, setup: str) -> Array:
 
 
 def _fitted(arm: Arm, setup: str, points: Points | None) -> PlacedBoard | None:
-    """The board where the nominal arm says that its cavities were; with cavities in a line only those, once seen."""
+    """The board placed by the nominal arm's tips in its cavities; if they are collinear, only those cavities."""
     known = _all(arm)
     rows = (
         []

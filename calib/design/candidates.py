@@ -1,4 +1,4 @@
-"""What could be measured next: cavities of the board in each setup, and free poses that a camera sees."""
+"""Candidate poses: cavities of the board in each setup, and free poses visible to a camera."""
 
 from __future__ import annotations
 
@@ -26,18 +26,14 @@ from calib.points.points import Points, make_points
 from control.model.arm import Arm
 
 FREE = "free"
-FREE_POSES_COUNT = 4000  # looked at; those that are not clear fall out
+FREE_POSES_COUNT = 4000  # number drawn, before poses with collisions are removed
 EDGE_SHARE = 0.4
-APART_RAD = 0.15  # between free poses to choose from: the same pose twice would teach nothing about the rest of the arm
-FREE_HEIGHT_M = (
-    0.10  # of a free pose's tip above floor and board: an arm that is not calibrated may be 4 cm off
-)
-WORKSPACE_HEIGHT_M = 0.03  # of the tip where its uncertainty counts
-STARTS_COUNT = (
-    12  # postures are looked for from so many poses; four times as many with more than three joints
-)
-POSTURES_LIMIT = 24  # per cavity; an arm with more than three joints has no end of them
-TAKEN_RAD = 0.3  # a cavity in a posture nearer than this to one recorded counts as taken
+APART_RAD = 0.15  # smallest difference between candidate free poses
+FREE_HEIGHT_M = 0.10  # of a free pose's tip above floor and board: an uncalibrated arm may be 4 cm off
+WORKSPACE_HEIGHT_M = 0.03  # of the tip in workspace poses
+STARTS_COUNT = 12  # number of starts for postures; four times as many with more than three joints
+POSTURES_LIMIT = 24  # per cavity; with more than three joints there are infinitely many
+TAKEN_RAD = 0.3  # a cavity in a posture closer than this to a recorded one counts as recorded
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,14 +44,14 @@ class View:
     upper_m: tuple[float, float, float]
 
     def shows(self, tips_m: Array) -> Mask:
-        """Which of the tips (m, 3) are inside."""
+        """Mask of the tips (m, 3) inside."""
         return np.asarray(((tips_m >= self.lower_m) & (tips_m <= self.upper_m)).all(axis=1))
 
 
 def table_candidates(arm: Arm, board: PlacedBoard, taken: Points | None, sees_tip: bool) -> Points:
-    """Cavities of one setup, each in every posture that the arm can take; those taken are left out.
+    """Cavities of one setup in every posture of the arm, without those already recorded.
 
-    `sees_tip`: a camera measures the tip in the cavity too, so that it is known without the board.
+    `sees_tip`: a camera also measures the tip in the cavity, so it is known without the board.
     """
     model, box = ArmModel(arm), joint_box(arm)
     starts = STARTS_COUNT if arm.joint_count <= 3 else 4 * STARTS_COUNT
@@ -72,7 +68,7 @@ def table_candidates(arm: Arm, board: PlacedBoard, taken: Points | None, sees_ti
 def free_candidates(
     arm: Arm, boards: Iterable[PlacedBoard], view: View | None = None, count: int = FREE_POSES_COUNT
 ) -> Points:
-    """Poses all over the joints' ranges, clear of the floor and of the board as it may stand, in the camera's view."""
+    """Poses over the joints' ranges, clear of the floor and of the board in any setup, in the camera's view."""
     q = workspace_poses(arm, boards, count, EDGE_SHARE, FREE_HEIGHT_M)
     tips = ArmModel(arm).tips(arm.dh, q)
     if view is not None:
@@ -83,12 +79,12 @@ def free_candidates(
 
 
 def _apart(q: Array) -> Rows:
-    """Rows of poses that differ from all before them in some joint by APART_RAD."""
-    kept = np.empty_like(q)
+    """Rows of poses that differ from all previous ones in some joint by APART_RAD."""
+    poses = np.empty_like(q)
     rows: list[int] = []
     for row, pose in enumerate(q):
-        if not len(rows) or np.abs(kept[: len(rows)] - pose).max(axis=1).min() >= APART_RAD:
-            kept[len(rows)] = pose
+        if not len(rows) or np.abs(poses[: len(rows)] - pose).max(axis=1).min() >= APART_RAD:
+            poses[len(rows)] = pose
             rows.append(row)
     return np.array(rows, dtype=np.intp)
 
@@ -100,7 +96,7 @@ def workspace_poses(
     edge_share: float = 0.0,
     height_m: float = WORKSPACE_HEIGHT_M,
 ) -> Array:
-    """Clear poses (m, n), m <= count, spread over the joints' ranges, the tip so high above the floor and the boards."""
+    """Collision-free poses (m, n), m <= count, spread over the joints' ranges, with this tip height above floor and boards."""
     q = spread_poses(joint_box(arm), count, edge_share)
     points = body_points(arm, q)
     lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + height_m
@@ -112,7 +108,7 @@ def workspace_poses(
 
 
 def joined(parts: Collection[Points]) -> Points:
-    """Points one after the other; what the format does not know is left out."""
+    """Concatenate points, without extra columns."""
     present = [part for part in parts if len(part)]
     return make_points(
         [setup for part in present for setup in part.setup],
@@ -124,7 +120,7 @@ def joined(parts: Collection[Points]) -> Points:
 
 
 def named(chosen: Points, taken: Points | None) -> Points:
-    """The same points with names for the free poses and repeats that no point taken has."""
+    """The points with names for free poses, and repeats, that no recorded point has."""
     have = Counter() if taken is None else Counter(zip(taken.setup, taken.point, strict=True))
     highest = {} if taken is None else _highest_repeats(taken)
     points, repeats, number = [], [], 0
@@ -148,7 +144,7 @@ def _highest_repeats(taken: Points) -> dict[tuple[str, str], int]:
 
 
 def _is_clear_of_board(arm: Arm, q: Array, board: PlacedBoard) -> Mask:
-    """The tip touches; the rest of the arm stays above the board where it is over it, above the floor elsewhere."""
+    """Whether the arm, apart from the touching tip, is above the board (over it) and above the floor (elsewhere)."""
     points = body_points(arm, q)
     heights, is_over = heights_over_board(points, board)
     return np.asarray(np.where(is_over, heights >= -TOUCH_M, is_above_floor(arm, points)).all(axis=1))
@@ -157,16 +153,16 @@ def _is_clear_of_board(arm: Arm, q: Array, board: PlacedBoard) -> Mask:
 def _first_of_each(rows: Rows, which: Rows) -> Rows:
     """At most POSTURES_LIMIT rows of each cavity."""
     seen: Counter[int] = Counter()
-    kept = []
+    chosen = []
     for row in rows:
         seen[int(which[row])] += 1
         if seen[int(which[row])] <= POSTURES_LIMIT:
-            kept.append(int(row))
-    return np.array(kept, dtype=np.intp)
+            chosen.append(int(row))
+    return np.array(chosen, dtype=np.intp)
 
 
 def _is_taken(taken: Points | None, setup: str, point: str, q_rad: Array) -> bool:
-    """Whether the points hold this cavity in about this posture."""
+    """Whether the points contain this cavity in about this posture."""
     if taken is None:
         return False
     rows = [k for k in range(len(taken)) if (taken.setup[k], taken.point[k]) == (setup, point)]

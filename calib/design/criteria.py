@@ -1,4 +1,4 @@
-"""What a pose is worth: how much better all is known with it than without, by one of seven criteria.
+"""The value of a pose: the gain in information by one of seven criteria.
 
 With G = J C, C = M^-1 and A = 1 + J C J' of a pose's three rows J, the matrix determinant lemma and the Woodbury
 identity give the effect of adding it without another inverse: log det M rises by log det A, C falls by G' A^-1 G.
@@ -15,14 +15,14 @@ from calib.design.information import Experiment
 from calib.errors import CalibrationError
 
 CRITERIA = ("D", "O1", "O2", "O3", "O4", "O5", "tip")
-SHORTLIST = 600  # candidates that O2 to O5 look at in earnest: each takes an eigenvalue problem
+SHORTLIST = 600  # shortlist for O2 to O5, each of which needs an eigenvalue problem per candidate
 Criterion = Callable[[Experiment, Array, Array], Array]  # (experiment, M, rows (c, 3, k)) -> scores (c,)
 
 
 def criterion_of(name: str) -> Criterion:
-    """Scores of adding each of some poses, the larger the better; CalibrationError for an unknown name.
+    """Function that scores the addition of each pose (larger is better); CalibrationError for an unknown name.
 
-    D: log det of the information on the arm; O1 of a given number of poses is its function, and chooses the same.
+    D: log det of the information on the arm; O1 of a given number of poses is a function of it, and selects the same.
     tip: minus the tip's mean square error over the workspace (I- or V-optimality). O2 to O5: the index afterwards.
     """
     if name in ("D", "O1"):
@@ -35,7 +35,7 @@ def criterion_of(name: str) -> Criterion:
 
 
 def _log_det(experiment: Experiment, information: Array, rows: Array) -> Array:
-    """Gain of log det of the arm's information: that of everything less that of the boards' places."""
+    """Gain of log det of the arm's information: that of everything minus that of the board poses."""
     r = experiment.rank
     gain = _log_det_of_update(information, rows)
     if rows.shape[2] > r:
@@ -54,7 +54,7 @@ def _growth(lever: Array, rows: Array) -> Array:
 
 
 def _tip(experiment: Experiment, information: Array, rows: Array) -> Array:
-    """By how much the mean square error of the tip over the workspace falls [m^2]."""
+    """Reduction of the tip's mean square error over the workspace [m^2]."""
     lever = rows @ np.linalg.inv(information)
     own = lever[:, :, : experiment.rank]
     fall = own @ experiment.workspace_weight @ own.transpose(0, 2, 1)

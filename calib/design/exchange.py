@@ -1,7 +1,7 @@
-"""Choosing poses: the best one after the other, then exchanges until none helps.
+"""Selection of poses: greedy, then exchanges until none helps.
 
 Fedorov, Theory of Optimal Experiments, 1972; Mitchell, Technometrics 16 (1974) 203 (DETMAX, of which this is the case
-without excursions: one out, the best one in).
+without excursions: remove one, add the best one).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BETTER = 1e-9  # an exchange must gain more than this share
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """So many of these poses (rows of the experiment); `name` for what is said when there are too few."""
+    """Select `count` of these poses (rows of the experiment); `name` is for the error if there are too few."""
 
     name: str
     rows: Rows
@@ -37,15 +37,15 @@ def select(
     groups: Sequence[Group],
     start: Sequence[int] | None = None,
 ) -> list[int]:
-    """Rows of the poses that are best to add to those taken, as many of each group as it says.
+    """Rows of the best poses to add to those recorded, with the count of each group.
 
-    In the order of their worth: each is the best of the chosen ones to add to those before it. `start`: a choice to
-    begin the exchanges with, in place of the greedy one. CalibrationError where a group has too few.
+    In order of value: each is the best of the chosen ones to add to the previous ones. `start`: a choice to
+    start the exchanges with, instead of the greedy one. CalibrationError if a group has too few.
     """
     for group in groups:
         if group.count > len(group.rows):
             raise CalibrationError(
-                f"{group.count} {group.name} are wanted and there are {len(group.rows)} to choose from: ask for fewer"
+                f"{group.count} {group.name} were requested, but only {len(group.rows)} are available: request fewer"
             )
     if start is None:
         chosen = _greedy(experiment, criterion, taken, groups)
@@ -60,7 +60,7 @@ def select(
 def _greedy(
     experiment: Experiment, criterion: Criterion, taken: Rows, groups: Sequence[Group]
 ) -> list[tuple[int, int]]:
-    """(row, group) of each choice: the best of all groups that are not full yet."""
+    """(row, group) of each choice: the best of all groups that are not complete yet."""
     information = experiment.information(taken)
     left = [np.array(group.rows) for group in groups]
     open_count = [group.count for group in groups]

@@ -21,14 +21,14 @@ def write_plan(folder: Path, plan: Plan, arm: str) -> tuple[Path, Path]:
     """Write plan.csv (setup, point, repeat, q1_rad ... in visiting order) and plan.json; returns their paths."""
     table, text = folder / "plan.csv", folder / "plan.json"
     points = plan.points
-    nowhere = np.full((len(points), 3), np.nan)  # tips are what is to be measured
+    nowhere = np.full((len(points), 3), np.nan)  # tips are yet to be measured
     write_points(table, make_points(points.setup, points.point, points.repeat, points.q_rad, nowhere))
     replace_file(text, (json.dumps(plan_json(plan, arm), indent=2, allow_nan=False) + "\n").encode())
     return table, text
 
 
 def plan_json(plan: Plan, arm: str) -> dict[str, object]:
-    """The plan for other programs: SI units; poses in the order of their worth, `visit` says when."""
+    """The plan for other programs: SI units; poses in order of value, `visit` is the visiting order."""
     return {
         "format": FORMAT,
         "arm": arm,

@@ -1,9 +1,9 @@
-"""What each pose tells about the parameters, and what is known once some of them are measured.
+"""Information of each pose on the parameters, and the uncertainty after measuring some of them.
 
 Linear theory at the nominal arm: a pose with Jacobian J (3, k), in scaled unknowns and standard deviations of the
 noise, adds J'J to the information M. M begins with 1 per unknown, a weak prior: each deviation is somewhere within its
-bound. Unknown places of boards and of the base are identified too, but nobody wants to know them for their own sake:
-what counts is what is left for the arm when they are eliminated (the Schur complement; Ds-optimality, Atkinson and
+bound. Unknown poses of boards and base are also identified, but are nuisance parameters:
+only the information left for the arm after eliminating them counts (the Schur complement; Ds-optimality, Atkinson and
 Donev, Optimum Experimental Designs, 1992).
 """
 
@@ -27,13 +27,13 @@ from control.model.arm import Arm
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """Every pose that is taken or could be, as information; arrays are read-only.
+    """Information of all recorded and candidate poses; arrays are read-only.
 
     `rows` (p, 3, r + s): derivatives of the tips by r combinations of the arm's scaled parameters and s unknowns of
-    boards and base, in standard deviations of the noise. `basis` (k, r) holds the combinations: those that move a tip
-    anywhere in the workspace, or that some pose shows. `visible` (r, v): those of them that the poses can determine
-    together. `workspace` (w, 3, r) [m]: derivatives of tips all over the workspace by the combinations; where nothing
-    ties the base to a known place, but for moves of the whole (`is_tied`).
+    boards and base, in standard deviations of the noise. `basis` (k, r) are the combinations: those that move a tip
+    anywhere in the workspace, or in some pose. `visible` (r, v): those of them that the poses can determine
+    together. `workspace` (w, 3, r) [m]: derivatives of tips over the workspace by the combinations; if nothing
+    relates the base to a known place (`is_tied`), without rigid motions.
     """
 
     parameters: tuple[Parameter, ...]
@@ -66,7 +66,7 @@ class Experiment:
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """What is known after some poses.
+    """Uncertainty after some poses.
 
     log_det: natural logarithm by which the parameters' uncertain volume has shrunk, squared. tip_m: root mean square
     of the tip's predicted error over the workspace, in space; tip_worst_m: the same at the worst pose there.
@@ -109,7 +109,7 @@ def experiment_of(arm: Arm, poses: Points, workspace_q: Array, noise_m: float, c
 
 
 def uncertainty_of(experiment: Experiment, chosen: Rows | list[int]) -> Uncertainty:
-    """What is known after the poses chosen."""
+    """Uncertainty after the chosen poses."""
     r = experiment.rank
     information = experiment.information(chosen)
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)[:r, :r]
@@ -132,25 +132,25 @@ def uncertainty_of(experiment: Experiment, chosen: Rows | list[int]) -> Uncertai
 
 
 def _is_place(problem: ArmProblem) -> Mask:
-    """Which unknowns say where a board or the base is."""
+    """Mask of unknowns for poses of boards or the base."""
     places = {name for frame in problem.free_frames for name in frame.parameter_names}
     return np.array([parameter.name in places for parameter in problem.parameters])
 
 
 def _arm_information(rows: Array, is_place: Mask) -> Array:
-    """Information on the arm's parameters from all poses, the places of boards eliminated."""
+    """Information on the arm's parameters from all poses, with board poses eliminated."""
     ordered = np.concatenate((rows[:, :, ~is_place], rows[:, :, is_place]), axis=2).reshape(-1, rows.shape[2])
     return _without_places(ordered.T @ ordered, int((~is_place).sum()))
 
 
 def _without_places(information: Array, r: int) -> Array:
-    """Schur complement of everything beyond the first r unknowns; the prior keeps what nothing says about those."""
+    """Schur complement of everything beyond the first r unknowns, including the prior."""
     own, mixed, places = information[:r, :r], information[:r, r:], information[r:, r:]
     return np.asarray(own - mixed @ np.linalg.solve(places + np.eye(len(places)), mixed.T))
 
 
 def _seen(information: Array, yardstick: float) -> Array:
-    """Orthonormal combinations that the information says something about; as calib.identify.determinability."""
+    """Orthonormal combinations that the information determines; as in calib.identify.determinability."""
     values, vectors = np.linalg.eigh(information)
     return np.asarray(vectors[:, values > RANK_TOLERANCE**2 * yardstick])
 
@@ -169,13 +169,13 @@ def _workspace_rows(
     slopes = model.slopes(model.nominal_dh, q_rad, tool_m)
     columns = np.concatenate((slopes.by_dh, slopes.by_tool), axis=2)
     places = {name: k for k, name in enumerate((*dh_names(len(model.nominal_dh)), *TOOL_NAMES))}
-    kept = [places[parameter.name] for parameter in parameters]
-    rows = columns[:, :, kept] * [parameter.scale for parameter in parameters]
+    places_of_arm = [places[parameter.name] for parameter in parameters]
+    rows = columns[:, :, places_of_arm] * [parameter.scale for parameter in parameters]
     return rows if is_tied else _without_moves(rows, slopes.tips)
 
 
 def _without_moves(rows: Array, tips_m: Array) -> Array:
-    """The same derivatives without what a move or turn of the whole workspace would undo."""
+    """The derivatives without the part that a rigid motion of the whole workspace explains."""
     centred = tips_m - tips_m.mean(axis=0)
     moves = np.array([np.hstack((np.eye(3), cross_matrix(tip))) for tip in centred]).reshape(-1, 6)
     flat = rows.reshape(-1, rows.shape[2])
@@ -184,7 +184,7 @@ def _without_moves(rows: Array, tips_m: Array) -> Array:
 
 
 def _least_known(experiment: Experiment, covariance: Array) -> tuple[str, float, str]:
-    """Name, standard deviation and unit of the parameter known least, measured by its bound."""
+    """Name, standard deviation and unit of the least certain parameter, relative to its bound."""
     sd = np.sqrt(np.einsum("kr,rs,ks->k", experiment.basis, covariance, experiment.basis))
     k = int(np.argmax(sd))
     parameter = experiment.parameters[k]

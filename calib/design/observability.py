@@ -1,16 +1,16 @@
-"""Observability indices: one number for how well a set of poses determines the parameters, the larger the better.
+"""Observability indices: how well a set of poses determines the parameters; larger is better.
 
 They are functions of the singular values s1 >= ... >= sr of the identification Jacobian of m poses:
 
     O1 = (s1 s2 ... sr)^(1/r) / sqrt(m)    Borm and Menq, Int. J. Robotics Research 10 (1991): all of them together
     O2 = sr / s1                           Driels and Pathre, J. Robotic Systems 7 (1990): one over the condition number
-    O3 = sr                                Nahvi, Hollerbach and Hayward, IEEE ICRA 1994: what is known least
+    O3 = sr                                Nahvi, Hollerbach and Hayward, IEEE ICRA 1994: the least certain combination
     O4 = sr^2 / s1                         Nahvi and Hollerbach, IEEE ICRA 1996: the noise amplification index
     O5 = 1 / (1/s1 + ... + 1/sr)           Sun and Hollerbach, IEEE ICRA 2008: the mean of all uncertainties
 
 Here the Jacobian is in scaled unknowns (a parameter divided by its bound) and in standard deviations of the noise, so
-that the indices have no unit and 1/sr is the standard deviation of the combination known least, as a share of the
-bound. Only combinations count that some pose of the arm could determine (`calib.design.information`); one of those
+that the indices have no unit and 1/sr is the standard deviation of the least certain combination, as a share of the
+bound. Only combinations that some pose of the arm could determine count (`calib.design.information`); one of those
 that these poses do not determine makes all five zero.
 """
 

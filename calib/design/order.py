@@ -1,4 +1,4 @@
-"""In which order planned poses are visited: setups together, short ways, none through floor or board."""
+"""Visiting order of planned poses: setups together, short paths, none through floor or board."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from calib.points.points import Points
 from control.model.arm import Arm
 
 WAY_SAMPLES = 16
-WAY_HEIGHT_M = 0.05  # of the tip above floor and boards on its way, as nominal; an arm that is not calibrated may be 4 cm off
-DETOUR_RAD = 100.0  # counted for a way that is not clear, so that any other order is better
+WAY_HEIGHT_M = (
+    0.05  # of the nominal tip above floor and boards between poses; an uncalibrated arm may be 4 cm off
+)
+DETOUR_RAD = 100.0  # penalty for a path with a collision, so that any other order is better
 
 
 def visiting_order(
     arm: Arm, planned: Points, setups: Sequence[str], boards: Iterable[PlacedBoard]
 ) -> list[int]:
-    """Indices of the planned poses as they are visited: setup after setup in the order given, free poses last.
+    """Indices of the planned poses in visiting order: setups in the order given, free poses last.
 
     Within each the sum of largest joint travels is kept small: nearest neighbour, then 2-opt.
     """
@@ -42,7 +44,7 @@ def visiting_order(
 
 
 def clear_ways(arm: Arm, q_rad: Array, boards: Iterable[PlacedBoard]) -> Mask:
-    """Between which of the poses (m, n) a straight joint move keeps clear of floor and boards, (m, m)."""
+    """Mask (m, m): a straight joint move between these poses (m, n) is clear of floor and boards."""
     m = len(q_rad)
     first, second = np.triu_indices(m, 1)
     shares = np.linspace(0.0, 1.0, WAY_SAMPLES)[1:-1]
@@ -69,7 +71,7 @@ def _short_path(ways: Array) -> list[int]:
 
 
 def _untangled(path: list[int], ways: Array) -> list[int]:
-    """2-opt with a free end: turn a stretch round wherever that makes the path shorter."""
+    """2-opt with a free end: reverse a section wherever that makes the path shorter."""
     is_changed = True
     while is_changed:
         is_changed = False

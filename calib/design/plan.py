@@ -1,4 +1,4 @@
-"""What is asked of a plan, and what it is."""
+"""A request for a plan, and the plan."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ USUAL_COUNT = 12
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is wanted: `count` poses, `free_count` of them free poses (None: as the criterion chooses).
+    """A request: `count` poses, `free_count` of them free poses (None: the criterion decides).
 
-    setups: those to plan in (None: the table's own); only: nothing but free poses, or nothing but the table's; noise_m:
-    standard deviation of a coordinate of the tip (None: the camera's); view: the box that the camera sees (None: all).
+    setups: those to plan in (None: the table's own); only: only free poses, or only cavities; noise_m:
+    standard deviation of a tip coordinate (None: the camera's); view: the camera's field of view (None: all).
     """
 
     count: int = USUAL_COUNT
@@ -32,9 +32,9 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class PlannedPose:
-    """One pose of the plan: q_rad is where the nominal arm would have its joints; `visit` from 1.
+    """One pose of the plan: q_rad by the nominal arm; `visit` from 1.
 
-    gain: by how much it raises log det when taken after those before it in the plan; `after`: what is known then.
+    gain: increase of log det when added to the previous ones of the plan; `after`: the uncertainty then.
     """
 
     setup: str
@@ -48,7 +48,7 @@ class PlannedPose:
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """What the best `count` poses of one kind alone would bring, or all: cavities of one setup, or free poses."""
+    """The result of the best `count` poses, or all, of one kind alone: cavities of one setup, or free poses."""
 
     setup: str
     count: int
@@ -58,7 +58,7 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What to take next. `poses` in the order of their worth, `points` in that of the visit."""
+    """What to record next. `poses` in order of value, `points` in visiting order."""
 
     criterion: str
     noise_m: float
@@ -73,5 +73,5 @@ class Plan:
 
     @property
     def after(self) -> Uncertainty:
-        """What is known with the whole plan."""
+        """Uncertainty after the whole plan."""
         return self.poses[-1].after

@@ -1,4 +1,4 @@
-"""Which poses to take next: candidates, choice, what each brings, and what else would bring how much."""
+"""Plans the next poses: candidates, selection, gain of each pose, and alternatives."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from control.model.arm import Arm
 from control.model.table import SETUPS
 
 WORKSPACE_POSES_COUNT = 400
-ALTERNATIVE_COUNT = 12  # poses that alternatives are compared by
+ALTERNATIVE_COUNT = 12  # number of poses by which alternatives are compared
 
 
 @dataclass(frozen=True, slots=True)
 class _Offer:
-    """All poses as one experiment: those taken first, then the candidates by setup."""
+    """All poses as one experiment: first the recorded ones, then the candidates by setup."""
 
     experiment: Experiment
     poses: Points
@@ -46,15 +46,15 @@ class _Offer:
 
 
 def plan_poses(arm: Arm, taken: Points | None, request: Request, choice: Choice | None = None) -> Plan:
-    """The poses to take next, and what they bring.
+    """Plan the poses to record next.
 
-    `choice` as the identification will have it: what is fixed and freed, bounds, measured boards. CalibrationError for
+    `choice` for the identification: fixed and freed parameters, bounds, measured boards. CalibrationError for
     a request that cannot be met.
     """
     wanted = choice or Choice()
     if taken is not None:
         require_of_arm(arm, taken, wanted)
-    criterion_of(request.criterion)  # an unknown one is said before anything takes time
+    criterion_of(request.criterion)  # report an unknown criterion before anything takes time
     noise_m = _noise_m(arm, request)
     setups = _setups(arm, taken, request, wanted)
     boards = placed_boards(arm, setups, taken, wanted.boards)
@@ -101,7 +101,7 @@ def _setups(arm: Arm, taken: Points | None, request: Request, choice: Choice) ->
 
 
 def _other_tilts(arm: Arm, setups: list[str], request: Request) -> dict[str, PlacedBoard]:
-    """Tilts that are not asked for, to say what they would bring: the table's own and the other way."""
+    """Tilts that were not requested, as alternatives: the table's own and the opposite ones."""
     if request.only == "free" or arm.table is None or arm.table.origin_m is None:
         return {}
     tilts = {"roll": arm.table.roll_tilt_rad, "pitch": arm.table.pitch_tilt_rad}
@@ -122,7 +122,7 @@ def _offer_of(
     in_the_way: tuple[PlacedBoard, ...],
     noise_m: float,
 ) -> _Offer:
-    """Candidates of every kind, and all as one experiment."""
+    """Candidates of all kinds as one experiment."""
     sees_tip = taken is not None and any(
         setup != FREE and np.isfinite(tip).all() for setup, tip in zip(taken.setup, taken.tip_m, strict=True)
     )
@@ -158,7 +158,7 @@ def _nothing_to_plan(arm: Arm, request: Request) -> str:
 
 
 def _groups(offer: _Offer, setups: list[str], request: Request) -> list[Group]:
-    """How many of which candidates to choose."""
+    """The groups of candidates to select from."""
     free = offer.by_setup.get(FREE, np.zeros(0, dtype=np.intp))
     table = np.concatenate([np.zeros(0, dtype=np.intp), *(offer.by_setup[setup] for setup in setups)])
     if request.count < 1:
@@ -176,16 +176,16 @@ def _groups(offer: _Offer, setups: list[str], request: Request) -> list[Group]:
 
 
 def _chosen(offer: _Offer, request: Request, setups: list[str]) -> list[int]:
-    """Rows of the best poses, from several starts where boards are unknown.
+    """Rows of the best poses, from several starts if boards are unknown.
 
-    There the first poses in a frame only tell where that is: chosen one by one, poses never leave the first board,
-    though others may be far better. So each kind alone, pairs of kinds and all of them, in equal shares, are tried.
+    The first poses in an unknown frame only determine its pose: a greedy selection never leaves the first board,
+    although others may be far better. So each kind alone, pairs of kinds and all of them, in equal shares, are tried.
     """
     criterion, groups = criterion_of(request.criterion), _groups(offer, setups, request)
     best = select(offer.experiment, criterion, offer.taken, groups)
     kinds = [*setups, *([FREE] if request.free_count is None and FREE in offer.by_setup else [])]
     if not offer.experiment.places_count or set(kinds) <= set(offer.poses.setup[: len(offer.taken)]):
-        return best  # no frame is unknown, or points taken say already where each is
+        return best  # no frame is unknown, or recorded points already determine each
     singles, pairs = itertools.combinations(kinds, 1), itertools.combinations(kinds, 2)
     for some in dict.fromkeys([*singles, *pairs, tuple(kinds)]):
         shares = _equal_shares(offer, some, groups[0].count)
@@ -197,13 +197,13 @@ def _chosen(offer: _Offer, request: Request, setups: list[str]) -> list[int]:
 
 
 def _equal_shares(offer: _Offer, kinds: tuple[str, ...], count: int) -> list[Group]:
-    """So many poses of each kind."""
+    """Equal numbers of poses of each kind."""
     shares = [count // len(kinds) + (k < count % len(kinds)) for k in range(len(kinds))]
     return [Group(kind, offer.by_setup[kind], share) for kind, share in zip(kinds, shares, strict=True)]
 
 
 def _worth(offer: _Offer, criterion: str, rows: list[int]) -> tuple[float, float]:
-    """How good a choice is: by the criterion, then by log det."""
+    """Value of a choice: by the criterion, then by log det."""
     after = uncertainty_of(offer.experiment, [*offer.taken, *rows])
     by_name = {"D": after.log_det, "tip": -after.tip_m, **after.indices.as_dict()}
     return by_name[criterion], after.log_det
@@ -212,7 +212,7 @@ def _worth(offer: _Offer, criterion: str, rows: list[int]) -> tuple[float, float
 def _alternatives(offer: _Offer, criterion: str, setup: str) -> list[Alternative]:
     """The best few poses of one kind, and all cavities of a setup.
 
-    Chosen for D or tip: where one kind alone leaves something undetermined, the indices O2 to O4 mean nothing.
+    Chosen for D or tip: if one kind alone leaves something undetermined, the indices O2 to O4 are meaningless.
     """
     rows = offer.by_setup[setup]
     count = min(ALTERNATIVE_COUNT, len(rows))
@@ -231,7 +231,7 @@ def _alternatives(offer: _Offer, criterion: str, setup: str) -> list[Alternative
 def _planned_poses(
     offer: _Offer, chosen: list[int], points: Points, order: list[int]
 ) -> tuple[PlannedPose, ...]:
-    """What each brings when taken after those before it; `points` are in the order of the visit."""
+    """The gain of each pose when added to the previous ones; `points` are in visiting order."""
     found = []
     before = uncertainty_of(offer.experiment, offer.taken)
     for k in range(len(chosen)):

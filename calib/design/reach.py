@@ -1,4 +1,4 @@
-"""Which poses an arm can take: within its limits, clear of floor and board, with the tip in a given place."""
+"""Reachable poses of an arm: within its limits, clear of floor and board, with the tip at a given position."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from control.model.arm import Arm
 
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.intp]
-LIMIT_MARGIN_RAD = 0.05  # an arm that is not calibrated yet turns a little further than planned
-TOUCH_M = 0.0005  # how far a tip may go into a cavity
+LIMIT_MARGIN_RAD = 0.05  # an uncalibrated arm turns a little further than planned
+TOUCH_M = 0.0005  # depth of a tip in a cavity
 BOARD_EDGE_M = 0.03  # the board reaches this far beyond its outermost cavity
 STEPS_LIMIT = 60
 LONGEST_STEP_RAD = 0.4
@@ -32,10 +32,10 @@ def joint_box(arm: Arm, margin_rad: float = LIMIT_MARGIN_RAD) -> tuple[Array, Ar
 
 
 def spread_poses(box: tuple[Array, Array], count: int, edge_share: float = 0.0) -> Array:
-    """Poses (count, n) spread evenly over the box, the same every time: Halton's sequence.
+    """Poses (count, n) spread evenly over the box by Halton's sequence (deterministic).
 
-    Of the second half each angle goes to the nearer end of its range with a chance of `edge_share`: what tells most
-    is often there.
+    In the second half, each angle is moved to the nearer end of its range with probability `edge_share`: informative poses
+    are often there.
     """
     lower, upper = box
     places = np.column_stack([_radical_inverse(count, base) for base in _primes(len(lower))])
@@ -70,7 +70,7 @@ def postures(
 ) -> tuple[Array, Rows]:
     """Poses with the tip at the targets (c, 3): (q (p, n), which target each belongs to (p,)).
 
-    From every start (s, n) by damped least squares within the box; those that end in the same posture are given once.
+    By damped least squares from every start (s, n) within the box; equal postures are returned once.
     """
     q = np.tile(starts_rad, (len(targets_m), 1))
     which = np.repeat(np.arange(len(targets_m)), len(starts_rad))
@@ -91,7 +91,7 @@ def postures(
 
 
 def _different(q: Array, which: Rows) -> tuple[Array, Rows]:
-    """One of each posture."""
+    """Remove duplicate postures."""
     keys = np.column_stack((which, np.round(q / SAME_POSTURE_RAD)))
     _, first = np.unique(keys, axis=0, return_index=True)
     first.sort()
@@ -110,7 +110,7 @@ def body_points(arm: Arm, q_rad: Array) -> Array:
 
 
 def is_above_floor(arm: Arm, points_m: Array) -> Mask:
-    """Which points (m, p, 3) are above the floor that the arm's limits name, (m, p)."""
+    """Mask (m, p) of the points (m, p, 3) above the floor of the arm's limits."""
     return np.asarray(points_m[:, :, 2] >= arm.limits.floor_z_m + arm.limits.floor_clearance_m - TOUCH_M)
 
 

@@ -1,4 +1,4 @@
-"""What a plan means, in sentences for the operator."""
+"""Summary of a plan in sentences for the operator."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from calib.design.candidates import FREE
 from calib.design.information import Uncertainty
 from calib.design.plan import Alternative, Plan
 
-NOTICEABLE = 0.03  # two uncertainties that differ by less than this share are the same
+NOTICEABLE = 0.03  # uncertainties that differ by less than this share count as equal
 
 
 def in_words(plan: Plan) -> tuple[str, ...]:
-    """What the plan brings, what else would, what stays open, what to mind."""
+    """Gain of the plan, alternatives, what stays undetermined, and notes."""
     return (_gain(plan), *_alternatives(plan), *_open(plan), *_notes(plan))
 
 
 def length(metres: float) -> str:
-    """As 0.153 mm, three figures."""
+    """A length such as 0.153 mm, with three digits."""
     return f"{1e3 * metres:#.3g}".rstrip(".") + " mm"
 
 
 def known_to(state: Uncertainty) -> str:
-    """The parameter known least, as `theta3 to 0.042 deg`."""
+    """The least certain parameter, as `theta3 to 0.042 deg`."""
     sd = state.least_known_sd
     if state.least_known_unit == "m":
         return f"{state.least_known} to {length(sd)}"
@@ -48,22 +48,22 @@ def _gain(plan: Plan) -> str:
 
 
 def _alternatives(plan: Plan) -> list[str]:
-    """Kinds against each other, and roll against pitch: a few poses of each."""
+    """Comparison of kinds, and of roll with pitch, by a few poses of each."""
     few = {one.setup: one for one in sorted(plan.alternatives, key=lambda one: -one.count)}
     ranked = sorted(few.values(), key=lambda one: one.after.tip_m)
-    said = []
+    sentences = []
     if len(ranked) > 1:
         parts = ", ".join(f"{kind(one.setup, one.count)} {length(one.after.tip_m)}" for one in ranked)
-        said.append(f"Uncertainty with one kind alone: {parts}.")
+        sentences.append(f"Uncertainty with one kind alone: {parts}.")
     if FREE in few and set(plan.points.setup) != {FREE}:
-        said += _free_alone(plan, few[FREE])
+        sentences += _free_alone(plan, few[FREE])
     if "roll" in few and "pitch" in few:
-        said.append(_compared(few["roll"], few["pitch"]))
-    return said
+        sentences.append(_compared(few["roll"], few["pitch"]))
+    return sentences
 
 
 def _free_alone(plan: Plan, free: Alternative) -> list[str]:
-    """Whether the board need not be set up at all."""
+    """Whether free poses alone suffice, without the board."""
     is_enough = free.after.tip_m <= (1.0 + NOTICEABLE) * plan.after.tip_m
     if not is_enough or free.count > len(plan.poses):
         return []
@@ -81,7 +81,7 @@ def _compared(one: Alternative, other: Alternative) -> str:
 
 
 def _open(plan: Plan) -> list[str]:
-    """What even the whole plan leaves undetermined."""
+    """What the whole plan leaves undetermined."""
     rank, total = plan.after.rank, plan.combinations_count
     if rank >= total:
         return []
@@ -92,19 +92,19 @@ def _open(plan: Plan) -> list[str]:
 
 
 def _notes(plan: Plan) -> list[str]:
-    said = []
+    sentences = []
     if not plan.is_tied:
-        said.append(
+        sentences.append(
             "The arm's base is not tied to a known place: the uncertainty excludes a rigid motion of the whole workspace."
         )
     new = [setup for setup in OTHER_TILTS if setup in plan.points.setup]
     if new:
-        said.append(
+        sentences.append(
             f"The identification needs the board's pose in {', '.join(new)}: use `armwright register`, or set"
             " known_pose = false in [table]."
         )
     for before, after in plan.blocked:
-        said.append(
+        sentences.append(
             f"Between free poses {before} and {after} a straight joint move hits the floor or the board: take a detour."
         )
-    return said
+    return sentences

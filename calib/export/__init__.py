@@ -1,6 +1,6 @@
-"""A calibrated arm for other tools: URDF, MJCF, or plain JSON. docs/export.md says what each form holds.
+"""Export of an arm to URDF, MJCF or plain JSON. docs/export.md describes the contents.
 
-A joint angle of the exported model is the arm's own: no offset has to be added. The tip is a frame of its own.
+Joint angles of the exported model are the arm's own, without offsets. The tip is a separate frame.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ FORMS: Final[Mapping[str, Callable[[Arm], str]]] = {
 
 
 def export(arm: Arm, form: str, path: Path) -> tuple[str, ...]:
-    """Write the arm as a new file; returns what this form cannot hold, one sentence each.
+    """Write the arm to a new file; return one sentence for everything that the format cannot represent.
 
     Raises:
-        CalibrationError: there is no such form, or the file is there already.
-        NotWritten: there is no room for the file.
+        CalibrationError: unknown format, or the file exists.
+        NotWritten: the disk is full.
     """
     text = export_text(arm, form)
     if path.exists():
@@ -45,7 +45,7 @@ def export(arm: Arm, form: str, path: Path) -> tuple[str, ...]:
 
 
 def export_text(arm: Arm, form: str) -> str:
-    """The file's text; CalibrationError where there is no such form."""
+    """The file's text; CalibrationError for an unknown format."""
     if form not in FORMS:
         raise CalibrationError(f'export form: expected one of {", ".join(FORMS)}, got "{form}"')
     return FORMS[form](arm)

@@ -1,4 +1,4 @@
-"""What a drive means to other formats: joint limits, torque, speed, friction, rotor inertia, all at the joint."""
+"""A drive for other formats: joint limits, torque, speed, friction, rotor inertia, all at the joint."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from control.model.arm import Arm, Drive
 
 @dataclass(frozen=True, slots=True)
 class JointFigures:
-    """Of one joint; infinite where nothing limits it, 0 where there is none."""
+    """Figures of one joint; infinite if unlimited, 0 if there is none."""
 
     lower_rad: float
     upper_rad: float
@@ -27,7 +27,7 @@ class JointFigures:
 
 
 def joint_figures(arm: Arm, joint: int) -> JointFigures:
-    """Of a joint (1-based), from its drive, if it has one, and the friction that the model has."""
+    """Figures of a joint (1-based), from its drive, if it has one, and the model's friction."""
     drive = next((d for d in arm.drives if d.joint == joint), None)
     lower, upper = arm.limits_rad[joint - 1]
     return JointFigures(

@@ -1,12 +1,12 @@
-"""The DH chain as other formats want it: bodies whose frame lies on their joint's axis.
+"""The DH chain for other formats: bodies whose frame lies on their joint's axis.
 
-Rz(q) comes first in a body's own frame, so that the joint turns about its z axis through its origin:
+Rz(q) comes first in a body's own frame, so that the joint rotates about its z axis through its origin:
 
     standard DH    link i: Rz(q_i) [Tz(d_i) Rz(theta_i) Tx(L_i) Rx(alpha_i)]
     modified DH    link i: Rx(alpha_i) Tx(L_i) Rz(q_i) [Tz(d_i) Rz(theta_i)]
 
 Rz(q) and Tz(d) Rz(theta) commute. Between two joints there is then always one Tz(d) Rz(theta) Tx(L) Rx(alpha), a
-`Placement`, and its fixed-axis angles are alpha, 0, theta as they stand: nothing is decomposed, nothing is singular.
+`Placement`, and its fixed-axis angles are exactly alpha, 0, theta, without a decomposition or singularity.
 """
 
 from __future__ import annotations
@@ -61,16 +61,16 @@ class Placement:
         )
 
     def of(self, point_m: Vector3) -> Vector3:
-        """A point of this frame, in the frame that it is placed in."""
+        """Convert a point of this frame to the parent frame."""
         x, y, z = (self.matrix @ np.array([*point_m, 1.0]))[:3].tolist()
         return x + 0.0, y + 0.0, z + 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """One link: `joint` (1-based) turns it about its frame's z axis, None where it is fixed.
+    """One link: `joint` (1-based) rotates it about its frame's z axis; None if fixed.
 
-    `parent_T_body` at joint angle 0; `body_T_dh` is where the link's DH frame, in which masses are given, lies in it.
+    `parent_T_body` at joint angle 0; `body_T_dh` is the pose of the link's DH frame, in which masses are given.
     """
 
     number: int
@@ -81,7 +81,7 @@ class Body:
 
     @property
     def name(self) -> str:
-        """What the exported file calls it."""
+        """Name in the exported file."""
         return f"link{self.number}"
 
     @property
@@ -118,12 +118,12 @@ def tip_in_last(arm: Arm, bodies: tuple[Body, ...]) -> Vector3:
 
 
 def ends_m(arm: Arm, bodies: tuple[Body, ...]) -> tuple[Vector3, ...]:
-    """Where each body's frame meets the next one, or the tip: what its shape is drawn to."""
+    """The end of each body, at the next one or the tip, to which its shape is drawn."""
     return (*(body.parent_T_body.position_m for body in bodies[1:]), tip_in_last(arm, bodies))
 
 
 def massless_joints(bodies: tuple[Body, ...]) -> tuple[int, ...]:
-    """Joints that move no known mass before the next joint; a simulator cannot turn these."""
+    """Joints without a known mass before the next joint; a simulator cannot move these."""
     weighs: dict[int, bool] = {}
     joint = 0
     for body in bodies:

@@ -1,4 +1,4 @@
-"""What a format cannot hold, in words: nobody should find out in the simulation that backlash is not there."""
+"""Messages about everything that a format cannot represent."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ EARTH_m_s2 = (0.0, 0.0, -9.81)
 
 
 def losses(arm: Arm, form: str) -> tuple[str, ...]:
-    """One sentence each; none for JSON, which holds everything."""
+    """One sentence each; none for JSON, which represents everything."""
     if form == "json":
         return ()
-    said = [*_effects(arm, form), *_masses(arm)]
+    sentences = [*_effects(arm, form), *_masses(arm)]
     if form == "urdf" and arm.gravity_m_s2 != EARTH_m_s2:
         x, y, z = arm.gravity_m_s2
-        said.append(f"urdf has no gravity: set {x:g}, {y:g}, {z:g} m/s^2 in the tool that reads it")
-    return (*said, *_drives(arm, form), *_rest(arm, form))
+        sentences.append(f"urdf has no gravity: set {x:g}, {y:g}, {z:g} m/s^2 in the tool that reads it")
+    return (*sentences, *_drives(arm, form), *_rest(arm, form))
 
 
 def _effects(arm: Arm, form: str) -> list[str]:
@@ -38,41 +38,43 @@ def _spelled(effect: Effect) -> str:
 def _masses(arm: Arm) -> list[str]:
     bodies = bodies_of(arm)
     bare = massless_joints(bodies)
-    said = []
+    sentences = []
     if bare:
         joints = ", ".join(map(str, bare))
-        said.append(
+        sentences.append(
             f"masses behind joint {joints} are unknown: the geometry is valid, the dynamics are not"
             " (MuJoCo gets 1e-6 kg per link, since it refuses zero mass)"
         )
     vague = [body.number for body in bodies if body.link.mass_kg and not body.has_inertia]
     if vague:
-        said.append(f"link {', '.join(map(str, vague))}: mass without com_m and inertia_kg_m2 is omitted")
-    return said
+        sentences.append(
+            f"link {', '.join(map(str, vague))}: mass without com_m and inertia_kg_m2 is omitted"
+        )
+    return sentences
 
 
 def _drives(arm: Arm, form: str) -> list[str]:
-    said = []
+    sentences = []
     for joint in range(1, arm.joint_count + 1):
         figures = joint_figures(arm, joint)
         ends = (figures.lower_rad, figures.upper_rad)
         if not figures.is_limited and any(abs(end) < 1e3 for end in ends):
-            said.append(
+            sentences.append(
                 f"{form} has no joint with a single limit: joint {joint}, {ends[0]:g} to {ends[1]:g} rad, is unlimited"
             )
         if form == "urdf" and figures.rotor_kg_m2:
-            said.append(
+            sentences.append(
                 f"urdf has no rotor inertia: joint {joint} lacks {figures.rotor_kg_m2:.3g} kg m^2"
                 " and will accelerate too fast in a simulation"
             )
     if arm.drives:
-        kept = (
+        included = (
             "limits, torque, speed and friction" if form == "urdf" else "limits, torque, friction and rotor"
         )
-        said.append(
-            f"{form} contains {kept} of the drives; motors, gears, encoders, accelerations, jerk and gains are omitted"
+        sentences.append(
+            f"{form} contains {included} of the drives; motors, gears, encoders, accelerations, jerk and gains are omitted"
         )
-    return said
+    return sentences
 
 
 def _rest(arm: Arm, form: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""MJCF, MuJoCo's own format (mujoco.readthedocs.io, XML reference): masses, friction, rotors and torque motors with it."""
+"""MJCF, MuJoCo's own format (mujoco.readthedocs.io, XML reference), with masses, friction, rotors and torque motors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from control.model.arm import Arm, Vector3
 
 
 def mjcf_text(arm: Arm) -> str:
-    """The arm as MJCF: a body a DH row, the tip as a body and a site."""
+    """The arm as MJCF: a body per DH row, the tip as a body and a site."""
     bodies = bodies_of(arm)
     root = ET.Element("mujoco", model=safe(arm.name))
     bounds = mass_bounds(bodies)
@@ -58,7 +58,7 @@ def _add_body(parent: ET.Element, arm: Arm, body: Body, end_m: Vector3) -> ET.El
 
 
 def _joint(figures: JointFigures) -> dict[str, str]:
-    """What MJCF's joint holds of a drive; what is 0 or infinite is left out."""
+    """MJCF joint attributes of a drive; values of 0 or infinity are omitted."""
     held = {
         "armature": figures.rotor_kg_m2,
         "damping": figures.viscous_Nm_s_rad,
@@ -71,7 +71,7 @@ def _joint(figures: JointFigures) -> dict[str, str]:
 
 
 def _add_motors(root: ET.Element, arm: Arm) -> None:
-    """A motor a drive; its control is the torque at the joint in N m."""
+    """Add a motor per drive; its control is the torque at the joint in N m."""
     if not arm.drives:
         return
     actuators = ET.SubElement(root, "actuator")

@@ -1,4 +1,4 @@
-"""JSON for programs that know no robot format: the DH table, its transforms, and all that arm.toml says."""
+"""Plain JSON: the DH table, its transforms, and everything in arm.toml."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CONVENTIONS = {
 
 
 def plain_text(arm: Arm) -> str:
-    """The arm as JSON. SI units, radians; null where there is no number (an infinite limit, an unknown mass)."""
+    """The arm as JSON. SI units, radians; null for an infinite limit or an unknown mass."""
     content = {
         "format": FORMAT,
         "name": arm.name,
@@ -38,7 +38,7 @@ def plain_text(arm: Arm) -> str:
 
 
 def _rows(arm: Arm) -> list[dict[str, object]]:
-    """The DH table, one object a link; `joint` (1-based) adds its angle to theta, null where the link is fixed."""
+    """The DH table, one object per link; `joint` (1-based) adds its angle to theta, null if the link is fixed."""
     rows: list[dict[str, object]] = []
     joint = 0
     for link in arm.links:
@@ -56,7 +56,7 @@ def _rows(arm: Arm) -> list[dict[str, object]]:
 
 
 def _at_zero(arm: Arm) -> dict[str, object]:
-    """Transforms at joint angles 0, to check a reader by."""
+    """Transforms at joint angles 0, for checking a reader."""
     q = np.zeros((1, arm.joint_count))
     frames = link_transforms(arm.dh, q, arm.joints, arm.dh_convention)[0]
     tip = tips(arm.dh, q, arm.joints, arm.dh_convention, arm.tool.position_m)[0]
@@ -64,7 +64,7 @@ def _at_zero(arm: Arm) -> dict[str, object]:
 
 
 def _plain(value: object) -> Any:
-    """Dataclasses as objects with the keys of arm.toml; numbers that JSON has not are null."""
+    """Dataclasses as objects with the keys of arm.toml; numbers that JSON cannot represent are null."""
     if dataclasses.is_dataclass(value):
         fields = [f for f in dataclasses.fields(value) if f.metadata.get("key") != ""]
         return {f.metadata.get("key", f.name): _plain(getattr(value, f.name)) for f in fields}

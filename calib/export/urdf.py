@@ -1,4 +1,4 @@
-"""URDF: one link and one joint a DH row, the tip as a fixed frame (wiki.ros.org/urdf/XML)."""
+"""URDF: one link and one joint per DH row, the tip as a fixed frame (wiki.ros.org/urdf/XML)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def urdf_text(arm: Arm) -> str:
 
 
 def _for_mujoco(root: ET.Element, bodies: tuple[Body, ...]) -> None:
-    """MuJoCo's own element, which other readers pass over: keep the fixed frames, and the shapes."""
+    """MuJoCo's own element, which other readers ignore: keep the fixed frames and the shapes."""
     compiler = ET.SubElement(
         ET.SubElement(root, "mujoco"), "compiler", fusestatic="false", discardvisual="false"
     )
@@ -44,7 +44,7 @@ def _for_mujoco(root: ET.Element, bodies: tuple[Body, ...]) -> None:
 
 
 def mass_bounds(bodies: tuple[Body, ...]) -> dict[str, str]:
-    """MuJoCo refuses bodies that turn and weigh nothing; these get as little as it takes."""
+    """MuJoCo refuses moving bodies without mass; these get the smallest possible one."""
     if massless_joints(bodies):
         return {"boundmass": "1e-6", "boundinertia": "1e-9"}
     if any(body.has_inertia and min(body.link.inertia_kg_m2 or _ORIGIN) < 1e-12 for body in bodies):
@@ -71,12 +71,12 @@ def _add_link(root: ET.Element, body: Body, end_m: Vector3) -> None:
 
 
 def _toward(end_m: Vector3) -> Vector3:
-    """The rpy that turns z, a cylinder's axis, towards a point."""
+    """The rpy that rotates z, a cylinder's axis, towards a point."""
     return 0.0, math.atan2(math.hypot(end_m[0], end_m[1]), end_m[2]), math.atan2(end_m[1], end_m[0])
 
 
 def shape_radius_m(length_m: float) -> float:
-    """How thick a link is drawn."""
+    """Radius of a link's shape."""
     return min(THICKEST_m, THICKNESS * length_m)
 
 

@@ -1,4 +1,4 @@
-"""Identification: which deviations explain the measured tips best, and how well each is known."""
+"""Identification: the deviations that best explain the measured tips, with their uncertainty."""
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import Choice, problem_of

@@ -1,4 +1,4 @@
-"""A small quadratic programme in a box, by active sets."""
+"""Small box-constrained quadratic programmes by active sets."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from calib.arrays import Array
 
 Mask = npt.NDArray[np.bool_]
 PATIENCE = 3  # exchanges of whole blocks without progress, before variables are exchanged one by one
-ROUNDING = 1e-13  # of the largest slope: a multiplier smaller than that has no sign
+ROUNDING = 1e-13  # of the largest slope: a smaller multiplier counts as zero
 
 
 def step_in_box(hessian: Array, gradient: Array, lower: Array, upper: Array) -> Array:
     """The d with lower <= d <= upper that minimises gradient . d + d' H d / 2; H (k, k) positive definite.
 
     Block principal pivoting (Judice and Pires, Computers and Operations Research 21 (1994) 587): solve on the free
-    variables, then exchange all that are on the wrong side, bound or free, at once; where that makes no progress, only
-    the last of them, which ends for certain.
+    variables, then exchange all that are on the wrong side, bound or free, at once; without progress, exchange only
+    the last of them, which guarantees termination.
     """
     at_lower, at_upper = (lower >= 0.0) & (gradient > 0.0), (upper <= 0.0) & (gradient < 0.0)
     fewest, patience = len(gradient) + 1, PATIENCE
@@ -42,7 +42,7 @@ def step_in_box(hessian: Array, gradient: Array, lower: Array, upper: Array) -> 
 
 
 def _solved(hessian: Array, gradient: Array, bound: Array, is_held: Mask) -> tuple[Array, Array]:
-    """The minimum over the variables that are not held at their bound, and the slope there; 0 along the free ones."""
+    """The minimum over the free variables, and the gradient there; 0 along the free ones."""
     if not is_held.any():
         return np.asarray(np.linalg.solve(hessian, -gradient)), np.zeros_like(gradient)
     d = np.where(is_held, bound, 0.0)

@@ -1,8 +1,8 @@
 """The constraint E <= k a of SpringerPlus 5:1771, eq. (4): the mean distance over the k points is at most a.
 
 The sum of distances E2 is the paper's E; minimising it, the constraint is a check. Another objective rho is minimised
-subject to it by a multiplier: rho + lambda E2 has its minimum where E2 is the smaller the larger lambda is, and the lambda
-for which E2 = k a is searched for.
+subject to it by a multiplier: E2 at the minimum of rho + lambda E2 decreases with lambda, and the lambda
+for which E2 = k a is searched.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from calib.identify.objective import Objective, SumOfDistances
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """The average accuracy a that was wanted, the one that was reached, the least possible one if it had to be looked for.
+    """The requested average accuracy a, the one reached, and the smallest possible one if it was searched.
 
     `multiplier` is the lambda, 0 where the constraint does not bind.
     """
@@ -33,7 +33,7 @@ class Accuracy:
         return self.mean_m <= self.limit_m * (1.0 + 1e-9)
 
     def in_words(self) -> str:
-        """For the operator."""
+        """A sentence for the operator."""
         wanted, reached = f"{1e3 * self.limit_m:.4g} mm", f"{1e3 * self.mean_m:.4g} mm"
         if not self.is_met:
             return (
@@ -88,14 +88,14 @@ class WithDistances:
     def next_dual(
         self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None
     ) -> Array | None:
-        """Both, side by side; an objective without kinks has zeros that nobody looks at."""
+        """Both duals, side by side; zeros for an objective without kinks."""
         one, two = (None, None) if dual is None else (dual[:, :3], dual[:, 3:])
         first = self.first.next_dual(residuals, moved, smoothing_m, one)
         second = self._second.next_dual(residuals, moved, smoothing_m, two)
         return np.hstack([np.zeros_like(residuals) if part is None else part for part in (first, second)])
 
     def _split(self, distances_m: Array) -> tuple[Array, Array]:
-        """What belongs to the first and what to the second."""
+        """Split into the parts of the first and the second."""
         a_pose = len(self.first.distances(np.zeros((1, 3))))
         lengths_count = len(distances_m) // (a_pose + 1)
         return distances_m[:-lengths_count], distances_m[-lengths_count:]

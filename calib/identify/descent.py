@@ -1,9 +1,9 @@
-"""One search: from a start down to a minimum in the box, by Newton's steps with exact second derivatives.
+"""One search: from a start to a minimum in the box, by Newton's method with exact second derivatives.
 
-Each step minimises a quadratic in the box. Where the quadratic promises what the objective does not keep, the step is
-damped (Levenberg, Marquardt); where it is not convex, it is bent up. What the data hardly determine makes valleys that
-are flat along and steep across, and bent: a long step along one climbs its side, so a step that disappoints is first
-tried once more from its end straight down to the floor. The objective never rises.
+Each step minimises a quadratic in the box. If the objective decreases less than predicted, the step is
+damped (Levenberg, Marquardt); if the quadratic is not convex, it is made so. Weakly determined combinations form curved valleys,
+flat along and steep across: a long step along one climbs its side, so a rejected step is first
+retried from its end straight down to the floor. The objective never increases.
 """
 
 from __future__ import annotations
@@ -16,26 +16,24 @@ from calib.arrays import Array, norms
 from calib.identify.box import step_in_box
 from calib.identify.sample import Quadratic, Sample
 
-NOTHING_M = 1e-9  # residuals below this everywhere are none: a nanometre
+NOTHING_M = 1e-9  # residuals below a nanometre count as zero
 STEP_LIMIT = 150
 TRACE = 1e-7  # weight of |x|^2 / 2 per unknown, as a share of the objective, that makes every step unique
 LEAST_CURVATURE = 1e-14  # of the largest one
-KEPT, POOR, GOOD = 1e-4, 0.25, 0.5  # shares of the promise: not taken, more damping, less damping
-VALLEY = 1e-3  # a step that promises less than this share of the objective goes along a valley
-RESTORING = (
-    1e-6  # of the trace: unknowns with less curvature are left where they are on the way down to the floor
-)
-SMOOTHER = 0.1  # how much less smoothing each time
+KEPT, POOR, GOOD = 1e-4, 0.25, 0.5  # shares of the prediction: rejected, more damping, less damping
+VALLEY = 1e-3  # a step with a smaller predicted decrease is along a valley
+RESTORING = 1e-6  # of the trace: unknowns with less curvature are fixed in a restoration
+SMOOTHER = 0.1  # reduction of the smoothing each time
 AHEAD, LAGS = (
     0.1,
     0.03,
-)  # a step that promises less than these shares of what the smoothing costs is followed by less of it
+)  # smoothing is reduced after a step with a predicted decrease below these shares of the smoothing's cost
 HOPELESS = 1e12  # times the curvature of a typical unknown: no damping helps
 
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """Where a search ended: x, steps taken, and whether by itself."""
+    """Result of a search: x, number of steps, and whether it converged."""
 
     x: Array
     steps_count: int
@@ -44,10 +42,10 @@ class End:
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """When a search ends: smoothings as shares of the mean distance at the start, tolerance as one of the objective.
+    """Termination of a search: smoothings as shares of the mean distance at the start, tolerance as a share of the objective.
 
-    x' anchor x / 2 with anchor (k, k) is added to the objective: it holds combinations of unknowns at nominal. Without
-    `is_bent` second derivatives of the kinematics are left out: cheaper, and enough to see where a search leads.
+    x' anchor x / 2 with anchor (k, k) is added to the objective to hold combinations of unknowns at nominal. Without
+    `is_bent` second derivatives of the kinematics are omitted: cheaper, and sufficient for a rough search.
     """
 
     first_smoothing: float
@@ -59,7 +57,7 @@ class Goal:
 
 
 def descend(sample: Sample, start: Array, goal: Goal) -> End:
-    """Down from a start inside the box."""
+    """Search from a start inside the box."""
     return _Descent(sample, start, goal).ended()
 
 
@@ -81,19 +79,19 @@ class _Descent:
         self._damping, self._is_undamped = 0.0, False
 
     def _holding(self, typical: float) -> Array:
-        """What holds x at nominal: the anchor, and a trace that makes every step unique."""
+        """The regularisation towards nominal: the anchor, and a small trace that makes every step unique."""
         k = len(self._here.x)
         trace = TRACE * self._sample.value_of(self._here.residuals, 0.0) / k
         held = (trace + 1e-15 * k * typical) * np.eye(k)
         return held if self._goal.anchor is None else held + self._goal.anchor
 
     def _merit(self, there: Quadratic) -> float:
-        """What must fall: the objective, smoothed as it is here, and what holds x."""
+        """The merit function: the objective with the present smoothing, plus regularisation."""
         value = self._sample.value_of(there.residuals, self._here.smoothing_m)
         return value + 0.5 * float(there.x @ self._held @ there.x)
 
     def ended(self) -> End:
-        """Steps until one promises too little."""
+        """Take steps until the predicted decrease is too small."""
         for steps in range(1, self._goal.step_limit + 1):
             here = self._here
             if float(np.max(np.abs(here.residuals))) < NOTHING_M:
@@ -113,7 +111,7 @@ class _Descent:
         return End(self._here.x, self._goal.step_limit, False)
 
     def _excess(self) -> float:
-        """What the smoothing adds to the objective, where there is less to come."""
+        """What the smoothing adds to the objective, if it will be reduced further."""
         here = self._here
         if here.smoothing_m <= self._last_m or self._sample.objective.is_smooth:
             return 0.0
@@ -125,14 +123,14 @@ class _Descent:
         return max(self._last_m, SMOOTHER * self._here.smoothing_m)
 
     def _resmoothed(self) -> Quadratic:
-        """The same place with less smoothing."""
+        """The present point with less smoothing."""
         here = self._here
         return self._sample.around(
             here.x, self._less(), here if here.dual is not None else None, self._goal.is_bent
         )
 
     def _step(self) -> tuple[Array, float]:
-        """The step in the box that the quadratic asks for, and by how much the objective should fall."""
+        """The minimising step in the box, and the predicted decrease."""
         here = self._here
         gradient = here.gradient + self._held @ here.x
         hessian = here.gram + here.curvature + self._held
@@ -144,25 +142,25 @@ class _Descent:
         return d, -float(gradient @ d + 0.5 * d @ hessian @ d)
 
     def _try(self, d: Array, promise: float, value: float, smoothing_m: float) -> None:
-        """Take the step if the objective falls, and learn from it."""
+        """Take the step if the objective decreases, and adapt the damping."""
         there = self._sample.around(
             self._inside(self._here.x + d), smoothing_m, self._here, self._goal.is_bent
         )
-        kept = (value - self._merit(there)) / promise
-        if kept < GOOD and promise < VALLEY * value:
+        achieved = (value - self._merit(there)) / promise
+        if achieved < GOOD and promise < VALLEY * value:
             restored = self._restored(there)
             again = (value - self._merit(restored)) / promise
-            if again > kept:
-                there, kept = restored, again
-        if kept > GOOD:
+            if again > achieved:
+                there, achieved = restored, again
+        if achieved > GOOD:
             self._damping = 0.1 * self._damping if self._damping * float(d @ d) > 1e-3 * promise else 0.0
-        elif kept < POOR:
+        elif achieved < POOR:
             self._damping = max(4.0 * self._damping, promise / max(float(d @ d), 1e-300))
-        if kept > KEPT:
+        if achieved > KEPT:
             self._here, self._is_undamped = there, False
 
     def _restored(self, there: Quadratic) -> Quadratic:
-        """From there, where a long step along a bent valley has climbed its side, straight down to the floor."""
+        """Restoration: from the end of a long step along a curved valley, straight down to its floor."""
         d = step_in_box(
             there.gram + self._held + self._restoring * np.eye(len(there.x)),
             there.gradient + self._held @ there.x,
@@ -172,7 +170,7 @@ class _Descent:
         return self._sample.around(self._inside(there.x + d), there.smoothing_m, there, self._goal.is_bent)
 
     def _inside(self, x: Array) -> Array:
-        """Within the limits, whatever the rounding."""
+        """Clip to the limits against rounding errors."""
         return np.clip(x, -self._limits, self._limits)
 
 

@@ -1,8 +1,8 @@
-"""What the data determine: rank and conditioning of the scaled sensitivity; what they leave open and what takes it up.
+"""What the data determine: rank and conditioning of the scaled sensitivity, and the undetermined combinations.
 
-Unknowns without a nominal value (tool, boards, base frame: no bound) are projected out first. What is left says
-how well the points hold the parameters that have a nominal value, whatever tool and boards turn out to be; and a
-combination of these that tool or boards can make up for stays at nominal.
+Unknowns without a nominal value (tool, boards, base frame: no bound) are projected out first. The rest shows
+how well the points determine the parameters with a nominal value, for any tool and boards. A
+combination of these that tool or boards can compensate stays at nominal.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from calib.identify.open_combinations import NOTICEABLE, Undetermined, described
 
 __all__ = ["NOTICEABLE", "Determinability", "Undetermined", "determinability", "null_space"]
 
-# A combination is determined if moving it by its bound moves the tips by more than this share of what the
-# strongest one does. Between the two sorts there is a gap: on the reference board 9e-4 (last determined)
+# A combination is determined if a change by its bound moves the tips by more than this share of what the
+# strongest one does. There is a gap between the two: on the reference board 9e-4 (last determined)
 # against 3e-6 (first that is not).
 RANK_TOLERANCE = 1e-4
 
@@ -42,7 +42,7 @@ class Determinability:
     undetermined: tuple[Undetermined, ...]
 
     def covariance(self, variance_m2: float) -> Array:
-        """Covariance of the scaled unknowns (k, k); what is not determined is taken as known: at nominal."""
+        """Covariance of the scaled unknowns (k, k); undetermined combinations count as known, at nominal."""
         return np.asarray(variance_m2 * self.spread @ self.spread.T)
 
 
@@ -64,9 +64,9 @@ def determinability(sensitivity: Array, parameters: tuple[Parameter, ...]) -> De
 
 
 def null_space(sensitivity: Array, parameters: tuple[Parameter, ...], tolerance: float) -> Array:
-    """Combinations of unknowns (k, k - rank), orthonormal, that the points leave open and that nominal decides.
+    """Orthonormal combinations of unknowns (k, k - rank) that the points leave undetermined and that stay at nominal.
 
-    Bounded ones alone, and unbounded ones alone: with these combinations at nought the points determine the rest.
+    Separately for bounded and unbounded ones; with these combinations at zero, the points determine the rest.
     """
     return _Parts.of(sensitivity, parameters).held(tolerance)
 
@@ -86,7 +86,7 @@ class _Parts:
 
     @classmethod
     def of(cls, sensitivity: Array, parameters: tuple[Parameter, ...]) -> _Parts:
-        """Of the sensitivity (m, 3, k); where no parameter has a bound, all count as bounded."""
+        """The parts of the sensitivity (m, 3, k); if no parameter has a bound, all count as bounded."""
         rows = _triangle(sensitivity.reshape(-1, sensitivity.shape[2]))
         has_bound = np.array([parameter.has_bound for parameter in parameters])
         if not has_bound.any():
@@ -112,7 +112,7 @@ class _Parts:
         return self._placed(self.right[: self.rank(tolerance)].T, self.free_basis)
 
     def take_up(self, held: Array) -> Array:
-        """What the free unknowns do to make up for each open combination of bounded ones, (k, open), scaled."""
+        """Change of the free unknowns that compensates each open combination of bounded ones, (k, open), scaled."""
         answer = np.zeros_like(held)
         if len(self.free):
             moved = self.rows[:, self.bounded] @ held[self.bounded]
@@ -141,7 +141,7 @@ def _decomposed(rows: Array) -> tuple[Array, Array, Array]:
 
 
 def _spread(rows: Array, basis: Array) -> Array:
-    """Basis @ R^-1; columns are scaled first, since those of free unknowns are a hundred times longer."""
+    """The matrix basis @ R^-1; columns are scaled first, since those of free unknowns are a hundred times longer."""
     seen = rows @ basis
     lengths = np.linalg.norm(seen, axis=0)
     triangle = np.asarray(np.linalg.qr(seen / lengths, mode="r"))

@@ -1,4 +1,4 @@
-"""Each parameter with its standard deviation and interval, bounds taken into account."""
+"""Each parameter with its standard deviation and interval, considering bounds."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from calib.identify.determinability import NOTICEABLE, Determinability, determin
 from calib.identify.objective import Objective
 from calib.identify.spread import NoiseScale, leverages, noise_scale
 
-AT_BOUND = 1.0 - 1e-6  # a deviation beyond this share of its bound rests on it
+AT_BOUND = 1.0 - 1e-6  # a deviation beyond this share of its bound is at the bound
 LEVEL = 0.95
-KINK = 1e-3  # of the median distance: nearer to nought, a residual is at the kink of its objective
+KINK = 1e-3  # of the median distance: a smaller residual is at the kink of its objective
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One parameter: what it was, what it is now, how well that is known. All in its unit (m, rad or its own).
+    """One parameter: nominal value, identified deviation, uncertainty. All in its unit (m, rad or its own).
 
-    `sd` is NaN where the deviation rests on its bound: bound and data together say where it may be, see `interval`.
-    `interval`: 95 % for the deviation, if the true one is within the bounds. `undetermined_share`: 0 the data determine
-    it, 1 they say nothing; what is not determined counts as nominal in `sd` and `interval`.
+    `sd` is NaN if the deviation is at its bound; then see `interval`.
+    `interval`: 95 % for the deviation, if the true one is within the bounds. `undetermined_share`: 0 if the data determine
+    it, 1 if they do not; undetermined parts count as nominal in `sd` and `interval`.
     """
 
     parameter: Parameter
@@ -51,7 +51,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """Estimates, the noise that the residuals show, and what the points determine."""
+    """Estimates, the noise of the residuals, and what the points determine."""
 
     estimates: tuple[Estimate, ...]
     noise: NoiseScale
@@ -61,7 +61,7 @@ class Uncertainty:
 def uncertainty(
     parameters: tuple[Parameter, ...], objective: Objective, x: Array, residuals: Array, sensitivity: Array
 ) -> Uncertainty:
-    """Of the optimum x (k,) with residuals (m, 3) and sensitivity (m, 3, k)."""
+    """Uncertainty of the optimum x (k,) with residuals (m, 3) and sensitivity (m, 3, k)."""
     limits = np.array([parameter.limit for parameter in parameters])
     resting = np.abs(x) >= AT_BOUND * limits
     known = determinability(sensitivity, parameters)
@@ -100,10 +100,10 @@ def _intervals(
     residuals: Array,
     sensitivity: Array,
 ) -> tuple[Array, Array]:
-    """Scaled, (k,) each: around where the optimum would be without bounds, cut off at the bounds.
+    """Scaled intervals, (k,) each: around the optimum without bounds, truncated at the bounds.
 
-    That optimum is one step away, against the slopes that the bounds hold up. A true value inside the bounds is
-    covered as often as without any; cutting off costs nothing then.
+    That optimum is one Newton step away along the free gradient. A true value inside the bounds is
+    covered as often as without truncation.
     """
     middle = x.copy()
     if resting.any():
@@ -119,9 +119,9 @@ def _intervals(
 def _slope(
     objective: Objective, residuals: Array, sensitivity: Array, resting: npt.NDArray[np.bool_]
 ) -> Array:
-    """Derivative of the objective by each unknown that rests on its bound.
+    """Derivative of the objective by each unknown at its bound.
 
-    A residual at a kink pulls with any score up to one; it is the one that keeps the other unknowns where they are.
+    A residual at a kink has any score up to one: the one that keeps the other unknowns in place.
     """
     distances = objective.distances(residuals)
     across, _ = objective.weights(distances, 0.0)

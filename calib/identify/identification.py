@@ -1,4 +1,4 @@
-"""Identification from end to end: points in, DH deviations and how well they are known out."""
+"""The whole identification: from points to DH deviations with their uncertainty."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ __all__ = ["Estimate", "Identification", "fit", "identify"]
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What was found. Objectives in their unit; errors are vectors measured minus modelled, (m, 3).
+    """The result. Objectives in their unit; errors are vectors measured minus modelled, (m, 3).
 
-    `x` (k,): the unknowns as the problem scales them; `noise`: what stands behind the standard deviations.
+    `x` (k,): the scaled unknowns; `noise`: the noise scale of the standard deviations.
     """
 
     objective: str
@@ -52,7 +52,7 @@ class Identification:
 
     @property
     def deviations(self) -> Array:
-        """Dh minus nominal_dh, (links, 4)."""
+        """The difference dh - nominal_dh, (links, 4)."""
         return frozen(self.dh - self.nominal_dh)
 
     @property
@@ -62,7 +62,7 @@ class Identification:
 
     @property
     def binding(self) -> tuple[str, ...]:
-        """Names of parameters that rest on their bound."""
+        """Names of parameters at their bound."""
         return tuple(e.parameter.name for e in self.estimates if e.is_at_bound)
 
     @property
@@ -81,14 +81,14 @@ class Identification:
         return float(np.sqrt(np.mean(norms(self.error_after_m) ** 2)))
 
     def in_words(self) -> tuple[str, ...]:
-        """What the data determine and what not, one sentence each, for the operator."""
+        """Sentences for the operator: what the data determine and what not."""
         return tuple(_sentences(self))
 
 
 def fit(
     problem: ArmProblem, objective: Objective | None = None, starts_count: int = 4, seed: int = 0
 ) -> tuple[Minimum, Objective]:
-    """The optimum alone, and the objective that was minimised: Huber's without a threshold takes it from the noise."""
+    """The optimum only, and the minimised objective: Huber's without a threshold derives it from the noise."""
     best = minimise(problem, objective or SumOfDistances(), starts_count, seed, equal="by noise")
     return best, best.objective
 
@@ -101,10 +101,10 @@ def identify(
     seed: int = 0,
     accuracy_limit_m: float | None = None,
 ) -> Identification:
-    """The deviations within their bounds that explain the measured tips best.
+    """Find the deviations within their bounds that best explain the measured tips.
 
-    `accuracy_limit_m` is the a of E <= k a (SpringerPlus 5:1771, eq. 4): `accuracy` of the result says whether it is met.
-    UnusablePointsError if no calibration can be made of the points. Same inputs and seed, same result.
+    `accuracy_limit_m` is the a of E <= k a (SpringerPlus 5:1771, eq. 4): see `accuracy` of the result.
+    UnusablePointsError if the points allow no calibration. Deterministic for the same inputs and seed.
     """
     require_sound(problem)
     best = minimise(problem, objective or SumOfDistances(), starts_count, seed, accuracy_limit_m, "by noise")
@@ -136,29 +136,31 @@ def identify(
 
 
 def _sentences(result: Identification) -> list[str]:
-    """Rank and conditioning, what moves together, bounds that bind, convergence."""
+    """Rank and conditioning, correlated parameters, active bounds, convergence."""
     total = len(result.estimates)
-    said = [
+    sentences = [
         f"These {len(result.error_after_m)} points determine {result.rank} of {total} parameters"
         f" (condition number {result.condition_number:.0f})."
     ]
-    said += [f"{sentence}." for sentence in open_in_words(result.undetermined)]
-    said += _about_bounds([estimate for estimate in result.estimates if estimate.is_at_bound])
+    sentences += [f"{sentence}." for sentence in open_in_words(result.undetermined)]
+    sentences += _about_bounds([estimate for estimate in result.estimates if estimate.is_at_bound])
     if not result.is_converged:
-        said.append("The solver did not converge: do not trust the result; try more starts.")
-    return said
+        sentences.append("The solver did not converge: do not trust the result; try more starts.")
+    return sentences
 
 
 def _about_bounds(bound: list[Estimate]) -> list[str]:
-    """Two cases: the data ask for more, or hardly determine the parameter and noise drove it to its bound."""
+    """Two cases: the data require more, or they hardly determine the parameter and noise drove it to its bound."""
     wanting = [e.parameter.name for e in bound if e.is_determined]
     loose = [e.parameter.name for e in bound if not e.is_determined]
-    said = []
+    sentences = []
     if wanting:
-        said.append(
+        sentences.append(
             f"At the bound: {', '.join(wanting)}. Possible causes: the deviation is larger than the bound, the data"
             " determine it too weakly, or an effect other than geometry is present."
         )
     if loose:
-        said.append(f"At the bound, but not determined individually by these points: {', '.join(loose)}.")
-    return said
+        sentences.append(
+            f"At the bound, but not determined individually by these points: {', '.join(loose)}."
+        )
+    return sentences

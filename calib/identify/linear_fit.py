@@ -1,4 +1,4 @@
-"""The problem around one solution, linear: which points agree with which, without a solver."""
+"""The problem linearised around a solution, to compare points without a solver."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class LinearFit:
-    """Residuals r + A y of points, r (m, 3) [m], A (m, 3, rank): y are the combinations that the points determine.
+    """Residuals r + A y of points, r (m, 3) [m], A (m, 3, rank); y are the determined combinations.
 
-    Over all points A'A is one.
+    A'A over all points is the identity.
     """
 
     residuals: Array
@@ -27,7 +27,7 @@ class LinearFit:
 
     @classmethod
     def around(cls, problem: ArmProblem, x: Array, extra: Array | None = None) -> LinearFit:
-        """At unknowns x (k,); parameters on their bounds stay there. `extra` (m, 3, e): columns of more unknowns."""
+        """Linearise at unknowns x (k,); parameters at their bounds stay there. `extra` (m, 3, e): columns of more unknowns."""
         residuals, jacobian = problem.residuals_and_jacobian(x)
         limits = np.array([parameter.limit for parameter in problem.parameters])
         free = np.flatnonzero(np.abs(x) < AT_BOUND * limits)
@@ -38,7 +38,7 @@ class LinearFit:
 
     @classmethod
     def of(cls, residuals: Array, columns: Array, extra: Array | None = None) -> LinearFit:
-        """Columns (m, 3, r) are brought to one length and made independent."""
+        """Normalise columns (m, 3, r) and make them independent."""
         whole = columns if extra is None else np.concatenate((columns, extra), axis=2)
         rows = whole.reshape(-1, whole.shape[2])
         rows = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
@@ -49,30 +49,30 @@ class LinearFit:
 
     @property
     def rank(self) -> int:
-        """How many combinations."""
+        """Number of combinations."""
         return int(self.columns.shape[2])
 
     def __len__(self) -> int:
         """How many points."""
         return len(self.residuals)
 
-    def fitted(self, kept: Mask) -> Array:
-        """Residuals (m, 3) of all points after least squares over those of `kept` (m,)."""
-        gram = self._gram(kept)
+    def fitted(self, used: Mask) -> Array:
+        """Residuals (m, 3) of all points after least squares over those of `used` (m,)."""
+        gram = self._gram(used)
         gram[np.diag_indices_from(gram)] += 1e-12 * max(1e-300, float(np.trace(gram)))
-        pull = self.columns[kept].reshape(-1, self.rank).T @ self.residuals[kept].ravel()
+        pull = self.columns[used].reshape(-1, self.rank).T @ self.residuals[used].ravel()
         step = np.linalg.solve(gram, -pull)
         return np.asarray(self.residuals + (self.columns.reshape(-1, self.rank) @ step).reshape(-1, 3))
 
-    def leverage(self, kept: Mask) -> Array:
-        """A_i (A'A)^-1 A_i' of each point (m, 3, 3), A'A over the points of `kept` (m,)."""
-        inverse = np.linalg.pinv(self._gram(kept), rcond=1e-12, hermitian=True)
+    def leverage(self, used: Mask) -> Array:
+        """A_i (A'A)^-1 A_i' of each point (m, 3, 3), A'A over the points of `used` (m,)."""
+        inverse = np.linalg.pinv(self._gram(used), rcond=1e-12, hermitian=True)
         return np.asarray(self.columns @ inverse @ self.columns.transpose(0, 2, 1))
 
-    def _gram(self, kept: Mask) -> Array:
-        """A'A over the points of `kept`."""
-        if 2 * int(kept.sum()) > len(kept):
-            rest = self.columns[~kept].reshape(-1, self.rank)
+    def _gram(self, used: Mask) -> Array:
+        """A'A over the points of `used`."""
+        if 2 * int(used.sum()) > len(used):
+            rest = self.columns[~used].reshape(-1, self.rank)
             return np.asarray(np.eye(self.rank) - rest.T @ rest)
-        rows = self.columns[kept].reshape(-1, self.rank)
+        rows = self.columns[used].reshape(-1, self.rank)
         return np.asarray(rows.T @ rows)

@@ -1,9 +1,9 @@
-"""What is minimised: a sum over points of rho(residual), rho convex.
+"""Objectives: a sum over points of rho(residual), rho convex.
 
 A residual r (3,) is measured minus modelled tip. Sums of distances or of absolute coordinates have a kink at zero. It is
-rounded off, |v| becomes sqrt(v^2 + e^2), and the curvature is taken with a dual z of its own, |z| <= 1, that goes to
-v / |v| (Chan, Golub, Mulet, SIAM Journal on Scientific Computing 20 (1999) 1964): Newton's steps then stay good down to
-an e of nothing, where those with z = v / sqrt(v^2 + e^2) fail.
+rounded off, |v| becomes sqrt(v^2 + e^2), and the curvature uses a separate dual z, |z| <= 1, that converges to
+v / |v| (Chan, Golub, Mulet, SIAM Journal on Scientific Computing 20 (1999) 1964): Newton's method then works down to
+e = 0, where z = v / sqrt(v^2 + e^2) fails.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from calib.arrays import Array, norms
 from calib.errors import CalibrationError
 
 TINY_m = 1e-15
-# Huber's bend in standard deviations of one coordinate: 95 % of the efficiency of least squares where the noise is
+# Huber's threshold in standard deviations of one coordinate: 95 % of the efficiency of least squares if the noise is
 # normal, for residuals of three coordinates (for one coordinate it is 1.345).
 HUBER_BEND = 1.628
 MEDIAN_OF_NORM = 1.5382  # median length of a normal vector of three coordinates with standard deviation 1
@@ -29,17 +29,17 @@ class Objective(Protocol):
 
     @property
     def name(self) -> str:
-        """For tables and files."""
+        """Name for tables and files."""
 
     @property
     def is_smooth(self) -> bool:
         """Whether rho has no kink at zero."""
 
     def distances(self, residuals: Array) -> Array:
-        """What rho is of: lengths (m,) of residuals (m, 3), or their absolute coordinates (3m,)."""
+        """Arguments of rho: lengths (m,) of residuals (m, 3), or their absolute coordinates (3m,)."""
 
     def value(self, distances_m: Array, smoothing_m: float) -> float:
-        """The sum."""
+        """The sum of rho."""
 
     def weights(self, distances_m: Array, smoothing_m: float) -> tuple[Array, Array]:
         """rho'(s) / s and rho''(s) of each distance s: curvature across and along the residual."""
@@ -49,7 +49,7 @@ class Objective(Protocol):
     ) -> tuple[Array, Array | None]:
         """First derivative (m, 3), and second as diagonals (3, m) or matrices (3, 3, m); None for ones.
 
-        `dual` (m, 3), or None to begin with.
+        `dual` (m, 3), or None at the start.
         """
 
     def next_dual(
@@ -168,7 +168,7 @@ class LeastSquares:
     def next_dual(
         self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None
     ) -> Array | None:
-        """There is none."""
+        """None: there is no kink."""
         return None
 
 
@@ -176,14 +176,14 @@ class LeastSquares:
 class Huber:
     """s^2 / 2 up to a distance s of `threshold_m` = t, t s - t^2 / 2 beyond (Huber, Robust Statistics, 1981). [m^2]
 
-    Without a threshold it is taken from the noise: HUBER_BEND robust standard deviations of one coordinate.
+    Without a threshold, it is derived from the noise: HUBER_BEND robust standard deviations of one coordinate.
     """
 
     threshold_m: float | None = None
     is_smooth: bool = True
 
     def __post_init__(self) -> None:
-        """CalibrationError for a threshold that makes no sense."""
+        """CalibrationError for an invalid threshold."""
         if self.threshold_m is not None and not 0.0 < self.threshold_m < np.inf:
             raise CalibrationError(
                 f"threshold of the objective huber: expected a positive length in m, got {self.threshold_m}"
@@ -191,7 +191,7 @@ class Huber:
 
     @property
     def name(self) -> str:
-        """With its threshold."""
+        """Name with the threshold."""
         bend = "from the noise" if self.threshold_m is None else f"{1e3 * self.threshold_m:.4g} mm"
         return f"Huber: squared distances, linear beyond a threshold ({bend})"
 
@@ -203,7 +203,7 @@ class Huber:
         return self.threshold_m
 
     def settled_on(self, residuals: Array) -> Huber:
-        """With a threshold that follows from residuals (m, 3) of a robust fit, where none was given."""
+        """The objective with a threshold from residuals (m, 3) of a robust fit, if none was given."""
         if self.threshold_m is not None:
             return self
         deviation = float(np.median(norms(residuals))) / MEDIAN_OF_NORM
@@ -238,7 +238,7 @@ class Huber:
     def next_dual(
         self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None
     ) -> Array | None:
-        """There is none."""
+        """None: there is no kink."""
         return None
 
 

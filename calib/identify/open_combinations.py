@@ -1,4 +1,4 @@
-"""What points leave open, in words: which parameters move together, and what makes up for them."""
+"""Describes what points leave undetermined: which parameters move together, and what compensates them."""
 
 from __future__ import annotations
 
@@ -11,18 +11,16 @@ import numpy as np
 from calib.arm_problem.parameters import Parameter
 from calib.arrays import Array
 
-NOTICEABLE = 0.02  # share of a parameter, or coupling of two, that is worth naming
-MADE_UP_FOR = (
-    1e-4  # a free unknown that moves by less than this (scaled) has no share in making up for a change
-)
-LISTED_LIMIT = 8  # names in one sentence before the rest is counted
+NOTICEABLE = 0.02  # smallest share of a parameter, or coupling of two, to report
+MADE_UP_FOR = 1e-4  # a free unknown with a smaller (scaled) change does not count as compensating
+LISTED_LIMIT = 8  # most names in one sentence
 
 
 @dataclass(frozen=True, slots=True)
 class Undetermined:
     """Parameters that the data leave open together; `freedoms_count` combinations of them stay at nominal.
 
-    `taken_up_by`: the unbounded unknowns that make up for any change of them; empty if no tip moves at all.
+    `taken_up_by`: the unbounded unknowns that compensate any change of them; empty if no tip moves at all.
     """
 
     names: tuple[str, ...]
@@ -34,7 +32,7 @@ class Undetermined:
 def described(held: Array, taken_up: Array, parameters: tuple[Parameter, ...]) -> tuple[Undetermined, ...]:
     """Sets of parameters that the open combinations `held` (k, open) couple, each with a sentence.
 
-    `taken_up` (k, open): what unbounded unknowns do to make up for each. Sets are the connected components of
+    `taken_up` (k, open): compensating change of unbounded unknowns for each. Sets are the connected components of
     the projector held @ held.T.
     """
     projector = held @ held.T
@@ -42,17 +40,19 @@ def described(held: Array, taken_up: Array, parameters: tuple[Parameter, ...]) -
 
 
 def open_in_words(groups: Sequence[Undetermined]) -> tuple[str, ...]:
-    """One sentence per kind: single parameters that the same things make up for are told in one."""
-    said: dict[tuple[bool, tuple[str, ...]], list[str]] = {}
+    """One sentence per kind; single parameters with the same compensation share one."""
+    by_compensation: dict[tuple[bool, tuple[str, ...]], list[str]] = {}
     for group in groups:
         if len(group.names) == group.freedoms_count:
-            said.setdefault((_is_of_a_body(group.names[0]), group.taken_up_by), []).extend(group.names)
-    singles = [_alone(names, by) for (_, by), names in said.items()]
+            by_compensation.setdefault((_is_of_a_body(group.names[0]), group.taken_up_by), []).extend(
+                group.names
+            )
+    singles = [_alone(names, by) for (_, by), names in by_compensation.items()]
     return (*singles, *(group.words for group in groups if len(group.names) != group.freedoms_count))
 
 
 def _components(projector: Array) -> list[list[int]]:
-    """Rows of the projector (k, k) that hang together."""
+    """Connected components of the projector (k, k)."""
     unseen = [k for k in range(len(projector)) if projector[k, k] > NOTICEABLE**2]
     groups = []
     while unseen:
@@ -87,12 +87,12 @@ def _describe(
 
 
 def _bodies(names: list[str]) -> tuple[str, ...]:
-    """Tool_x to "tool", board_front_rx to "board_front"."""
+    """Names of the bodies: tool_x to "tool", board_front_rx to "board_front"."""
     return tuple(dict.fromkeys(name.rsplit("_", 1)[0] for name in names))
 
 
 def _alone(names: list[str], by: tuple[str, ...]) -> str:
-    """Parameters that are open one by one."""
+    """Individually undetermined parameters."""
     if all(_is_of_a_body(name) for name in names):
         return (
             f"{_listed(names)} {_has(names)} no effect on these points, which lie on one line; no result"
@@ -125,16 +125,16 @@ def _is_of_a_body(name: str) -> bool:
 
 
 def _where(by: tuple[str, ...]) -> str:
-    """The bodies that take a change up, in few words."""
-    said = ["the tool"] if "tool" in by else []
+    """The compensating bodies, in brief."""
+    bodies = ["the tool"] if "tool" in by else []
     if "base" in by:
-        said.append("the pose of the base frame")
+        bodies.append("the pose of the base frame")
     boards = [name for name in by if name not in ("tool", "base")]
     if boards:
-        said.append(
+        bodies.append(
             "the poses of the boards" if len(boards) > 1 else f"the pose of {boards[0].replace('_', ' ', 1)}"
         )
-    return _listed(said)
+    return _listed(bodies)
 
 
 def _has(names: Sequence[str]) -> str:
@@ -155,7 +155,7 @@ def _simplest_row(projector: Array, freedoms: int) -> Array:
 
 
 def _trade(row: Array, group: list[int], parameters: tuple[Parameter, ...]) -> str:
-    """As `d2 +1.00 mm with d3 -1.00 mm`: a change that moves no tip."""
+    """A change that moves no tip, such as `d2 +1.00 mm with d3 -1.00 mm`."""
     largest = float(np.max(np.abs(row)))
     return " with ".join(
         _change(parameters[k], share / largest)

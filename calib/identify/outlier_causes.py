@@ -1,4 +1,4 @@
-"""The probable cause of an outlier, where its residual fits one cause and no other."""
+"""The probable cause of an outlier, if exactly one fits its residual."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, norms
 
-ALIKE = 4.0  # noise standard deviations within which two places are the same
+ALIKE = 4.0  # noise standard deviations within which two positions are equal
 LEAST_SLIP_rad = 1e-3
 NOT_SEATED_m = 0.006  # a badly seated tip is at most this far from its cavity
 
@@ -27,7 +27,7 @@ class OutlierCause:
 
     @property
     def words(self) -> str:
-        """As `: the tip was probably in cavity 7`; empty if no single cause fits."""
+        """Text such as `: the tip was probably in cavity 7`; empty if no single cause fits."""
         if self.cavity:
             return f": the tip was probably in cavity {self.cavity}"
         if self.joint:
@@ -53,7 +53,7 @@ def cause_of(
 def _other_cavity(
     problem: ArmProblem, x: Array, row: int, deleted_m: Array, near_m: float, cavities: Mapping[str, Array]
 ) -> str:
-    """The cavity where the arm says that the tip was; empty if none is there, or if two are."""
+    """The cavity at the arm's tip; empty if there is none, or more than one."""
     observed = problem.observed
     if not observed.point:
         return ""
@@ -80,7 +80,7 @@ def _other_cavity(
 def _slipped_joints(
     problem: ArmProblem, x: Array, row: int, deleted_m: Array, near_m: float
 ) -> list[tuple[int, float]]:
-    """Joints whose angle alone, changed, brings the tip to the reference: (joint, change)."""
+    """Joints of which a change of the angle alone moves the tip to the reference: (joint, change)."""
     solution = problem.solution(x)
     q = problem.observed.q_rad[row : row + 1]
     found = []

@@ -1,10 +1,10 @@
-"""Points that do not belong to the others: found, named, explained where the numbers say so; never dropped.
+"""Outliers among points: detected and, if possible, explained; never dropped.
 
-First the points that agree best are looked for (least trimmed squares with concentration steps: Rousseeuw and Van Driessen,
-Technometrics 41 (1999) 212), so that several outliers, or one that the fit leans on, do not hide. Then every point is
-held against a fit that does without it: its deleted residual, over the noise that the others show, is F distributed
-(Cook and Weisberg, Residuals and Influence in Regression, 1982). The level is shared among the points (Bonferroni), so
-that a clean session names one with a probability of FALSE_ALARM, however many points it has.
+First, the best agreeing points are searched (least trimmed squares with concentration steps: Rousseeuw and Van Driessen,
+Technometrics 41 (1999) 212), so that several outliers, or one with high leverage, are not masked. Then every point is
+compared with a fit without it: its deleted residual over the noise of the others is F distributed
+(Cook and Weisberg, Residuals and Influence in Regression, 1982). The level is divided among the points (Bonferroni), so
+that a clean session has a false alarm with a probability of FALSE_ALARM, for any number of points.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from calib.identify.linear_fit import LinearFit, Mask
 from calib.identify.outlier_causes import OutlierCause, cause_of
 
 FALSE_ALARM = 0.02
-TRUSTED_SHARE = 0.55  # of the points: as many are taken to be right in the search; a slip may last to the end
+TRUSTED_SHARE = 0.55  # of the points: share trusted in the search; a slip may last to the end
 STARTS_COUNT = 40
 CONCENTRATION_STEPS = 8
 POINTS_LIMIT = 5000  # above, the search starts from the fit alone
 ROUNDS_LIMIT = 12
-CANNOT_BE_TESTED = 0.995  # leverage: the point alone decides something, and nothing contradicts it
-RESOLUTION_m = 1e-6  # noise below this is taken for this: data without noise name nothing
+CANNOT_BE_TESTED = 0.995  # leverage: the point alone determines something and cannot be contradicted
+RESOLUTION_m = 1e-6  # smallest noise, so that data without noise have no outliers
 SEED = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A point that the others contradict. `row` counts from 0 in the order of the points.
+    """A point that contradicts the others. `row` counts from 0 in the order of the points.
 
     `distance_m`: between its reference and where a fit to the others puts the tip; `score`: that over `noise_m`, the
-    standard deviation of one axis: the known noise, or the scatter of the other points where that is larger.
-    `off_m` (3,): that as a vector, base frame. `cause`: the probable cause, where exactly one fits.
+    standard deviation of one axis: the known noise, or the scatter of the other points if that is larger.
+    `off_m` (3,): that distance as a vector, base frame. `cause`: the probable cause, where exactly one fits.
     """
 
     row: int
@@ -51,7 +51,7 @@ class Outlier:
 
     @property
     def words(self) -> str:
-        """A sentence."""
+        """Describe the outlier in a sentence."""
         where = f'point {self.point} of setup "{self.setup}"' if self.setup else f"point {self.point}"
         return (
             f"{where} (pose {self.row + 1}) is {1e3 * self.distance_m:.2f} mm from the position predicted by the other points,"
@@ -61,7 +61,7 @@ class Outlier:
 
 @dataclass(frozen=True, slots=True)
 class OutlierTest:
-    """Points held against each other: which agree, deleted residuals (m, 3) [m], scores (m,), noise of one axis [m]."""
+    """Outlier test: mask of agreeing points, deleted residuals (m, 3) [m], scores (m,), noise of one axis [m]."""
 
     agrees: Mask
     deleted_m: Array
@@ -78,9 +78,9 @@ def find_outliers(
 ) -> tuple[Outlier, ...]:
     """The outliers of a problem around its solution x (k,), the worst first.
 
-    `cavities`: where all cavities are in the board's frame, for a guess at what happened; else those of the points.
+    `cavities`: all cavities in the board's frame, for finding a cause; else those of the points.
     `extra` (m, 3, e): columns of further unknowns, such as a board that is not where the table says. `noise_m`: of one axis,
-    as far as it is known: where the points show less, that counts.
+    if known: the smallest noise assumed.
     """
     found = outlier_test(LinearFit.around(problem, x, extra), noise_m)
     rows = np.flatnonzero(~found.agrees)
@@ -89,39 +89,39 @@ def find_outliers(
 
 
 def outlier_test(fit: LinearFit, noise_m: float = RESOLUTION_m) -> OutlierTest:
-    """Which points agree with each other, given noise of one axis that is at least noise_m; all, where too few tell."""
+    """Test which points agree, given noise of one axis of at least noise_m; all if there are too few."""
     m = len(fit)
     if 3 * m - fit.rank < 6:
         return OutlierTest(np.ones(m, dtype=bool), fit.residuals, np.zeros(m), math.nan)
-    kept = _clearly_alike(fit, _most_alike(fit))
+    agreeing = _clearly_alike(fit, _most_alike(fit))
     seen: list[bytes] = []
     for _ in range(ROUNDS_LIMIT):
-        seen.append(kept.tobytes())
-        found = _tested(fit, kept, max(noise_m, RESOLUTION_m))
-        kept = found.agrees
-        if kept.tobytes() in seen:
+        seen.append(agreeing.tobytes())
+        found = _tested(fit, agreeing, max(noise_m, RESOLUTION_m))
+        agreeing = found.agrees
+        if agreeing.tobytes() in seen:
             break
     return found
 
 
-def _tested(fit: LinearFit, kept: Mask, noise_m: float) -> OutlierTest:
-    """Every point against those of `kept`, without itself."""
+def _tested(fit: LinearFit, agreeing: Mask, noise_m: float) -> OutlierTest:
+    """Test every point against those of `agreeing`, without itself."""
     from scipy.special import fdtri
 
-    residuals, leverage = fit.fitted(kept), fit.leverage(kept)
-    freedom = max(1, 3 * int(kept.sum()) - fit.rank)
-    sign = np.where(kept, -1.0, 1.0)[:, None, None]
+    residuals, leverage = fit.fitted(agreeing), fit.leverage(agreeing)
+    freedom = max(1, 3 * int(agreeing.sum()) - fit.rank)
+    sign = np.where(agreeing, -1.0, 1.0)[:, None, None]
     inner = np.linalg.eigvalsh(leverage)[:, -1]
-    is_testable = ~kept | (inner < CANNOT_BE_TESTED)
+    is_testable = ~agreeing | (inner < CANNOT_BE_TESTED)
     spread = np.where(is_testable[:, None, None], np.eye(3) + sign * leverage, np.eye(3))
     inverse = np.linalg.inv(spread)
     squares = np.einsum("mi,mij,mj->m", residuals, inverse, residuals)
-    total = float(np.sum(residuals[kept] ** 2))
-    others = np.where(kept, freedom - 3, freedom)
-    variance = np.maximum((total - np.where(kept, squares, 0.0)) / np.maximum(others, 1), noise_m**2)
+    total = float(np.sum(residuals[agreeing] ** 2))
+    others = np.where(agreeing, freedom - 3, freedom)
+    variance = np.maximum((total - np.where(agreeing, squares, 0.0)) / np.maximum(others, 1), noise_m**2)
     ratio = np.where(is_testable, squares / 3.0 / variance, 0.0)
     agrees = ratio <= fdtri(3, np.maximum(others, 1), 1.0 - FALSE_ALARM / len(fit))
-    deleted = np.where(kept[:, None], np.einsum("mij,mj->mi", inverse, residuals), residuals)
+    deleted = np.where(agreeing[:, None], np.einsum("mij,mj->mi", inverse, residuals), residuals)
     return OutlierTest(agrees, deleted, np.sqrt(3.0 * ratio), math.sqrt(max(total / freedom, noise_m**2)))
 
 
@@ -141,7 +141,7 @@ def _most_alike(fit: LinearFit) -> Array:
 
 
 def _concentrated(fit: LinearFit, distances: Array, count: int) -> Array:
-    """Fit to the `count` nearest points, again and again: the sum of their squares never grows."""
+    """Fit to the `count` nearest points repeatedly: the sum of their squares never increases."""
     before = math.inf
     for _ in range(CONCENTRATION_STEPS):
         chosen = np.zeros(len(fit), dtype=bool)
@@ -155,23 +155,23 @@ def _concentrated(fit: LinearFit, distances: Array, count: int) -> Array:
 
 
 def _clearly_alike(fit: LinearFit, squares: Array) -> Mask:
-    """Points within the 99 % that the spread of the best half allows."""
+    """Points within the 99 % limit from the spread of the best half."""
     from scipy.special import chdtri
 
     m = len(fit)
     count = min(m, max(math.ceil(TRUSTED_SHARE * m), fit.rank // 3 + 2))
-    share = min(1.0, max(0.1, 1.0 - fit.rank / (3.0 * count)))  # what the fit has taken out
+    share = min(1.0, max(0.1, 1.0 - fit.rank / (3.0 * count)))  # degrees of freedom of the fit
     middle = float(np.partition(squares, m // 2)[m // 2])
     variance = max(middle / float(chdtri(3, 0.5)) / share, RESOLUTION_m**2)
-    kept = squares <= variance * float(chdtri(3, 0.01))
-    kept[np.argpartition(squares, count - 1)[:count]] = True
-    return np.asarray(kept)
+    agreeing = squares <= variance * float(chdtri(3, 0.01))
+    agreeing[np.argpartition(squares, count - 1)[:count]] = True
+    return np.asarray(agreeing)
 
 
 def _outlier(
     problem: ArmProblem, x: Array, row: int, found: OutlierTest, cavities: Mapping[str, Array]
 ) -> Outlier:
-    """One row, named and explained."""
+    """The outlier of a row, with its cause."""
     observed = problem.observed
     setup = observed.setup[row] if observed.setup else ""
     point = observed.point[row] if observed.point else str(row + 1)

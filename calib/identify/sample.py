@@ -1,4 +1,4 @@
-"""An objective over some of a problem's poses: its value, and its second order around one x, pose by pose summed up."""
+"""An objective over some of a problem's poses: value and second-order expansion, summed over poses."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Quadratic:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """The poses that are looked at: every `stride`-th."""
+    """A sample of the poses: every `stride`-th."""
 
     problem: Problem
     objective: Objective
@@ -52,7 +52,7 @@ class Sample:
     def around(
         self, x: Array, smoothing_m: float, before: Quadratic | None, is_bent: bool = True
     ) -> Quadratic:
-        """To second order around x, of the kinematics too if `is_bent`; the dual is that of a step from `before` to x."""
+        """Second-order expansion around x, with the kinematics' if `is_bent`; the dual is that of a step from `before` to x."""
         k, done = len(x), 0
         gradient, gram, curvature = np.zeros(k), np.zeros((k, k)), np.zeros((k, k))
         residuals, duals = [], []
@@ -68,19 +68,19 @@ class Sample:
             residuals.append(here.residuals)
             duals.append(dual)
             done += len(here.residuals)
-        kept = [dual for dual in duals if dual is not None]
+        present = [dual for dual in duals if dual is not None]
         return Quadratic(
             x,
             smoothing_m,
             np.concatenate(residuals),
-            np.concatenate(kept) if kept else None,
+            np.concatenate(present) if present else None,
             gradient,
             gram,
             curvature,
         )
 
     def _dual(self, residuals: Array, part: slice, before: Quadratic | None) -> Array | None:
-        """Of some of the poses."""
+        """The dual of some of the poses."""
         if before is None:
             return None
         dual = None if before.dual is None else before.dual[part]

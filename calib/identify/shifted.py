@@ -1,4 +1,4 @@
-"""Whole setups that are off: a board (or the camera) that did not stand where the points of that setup say it stood."""
+"""Detects shifted setups: the board (or the camera) was not at the assumed place."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from calib.identify.linear_fit import LinearFit, Mask
 from calib.identify.outliers import outlier_test
 
 FREE = "free"  # poses away from any board
-POINTS_MINIMUM_COUNT = 6  # of a setup, to tell its board's shift and turn from its points
-LARGEST_SHARE = 0.5  # if as many setups disagree, it is not one of them that is off
-CHANCE = 1e-6  # probability that a setup that stood right is named
-# Share of the squared residuals that the move must explain. An effect that the model lacks also makes setups differ, but
-# a rigid move explains little of it.
+POINTS_MINIMUM_COUNT = 6  # of a setup, to determine the shift and rotation of its board
+LARGEST_SHARE = 0.5  # if more setups disagree, the cause is not a single one
+CHANCE = 1e-6  # probability of a false alarm for a setup
+# Share of the squared residuals that the motion must explain. A missing effect also makes setups differ, but
+# a rigid motion explains little of that.
 EXPLAINED_SHARE = 0.3
-LENGTH_m, TURN_rad = 0.001, 0.01  # what the two sorts of columns are scaled by
+LENGTH_m, TURN_rad = 0.001, 0.01  # scales of the two kinds of columns
 
 
 @dataclass(frozen=True, slots=True)
 class ShiftedSetup:
-    """A setup whose points fit the others after a shift [m] and a turn [rad] (3,) about their middle, base frame."""
+    """A setup whose points fit the others after a shift [m] and a rotation [rad] (3,) about their centre, base frame."""
 
     setup: str
     shift_m: Array
@@ -35,7 +35,7 @@ class ShiftedSetup:
 
 
 def shifted_setups(problem: ArmProblem, x: Array) -> tuple[ShiftedSetup, ...]:
-    """Setups that are off as a whole, the worst first; none where every board is identified anyhow."""
+    """Shifted setups, the worst first; none if every board is identified anyway."""
     names = _candidates(problem)
     found: list[ShiftedSetup] = []
     if len(names) < 2:
@@ -54,7 +54,7 @@ def shifted_setups(problem: ArmProblem, x: Array) -> tuple[ShiftedSetup, ...]:
 
 
 def moved_columns(problem: ArmProblem, setup: str) -> Array:
-    """Derivative (m, 3, 6) of the residuals by a shift and a turn of one setup's references."""
+    """Derivative (m, 3, 6) of the residuals by a shift and a rotation of one setup's references."""
     rows = np.array([name == setup for name in problem.observed.setup])
     columns = np.zeros((len(rows), 3, 6))
     arms = problem.references_m[rows] - problem.references_m[rows].mean(axis=0)
@@ -75,7 +75,7 @@ def _candidates(problem: ArmProblem) -> list[str]:
 def _moved(
     problem: ArmProblem, name: str, fixed: LinearFit, taken: list[Array], agrees: Mask
 ) -> tuple[float, float, ShiftedSetup]:
-    """Explained share, probability of as much by chance, and the move that does it."""
+    """Explained share, p-value, and the motion."""
     from scipy.special import fdtrc
 
     own = moved_columns(problem, name)

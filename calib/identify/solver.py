@@ -1,10 +1,9 @@
-"""The minimum of an objective in the box of the bounds: several searches, the best of them, and of all that fit as well the
-nearest to nominal.
+"""The minimum of an objective within bounds: several searches, and of equally good solutions the nearest to nominal.
 
-What the data cannot determine stays at nominal: of all parameter sets that fit as well as the best, the one nearest to
-nominal is wanted. Once the best is known, the null space of its Jacobian is held at nominal and the rest refitted; if that
-costs more than COST_OF_NEARNESS, a narrower null space is held. An identification allows more (`Equal` "by noise"): what the
-held unknowns would gain by following noise alone, so that no combination that the points leave open ends at a bound for it.
+What the data do not determine stays at nominal. After the best search, the null space of its Jacobian is fixed at nominal
+and the rest refitted; if that costs more than COST_OF_NEARNESS, a narrower null space is fixed. An identification allows
+more (`Equal` "by noise"): the expected gain of the fixed unknowns by fitting noise, so that no undetermined combination
+ends at a bound because of noise.
 """
 
 from __future__ import annotations
@@ -28,31 +27,29 @@ COST_OF_NEARNESS = 8e-7  # share of the objective that staying near nominal may 
 # What counts as undetermined, tried in this order against that cost.
 RANK_TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-9)
 BETTER = 1e-9  # another start replaces the first only by more than this share
-# Times the starts asked for: where bounds bind, where several minima have shown, where many bounds bind.
+# Factors on the number of starts: with active bounds, with several minima, with many active bounds.
 BOUND_STARTS, SEVERAL_STARTS, MANY_STARTS = 2, 6, 12
-MANY_BOUND = 4  # parameters at their bounds: geometry that is off by more than they allow
-ROUGH_ERROR = 3e-3  # of the objective where a rough search ends, and of a sample of poses
-SAME = 0.003  # rough ends with the same bounds whose residuals differ by less than this share are the same minimum
-SAME_END = 1e-6  # finished ends on some of the poses that differ by less are the same minimum
-DIFFERENT = 1e-7  # objectives that differ by less are the same
-POSES_PER_UNKNOWN = 6  # enough of them to tell which starts are worth going on with
-FIT = Goal(1.0, 1.0, 1e-2, is_bent=False)  # least squares, from which the other objectives set out
+MANY_BOUND = 4  # parameters at their bounds: the geometry deviates by more than the bounds
+ROUGH_ERROR = 3e-3  # tolerance of a rough search, and of one on a sample of poses
+SAME = 0.003  # rough results with the same active bounds and a smaller difference of residuals are the same minimum
+SAME_END = 1e-6  # finished results on a sample with a smaller difference are the same minimum
+DIFFERENT = 1e-7  # relative difference below which objectives are equal
+POSES_PER_UNKNOWN = 6  # enough poses to select promising starts
+FIT = Goal(1.0, 1.0, 1e-2, is_bent=False)  # least squares, from which the other objectives start
 ROUGH = Goal(1e-1, 1e-2, 1e-4, step_limit=25)
 FINE = Goal(1e-2, 1e-7, 1e-9)
-BISECTIONS, LIMIT_REACHED = 60, 1e-7  # of lambda; share of the wanted accuracy that may be left unused
+BISECTIONS, LIMIT_REACHED = 60, 1e-7  # of lambda; unused share of the requested accuracy
 NULL_POSES = 5000
-REACH = 0.7  # of the box, from where starts are drawn
-Equal = Literal[
-    "exactly", "by noise"
-]  # how nearly two fits must agree so that the nearer one to nominal is taken
+REACH = 0.7  # of the box, from which starts are drawn
+Equal = Literal["exactly", "by noise"]  # how closely two fits must agree to prefer the one nearer to nominal
 
 
 @dataclass(frozen=True, slots=True)
 class Minimum:
-    """Where the search ended: unknowns x (k,), objective there, steps taken, and whether it ended by itself.
+    """Result of the search: unknowns x (k,), objective, number of steps, and whether it converged.
 
-    `objective` is the one asked for, a threshold settled; `value` is its own, whatever else was asked for. `accuracy` is None
-    where none was.
+    `objective` is the requested one with its threshold; `value` is its value, without a constraint. `accuracy` is None
+    if none was requested.
     """
 
     x: Array
@@ -64,7 +61,7 @@ class Minimum:
 
     @property
     def constraint_met(self) -> bool:
-        """Whether the mean distance is what was asked for, if anything was."""
+        """Whether the mean distance meets the request, if any."""
         return self.accuracy is None or self.accuracy.is_met
 
 
@@ -78,10 +75,10 @@ def minimise(
 ) -> Minimum:
     """The best of several searches: from nominal, then from random points of the box.
 
-    Where bounds bind there are local minima, and BOUND_STARTS times as many searches are made; SEVERAL_STARTS times if
-    several are found, MANY_STARTS times where MANY_BOUND bind. With `accuracy_limit_m` the mean distance must not be
+    With active bounds there are local minima, and BOUND_STARTS times as many searches are made; SEVERAL_STARTS times if
+    several are found, MANY_STARTS times if MANY_BOUND are active. With `accuracy_limit_m` the mean distance must not be
     larger; if no parameters within the bounds reach that, the minimum is that of the sum of distances, whatever the
-    objective, and says so. CalibrationError for a limit that makes no sense.
+    objective. CalibrationError for an invalid limit.
     """
     if accuracy_limit_m is not None and not 0.0 < accuracy_limit_m < np.inf:
         raise CalibrationError(f"average accuracy: expected a positive length in m, got {accuracy_limit_m}")
@@ -94,7 +91,7 @@ def minimise(
 
 
 def settled(problem: Problem, objective: Objective, seed: int = 0) -> Objective:
-    """The objective itself, or Huber's with the threshold that the noise asks for."""
+    """The objective, or Huber's with a threshold from the noise."""
     if not isinstance(objective, Huber) or objective.threshold_m is not None:
         return objective
     robust = best_of_starts(problem, SumOfDistances(), 1, seed)
@@ -118,7 +115,7 @@ def _constrained(problem: Problem, found: Minimum, limit_m: float, starts_count:
 def _multiplied(problem: Problem, found: Minimum, closest: Array, limit_m: float) -> tuple[Array, float]:
     """The minimum of objective + lambda E2 whose mean distance is limit_m, and the lambda: bisection of its logarithm.
 
-    Of the two ends of the interval, which close in, the one that meets the constraint is given.
+    Returns the end of the interval that meets the constraint.
     """
     per_distance = found.value / (len(problem) * limit_m)
     low, high, best, best_multiplier = 1e-9, 1e9, closest, np.inf
@@ -139,7 +136,7 @@ def _multiplied(problem: Problem, found: Minimum, closest: Array, limit_m: float
 
 
 def _instead(problem: Problem, found: Minimum, x: Array, accuracy: Accuracy) -> Minimum:
-    """Another place, judged by the same objective."""
+    """The same minimum record at another point."""
     return replace(found, x=x, value=Sample(problem, found.objective).value(x), accuracy=accuracy)
 
 
@@ -149,7 +146,7 @@ def _mean_m(problem: Problem, x: Array) -> float:
 
 
 def best_of_starts(problem: Problem, objective: Objective, starts_count: int, seed: int) -> Minimum:
-    """The best of all searches, wherever the unknowns are that do not matter."""
+    """The best of all searches; undetermined unknowns may be anywhere."""
     k = len(problem.parameters)
     bounded = np.array([parameter.has_bound for parameter in problem.parameters])
     draw = np.random.default_rng(seed)
@@ -180,14 +177,14 @@ def best_of_starts(problem: Problem, objective: Objective, starts_count: int, se
 
 
 def _times(at_bound_count: int) -> int:
-    """How many times the starts that were asked for so many parameters at their bounds want."""
+    """Factor on the number of starts for this many parameters at their bounds."""
     if at_bound_count >= MANY_BOUND:
         return MANY_STARTS
     return BOUND_STARTS if at_bound_count else 1
 
 
 class _Ends:
-    """Ends of rough searches, to tell a new one from those that have been there."""
+    """Results of rough searches, to recognise new ones."""
 
     def __init__(self, sample: Sample) -> None:
         self._sample = sample
@@ -197,14 +194,14 @@ class _Ends:
         self._lowest = np.inf
 
     def is_lead(self, x: Array) -> bool:
-        """Whether a search that ended here, on these poses, ended in another minimum than those before."""
+        """Whether this result, on these poses, is another minimum than the previous ones."""
         value = self._sample.value(x)
         is_known = any(abs(value - other) <= SAME_END * other for other in self._finished)
         self._finished.append(value)
         return not is_known
 
     def is_new(self, x: Array) -> bool:
-        """Whether a search that got here may end lower than the others: low enough, other bounds or other residuals."""
+        """Whether a search from here may end lower than the others: low enough, with other active bounds or residuals."""
         residuals = self._sample.residuals(x)
         value = self._sample.value_of(residuals, 0.0)
         at_bound = np.sign(x) * (np.abs(x) >= self._limits)
@@ -220,7 +217,7 @@ class _Ends:
 
 
 def _rough(sample: Sample, start: Array) -> End:
-    """A search that ends as soon as it is clear where it leads."""
+    """A search with a coarse tolerance."""
     if isinstance(sample.objective, LeastSquares):
         return descend(sample, start, ROUGH)
     fitted = descend(replace(sample, objective=LeastSquares()), start, FIT)
@@ -229,7 +226,7 @@ def _rough(sample: Sample, start: Array) -> End:
 
 
 def _finished(problem: Problem, objective: Objective, rough: End) -> Minimum:
-    """The same search to its end, on all poses."""
+    """The search to convergence on all poses."""
     sample = Sample(problem, objective)
     end = descend(sample, rough.x, _fine(sample))
     return Minimum(
@@ -238,14 +235,14 @@ def _finished(problem: Problem, objective: Objective, rough: End) -> Minimum:
 
 
 def _fine(sample: Sample) -> Goal:
-    """The goal of a last search. Some k distances are zero at a minimum, each of them a smoothing too long."""
+    """The goal of a final search. Some k distances are zero at a minimum, each increased by the smoothing."""
     share = len(sample.problem) / sample.stride / len(sample.problem.parameters)
     return replace(FINE, last_smoothing=FINE.last_smoothing * max(1.0, share))
 
 
 def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, equal: Equal) -> Minimum:
-    """The same fit with what the data do not determine back at nominal, as far as the allowed cost lets it."""
-    # Of very many poses some tell the null space; what they overlook shows in the cost, which is that on all.
+    """The fit with undetermined combinations back at nominal, as far as the allowed cost permits."""
+    # With very many poses, a sample gives the null space; the cost is evaluated on all.
     stride = max(1, len(problem) // NULL_POSES)
     residuals, jacobian = problem.residuals_and_jacobian(best.x, slice(None, None, stride))
     sample = Sample(problem, objective)
@@ -253,7 +250,7 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, e
     stiffness = stride * _stiffness(objective, residuals, jacobian)
     nothing = objective.value(objective.distances(np.full((len(problem), 3), NOTHING_M)), 0.0)
     tried = -1
-    # Turns of arm and board together cost nothing but where the objective has axes of its own (absolute coordinates).
+    # Rotations of arm and board together cost nothing, unless the objective depends on axes (absolute coordinates).
     for derivative, rank_tolerance in product((problem.sensitivity(best.x), jacobian), RANK_TOLERANCES):
         null = null_space(derivative, problem.parameters, rank_tolerance)
         if null.shape[1] == tried:
@@ -268,9 +265,9 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, e
 
 
 def _gain_by_noise(problem: Problem, unknowns_count: int) -> float:
-    """Share of the objective that so many unknowns take off it in the mean by following noise.
+    """Expected share of the objective that this many unknowns remove by fitting noise.
 
-    Each takes 1 / freedom off a sum of squares, and half of that off a sum of distances: the lesser counts.
+    Each removes 1 / freedom from a sum of squares, and half of that from a sum of distances; the smaller is used.
     """
     freedom = 3 * len(problem) - len(problem.parameters)
     return max(COST_OF_NEARNESS, unknowns_count / (2.0 * freedom)) if freedom > 0 else COST_OF_NEARNESS

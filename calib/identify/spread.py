@@ -1,13 +1,13 @@
-"""How far an estimate may lie from the truth: the noise variance behind it and its degrees of freedom.
+"""Noise variance of an estimate, and its degrees of freedom.
 
-Noise is taken to be independent and alike for all points and axes. An estimate that minimises a sum of rho(residual)
+Noise is assumed independent and identical for all points and axes. An estimate that minimises a sum of rho(residual)
 then has the covariance v (J'J)^-1, v = E[psi^2] / E[psi']^2 (Huber, Robust Statistics, 1981, ch. 7), psi = rho'. Both
-means are over true errors, but only residuals are seen, and the fit has drawn each towards nought, the more so the
-larger the point's leverage h. Without the point the fit would be off it by r + h / (1 - h) psi(r) / c, c the mean of
-psi' (a one-step deletion; r / (1 - h) for least squares, where it is exact). That is a true error and, independent
+means are over true errors, but only residuals are known, and the fit has shrunk each towards zero, the more the
+larger the point's leverage h. Without the point, its residual would be r + h / (1 - h) psi(r) / c, c the mean of
+psi' (a one-step deletion; r / (1 - h) for least squares, where it is exact). That is a true error plus, independent
 of it, the error of the rest's prediction, together 1 / (1 - h) times the variance of the error; so the means are over
 sqrt(1 - h) times that. For least squares v is the mean of r^2 / (1 - h), unbiased; sums of distances, whose residuals
-crowd at the kink, get the variance that simulations show.
+cluster at the kink, get the variance found in simulations.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from calib.identify.objective import Objective
 
 ROUNDS_LIMIT = 60
 SETTLED = 1e-5
-LEVERAGE_LIMIT = 0.95  # a point that decides something alone says nothing about the noise
+LEVERAGE_LIMIT = 0.95  # a point that alone determines something gives no information on the noise
 NORMAL_QUARTILE = 0.6745  # median of |e| of a normal e with standard deviation 1
 BANDWIDTH = 1.06  # Silverman, Density Estimation, 1986, eq. (3.28): 1.06 sigma n^(-1/5)
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseScale:
-    """`variance_m2` times (J'J)^-1 is the covariance; it is known as well as from `freedom` degrees of freedom.
+    """`variance_m2` times (J'J)^-1 is the covariance; the variance has `freedom` degrees of freedom.
 
-    NaN and 0 where there are no more residuals than unknowns. `curvature` times J'J is the mean Hessian of the objective.
+    NaN and 0 if there are no more residuals than unknowns. `curvature` times J'J is the mean Hessian of the objective.
     """
 
     variance_m2: float
@@ -52,7 +52,7 @@ def leverages(sensitivity: Array, spread: Array) -> Array:
 
 
 def noise_scale(objective: Objective, residuals: Array, leverage: Array) -> NoiseScale:
-    """From residuals (m, 3) and leverages (m, 3, 3)."""
+    """Noise scale from residuals (m, 3) and leverages (m, 3, 3)."""
     distances = objective.distances(residuals)
     dimension = 3 if len(distances) == len(residuals) else 1
     axes = np.einsum("ijj->ij", leverage)
@@ -93,5 +93,5 @@ def _bends(objective: Objective, errors: Array, dimension: int) -> Array:
         return np.asarray((2.0 * across + along) / 3.0)
     sigma = float(np.median(errors)) / NORMAL_QUARTILE
     width = BANDWIDTH * sigma * len(errors) ** -0.2
-    kept = errors * math.sqrt(1.0 - (width / sigma) ** 2)  # so that smoothing leaves the variance as it is
-    return np.asarray(2.0 * np.exp(-0.5 * (kept / width) ** 2) / (math.sqrt(2.0 * math.pi) * width))
+    shrunk = errors * math.sqrt(1.0 - (width / sigma) ** 2)  # so that smoothing does not change the variance
+    return np.asarray(2.0 * np.exp(-0.5 * (shrunk / width) ** 2) / (math.sqrt(2.0 * math.pi) * width))

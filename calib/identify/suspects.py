@@ -1,4 +1,4 @@
-"""What the points contradict among themselves: whole setups that are off, encoders that slipped, then single points."""
+"""Contradictions among the points: shifted setups, slipped encoders, single outliers."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from calib.arrays import Array
 from calib.identify.outliers import Outlier, RESOLUTION_m, find_outliers
 from calib.identify.shifted import ShiftedSetup, moved_columns, shifted_setups
 
-REPORTED_LIMIT = 10  # points told one by one
+REPORTED_LIMIT = 10  # outliers reported individually
 REPORTED_IF_SYSTEMATIC = 3
-SYSTEMATIC_COUNT = 12  # so many outliers without one slip behind them are an effect rather
+SYSTEMATIC_COUNT = 12  # this many outliers without a slip indicate an effect
 SYSTEMATIC_SHARE = 0.1
-SLIPPED_COUNT = 3  # points that it takes to speak of an encoder that slipped and stayed so
-IN_ONE_PIECE = 0.8  # share of the poses between first and last of a slip that show it
+SLIPPED_COUNT = 3  # fewest points for a lasting slip of an encoder
+IN_ONE_PIECE = 0.8  # share of the poses between first and last of a slip that must show it
 EXPLAINED_SHARE = 0.9  # of their squared distances
 
 
@@ -32,7 +32,7 @@ class Slip:
 
     @property
     def words(self) -> str:
-        """A sentence."""
+        """Describe the slip in a sentence."""
         return (
             f"{len(self.rows)} points between poses {self.rows[0] + 1} and {self.rows[-1] + 1}: the encoder of joint"
             f" {self.joint} probably slipped by {math.degrees(self.angle_rad):+.2f} deg; home the joint and measure these"
@@ -57,14 +57,16 @@ class Suspects:
 
     def in_words(self) -> tuple[str, ...]:
         """One sentence each, setups first; a lasting encoder slip is reported once."""
-        said = [] if self.is_systematic else [one.words for one in self.setups]
-        said += [self.slip.words] if self.slip is not None else []
+        sentences = [] if self.is_systematic else [one.words for one in self.setups]
+        sentences += [self.slip.words] if self.slip is not None else []
         single = self._single()
-        told = REPORTED_IF_SYSTEMATIC if self.is_systematic else REPORTED_LIMIT
-        said += [one.words for one in single[:told]]
-        if len(single) > told:
-            said.append(f"{len(single) - told} more points contradict the others, less than those listed")
-        return tuple(said)
+        listed_count = REPORTED_IF_SYSTEMATIC if self.is_systematic else REPORTED_LIMIT
+        sentences += [one.words for one in single[:listed_count]]
+        if len(single) > listed_count:
+            sentences.append(
+                f"{len(single) - listed_count} more points contradict the others, less than those listed"
+            )
+        return tuple(sentences)
 
     def _single(self) -> list[Outlier]:
         rows = set(self.slip.rows) if self.slip is not None else set()
@@ -77,9 +79,9 @@ def find_suspects(
     cavities: Mapping[str, Array] | None = None,
     noise_m: float = RESOLUTION_m,
 ) -> Suspects:
-    """Around the solution x (k,) of a problem: the points of a setup that is off are held against each other only.
+    """Find suspects around the solution x (k,) of a problem; points of a shifted setup are compared only with each other.
 
-    `noise_m`: of one axis, where it is known; what it explains is not suspicious, however well the other points agree.
+    `noise_m`: of one axis, if known; deviations within it are never suspicious.
     """
     setups = shifted_setups(problem, x)
     moved = [moved_columns(problem, one.setup) for one in setups]
@@ -89,7 +91,7 @@ def find_suspects(
 
 
 def _slip(problem: ArmProblem, x: Array, outliers: tuple[Outlier, ...]) -> Slip | None:
-    """The joint whose angle alone, changed by one amount, brings the longest unbroken run of outliers to their places."""
+    """The joint for which a constant change of its angle explains the longest run of outliers."""
     run = _longest_run(sorted(one.row for one in outliers))
     if len(run) < SLIPPED_COUNT or len(outliers) - len(run) >= SYSTEMATIC_COUNT:
         return None
@@ -107,7 +109,7 @@ def _slip(problem: ArmProblem, x: Array, outliers: tuple[Outlier, ...]) -> Slip 
 
 
 def _longest_run(rows: list[int]) -> list[int]:
-    """The most rows of which IN_ONE_PIECE of all between first and last are there."""
+    """The longest run that contains at least IN_ONE_PIECE of the rows between its first and last."""
     best: list[int] = []
     for start in range(len(rows)):
         for end in range(len(rows) - 1, start + len(best) - 1, -1):

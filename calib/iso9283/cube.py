@@ -39,7 +39,7 @@ class TestCube:
     edge_m: float
 
     def __post_init__(self) -> None:
-        """Iso9283Error for a centre or an edge that is none."""
+        """Iso9283Error for an invalid centre or edge."""
         position(self.centre_m, "test cube, centre")
         above_zero(self.edge_m, "test cube, edge")
 
@@ -60,7 +60,7 @@ class TestCube:
         return point_of(np.asarray(self.centre_m) + half * np.array([down, across, -down]))
 
     def grid(self, count: int) -> Array:
-        """Points all through the cube (count^3, 3), its corners first."""
+        """A grid of points in the cube (count^3, 3), its corners first."""
         steps = np.linspace(-1.0, 1.0, count)
         inner = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
         return np.asarray(self.centre_m) + 0.5 * self.edge_m * np.concatenate([np.array(_CORNERS), inner])

@@ -13,10 +13,10 @@ from calib.iso9283.recorded import CAMERA, NO_LOG, Run
 from calib.iso9283.result import Criterion, Figure, PathTrace, criterion, with_headlines
 
 POINTS_ON_PATH = 100
-PATH_MARGIN = 0.05  # of the length, at either end, where the arm starts and stops
+PATH_MARGIN = 0.05  # of the length, at either end, omitted for start and stop
 SPEED_WINDOW_s = 0.2
-CENTRAL = 0.5  # of a path's time: where the speed is judged
-STEADY = 0.05  # of the speed: set-points that vary less are a straight run at constant speed
+CENTRAL = 0.5  # of a path's time: part where the speed is evaluated
+STEADY = 0.05  # of the speed: set-points that vary less have constant speed
 Runs = Sequence[Run]
 
 
@@ -129,7 +129,7 @@ def _velocity(cycles: Runs) -> tuple[velocity.PathVelocity, float, str]:
 
 
 def weaving_criterion(runs: Runs) -> Criterion:
-    """14: WS and WF of weaving runs, against the commanded weave, that of the set-points."""
+    """14: WS and WF of weaving runs, against the weave of the set-points."""
     weaves = [run for run in runs if run.programme == "weave"]
     if not weaves:
         return criterion(14, (), (NO_LOG + "a path that weaves about a line (programme weave)",))
@@ -158,7 +158,7 @@ def weaving_criterion(runs: Runs) -> Criterion:
 
 
 def _across(set_m: Array) -> Array:
-    """The direction in which a weave swings: at right angles to the line from its beginning to its end."""
+    """The direction of a weave's stroke: normal to the line from its start to its end."""
     along = set_m[-1] - set_m[0]
     along = along / np.linalg.norm(along)
     off = set_m - set_m[0]
@@ -176,7 +176,7 @@ def _attained(cycles: Runs) -> tuple[Array, Array]:
 def _path_groups(runs: Runs, is_wanted: Callable[[Run], bool]) -> dict[str, list[Run]]:
     """Repeats of the same path at the same speed, by name.
 
-    Runs that the log does not name are compared by their set-points; one that was made once is no test's.
+    Runs without a name in the log are compared by their set-points; single runs do not belong to a test.
     """
     groups: dict[str, list[Run]] = {}
     for run in runs:
@@ -192,14 +192,14 @@ def _path_groups(runs: Runs, is_wanted: Callable[[Run], bool]) -> dict[str, list
 
 
 def _middle(run: Run) -> tuple[float, float]:
-    """When the middle part of a run begins and ends, where a speed can be constant."""
+    """Start and end of the middle part of a run, where the speed can be constant."""
     began, ended = run.moving_s
     half = 0.5 * CENTRAL * (ended - began)
     return 0.5 * (began + ended) - half, 0.5 * (began + ended) + half
 
 
 def _is_steady(run: Run) -> bool:
-    """Whether the set-point runs straight on at constant speed in the middle of a run."""
+    """Whether the set-point has constant velocity in the middle of a run."""
     first, last = _middle(run) if run.is_moving else (0.0, 0.0)
     chosen = (run.time_s >= first) & (run.time_s <= last)
     if chosen.sum() < 3:
@@ -222,7 +222,7 @@ def _is_repeat(run: Run, other: Run) -> bool:
 
 
 def _near(path_m: Array, corner: Array, before: Array, after: Array) -> Array:
-    """The part of a path about one corner: nearer to it than to half-way to the corners beside."""
+    """The part of a path around one corner, up to half-way to the adjacent corners."""
     reach = 0.5 * max(float(np.linalg.norm(corner - before)), float(np.linalg.norm(after - corner)))
     offset = path_m - corner
     chosen = path_m[norms(offset) <= reach]

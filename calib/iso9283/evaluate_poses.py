@@ -13,7 +13,7 @@ from calib.iso9283.criteria.load import Compliance, static_compliance
 from calib.iso9283.recorded import PoseGroup
 from calib.iso9283.result import Criterion, Figure, criterion, with_headlines
 
-SAME_POSE_m = 1e-4  # two commanded positions nearer than this are the same pose
+SAME_POSE_m = 1e-4  # commanded positions closer than this are the same pose
 OWN_SETUPS = ("from_x", "from_y", "from_z", "distance", "load", "posing")
 AXES = "xyz"
 NAMES_SAID = 5
@@ -25,12 +25,12 @@ ORIENTATION = (
 
 
 def is_pose_setup(name: str) -> bool:
-    """Whether a setup holds plain visits: any name that no other programme has."""
+    """Whether a setup has plain visits: any name that no other programme uses."""
     return name not in OWN_SETUPS and not name.startswith("drift_")
 
 
 def pose_criterion(groups: Groups) -> Criterion:
-    """1: AP and RP of every pose, and of the orientation where it was measured."""
+    """1: AP and RP of every pose, and of the orientation if it was measured."""
     chosen = sorted((g for g in groups if is_pose_setup(g.setup)), key=lambda g: (g.setup, g.point))
     figures = [figure for group in chosen for figure in _pose_figures(group)]
     needs = _unseen(chosen)

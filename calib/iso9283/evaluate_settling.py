@@ -14,13 +14,13 @@ from calib.iso9283.recorded import CAMERA, ENCODERS, NO_LOG, Run
 from calib.iso9283.result import Criterion, Figure, SettlingTrace, criterion, with_headlines
 
 REST_s = 0.3  # at the end of an approach, of which the attained pose is the mean
-NOISE_SIGMAS = 4.5  # per axis: of a thousand positions at rest less than one is farther away
+NOISE_SIGMAS = 4.5  # standard deviations per axis: exceeded by less than one of a thousand positions at rest
 Runs = Sequence[Run]
 
 
 @dataclass(frozen=True, slots=True)
 class Bands:
-    """Limit bands in m: wanted (the pose repeatability, or the user's)."""
+    """Limit bands in m: `wanted_m` is the pose repeatability, or the user's."""
 
     wanted_m: float
     source: str
@@ -74,7 +74,7 @@ def _settled(run: Run, source: str, band_m: float) -> _Settled:
 
 
 def _band(runs: Runs, source: str, bands: Bands) -> tuple[float, str]:
-    """The limit band: at least what single measurements scatter at rest, or nothing would ever be at rest."""
+    """The limit band, at least the scatter of single measurements at rest."""
     noise_m = NOISE_SIGMAS * _scatter_at_rest_m(runs, source)
     if noise_m <= bands.wanted_m:
         return bands.wanted_m, f"limit band {1e3 * bands.wanted_m:.3f} mm ({bands.source})"
@@ -85,7 +85,7 @@ def _band(runs: Runs, source: str, bands: Bands) -> tuple[float, str]:
 
 
 def _scatter_at_rest_m(runs: Runs, source: str) -> float:
-    """Standard deviation per axis of what is measured at the ends of runs."""
+    """Standard deviation per axis of the measurements at the ends of runs."""
     squares, freedom = 0.0, 0
     for run in runs:
         time_s, tip_m = run.measured(source)

@@ -1,4 +1,4 @@
-"""All fourteen criteria of what was recorded."""
+"""Evaluates all fourteen criteria."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def evaluate(
     joint_count: int = 3,
     notes: Sequence[str] = (),
 ) -> Evaluation:
-    """The fourteen criteria, in order; what is missing for one is said in its `needs`.
+    """The fourteen criteria, in order; `needs` of each lists missing input.
 
     others: the same programme by other arms. corners: E1 .. E4 of the rectangle. band_m: the limit band of stabilization,
     overshoot and posing time; the pose repeatability of P1 if absent.
@@ -57,7 +57,7 @@ def evaluate(
 
 def _bands(first: Criterion, band_m: float | None) -> of_settling.Bands | None:
     if band_m is not None:
-        return of_settling.Bands(above_zero(band_m, "limit band"), "what was asked for")
+        return of_settling.Bands(above_zero(band_m, "limit band"), "the given limit band")
     found = [f for f in first.figures if f.symbol == "RP_l" and f.where.startswith("P1")]
     return (
         of_settling.Bands(found[0].value, "the repeatability RP_l of P1")

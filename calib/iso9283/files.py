@@ -1,4 +1,4 @@
-"""points.csv and log.csv of a test as they are written: line by line, each on the disk before the arm goes on."""
+"""Writers of a test's points.csv and log.csv: each line is saved before the arm continues."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LOG_NAMES = ("programme", "cycle", "speed_m_s")
 
 
 def points_header(n: int) -> list[str]:
-    """Columns of points.csv: the interchange format's, and the commanded position."""
+    """Columns of points.csv: those of the interchange format, and the commanded position."""
     joints = range(1, n + 1)
     return [
         "setup", "point", "repeat", "t_s", "payload_kg", *(f"q{j}_rad" for j in joints), *(f"dir{j}" for j in joints),
@@ -27,7 +27,7 @@ def points_header(n: int) -> list[str]:
 
 
 def log_header(n: int) -> list[str]:
-    """Columns of log.csv: the interchange format's, and which programme a run belongs to."""
+    """Columns of log.csv: those of the interchange format, and the programme of a run."""
     joints = range(1, n + 1)
     return [
         "run", "t_s", *LOG_NAMES, *(f"q{j}_rad" for j in joints), *(f"q{j}_set_rad" for j in joints),
@@ -36,10 +36,10 @@ def log_header(n: int) -> list[str]:
 
 
 class RecordFile:
-    """Appends rows to a .csv that a killed process leaves whole but for its last line, which is dropped then.
+    """Appends rows to a .csv; if the process is killed, only an incomplete last line is lost.
 
-    `rows` are those that the file held when it was opened, as text by column. Iso9283Error if another header stands
-    there.
+    `rows` are those in the file when it was opened, as text by column. Iso9283Error if it has another
+    header.
     """
 
     def __init__(self, path: Path, header: Sequence[str]) -> None:

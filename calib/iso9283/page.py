@@ -46,7 +46,7 @@ def _sections(evaluation: Evaluation, inputs: Sequence[InputFile]) -> Iterator[S
 
 
 def shown(value: float, unit: str) -> str:
-    """A value in the unit that is read most easily."""
+    """Format a value in a readable unit."""
     scale, name, digits = SHOWN.get(unit, (1.0, unit, 3))
     return f"{scale * value:.{digits}f} {name}"
 
@@ -76,7 +76,7 @@ def _figures(criteria: Sequence[Criterion]) -> str:
 
 
 def _left(content: str) -> str:
-    """A table whose headings stand over text."""
+    """A table with left-aligned headings."""
     return f'<div class="inputs">{content}</div>'
 
 

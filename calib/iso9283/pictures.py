@@ -1,4 +1,4 @@
-"""The report's pictures, as SVG text: where repeated visits end, how paths deviate, how the arm comes to rest."""
+"""The report's pictures as SVG text: attained poses, path deviations, settling."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _draw_in_plane(axes: Axes, trace: PathTrace) -> None:
     plane = np.linalg.svd(trace.commanded_m - centre, full_matrices=False)[2][:2]
     if (
         np.ptp((trace.commanded_m - centre) @ plane[1]) < 1e-6
-    ):  # a line: its deviation is seen best where it is largest
+    ):  # a line: drawn in the plane of its largest deviation
         off = trace.attained_m.mean(axis=(0, 1)) - centre
         off = off - (off @ plane[0]) * plane[0]
         plane = np.vstack((plane[0], off / max(float(np.linalg.norm(off)), 1e-12)))

@@ -1,4 +1,4 @@
-"""The test programmes of ISO 9283:1998 as data: which poses are visited and which paths are run, in which order.
+"""The test programmes of ISO 9283:1998 as data: poses and paths in order.
 
 Names in the records: points.csv has the programme in `setup` (pose, from_x, from_y, from_z, distance, drift_1,
 drift_2, ..., load, posing) and the pose in `point`; log.csv has it in the column `programme` (approach, posing, line,
@@ -18,7 +18,7 @@ from calib.iso9283.cube import Point, TestCube, point_of
 
 PROGRAMMES = ("pose", "directions", "distance", "drift", "path", "cornering", "posing", "load", "weaving")
 AXES = ("x", "y", "z")
-SETTLING_CYCLES = 3  # whose approach to P1 is recorded: stabilization and overshoot
+SETTLING_CYCLES = 3  # number of recorded approaches to P1, for stabilization and overshoot
 DRIFT_CYCLES = 10  # of one set of drift measurements
 CORNERING_CYCLES = 3
 POSING_SHARES = (0.125, 0.25, 0.5, 1.0)  # of the distance from P2 to P4
@@ -31,7 +31,7 @@ _SPACING_m = 0.02  # of way-points along the rectangle's legs, to keep them stra
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """How much is done. The defaults are the standard's, but for the drift, which it follows for hours."""
+    """Extent of a test. The defaults are the standard's, except for the drift, which the standard observes for hours."""
 
     repeats: int = 30
     path_cycles: int = 10
@@ -42,7 +42,7 @@ class Extent:
     programmes: tuple[str, ...] = PROGRAMMES
 
     def __post_init__(self) -> None:
-        """Iso9283Error for counts that make no test, or programmes that there are not."""
+        """Iso9283Error for counts that allow no evaluation, or unknown programmes."""
         if self.repeats < 2 or self.path_cycles < 2 or self.drift_sets < 2:
             raise Iso9283Error(
                 "repeatability needs at least 2 repeats, 2 path cycles and 2 drift sets:"
@@ -67,8 +67,8 @@ class Extent:
 class Visit:
     """Go to a pose from `via_m` (straight from the last pose if absent), rest, average. Base frame, m.
 
-    `recorded`: what the approach is called in log.csv, empty where it is not kept. `not_before_s`: since the
-    programme began. `payload_kg` hangs at the tip.
+    `recorded`: name of the approach in log.csv, empty if it is not recorded. `not_before_s`: since the
+    programme started. `payload_kg`: load at the tip.
     """
 
     setup: str
@@ -167,7 +167,7 @@ def posing_programme(cube: TestCube) -> Iterator[Step]:
 
 
 def load_programme(cube: TestCube, rated_load_kg: float) -> Iterator[Step]:
-    """P1 under loads that hang at the tip, from none to the rated load in ten steps, three times."""
+    """P1 with loads at the tip, from none to the rated load in ten steps, three times."""
     if rated_load_kg <= 0.0:
         return
     tip = cube.poses()["P1"]
@@ -199,7 +199,7 @@ def circle_points(cube: TestCube, count: int) -> tuple[Point, ...]:
 
 
 def cornering_programme(cube: TestCube, shares: Sequence[float], rated_speed_m_s: float) -> Iterator[Step]:
-    """Three times around the rectangle E1 E2 E3 E4 E1 on the diagonal plane, its corners not rounded on purpose."""
+    """Three times around the rectangle E1 E2 E3 E4 E1 on the diagonal plane, without intentional rounding."""
     corners = rectangle_corners(cube)
     points: list[Point] = [corners[0]]
     for start, end in zip(corners, (*corners[1:], corners[0]), strict=True):
@@ -233,7 +233,7 @@ def weaving_programme(cube: TestCube, cycles: int, rated_speed_m_s: float) -> It
 
 
 def programme_document(cube: TestCube, extent: Extent, rated_speed_m_s: float) -> dict[str, object]:
-    """programme.json: what evaluation has to know of a recording besides its records."""
+    """programme.json: data for the evaluation besides the records."""
     return {
         "format": "iso9283-programme/1",
         "cube": {"centre_m": list(cube.centre_m), "edge_m": cube.edge_m, "plane": "C1-C2-C7-C8"},

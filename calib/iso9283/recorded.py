@@ -1,4 +1,4 @@
-"""Recorded poses and runs as the criteria want them: points.csv and log.csv (docs/formats.md), and programme.json."""
+"""Reads recorded poses and runs for the criteria: points.csv and log.csv (docs/formats.md), and programme.json."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ ANGLES, ANGLES_SET, FORCE = (
 
 CAMERA, ENCODERS = "camera", "encoders"
 NO_LOG = "a recording of runs (--log with log.csv): "
-STILL_m = 1e-9  # between two rows: a set-point that moves less stands
+STILL_m = 1e-9  # between two rows: a smaller change of the set-point is rest
 
 
 @dataclass(frozen=True, slots=True)
 class PoseGroup:
-    """One pose of one programme: commanded (3,), attained (n, 3) in the order of time, base frame, m.
+    """One pose of one programme: commanded (3,), attained (n, 3) in order of time, base frame, m.
 
-    t_s (n,), force_N (n, 3) of what hangs at the tip; angle_set_rad (3,) and angle_rad (n, 3) where the orientation
-    was measured. `unseen` visits had no measured tip.
+    t_s (n,), force_N (n, 3) of the load at the tip; angle_set_rad (3,) and angle_rad (n, 3) if the orientation
+    was measured. `unseen`: number of visits without a measured tip.
     """
 
     setup: str
@@ -59,7 +59,7 @@ class PoseGroup:
 class Run:
     """One run: commanded tip set_m (k, 3) and encoder_m (k, 3), both by the arm's model, at time_s (k,).
 
-    seen_m (s, 3) at seen_s (s,) by the camera. `programme` is empty and speed_m_s NaN where the file does not say.
+    seen_m (s, 3) at seen_s (s,) by the camera. `programme` is empty and speed_m_s NaN if the file does not give them.
     """
 
     number: int
@@ -82,7 +82,7 @@ class Run:
         return np.asarray(np.linalg.norm(np.diff(self.set_m, axis=0), axis=1) >= STILL_m)
 
     def measured(self, source: str) -> tuple[Array, Array]:
-        """Times (k,) and positions (k, 3) by CAMERA or ENCODERS; Iso9283Error where a camera saw too little."""
+        """Times (k,) and positions (k, 3) by CAMERA or ENCODERS; Iso9283Error with too few camera frames."""
         if source == ENCODERS:
             return self.time_s, self.encoder_m
         if len(self.seen_m) < 3:
@@ -91,7 +91,7 @@ class Run:
 
     @property
     def moving_s(self) -> tuple[float, float]:
-        """When the set-point begins to move, and when it stops."""
+        """Start and end of the set-point's motion."""
         moving = np.flatnonzero(self._moving)
         if not len(moving):
             raise Iso9283Error(f"run {self.number}: the set-point does not move")
@@ -99,14 +99,14 @@ class Run:
 
 
 def pose_groups(points: Points, arm: Arm, path: str) -> tuple[list[PoseGroup], tuple[str, ...]]:
-    """Poses by setup and point, in order, and in words where the commanded positions come from.
+    """Poses by setup and point, in order, and the source of the commanded positions as text.
 
     UnusablePointsError for points in other units or of another arm.
     """
     commanded, source = _commanded(points, arm, path)
     measured = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1))
     is_checked = len(measured) > 0 and points.joint_count == arm.joint_count
-    said = require_of_arm(arm, points.chosen(measured)) if is_checked else ()
+    warnings = require_of_arm(arm, points.chosen(measured)) if is_checked else ()
     force = _columns(points, FORCE, path)
     if force is None:
         force = np.outer(np.nan_to_num(points.payload_kg), arm.gravity_m_s2)
@@ -128,11 +128,11 @@ def pose_groups(points: Points, arm: Arm, path: str) -> tuple[list[PoseGroup], t
                 *(turned or (None, None)),
             )
         )
-    return groups, (source, *said)
+    return groups, (source, *warnings)
 
 
 def _commanded(points: Points, arm: Arm, path: str) -> tuple[Array, str]:
-    """Commanded positions (m, 3): columns, or set-points or encoders through the arm's kinematics."""
+    """Commanded positions (m, 3): from columns, or by forward kinematics of set-points or encoders."""
     given = _columns(points, SET, path)
     if given is not None:
         return given, "commanded positions: columns x_set_m, y_set_m, z_set_m"
@@ -153,7 +153,7 @@ def _commanded(points: Points, arm: Arm, path: str) -> tuple[Array, str]:
 
 
 def _columns(points: Points, names: Sequence[str], path: str) -> Array | None:
-    """Extra columns as numbers (m, len(names)); None unless all of them are there."""
+    """Extra columns as numbers (m, len(names)); None unless all of them exist."""
     present = [name for name in names if name in points.extra]
     if not present:
         return None
@@ -178,7 +178,7 @@ def _number(path: str, line: int, name: str, value: str) -> float:
 def read_runs(path: Path, arm: Arm) -> list[Run]:
     """Every run of a log.csv or log.csv.gz; Iso9283Error names file, line and column.
 
-    Rows without a set-point, such as those of an arm that is guided, are left out.
+    Rows without a set-point, such as during hand guiding, are omitted.
     """
     n, kinematics = arm.joint_count, Kinematics(arm)
     required = ["t_s", *(form.format(j) for form in ("q{}_rad", "q{}_set_rad") for j in range(1, n + 1))]
@@ -189,7 +189,7 @@ def read_runs(path: Path, arm: Arm) -> list[Run]:
     runs: dict[str, _Rows] = {}
     for row in _rows(path, ("run", *required)):
         if row["run"] not in runs:
-            # where the model has gears or encoders that err, the tip is where the joints are, not where the encoders say
+            # with gear or encoder effects in the model, the tip follows joint angles, not encoder angles
             names = joints if all(name in row for name in joints) else required
             runs[row["run"]] = _Rows(path, row, names, n)
         runs[row["run"]].add(row)
@@ -203,7 +203,7 @@ def read_runs(path: Path, arm: Arm) -> list[Run]:
 
 
 class _Rows:
-    """The rows of one run as they are read: numbers in one compact array, so that long recordings stay small."""
+    """The rows of one run in a compact array, so that long recordings fit in memory."""
 
     def __init__(self, path: Path, first: Mapping[str, str], names: Sequence[str], n: int) -> None:
         self._path, self._n, self._first = path, n, dict(first)
@@ -216,7 +216,7 @@ class _Rows:
         return len(self._numbers) // len(self._names)
 
     def add(self, row: Mapping[str, str]) -> None:
-        """One line, unless it has no set-point."""
+        """Add a line, unless it has no set-point."""
         numbers = [_cell(self._path, row, name) for name in self._names]
         for name, value in zip(self._names[: self._required], numbers, strict=False):
             if not math.isfinite(value):
@@ -226,7 +226,7 @@ class _Rows:
             self._numbers.extend(numbers)
 
     def require_meant(self, arm: Arm) -> None:
-        """UnusablePointsError where the angles are no radians or the tips no metres."""
+        """UnusablePointsError if angles are not in radians or tips not in metres."""
         n, table = self._n, np.array(self._numbers).reshape(-1, len(self._names))
         q, tip = table[:, 1 : 1 + n], table[:, 1 + 2 * n :]
         m = len(table)
@@ -235,7 +235,7 @@ class _Rows:
         require_columns_meant(arm, points, Choice().for_points(arm, points))
 
     def run(self, kinematics: Kinematics) -> Run:
-        """The run, in the order of time."""
+        """The run, in order of time."""
         n, table = self._n, np.array(self._numbers).reshape(-1, len(self._names))
         table = table[np.argsort(table[:, 0], kind="stable")]
         table = table[np.concatenate(([True], np.diff(table[:, 0]) > 0.0))]
@@ -259,7 +259,7 @@ class _Rows:
 
 
 def _rows(path: Path, required: Sequence[str]) -> Iterator[dict[str, str]]:
-    """Rows of a .csv or .csv.gz by column, with their line under an empty name."""
+    """Rows of a .csv or .csv.gz by column, with the line number under an empty name."""
     try:
         with _opened(path) as file:
             reader = csv.reader(file)

@@ -1,4 +1,4 @@
-"""What an evaluation says: fourteen criteria, each with its figures or with what it still needs; and iso9283.json."""
+"""Results of an evaluation: fourteen criteria, each with its figures or missing input; and iso9283.json."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ FORMAT = "iso9283/1"
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One value: the standard's symbol, SI unit (or %), where it was found, and what there is to know about it.
+    """One value: the standard's symbol, SI unit (or %), place, and remarks.
 
-    `is_headline`: stands for its symbol in the table, such as the worst of the poses.
+    `is_headline`: represents its symbol in the table, such as the worst of the poses.
     """
 
     symbol: str
@@ -42,13 +42,13 @@ class Criterion:
 
     @property
     def headlines(self) -> tuple[Figure, ...]:
-        """The figures that stand for this criterion."""
+        """The figures that represent this criterion."""
         return tuple(figure for figure in self.figures if figure.is_headline)
 
 
 @dataclass(frozen=True, slots=True)
 class PathTrace:
-    """A commanded path (m, 3), what was attained along it (n, m, 3), for a picture; m."""
+    """A commanded path (m, 3) and the attained points (n, m, 3), for a picture; m."""
 
     name: str
     commanded_m: Array
@@ -67,7 +67,7 @@ class SettlingTrace:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """All fourteen criteria, notes on how they were had, and what the pictures show.
+    """All fourteen criteria, notes on their evaluation, and data for the pictures.
 
     clouds: attained positions (n, 3) minus the commanded one, by pose.
     """
@@ -105,7 +105,7 @@ def criterion(number: int, figures: Sequence[Figure], needs: Sequence[str]) -> C
 
 
 def with_headlines(figures: Sequence[Figure], symbols: Sequence[str] | None = None) -> list[Figure]:
-    """Of each symbol (of all, or of those named) the figure of largest size becomes the headline."""
+    """Make the largest figure of each symbol (of all, or of those named) the headline."""
     worst: dict[str, Figure] = {}
     for figure in figures:
         if figure.symbol not in worst or abs(figure.value) > abs(worst[figure.symbol].value):

@@ -1,4 +1,4 @@
-"""The largest test cube that an arm reaches: all of it on one branch, within the joint limits, clear of the floor."""
+"""The largest test cube within reach: on one branch, within the joint limits, clear of the floor."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.motion.checks import LEAST_SINGULAR_M_RAD
 
-CLEARANCE_m = 0.08  # of the cube above the floor: an arm that is not calibrated is some 3 cm off
-LIMIT_MARGIN_rad = 0.05  # to the joint limits, for runs that swing out
+CLEARANCE_m = 0.08  # of the cube above the floor: an uncalibrated arm is some 3 cm off
+LIMIT_MARGIN_rad = 0.05  # to the joint limits, for overshooting runs
 SMALLEST_EDGE_m = 0.02
-_TOLERANCE_m = 0.005  # of the edge that is searched
+_TOLERANCE_m = 0.005  # resolution of the edge
 _STEPS = 9  # of the grid of centres, along each axis
-_ROUNDS = 3  # of refining it
-BASE_COLUMN_m = 0.1  # about the base's vertical axis, kept free of the cube: the arm itself stands there
+_ROUNDS = 3  # number of refinements
+BASE_COLUMN_m = 0.1  # around the base's vertical axis, kept free of the cube for the arm itself
 _CHECKED = 5  # points along each edge
 
 Solver = Callable[[Array], tuple[float, ...]]
 
 
 def largest_cube(arm: Arm) -> TestCube:
-    """The largest cube with edges along the base axes, to 5 mm of its edge; Iso9283Error where not even 2 cm fit.
+    """The largest cube with edges along the base axes, to 5 mm of its edge; Iso9283Error if not even 2 cm fit.
 
-    Its centre lies straight ahead, where the table is, or along x; it is searched on a grid that is refined.
+    Its centre is straight ahead, towards the table, or along x; it is searched on a refined grid.
     """
     found = [cube for solver in solvers(arm) if (cube := _grown(arm, solver, reach_m(arm))) is not None]
     if not found:
@@ -42,9 +42,9 @@ def largest_cube(arm: Arm) -> TestCube:
 
 
 def solver_of(arm: Arm, cube: TestCube) -> Solver:
-    """Joint angles for points of `cube`, on one branch that reaches all of it; Iso9283Error where none does.
+    """Solver of joint angles for points of `cube`, on one branch that reaches all of it; Iso9283Error if there is none.
 
-    A cube that the user chose may come nearer to floor and joint limits than one that is searched.
+    A cube chosen by the user may be closer to floor and joint limits than a searched one.
     """
     reasons = []
     for solver in solvers(arm, margin_rad=0.0):
@@ -59,9 +59,9 @@ def solver_of(arm: Arm, cube: TestCube) -> Solver:
 
 
 def solvers(arm: Arm, margin_rad: float = LIMIT_MARGIN_rad) -> Iterator[Solver]:
-    """Inverse kinematics on each branch, or from the rest pose where branches have no names.
+    """Inverse kinematics on each branch, or from the rest pose if the arm has no named branches.
 
-    A solver raises ArmError for points that it does not reach, or reaches near a limit or near-singular.
+    A solver raises ArmError for points that are out of reach, near a limit or near-singular.
     """
     inverse = InverseKinematics(arm)
     limits = [(lower + margin_rad, upper - margin_rad) for lower, upper in arm.limits_rad]
@@ -80,7 +80,7 @@ def solvers(arm: Arm, margin_rad: float = LIMIT_MARGIN_rad) -> Iterator[Solver]:
 
 
 def reach_m(arm: Arm) -> float:
-    """No tip is farther from the base than this."""
+    """Upper bound of the tip's distance from the base."""
     dh = np.abs(arm.dh)
     return float(np.hypot(dh[:, 0], dh[:, 2]).sum() + np.linalg.norm(arm.tool.position_m))
 
@@ -104,7 +104,7 @@ def _grown(arm: Arm, solver: Solver, reach: float) -> TestCube | None:
 
 
 def _largest_at(arm: Arm, solver: Solver, centre: Array, least_m: float, reach: float) -> TestCube | None:
-    """The largest cube about a centre, None if not even one of `least_m` fits."""
+    """The largest cube around a centre, None if not even `least_m` fits."""
 
     def fits(edge_m: float) -> TestCube | None:
         cube = TestCube(point_of(centre), edge_m)
@@ -120,7 +120,7 @@ def _largest_at(arm: Arm, solver: Solver, centre: Array, least_m: float, reach: 
 
 
 def _obstacle(arm: Arm, solver: Solver, cube: TestCube, clearance_m: float) -> str:
-    """Why a cube is not all within reach; empty if it is."""
+    """Why a cube is not completely within reach; empty if it is."""
     floor_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + clearance_m
     if cube.centre_m[2] - 0.5 * cube.edge_m < floor_m:
         return f"it goes below {floor_m:g} m"

@@ -1,1 +1,1 @@
-"""points.csv: reading, writing, and the table whose cavities the points are."""
+"""points.csv: reading and writing."""

@@ -1,4 +1,4 @@
-"""The reader of points for an arm: the files of one arm as one, and not those that a session recorded of another."""
+"""Reads and joins the points of one arm, and refuses files that were recorded with another."""
 
 from __future__ import annotations
 
@@ -10,23 +10,25 @@ from calib.errors import UnusablePointsError
 from calib.points.points import Points, joined, read_points
 from control.model.arm import Arm
 
-RECORDS = ("session.json", "plan.json", "programme.json")  # what our own recordings keep beside points.csv
+RECORDS = ("session.json", "plan.json", "programme.json")  # files that our recordings write beside points.csv
 
 
 def points_for(arm: Arm, files: Sequence[Path]) -> tuple[Points, tuple[str, ...]]:
-    """The points of all files, one after the other, and warnings about them.
+    """Read and concatenate the points of all files; also returns warnings.
 
-    PointsFileError names file, line and column; UnusablePointsError for a file that was recorded of another arm. What the
-    columns hold is checked by what uses the points (`calib.arm_problem.checks.require_of_arm`).
+    PointsFileError names file, line and column; UnusablePointsError for a file of another arm. Users of the points
+    check the values of the columns (`calib.arm_problem.checks.require_of_arm`).
     """
     for file in files:
         require_recorded_of(arm, file)
     read = [read_points(file, arm.joint_count) for file in files]
-    return joined([part for part, _ in read]), tuple(sentence for _, said in read for sentence in said)
+    return joined([part for part, _ in read]), tuple(
+        sentence for _, warnings in read for sentence in warnings
+    )
 
 
 def require_recorded_of(arm: Arm, file: Path) -> None:
-    """UnusablePointsError where the record beside the points names another arm."""
+    """UnusablePointsError if the record beside the points names another arm."""
     for name in RECORDS:
         recorded = _arm_in(file.parent / name)
         if recorded is not None and recorded != arm.name:
@@ -37,7 +39,7 @@ def require_recorded_of(arm: Arm, file: Path) -> None:
 
 
 def _arm_in(file: Path) -> str | None:
-    """The arm's name in a file of ours; None where there is none to be read."""
+    """The arm's name in one of our files; None if it cannot be read."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):

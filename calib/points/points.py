@@ -1,4 +1,4 @@
-"""points.csv: static poses, read and written as the interchange format says.
+"""points.csv: static poses in the interchange format.
 
 Required columns: setup, point, repeat, q1_rad ... qn_rad. Optional: t_s, payload_kg, dir1 ..., i1_A ..., and
 x_m, y_m, z_m (empty where nothing was measured). Other columns are kept as text and warned about.
@@ -31,7 +31,7 @@ TIP = ("x_m", "y_m", "z_m")
 SCALARS = ("t_s", "payload_kg")
 OWN_EXTRAS = re.compile(
     r"q\d+_sd_rad|temperature\d+_C|approach|take"
-)  # what our own sessions add; kept like any other column, but no surprise
+)  # added by our own sessions; kept like any other column, without a warning
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Points:
 
     q_rad (m, n) from the encoders; tip_m (m, 3) in the base frame, NaN where not measured; direction (m, n)
     sign of each joint's last motion, 0 unknown; current_A (m, n), t_s (m,), payload_kg (m,): NaN where
-    unknown. `extra` holds columns that the format does not know, as text.
+    unknown. `extra` holds columns beyond the format, as text.
     """
 
     setup: tuple[str, ...]
@@ -55,7 +55,7 @@ class Points:
     extra: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
 
     def __len__(self) -> int:
-        """How many poses."""
+        """Number of poses."""
         return len(self.setup)
 
     @property
@@ -92,7 +92,7 @@ def make_points(
     payload_kg: Array | None = None,
     extra: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Points:
-    """Points from arrays; what is absent is filled with NaN, directions with 0."""
+    """Make points from arrays; missing values are NaN, missing directions 0."""
     m, n = np.shape(q_rad)
     return Points(
         tuple(setup),
@@ -109,7 +109,7 @@ def make_points(
 
 
 def joined(parts: Sequence[Points]) -> Points:
-    """The poses of several files, one after the other; columns beyond the format stay where every file has them."""
+    """Concatenate the poses of several files; columns beyond the format are kept if every file has them."""
     first, *others = parts
     shared = [name for name in first.extra if all(name in part.extra for part in others)]
     return make_points(
@@ -127,7 +127,7 @@ def joined(parts: Sequence[Points]) -> Points:
 
 
 def read_points(path: Path, joint_count: int | None = None) -> tuple[Points, tuple[str, ...]]:
-    """The points of a file and warnings about it. PointsFileError names file, line and column."""
+    """Read the points of a file; also returns warnings. PointsFileError names file, line and column."""
     with opened_text(path) as file:
         reader = csv.reader(file)
         columns = _Columns.of(path, next(reader, []), joint_count)
@@ -142,7 +142,7 @@ def read_points(path: Path, joint_count: int | None = None) -> tuple[Points, tup
 
 @contextmanager
 def opened_text(path: Path) -> Iterator[TextIO]:
-    """Text of a .csv or .csv.gz; what the system or the file's form refuses becomes one sentence."""
+    """Open the text of a .csv or .csv.gz; errors of the system or the file become a PointsFileError."""
     try:
         if path.name.endswith(".gz"):
             with gzip.open(path, "rt", encoding="utf-8-sig", newline="") as packed:
@@ -163,7 +163,7 @@ def opened_text(path: Path) -> Iterator[TextIO]:
 
 
 def require_commas(path: Path, header: Sequence[str]) -> None:
-    """PointsFileError for a header line whose names something else than commas separates."""
+    """PointsFileError for a header line that is not separated by commas."""
     for mark, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "vertical bars")):
         if sum(cell.count(mark) for cell in header) > len(header):
             raise PointsFileError(
@@ -174,14 +174,14 @@ def require_commas(path: Path, header: Sequence[str]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Where each column stands in a row."""
+    """Index of each column in a row."""
 
     names: tuple[str, ...]
     joint_count: int
 
     @classmethod
     def of(cls, path: Path, header: list[str], joint_count: int | None) -> _Columns:
-        """From the header line; PointsFileError if it lacks or repeats something."""
+        """Parse the header line; PointsFileError for missing or duplicate columns."""
         names = tuple(name.strip() for name in header)
         require_commas(path, names)
         _require_unique(path, names)
@@ -198,13 +198,13 @@ class _Columns:
         return cls(names, n)
 
     def warnings(self, path: Path) -> tuple[str, ...]:
-        """One sentence about columns that the format does not know, if there are any."""
+        """One sentence about unknown columns, if there are any."""
         strange = [name for name in self.extra if not OWN_EXTRAS.fullmatch(name)]
         return (f"{path}: unknown columns ignored: {', '.join(strange)}",) if strange else ()
 
     @property
     def extra(self) -> tuple[str, ...]:
-        """Columns that the format does not know."""
+        """Columns beyond the format."""
         known = {*REQUIRED, *SCALARS, *TIP}
         known.update(*(_each(self.joint_count, form) for form in ("q{}_rad", "dir{}", "i{}_A")))
         return tuple(name for name in self.names if name not in known)
@@ -222,7 +222,7 @@ def _require_unique(path: Path, names: tuple[str, ...]) -> None:
 
 
 def _require_whole_groups(path: Path, names: tuple[str, ...], n: int) -> None:
-    """x, y, z together; directions and currents of every joint or of none, and only of those."""
+    """Require x, y, z together; directions and currents of every joint or of none."""
     for group in (TIP, _each(n, "dir{}"), _each(n, "i{}_A")):
         present = [name for name in group if name in names]
         if present and len(present) < len(group):
@@ -237,7 +237,7 @@ def _require_whole_groups(path: Path, names: tuple[str, ...], n: int) -> None:
 
 
 class _Table:
-    """Rows as they are read: numbers in compact arrays, so that 100,000 points stay small."""
+    """Rows in compact arrays, so that 100,000 points fit in little memory."""
 
     def __init__(self, path: Path, columns: _Columns) -> None:
         self._path, self._columns = path, columns
@@ -252,7 +252,7 @@ class _Table:
         self._place = {name: place for place, name in enumerate(columns.names)}
 
     def add(self, row: list[str], line: int) -> None:
-        """One line of the file."""
+        """Add a line of the file."""
         if len(row) != len(self._columns.names):
             raise PointsFileError(
                 f"{self._path}, line {line}: {len(row)} values, line 1 names {len(self._columns.names)}"
@@ -284,7 +284,7 @@ class _Table:
         return value
 
     def _require_sound(self, line: int) -> None:
-        """A tip has three coordinates or none; a direction is a sign."""
+        """Require that a tip has three coordinates or none, and a direction is a sign."""
         if "x_m" in self._numeric:
             unknown = [name for name in TIP if math.isnan(self._numeric[name][1][-1])]
             if 0 < len(unknown) < 3:
@@ -301,7 +301,7 @@ class _Table:
         return PointsFileError(f"{self._path}, line {line}, column {name}: got {got}, expected {expected}")
 
     def points(self) -> Points:
-        """What was read."""
+        """The points read."""
         n = self._columns.joint_count
         return make_points(
             self._text["setup"],

@@ -1,4 +1,4 @@
-"""Writing points.csv: a whole file at once, or record by record so that nothing acknowledged is ever lost."""
+"""Writes points.csv: a whole file at once, or record by record without losing a confirmed one."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ Key = tuple[str, str, int]
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One pose as a session takes it: names, joint angles with their scatter, and the tip if it is known.
+    """One recorded pose of a session: names, joint angles with their scatter, and the tip if known.
 
-    temperature_C of the drives, empty where not measured; approach: from which side, from 1; take: 2 and more
-    where earlier records of this pose were withdrawn.
+    temperature_C of the drives, empty if not measured; approach: number of the side, from 1; take: 2 and more
+    if earlier records of this pose were withdrawn.
     """
 
     setup: str
@@ -44,12 +44,12 @@ class Record:
 
     @property
     def key(self) -> Key:
-        """What tells records apart."""
+        """Key of a record."""
         return self.setup, self.point, self.repeat
 
 
 def write_points(path: Path, points: Points) -> None:
-    """All of it, replacing the file in one step; columns that hold nothing are left out."""
+    """Write all points, replacing the file atomically; empty columns are omitted."""
     n, q = points.joint_count, range(points.joint_count)
     columns: dict[str, Sequence[str]] = {
         "setup": points.setup,
@@ -75,8 +75,8 @@ def write_points(path: Path, points: Points) -> None:
 class PointsWriter:
     """Appends records to a .csv; each is on the disk before `append` returns.
 
-    An existing file is continued. A last line without an end, which a killed process leaves, is dropped;
-    `warnings` says so. SessionError if the file is of another arm or was not written by a session.
+    An existing file is continued. An incomplete last line, left by a killed process, is dropped;
+    see `warnings`. SessionError if the file is of another arm or was not written by a session.
     """
 
     def __init__(self, path: Path, joint_count: int) -> None:
@@ -92,11 +92,11 @@ class PointsWriter:
 
     @property
     def recorded(self) -> frozenset[Key]:
-        """What the file holds."""
+        """The records in the file."""
         return frozenset(self._lines)
 
     def line(self, key: Key) -> str:
-        """A record as it stands in the file, without the end of the line."""
+        """A record as a line of the file, without the line end."""
         return self._lines[key]
 
     def append(self, record: Record) -> None:
@@ -108,7 +108,7 @@ class PointsWriter:
         self._lines[record.key] = line.rstrip("\n")
 
     def withdraw(self, key: Key) -> None:
-        """Take a record out; the file is replaced in one step. Whoever asks keeps the line elsewhere first."""
+        """Remove a record; the file is replaced atomically. The caller must save the line first."""
         left = {other: line for other, line in self._lines.items() if other != key}
         self._file.close()
         replace_file(self._path, "".join([self._header, *(f"{line}\n" for line in left.values())]).encode())
@@ -130,7 +130,7 @@ class PointsWriter:
         self.close()
 
     def _mend(self) -> tuple[str, ...]:
-        """Leave a file of whole lines with our header: drop a torn end, write the header if there is none."""
+        """Repair the file: drop an incomplete end, write the header if there is none."""
         content = self._path.read_bytes() if self._path.exists() else b""
         whole = content[: content.rfind(b"\n") + 1]
         warnings: tuple[str, ...] = ()
@@ -149,7 +149,7 @@ class PointsWriter:
         return warnings
 
     def _read(self) -> dict[Key, str]:
-        """The lines of the records that the file holds, by key. PointsFileError where one is no record."""
+        """The lines of the records in the file, by key. PointsFileError for an invalid one."""
         lines = self._path.read_text(encoding="utf-8").split("\n")[1:-1]
         if not lines:
             return {}
@@ -213,6 +213,6 @@ def _line(values: Sequence[str]) -> str:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Put a whole file in place, so that a reader sees the old one or the new one."""
+    """Replace a file atomically: a reader sees the old one or the new one."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, gzip.compress(content, mtime=0) if path.name.endswith(".gz") else content)

@@ -15,12 +15,12 @@ from calib.validation.statistics import ErrorSummary, digits_mm
 from calib.validation.tracks import PARTS, TrackPair, compare_tracks
 from calib.validation.verify import Comparison, findings, improvement_percent
 
-SHOWN = 24  # points at most that are listed without being asked for
+SHOWN = 24  # most points listed unfolded
 SUMMARY = ("mean [mm]", "95 % of the mean [mm]", "RMS [mm]", "max [mm]", "sd [mm]")
 
 
 def verification_section(comparison: Comparison, where: str) -> Section:
-    """Errors at points, `where` says which: SpringerPlus 5:1771, Table 4."""
+    """Errors at points, described by `where`: SpringerPlus 5:1771, Table 4."""
     return Section(
         f"Error before and after, {where}",
         comparison_table(comparison)
@@ -32,7 +32,7 @@ def verification_section(comparison: Comparison, where: str) -> Section:
 
 
 def calibration_section(comparison: Comparison) -> Section:
-    """The points that made the result."""
+    """Errors at the points of the fit."""
     return Section(
         "At the calibration points",
         paragraph(
@@ -87,7 +87,7 @@ def _figures(summary: ErrorSummary) -> tuple[str, ...]:
 
 
 def _points(comparison: Comparison) -> str:
-    """Every point with its own interval, folded away where there are many."""
+    """Every point with its own interval, folded if there are many."""
     rows: list[Sequence[Cell]] = []
     before, after = norms(comparison.before_m), norms(comparison.after_m)
     for k, (setup, point) in enumerate(zip(comparison.setup, comparison.point, strict=True)):

@@ -1,6 +1,6 @@
-"""How every picture is drawn: as inline SVG, by one style, without a window system and without state left behind.
+"""Drawing of pictures as inline SVG, in one style, without a window system or global state.
 
-Every axis has its unit; colours are Okabe and Ito's, told apart by colour-blind readers, and no curve differs from another by
+Every axis has its unit; colours are Okabe and Ito's, safe for colour-blind readers, and curves never differ by
 colour alone.
 """
 
@@ -38,9 +38,9 @@ STYLE: Any = {  # matplotlib's stubs want a literal for every key
 
 
 def svg(size_in: tuple[float, float], draw: Callable[[Figure], None]) -> str:
-    """What `draw` draws on a figure, as an inline <svg>.
+    """An inline <svg> of what `draw` draws on a figure.
 
-    `draw` places its axes itself: matplotlib's own layout draws everything several times over.
+    `draw` places its axes itself: matplotlib's own layout draws everything several times.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -54,7 +54,7 @@ def svg(size_in: tuple[float, float], draw: Callable[[Figure], None]) -> str:
 
 
 def _inline(page: str) -> str:
-    """Without XML header, metadata and fixed size; with a second font where DejaVu is not installed."""
+    """Remove XML header, metadata and fixed size; add a fallback font."""
     text = re.sub(r"<metadata>.*?</metadata>", "", page[page.index("<svg") :], flags=re.S)
     head, rest = text.split(">", 1)
     head = re.sub(r' (?:width|height)="[^"]*"', "", head)

@@ -40,26 +40,26 @@ Cell = str | tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A box of the page: a title, and its content as HTML that is escaped already."""
+    """A box of the page: a title, and its content as escaped HTML."""
 
     title: str
     html: str
 
 
 def page(title: str, arm: str, about: str, parts: Iterable[Section | str]) -> str:
-    """The whole page: a heading, then sections and other HTML as they come."""
+    """The whole page: a heading, then sections and other HTML in order."""
     body = "".join(part if isinstance(part, str) else _box(part) for part in parts)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{said(title)}: {said(arm)}</title><style>{STYLE}</style></head>\n"
-        f"<body><main><h1>{said(title)}</h1>"
-        f'<p class="soft">arm <b>{said(arm)}</b> · {said(about)}</p>{body}</main></body></html>\n'
+        f"<title>{escaped(title)}: {escaped(arm)}</title><style>{STYLE}</style></head>\n"
+        f"<body><main><h1>{escaped(title)}</h1>"
+        f'<p class="soft">arm <b>{escaped(arm)}</b> · {escaped(about)}</p>{body}</main></body></html>\n'
     )
 
 
 def _box(section: Section) -> str:
-    return f"<section><h2>{said(section.title)}</h2>{section.html}</section>\n"
+    return f"<section><h2>{escaped(section.title)}</h2>{section.html}</section>\n"
 
 
 def text_section(title: str, *paragraphs: str) -> Section:
@@ -72,33 +72,33 @@ def list_section(title: str, lines: Iterable[str]) -> Section:
     return Section(title, bullets(lines))
 
 
-def said(text: str) -> str:
+def escaped(text: str) -> str:
     """Text as HTML."""
     return html.escape(text)
 
 
 def paragraph(text: str, kind: str = "") -> str:
     """One paragraph; `kind` is a class of the style."""
-    return f'<p class="{kind}">{said(text)}</p>' if kind else f"<p>{said(text)}</p>"
+    return f'<p class="{kind}">{escaped(text)}</p>' if kind else f"<p>{escaped(text)}</p>"
 
 
 def heading(text: str) -> str:
     """A heading within a section."""
-    return f"<h3>{said(text)}</h3>"
+    return f"<h3>{escaped(text)}</h3>"
 
 
 def bullets(lines: Iterable[str], kind: str = "ul") -> str:
     """A list, `ul` or `ol`."""
-    return f"<{kind}>{''.join(f'<li>{said(line)}</li>' for line in lines)}</{kind}>"
+    return f"<{kind}>{''.join(f'<li>{escaped(line)}</li>' for line in lines)}</{kind}>"
 
 
 def folded(title: str, content: str, is_open: bool = False) -> str:
-    """HTML behind a line to click."""
-    return f'<details{" open" if is_open else ""}><summary class="soft">{said(title)}</summary>{content}</details>'
+    """HTML that a click unfolds."""
+    return f'<details{" open" if is_open else ""}><summary class="soft">{escaped(title)}</summary>{content}</details>'
 
 
 def pair(left: str, right: str) -> str:
-    """Two pieces of HTML side by side where there is room."""
+    """Two pieces of HTML, side by side if there is room."""
     return f'<div class="pair">{left}{right}</div>'
 
 
@@ -110,20 +110,20 @@ def table(header: Sequence[Cell], rows: Iterable[Sequence[Cell]]) -> str:
 
 
 def tiles(figures: Iterable[tuple[str, str, str]]) -> str:
-    """Results as large figures: class, figure, what it is."""
+    """Results as large figures: class, figure, label."""
     boxes = "".join(
-        f'<div class="tile"><b class="{kind}">{said(figure)}</b><span class="soft small">{said(what)}</span></div>'
+        f'<div class="tile"><b class="{kind}">{escaped(figure)}</b><span class="soft small">{escaped(what)}</span></div>'
         for kind, figure, what in figures
     )
     return f'<div class="tiles">{boxes}</div>\n'
 
 
 def verdict(sentences: Iterable[str]) -> str:
-    """What came out, in words, ahead of everything."""
+    """The verdict as sentences, at the top."""
     return f'<section class="verdict">{"".join(paragraph(text) for text in sentences)}</section>\n'
 
 
 def _cell(cell: Cell, kind: str = "td") -> str:
     if isinstance(cell, str):
-        return f"<{kind}>{said(cell)}</{kind}>"
-    return f'<{kind} class="{cell[0]}">{said(cell[1])}</{kind}>'
+        return f"<{kind}>{escaped(cell)}</{kind}>"
+    return f'<{kind} class="{cell[0]}">{escaped(cell[1])}</{kind}>'

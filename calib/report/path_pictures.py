@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 PLANES = ((0, 1), (0, 2), (1, 2))
 SAMPLES_DRAWN = 400
-LEAST_SPAN_mm = 6.0  # of a plane seen edge-on: as thin as it is nothing would be seen
+LEAST_SPAN_mm = 6.0  # for a plane seen edge-on, which would be too thin to see
 
 
 def path_picture(pair: TrackPair) -> str:
@@ -26,9 +26,9 @@ def path_picture(pair: TrackPair) -> str:
 
 
 def thinned(track: Track) -> Track:
-    """At most SAMPLES_DRAWN samples, of those where the tip was seen: more only make the file large.
+    """At most SAMPLES_DRAWN samples with a measured tip, to limit the file size.
 
-    CalibrationError if the tip was never seen.
+    CalibrationError if the tip was never measured.
     """
     seen = track.seen()
     return seen.chosen(slice(None, None, -(-len(seen.time_s) // SAMPLES_DRAWN)))
@@ -66,7 +66,7 @@ def _draw_plane(axes: Axes, pair: TrackPair, i: int, j: int) -> None:
 
 
 def _widen(axes: Axes) -> None:
-    """Equal scales, except for a plane seen edge-on: there the thin direction gets some width, to be seen."""
+    """Equal scales, except for a plane seen edge-on, which gets some width."""
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
     if min(right - left, high - low) >= 0.2 * max(right - left, high - low):
         axes.set_aspect("equal", adjustable="datalim")
@@ -84,15 +84,15 @@ def _at_least(low: float, high: float) -> tuple[float, float]:
 
 
 def _draw_errors(axes: Axes, pair: TrackPair) -> None:
-    said = []
+    parts = []
     for track, colour, style, when in (
         (pair.before, BEFORE, "-.", "before"),
         (pair.after, AFTER, "-", "after"),
     ):
         error = 1e3 * norms(track.measured_m - track.planned_m)
         axes.plot(track.time_s, np.maximum(error, 1e-3), style, color=colour, lw=1.3, label=when)
-        said.append(f"{when} {np.mean(error):.2f} mm on average, {np.max(error):.2f} mm at most")
+        parts.append(f"{when} {np.mean(error):.2f} mm on average, {np.max(error):.2f} mm at most")
     axes.set(xlabel="time [s]", ylabel="|actual - ideal| [mm]", yscale="log")
     axes.yaxis.set_major_formatter("{x:g}")
-    axes.set_title(f"error along the path: {'; '.join(said)}", loc="left")
+    axes.set_title(f"error along the path: {'; '.join(parts)}", loc="left")
     axes.margins(x=0.01)

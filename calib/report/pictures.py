@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MARKERS = "o^sDvP"
-ARROW_SHARE = 0.16  # of the points' extent, that a typical arrow is long
-ARROW_LIMIT = 3.0  # times a typical error that an arrow is drawn long
+ARROW_SHARE = 0.16  # length of a typical arrow as a share of the points' extent
+ARROW_LIMIT = 3.0  # longest arrow in typical errors
 
 
 def vector_picture(comparison: Comparison) -> str:
@@ -26,12 +26,12 @@ def vector_picture(comparison: Comparison) -> str:
 
 
 def histogram_picture(comparison: Comparison) -> str:
-    """How often which error occurs, before and after, on one logarithmic axis."""
+    """Histogram of errors before and after, on one logarithmic axis."""
     return _small(lambda axes: _draw_histogram(axes, comparison))
 
 
 def setup_picture(comparison: Comparison) -> str:
-    """Mean error of each setup with its 95 % interval, every point beside it."""
+    """Mean error of each setup with its 95 % interval, and all points."""
     return _small(lambda axes: _draw_setups(axes, comparison))
 
 
@@ -80,12 +80,12 @@ def _draw_arrows(
 
 
 def _cut(errors: Array, limit: float) -> Array:
-    """Errors (m, 3) no longer than a limit: one tip in the wrong cavity must not shrink all others to dots."""
+    """Errors (m, 3) cut to a limit, so that one tip in the wrong cavity does not shrink all others to dots."""
     return np.asarray(errors * np.minimum(1.0, limit / np.maximum(norms(errors), 1e-12))[:, None])
 
 
 def _magnification(tips: Array, errors: Array) -> tuple[float, float]:
-    """A typical error, and how many times it is drawn."""
+    """A typical error, and the magnification."""
     extent = float(max(np.ptp(tips[:, 0]), np.ptp(tips[:, 1]), 1.0))
     typical = float(np.percentile(norms(errors), 95)) or 1e-9
     return typical, ARROW_SHARE * extent / typical

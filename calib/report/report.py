@@ -1,7 +1,7 @@
-"""report.html: one file without any outside resource that says what was done and what came out of it.
+"""report.html: procedure and results in one file without outside resources.
 
-`report_html` puts the sections in their usual order. comparison_sections and report_sections have each section by itself;
-`page.page` makes a page of any.
+`report_html` has the sections in their usual order. comparison_sections and report_sections provide single sections;
+`page.page` makes a page of any sections.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from control.files import write_whole
 
 
 def write_report(path: Path, report: ReportData) -> None:
-    """Write report.html, making its folder if need be."""
+    """Write report.html, creating its folder if necessary."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, report_html(report))
 

@@ -1,4 +1,4 @@
-"""What a report is made of: plain dataclasses that whoever ran the job fills in."""
+"""Data of a report: plain dataclasses filled in by the caller."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ UNUSED = "at points that calibration did not use"
 
 @dataclass(frozen=True, slots=True)
 class ReportData:
-    """Everything that stands in report.html. Absent parts are left out of it.
+    """The contents of report.html. Absent parts are omitted.
 
-    `verdict`: sentences ahead of everything. `paths`: trajectories by the nominal and the calibrated model. `arms`: nominal
+    `verdict`: sentences at the top. `paths`: trajectories by the nominal and the calibrated model. `arms`: nominal
     and calibrated, for the table of their DH parameters. `sections`: more of them, after the comparisons. `verified_at`: where
     the verification was.
     """

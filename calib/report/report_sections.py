@@ -1,4 +1,4 @@
-"""Sections of a report about what was done, with what, and which parameters came out of it."""
+"""Sections of a report on procedure, inputs and identified parameters."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from calib.arm_problem.frames import rotation_vector
 from calib.identify.estimates import Estimate
 from calib.identify.identification import Identification
 from calib.inputs import InputFile
-from calib.report.page import Cell, Section, bullets, heading, paragraph, said, table
+from calib.report.page import Cell, Section, bullets, escaped, heading, paragraph, table
 from control.model.arm import Arm
 
-NO_EFFECT = 0.999  # share of a parameter that the data leave open, from which on it is said to have no effect
-# How a parameter of each unit is shown: unit, scale, format.
+NO_EFFECT = 0.999  # undetermined share from which a parameter is reported to have no effect
+# Display of parameters by unit: unit, scale, format.
 UNITS = {"m": ("mm", 1e3, ".3f"), "rad": ("deg", math.degrees(1.0), ".4f"), "1": ("", 1.0, ".6f")}
 
 
 def done_section(steps: Iterable[str], notes: Sequence[str] = ()) -> Section:
-    """What was done, in order, and what to note."""
+    """The steps in order, and notes."""
     return Section(
         "What was done",
         bullets(steps, "ol") + (heading("To note") + bullets(notes) if notes else ""),
@@ -32,12 +32,12 @@ def inputs_section(inputs: Sequence[InputFile]) -> Section:
 
 
 def parameters_section(found: Identification) -> Section:
-    """Every parameter with its standard deviation, and what the data do not determine."""
+    """All parameters with their standard deviations, and what the data do not determine."""
     header = ("parameter", "unit", "nominal", "identified", "deviation", "sd", "bound", "")
     before, after = found.objective_before, found.objective_after
     return Section(
         "Parameters",
-        f"<p>Objective {said(found.objective)}: {before:.6g} before, {after:.6g} after (SI units). Residual"
+        f"<p>Objective {escaped(found.objective)}: {before:.6g} before, {after:.6g} after (SI units). Residual"
         f" {1e3 * found.noise_m:.3f} mm per axis (standard deviation).</p>"
         + heading("What the data determine")
         + bullets(found.in_words())
@@ -51,14 +51,14 @@ def parameters_section(found: Identification) -> Section:
 
 
 def of_the_arm(found: Identification) -> tuple[Estimate, ...]:
-    """The estimates without those of boards and base, of which only the frame as a whole has a meaning."""
+    """The estimates without those of boards and base, which are meaningful only as whole frames."""
     free = [frame for frame in found.solution.frames if frame.is_free]
     of_frames = {name for frame in free for name in frame.parameter_names}
     return tuple(one for one in found.estimates if one.parameter.name not in of_frames)
 
 
 def frames_section(found: Identification) -> Section:
-    """Where boards and base stood that were identified too."""
+    """Identified poses of boards and base."""
     rows = [
         (
             frame.name,

@@ -23,9 +23,9 @@ FORMAT = "verify/1"
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What was compared, how, and by whom. `how` and `warnings` are sentences; `is_driven`: the arm was sent to the points.
+    """A comparison and its circumstances. `how` and `warnings` are sentences; `is_driven`: the arm moved to the points.
 
-    `used_count`: poses that the calibration had seen before.
+    `used_count`: poses already used by the calibration.
     """
 
     nominal: Arm
@@ -42,27 +42,27 @@ class Verification:
 
     @property
     def is_worse(self) -> bool:
-        """Whether the calibrated arm is worse than the nominal one, over all points, by more than chance."""
+        """Whether the calibrated arm is significantly worse than the nominal one over all points."""
         return self.comparison.of(ALL).difference.finding is Finding.WORSE
 
     @property
     def verdict(self) -> tuple[str, ...]:
-        """What the points show, and the trajectories."""
+        """The result at the points and along the trajectories."""
         entry = self.comparison.of(ALL)
         before, after = (1e3 * summary.mean_m for summary in (entry.before, entry.after))
-        said = [
+        sentences = [
             f"The calibrated arm is {_spelled(entry.difference)} over {entry.after.count} points:"
             f" {before:.2f} mm before, {after:.2f} mm after ({entry.improvement_percent:+.1f} %)."
         ]
-        said += [f"Board {one.setup}: worse, although the total is not." for one in self._worse_alone()]
+        sentences += [f"Board {one.setup}: worse, although the total is not." for one in self._worse_alone()]
         along = compare_tracks(self.paths)
         if along is not None:
-            said.append(f"Along trajectories: {along.of(ALL).difference.in_words()}.")
+            sentences.append(f"Along trajectories: {along.of(ALL).difference.in_words()}.")
         if self.used_count:
-            said.append(
+            sentences.append(
                 f"{self.used_count} of the poses were used for the calibration: the result is biased and verifies nothing."
             )
-        return tuple(said)
+        return tuple(sentences)
 
     def _worse_alone(self) -> list[SetupComparison]:
         if self.is_worse:
@@ -99,7 +99,7 @@ def write_verification_report(path: Path, verification: Verification) -> None:
 
 
 def write_verification_json(path: Path, verification: Verification) -> None:
-    """verify.json. SI units; a number that there is not is null."""
+    """Write verify.json. SI units; missing numbers are null."""
     compared, along = verification.comparison, compare_tracks(verification.paths)
     content = {
         "format": FORMAT,
@@ -132,7 +132,7 @@ def write_verification_json(path: Path, verification: Verification) -> None:
 
 
 def comparison_figures(comparison: Comparison) -> dict[str, object]:
-    """Of each setup, and of all."""
+    """Figures of each setup, and of all."""
     return {
         entry.setup: {
             "before": _summary(entry.before),

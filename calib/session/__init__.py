@@ -1,7 +1,7 @@
-"""A calibration session: what happens at a point, in which order points are visited, what is kept.
+"""A calibration session: recording at a point, order of the points, saved data.
 
-plan, state: what is to be taken and what has been, without I/O; folder, journal: the same on the disk; conduct: the talk
-between operator, arm and folder; sequence: the same walk with nobody to ask.
+plan, state: planned and recorded targets, without I/O; folder, journal: the same on disk; conduct: the dialogue
+between operator, arm and folder; sequence: the same without an operator.
 """
 
 from calib.session.moves.geometry import ArmGeometry

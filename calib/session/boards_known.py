@@ -1,4 +1,4 @@
-"""Where the cavities are, as far as it is known: from arm.toml, from the camera, or not at all."""
+"""Positions of the cavities: from arm.toml, from the camera, or unknown."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ UP: Vector = (0.0, 0.0, 1.0)
 
 
 class Boards:
-    """The cavities of a session's setups. A board that is measured becomes known once enough of it was seen.
+    """The cavities of a session's setups. A measured board becomes known once enough of its cavities were measured.
 
-    `poses` are in the arm's own base frame, to move by; table and camera may call another frame base, which the arm's
-    `base_frame` effect says.
+    `poses` are in the arm's own base frame, for moving; table and camera may use another base frame, given by the arm's
+    `base_frame` effect.
     """
 
     def __init__(self, arm: Arm, plan: SessionPlan) -> None:
-        """SessionError where the arm's table has no such cavity, MissingModel where it has no place or no table."""
+        """SessionError if the arm's table lacks a cavity, MissingModel if its pose or the table is missing."""
         self.kind: Board = plan.board
         self.cavities_m: dict[str, Vector] = {}
         self.poses: dict[str, BoardPose] = {}
@@ -56,7 +56,7 @@ class Boards:
         return self._cavity_m(self.poses, target)
 
     def reference_m(self, target: Target) -> Vector:
-        """A cavity in the frame that table and camera call base: what a record says."""
+        """A cavity in the base frame of table and camera, as in a record."""
         return self._cavity_m(self._references, target)
 
     def _cavity_m(self, poses: Mapping[str, BoardPose], target: Target) -> Vector:
@@ -75,18 +75,18 @@ class Boards:
         return x, y, z
 
     def normal(self, setup: str) -> Vector:
-        """The board's normal in the base frame; up where it is not known."""
+        """The board's normal in the base frame; up if unknown."""
         if setup not in self.poses:
             return UP
         x, y, z = self.poses[setup].rotation[:, 2].tolist()
         return x, y, z
 
     def needs_seeing(self, setup: str) -> bool:
-        """Whether cavities of this setup are to be shown to the camera first."""
+        """Whether cavities of this setup must be measured by the camera first."""
         return self.kind == "measured" and setup not in self.poses
 
     def best_to_see(self, left: Sequence[Target], points: Points | None, setup: str) -> Target:
-        """Of the targets left in a setup, the cavity farthest from those that were seen."""
+        """Of the remaining targets in a setup, the cavity farthest from those measured."""
         here = [target for target in left if target.setup == setup]
         seen = {*self._seen(points, setup).marker} if points is not None else set()
         places = np.array(
@@ -117,7 +117,7 @@ class Boards:
 
 
 def markers_of(points: Points) -> Markers:
-    """The tips that a camera saw in cavities, as markers."""
+    """The measured tips in cavities, as markers."""
     rows = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1) & (np.array(points.setup) != "free"))
     chosen = points.chosen(rows)
     return Markers(chosen.setup, chosen.point, chosen.tip_m)

@@ -1,4 +1,4 @@
-"""Skip, redo and bad as an operator says them: which targets are meant."""
+"""The operator's commands skip, redo and bad, and the targets that they refer to."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ EVENTS = {Do.SKIP: Event.SKIP, Do.REDO: Event.REDO, Do.BAD: Event.BAD}
 
 
 def done_to(folder: SessionFolder, command: Command, asked: Target | None, standing: str) -> list[Key]:
-    """Do it; returns what it was done to. SessionError, and nothing done, where it makes no sense."""
+    """Execute a command; return the affected targets. SessionError, without effect, if it is invalid."""
     event = EVENTS[command.do]
     keys = _meant(folder.state, event, command, asked, standing)
     for key in keys:
@@ -24,14 +24,14 @@ def done_to(folder: SessionFolder, command: Command, asked: Target | None, stand
 def _meant(
     state: SessionState, event: Event, command: Command, asked: Target | None, standing: str
 ) -> list[Key]:
-    """Keys of a command. A point without a repeat means all its repeats that the event can happen to."""
+    """Keys of a command. A point without a repeat means all its repeats for which the event is valid."""
     if not command.point:
         return [_unnamed(state, event, asked)]
     setup = command.setup or standing or (asked.setup if asked else "")
     keys = state.named(setup, command.point, command.repeat)
     possible = [key for key in keys if (state.marks[key], event) in AFTER]
     if not possible:
-        state.after(event, keys[0])  # raises, and says why
+        state.after(event, keys[0])  # raises with the reason
     return possible
 
 

@@ -1,8 +1,8 @@
-"""A session with an operator: asks, moves, records, keeps; the front end answers.
+"""A session with an operator: asks, moves, records, saves; the front end answers.
 
-`conduct` is a generator: it yields what it has to say (`calib.session.dialogue`) and is sent a Command for every Ask. It reads no
-keyboard and prints nothing, so that a terminal, a script and a screen run the same session. Nothing moves, and no drive lets
-go, before an Ask was answered with GO. On every way out the hand is off and the drives hold.
+`conduct` is a generator: it yields messages (`calib.session.dialogue`) and is sent a Command for every Ask. It reads no
+keyboard and prints nothing, so that a terminal, a script and a screen run the same session. Nothing moves, and no drive is
+released, before an Ask was answered with GO. On every exit the hand has released the arm and the drives hold.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ Answer = Generator[Saying, Command, bool]
 
 
 class Hand(Protocol):
-    """A hand that needs no asking: the mock arm's. It knows where the board really is."""
+    """An automatic hand: the mock arm's, which knows the true board pose."""
 
     def grip(self) -> None:
-        """Return when the hand has the arm, so that the drives may let it go."""
+        """Return when the hand supports the arm, so that the drives may be released."""
 
     def seat(self, target: Target) -> None:
-        """Return when the tip sits in the cavity."""
+        """Return when the tip is seated in the cavity."""
 
     def let_go(self) -> None:
-        """The hand is off the arm."""
+        """Release the arm."""
 
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """What a session works with. hand: None where the operator's own hand seats the tip, which is asked for.
+    """Resources of a session. hand: None if the operator seats the tip, on request.
 
-    clock_offset_s is added to the arm's clock, so that times go on where a session is resumed.
+    clock_offset_s is added to the arm's clock, so that times continue when a session is resumed.
     """
 
     arm: JogPort
@@ -64,15 +64,15 @@ class Station:
 
 
 def conduct(folder: SessionFolder, station: Station) -> Talk:
-    """Take what is left of the session. Ends when the operator says so; the arm then holds.
+    """Record the remaining targets. Ends on the operator's request; the arm then holds.
 
-    SessionError where the arm does not come to rest, ArmError where it cannot do what it is told.
+    SessionError if the arm does not come to rest, ArmError if it cannot execute a motion.
     """
     return _Conductor(folder, station).run()
 
 
 class _Quit(Exception):
-    """The operator has had enough."""
+    """The operator ended the session."""
 
 
 class _Conductor:
@@ -80,7 +80,7 @@ class _Conductor:
         self._folder, self._station = folder, station
         self._arm, self._boards = station.arm, station.boards
         self._survey = BoardSurvey(folder, station.boards, station.watch)
-        self._standing = ""  # the setup in which the board stands now
+        self._standing = ""  # the board's present setup
         self._is_released = False
 
     def run(self) -> Talk:
@@ -101,7 +101,7 @@ class _Conductor:
                 )
 
     def _begin(self) -> Talk:
-        """Learn from what is on the disk, and whether the tip is at a point."""
+        """Restore from disk, and find out whether the tip is at a point."""
         yield from self._survey.resume()
         self._walk = Transfers(
             self._station.geometry,
@@ -125,7 +125,7 @@ class _Conductor:
         return self._boards.best_to_see(self._folder.state.left(), self._folder.points(), target.setup)
 
     def _visit(self, target: Target) -> Talk:
-        """Take one target, or as much of it as the operator lets happen."""
+        """Record one target, as far as the operator allows."""
         if target.is_free and target.q_rad is not None:
             if (yield from self._ask(Question.NEXT, target)) and (yield from self._go(target, target.q_rad)):
                 yield from self._record(target)
@@ -142,7 +142,7 @@ class _Conductor:
             yield from self._guided_in(target)
 
     def _set_up(self, target: Target) -> Answer:
-        """Away from the board, and wait until it stands as this target wants it."""
+        """Move away from the board, and wait until it is in the target's setup."""
         if self._walk.is_at_point:
             if not (yield from self._ask(Question.NEXT, target)):
                 return False
@@ -153,7 +153,7 @@ class _Conductor:
         return True
 
     def _send(self, target: Target) -> Answer:
-        """The arm to above the point; a point out of reach is skipped."""
+        """Move the arm above the point; a point out of reach is skipped."""
         normal = self._boards.normal(target.setup)
         try:
             above = self._walk.plan(
@@ -168,7 +168,7 @@ class _Conductor:
         return (yield from self._ask(Question.NEXT, target)) and (yield from self._go(target, above))
 
     def _seated_by(self, hand: Hand, target: Target) -> Talk:
-        """The mock hand seats the tip; where the arm was not moved before, the operator is asked first."""
+        """The mock hand seats the tip; if the arm was not moved before, the operator is asked first."""
         if not self._boards.is_placed(target.setup) and not (yield from self._ask(Question.TAKE, target)):
             return
         hand.grip()
@@ -181,7 +181,7 @@ class _Conductor:
             hand.let_go()
 
     def _guided_in(self, target: Target) -> Talk:
-        """The operator takes the tip, the drives let go, the operator says when it sits."""
+        """The operator takes the tip, the drives are released, the operator confirms that it is seated."""
         if not (yield from self._ask(Question.TAKE, target)):
             return
         with self._at_point(target):
@@ -190,14 +190,14 @@ class _Conductor:
                 yield from self._record(target)
 
     def _jogged_in(self, target: Target) -> Talk:
-        """The operator jogs the tip down; the drives hold it all the time."""
+        """The operator jogs the tip down; the drives hold it throughout."""
         self._arrive(target)
         if (yield from self._ask(Question.SEATED, target)):
             yield from self._record(target)
 
     @contextmanager
     def _at_point(self, target: Target) -> Iterator[None]:
-        """The drives let go, and hold again on every way out."""
+        """Release the drives, and hold again on every exit."""
         self._arrive(target)
         self._is_released = True
         try:
@@ -211,7 +211,7 @@ class _Conductor:
         self._is_released = False
 
     def _arrive(self, target: Target) -> None:
-        """Before the tip goes down: whoever resumes after a kill must know."""
+        """Note before the tip goes down, for a resumption after a kill."""
         self._folder.at_point(target.key)
         self._walk.stands_at(self._boards.normal(target.setup))
 
@@ -220,7 +220,7 @@ class _Conductor:
             self._folder.lifted(self._standing or self._folder.standing)
 
     def _go(self, target: Target, q_rad: tuple[float, ...]) -> Answer:
-        """Whether there was a clear way; a target without one is skipped."""
+        """Move, if there is a collision-free path; a target without one is skipped."""
         self._lift()
         board = self._boards.poses.get(self._standing or self._folder.standing)
         try:
@@ -235,7 +235,7 @@ class _Conductor:
         return False
 
     def _record(self, target: Target) -> Talk:
-        """Measure, judge, keep; then say so."""
+        """Measure, check, save; then report."""
         station = self._station
         cavity: Vector | None = None
         if not target.is_free and self._boards.kind == "known":
@@ -243,14 +243,14 @@ class _Conductor:
         record = take(target, cavity, self._arm, station.settings, station.camera, station.clock_offset_s)
         observation = self._survey.observation(record)
         verdict = station.watch.judge(observation)
-        kept = self._folder.record(record)
-        station.watch.add(kept.key, observation)
-        yield Recorded(kept, verdict)
+        record_with_take = self._folder.record(record)
+        station.watch.add(record_with_take.key, observation)
+        yield Recorded(record_with_take, verdict)
         if not target.is_free:
             yield from self._survey.place(target.setup)
 
     def _ask(self, question: Question, target: Target | None) -> Answer:
-        """Ask until the answer is GO (True), or something else has become due (False)."""
+        """Ask until the answer is GO (True), or another target is due (False)."""
         while True:
             command = yield Ask(question, target)
             if command.do is Do.GO:

@@ -1,4 +1,4 @@
-"""What a session and its operator say to each other; the front end (a terminal, a script, a screen) turns it into text."""
+"""Messages between a session and its operator; the front end (a terminal, a script, a screen) turns them into text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from calib.session.residual_watch import Verdict
 
 
 class Question(Enum):
-    """What the session waits for. The answer GO confirms it."""
+    """Conditions that the session waits for. The answer GO confirms."""
 
     BOARD = "the board is placed for this setup"
     NEXT = "nobody touches the arm; it may move"
@@ -30,7 +30,7 @@ class Ask:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A record is on the disk; what it says about itself."""
+    """A record was saved; with its verdict."""
 
     record: Record
     verdict: Verdict
@@ -38,7 +38,7 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Something that the operator should read; `is_warning` if something is not as it should be."""
+    """A message for the operator; `is_warning` for a problem."""
 
     text: str
     is_warning: bool = False
@@ -48,7 +48,7 @@ Saying = Ask | Recorded | Message
 
 
 class Do(Enum):
-    """What an operator can want."""
+    """Commands of an operator."""
 
     GO = "go"
     REDO = "redo"
@@ -69,7 +69,7 @@ class Jog:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command. REDO, SKIP, BAD without a point mean the last record, or for SKIP the target that is asked about."""
+    """One command. REDO, SKIP, BAD without a point refer to the last record, or for SKIP to the present target."""
 
     do: Do
     setup: str = ""

@@ -1,12 +1,12 @@
-"""A session's folder: what is on the disk is the session.
+"""A session's folder, which is the complete state of the session.
 
     session.json   the plan (calib.session.plan)
-    points.csv     the records that count, as the interchange format says
+    points.csv     the valid records, in the interchange format
     journal.jsonl  skipped, redone and bad points, notes; withdrawn records with their line of points.csv
 
-A record is in points.csv, and an event in the journal, before the call returns. A record that is withdrawn is written to the
-journal first and then taken out of points.csv; where a kill comes in between, opening the folder finishes it. Records of one
-point are told apart by `take`, so that nothing is withdrawn twice.
+A record is in points.csv, and an event in the journal, before the call returns. A withdrawn record is written to the
+journal first and then removed from points.csv; after a kill in between, opening the folder completes it. Records of one
+point are distinguished by `take`, so that nothing is withdrawn twice.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class SessionFolder:
     def __init__(self, folder: Path, wanted: SessionPlan | None = None) -> None:
         """Begin the session `wanted` in a new folder, or resume the one that is there.
 
-        SessionError where there is nothing to resume, where `wanted` is another session than the one in the folder,
-        and where another process has it open.
+        SessionError if there is nothing to resume, if `wanted` differs from the session in the folder,
+        or if another process has it open.
         """
         self.path = folder
         self.is_resumed = (folder / PLAN).exists()
@@ -65,7 +65,7 @@ class SessionFolder:
 
     @property
     def is_at_point(self) -> str:
-        """The setup at whose board the arm was left with its tip at a point, else ""."""
+        """The setup in which the arm was left with its tip at a point, else ""."""
         for entry in reversed(self._journal.entries):
             if entry["event"] in (AT_POINT, LIFTED):
                 return str(entry["setup"]) if entry["event"] == AT_POINT else ""
@@ -73,28 +73,28 @@ class SessionFolder:
 
     @property
     def standing(self) -> str:
-        """The setup in which the board stood last, else ""."""
+        """The last setup of the board, else ""."""
         stood = (str(e["setup"]) for e in reversed(self._journal.entries) if e["event"] in (AT_POINT, LIFTED))
         return next(stood, "")
 
     def points(self) -> Points | None:
-        """The records that count; None where there is none yet."""
+        """The valid records; None if there are none yet."""
         return read_points(self.path / POINTS, self.plan.joint_count)[0] if self._writer.recorded else None
 
     def record(self, record: Record) -> Record:
-        """Keep a record of a target that is left; returns it as it is kept, with its take."""
+        """Save a record of a remaining target; return it with its take."""
         after = self.state.after(Event.RECORDED, record.key)
-        kept = replace(record, take=1 + self._withdrawn[record.key])
-        self._writer.append(kept)
+        numbered = replace(record, take=1 + self._withdrawn[record.key])
+        self._writer.append(numbered)
         self.state = after
-        return kept
+        return numbered
 
     def skip(self, key: Key, reason: str = "") -> None:
-        """Leave a target out."""
+        """Skip a target."""
         self.happen(Event.SKIP, key, reason)
 
     def happen(self, event: Event, key: Key, reason: str = "") -> None:
-        """SKIP, REDO or BAD: a record that the target has is withdrawn and stays in the journal."""
+        """Apply SKIP, REDO or BAD: an existing record of the target is withdrawn and stays in the journal."""
         after = self.state.after(event, key)
         details = {"reason": reason} if reason else {}
         if key in self._writer.recorded:
@@ -106,15 +106,15 @@ class SessionFolder:
         self.state = after
 
     def note(self, text: str, key: Key | None = None) -> None:
-        """What the operator wants to be kept, with the target that it is about."""
+        """Save a remark of the operator, with its target."""
         self._note("note", text=text, **(_named(key) if key else {}))
 
     def at_point(self, key: Key) -> None:
-        """The tip is about to be taken down to a point."""
+        """Note that the tip is about to be taken down to a point."""
         self._note(AT_POINT, **_named(key))
 
     def lifted(self, setup: str) -> None:
-        """The tip is clear of the board."""
+        """Note that the tip is clear of the board."""
         self._note(LIFTED, setup=setup)
 
     def close(self) -> None:
@@ -134,7 +134,7 @@ class SessionFolder:
         self._journal.append({"at": _now(), "event": event, **details})
 
     def _restored(self) -> SessionState:
-        """The state that the files say, after finishing withdrawals that a kill left half done."""
+        """The state from the files, after completing withdrawals interrupted by a kill."""
         state = SessionState.begun(self.plan.targets)
         for entry in self._journal.entries:
             state = self._replayed(state, entry)

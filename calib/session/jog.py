@@ -9,13 +9,13 @@ from calib.errors import SessionError
 from calib.session.dialogue import Jog
 from calib.session.moves.ports import ArmPort, Geometry, Vector
 
-LONGEST_m, LONGEST_rad = 0.05, 0.1  # a slip of the finger is no crash
+LONGEST_m, LONGEST_rad = 0.05, 0.1  # a typing error must not cause a collision
 WINDOW_s = 0.02
 AXES = "xyz"
 
 
 def jogged(jog: Jog, arm: ArmPort, geometry: Geometry) -> Sequence[float]:
-    """Joint angles after the step. SessionError for a step that is none, ArmError where the arm cannot go."""
+    """Joint angles after the step. SessionError for an invalid step, ArmError if it is out of reach."""
     q_rad = arm.average(WINDOW_s).q_rad
     if jog.axis in AXES and jog.axis:
         _require_small(jog, LONGEST_m, "m")

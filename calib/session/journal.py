@@ -1,4 +1,4 @@
-"""journal.jsonl: what happened in a session besides records, one JSON object a line, on the disk before `append` returns."""
+"""journal.jsonl: events of a session besides records, one JSON object per line, saved before `append` returns."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Entry = dict[str, Any]
 
 
 class Journal:
-    """Appends entries; a last line that a killed process left torn is dropped when it is opened again.
+    """Appends entries; an incomplete last line, left by a killed process, is dropped on opening.
 
-    While it is open no other session can open it (SessionError).
+    While it is open, no other session can open it (SessionError).
     """
 
     def __init__(self, path: Path) -> None:

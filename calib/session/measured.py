@@ -1,4 +1,4 @@
-"""What the records so far say about where the boards stand, and about the next record."""
+"""Board poses from the records so far, and checks of new records."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class BoardSurvey:
         self._found: dict[str, Registration] = {}
 
     def resume(self) -> Generator[Saying, Command, None]:
-        """Take in what a session that is resumed has recorded."""
+        """Process the records of a resumed session."""
         points = self._folder.points()
         if points is None:
             return
@@ -41,13 +41,13 @@ class BoardSurvey:
             yield from self.place(setup)
 
     def observation(self, record: Record) -> TipObservation:
-        """A record as the watch sees it."""
+        """A record as an observation for the watch."""
         if record.tip_m is not None:
             return TipObservation(record.setup, record.q_rad, record.tip_m)
         return TipObservation(record.setup, record.q_rad, self._boards.cavities_m[record.point], True)
 
     def place(self, setup: str) -> Generator[Saying, Command, None]:
-        """Register a board that the camera measures, and write what was found."""
+        """Register a board measured by the camera, and write its pose."""
         points = self._folder.points()
         if self._boards.kind != "measured" or setup == FREE or points is None:
             return

@@ -1,4 +1,4 @@
-"""What a session is to take: targets in order, with everything that must be the same when it is resumed.
+"""The plan of a session: targets in order, and everything that must be the same when it is resumed.
 
 No I/O here except text: `to_json` and `from_json` are session.json.
 """
@@ -24,9 +24,9 @@ Seating = Literal["hand", "jog"]
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """One record to take: a cavity of a setup, or in the setup `free` a pose. `approach` from 1: from which side.
+    """One record to take: a cavity of a setup, or in the setup `free` a pose. `approach`: number of the side, from 1.
 
-    q_rad: of a free pose where the arm goes, of a cavity the posture to take it in, None for the nearest.
+    q_rad: the angles of a free pose, or the posture for a cavity, None for the nearest.
     """
 
     setup: str
@@ -37,7 +37,7 @@ class Target:
 
     @property
     def key(self) -> Key:
-        """What tells records apart."""
+        """Key of a record."""
         return self.setup, self.point, self.repeat
 
     @property
@@ -47,16 +47,16 @@ class Target:
 
     @property
     def name(self) -> str:
-        """As an operator reads it: `normal 3`, or `normal 3 (repeat 2)`."""
+        """Name for the operator: `normal 3`, or `normal 3 (repeat 2)`."""
         return f"{self.setup} {self.point}" + (f" (repeat {self.repeat})" if self.repeat > 1 else "")
 
 
 @dataclass(frozen=True, slots=True)
 class SessionPlan:
-    """The whole of a session, before it begins and whenever it is resumed.
+    """The plan of a session, fixed at its start and for every resumption.
 
-    board: where it stands is known, measured with the camera, or unknown; seat: how the tip gets into a cavity;
-    has_camera: whether the tip is measured; arm_sha256: of what the arm's file says (`fingerprint`).
+    board: its pose is known, measured with the camera, or unknown; seat: how the tip is seated;
+    has_camera: whether the tip is measured; arm_sha256: of the arm's parameters (`fingerprint`).
     """
 
     arm: str
@@ -70,11 +70,11 @@ class SessionPlan:
 
     @property
     def approaches(self) -> int:
-        """How many sides points are approached from."""
+        """Number of sides from which points are approached."""
         return max((target.approach for target in self.targets), default=1)
 
     def require_sound(self) -> None:
-        """SessionError where no session can be made of it."""
+        """SessionError if the plan is invalid."""
         if not self.targets:
             raise SessionError("the session has no points: check --setups, --points, --plan and --free")
         for target in self.targets:
@@ -101,7 +101,7 @@ def board_targets(
 ) -> tuple[Target, ...]:
     """Setup after setup; in each, round after round: every point once per approach and repeat.
 
-    Records are numbered through: with two approaches the odd ones come from the first side, the even from the second.
+    Records are numbered consecutively: with two approaches the odd ones come from the first side, the even from the second.
     """
     return tuple(
         Target(setup, point, (turn - 1) * approaches + side, side)
@@ -122,7 +122,7 @@ def free_targets(poses: Mapping[str, Sequence[float]], repeats: int = 1) -> tupl
 
 
 def fingerprint(arm: Arm) -> str:
-    """SHA-256 of what an arm's file says, but for comments, order and the ports that it is plugged into."""
+    """SHA-256 of the arm's parameters, independent of comments, order and ports."""
     ports = tuple(replace(board, port="") for board in arm.encoder_boards)
     camera = replace(arm.camera, udp_port=Camera().udp_port) if arm.camera else None
     bare = replace(arm, encoder_boards=ports, can=None, camera=camera, path=None)
@@ -147,7 +147,7 @@ def to_json(plan: SessionPlan, started: str) -> str:
 
 
 def from_json(text: str, path: Path) -> tuple[SessionPlan, str]:
-    """The plan of a session.json and when it was begun; SessionError names file and key."""
+    """The plan of a session.json and its start time; SessionError names file and key."""
     try:
         content = json.loads(text)
         if content["format"] != FORMAT:
@@ -172,7 +172,7 @@ def from_json(text: str, path: Path) -> tuple[SessionPlan, str]:
 
 
 def require_same(begun: SessionPlan, wanted: SessionPlan, where: Path) -> None:
-    """SessionError naming the difference where a session is resumed with another plan."""
+    """SessionError names the difference if a session is resumed with another plan."""
     if begun.arm_sha256 != wanted.arm_sha256:
         raise SessionError(
             f"{where}: this session began with arm {begun.arm!r} (file {begun.arm_sha256[:12]}), got {wanted.arm!r} (file"

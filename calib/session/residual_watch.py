@@ -1,8 +1,8 @@
-"""Does a new record fit those before it? A tip that sits beside its cavity shows at once.
+"""Checks new records against earlier ones, to detect a badly seated tip immediately.
 
-An arm that is not calibrated is centimetres off, but not anyhow: its DH parameters are off by some millimetres and degrees.
-From the records before, the most likely DH deviations are estimated (Gauss-Newton, a normal prior of half the usual bounds),
-and with them where the new record should be and how surely. The result is the distance from there in standard deviations
+An uncalibrated arm is centimetres off, but systematically: its DH parameters deviate by some millimetres and degrees.
+From earlier records, the most likely DH deviations are estimated (Gauss-Newton, a normal prior of half the usual bounds),
+and from them the new record and its covariance are predicted. The result is the distance from it in standard deviations
 (the normalised innovation of a Kalman filter).
 """
 
@@ -21,22 +21,22 @@ from control.kinematics.chain_jacobian import tips_and_dh_jacobian
 from control.model.arm import Arm
 
 SUSPECT = 6.0  # standard deviations; for three normal errors beyond it is one record in ten million
-FEWEST_BEFORE = 2  # records that a verdict takes, on a board whose place is known
-FEWEST_ON_UNKNOWN = 4  # its place takes three
+FEWEST_BEFORE = 2  # records needed for a verdict, on a board with a known pose
+FEWEST_ON_UNKNOWN = 4  # its pose needs three
 PRIOR_LENGTH_m, PRIOR_ANGLE_rad = 0.0025, 0.0175  # half of SpringerPlus 5:1771, eq. (4)
-PRIOR_POSE_m, PRIOR_POSE_rad = 1.0, 1.0  # an unknown board is anywhere
-NOISE_m, NOISE_WEIGHT = 7e-4, 6.0  # of a record before there are any; counts as this many degrees of freedom
-FLOOR_m = 5e-5  # no tip sits better
+PRIOR_POSE_m, PRIOR_POSE_rad = 1.0, 1.0  # prior of an unknown board: anywhere
+NOISE_m, NOISE_WEIGHT = 7e-4, 6.0  # prior noise of a record; counts as this many degrees of freedom
+FLOOR_m = 5e-5  # smallest noise of a seated tip
 STEPS = 3
-CLIP = 3.0  # robust: a residual beyond this many times the noise counts no more than one at it
+CLIP = 3.0  # robust: residuals beyond this many times the noise are down-weighted
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a record says. error_m: tip minus model, (3,) at nominal; NaN where the board's place is unknown.
+    """Verdict on a record. error_m: tip minus model, (3,) at nominal; NaN if the board's pose is unknown.
 
     off_sd: distance from the prediction of earlier records, in standard deviations; off_m: the same in m. Both NaN
-    where there are too few of them.
+    if there are too few of them.
     """
 
     error_m: Array
@@ -51,7 +51,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class TipObservation:
-    """One record as the watch sees it: the tip as table or camera says, or where the board is unknown in its frame."""
+    """One record: the tip by table or camera, or in the board's frame if its pose is unknown."""
 
     setup: str
     q_rad: tuple[float, ...]
@@ -60,7 +60,7 @@ class TipObservation:
 
 
 class ResidualWatch:
-    """Keeps observations and judges new ones."""
+    """Stores observations and checks new ones."""
 
     def __init__(self, arm: Arm) -> None:
         self._dh, self._base = np.array(arm.dh), base_frame_of(arm)
@@ -70,15 +70,15 @@ class ResidualWatch:
         self._seen: dict[object, TipObservation] = {}
 
     def add(self, key: object, observation: TipObservation) -> None:
-        """Believe it from now on."""
+        """Add an observation."""
         self._seen[key] = observation
 
     def forget(self, key: object) -> None:
-        """Believe it no longer."""
+        """Remove an observation."""
         self._seen.pop(key, None)
 
     def judge(self, new: TipObservation) -> Verdict:
-        """Compare a record with those before it."""
+        """Compare a record with earlier ones."""
         before = [one for one in self._seen.values() if not one.is_on_unknown_board or one.setup == new.setup]
         error_m = self._error_m(new)
         on_its_board = sum(one.setup == new.setup for one in before)
@@ -115,7 +115,7 @@ class ResidualWatch:
     def _linearised(
         self, observations: list[TipObservation], pose: BoardPose, scales: Array, x: Array
     ) -> tuple[Array, Array]:
-        """Residuals (m, 3), tip minus model, and by how much each unknown lowers them, (m, 3, unknowns)."""
+        """Residuals (m, 3), tip minus model, and minus their derivative by each unknown, (m, 3, unknowns)."""
         dh = self._dh + (x * scales)[: self._dh.size].reshape(self._dh.shape)
         tips, by_dh = self._tips(dh, observations)
         places = np.array([one.place_m for one in observations])
@@ -129,7 +129,7 @@ class ResidualWatch:
 
 
 def _fitted_pose(setup: str, observations: list[TipObservation], tips_m: Array) -> BoardPose:
-    """Where the unknown board of a setup stands by the tips; anywhere if it is not unknown."""
+    """The pose of a setup's unknown board fitted to the tips; arbitrary if it is known."""
     rows = [k for k, one in enumerate(observations) if one.is_on_unknown_board and one.setup == setup]
     if not rows:
         return BoardPose(np.eye(3), np.zeros(3))
@@ -138,20 +138,20 @@ def _fitted_pose(setup: str, observations: list[TipObservation], tips_m: Array) 
 
 
 def _moved(pose: BoardPose, scales: Array, x: Array) -> tuple[BoardPose, Array]:
-    """The pose with its part of x applied, and x without it: turns stay small."""
+    """The pose with its part of x applied, and x without it, so that rotations stay small."""
     shift, turn = x[-6:-3] * scales[-6:-3], x[-3:] * scales[-3:]
-    kept = np.array(x)
-    kept[-6:] = 0.0
-    return BoardPose(np.asarray(rotation_of(turn) @ pose.rotation), pose.origin_m + shift), kept
+    remaining = np.array(x)
+    remaining[-6:] = 0.0
+    return BoardPose(np.asarray(rotation_of(turn) @ pose.rotation), pose.origin_m + shift), remaining
 
 
 def _weights(residual_m: Array, noise_m: float) -> Array:
-    """Huber's: 1, and less for residuals beyond some times the noise."""
+    """Huber's weights: 1, and less for residuals beyond some times the noise."""
     return np.minimum(1.0, CLIP * noise_m / np.maximum(norms(residual_m), FLOOR_m))
 
 
 def _noise_m(residual_m: Array, used: float) -> float:
-    """Standard deviation per axis, robust, with what is known before there are records. `used`: freedoms fitted."""
+    """Robust standard deviation per axis, including the prior. `used`: fitted degrees of freedom."""
     freedom = max(0.0, residual_m.size - used)
     median_m = float(np.median(norms(residual_m))) / 1.538  # of the norm of three standard normals
     found_m2 = median_m**2 * residual_m.size / max(1.0, freedom)

@@ -1,10 +1,10 @@
-"""An unattended walk over points: for mock arms, demos and verification, where nobody has to be asked.
+"""Unattended recording of points, for mock arms, demos and verification.
 
-Above a point, the hand takes the tip down and seats it, rest, average, record, up, on. The drives never take the tip down to
-the board: an arm that is not calibrated yet does not know where that is.
+Above each point, the hand takes the tip down and seats it; rest, average, record, lift. The drives never take the tip down to
+the board, because an uncalibrated arm does not know its position.
 
-Every function here is a generator of Progress, so that whoever runs it can draw a bar and stop at any time: on every way out
-the hand lets go and the drives hold. A session with an operator is `calib.session.conduct`.
+Every function here is a generator of Progress, so that the caller can show a bar and stop at any time: on every exit
+the hand releases the arm and the drives hold. A session with an operator is `calib.session.conduct`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from control.errors import ArmError
 
 @dataclass(frozen=True, slots=True)
 class BoardPoint:
-    """A cavity as the board stands in one setup: name, position and the board's normal, base frame."""
+    """A cavity of the board in one setup: name, position and the board's normal, base frame."""
 
     setup: str
     point: str
@@ -44,7 +44,7 @@ class FreePose:
 
 
 class Stage(Enum):
-    """What has just happened."""
+    """Stage of a point."""
 
     SETUP = "setup stands"
     ABOVE = "above the point"
@@ -56,7 +56,7 @@ class Stage(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """One step: `done_count` of `total_count` points are through; with the record, or the reason for none."""
+    """One step: `done_count` of `total_count` points are done; with the record, or the reason for none."""
 
     stage: Stage
     done_count: int
@@ -80,9 +80,9 @@ def step_through(
     """Visit the cavities in the order given and record each; those that the file holds already are passed
     over.
 
-    The tip of a record is the cavity, or what the camera saw if there is one. `set_up` is called with the
+    The tip of a record is the cavity, or the camera's measurement if there is one. `set_up` is called with the
     name of each setup before its first point, with the arm lifted. A point that the nominal arm cannot reach
-    is reported and left.
+    is reported and skipped.
     """
     how = settings or SessionSettings()
     walk = Transfers(geometry, arm, how.approach_m, how.window_s)
@@ -122,7 +122,7 @@ def take_free_poses(
     writer: PointsWriter,
     settings: SessionSettings | None = None,
 ) -> Iterator[Progress]:
-    """Visit poses away from the board, or verification points; the camera says where the tip is."""
+    """Visit poses away from the board, or verification points; the camera measures the tip."""
     how = settings or SessionSettings()
     for done, pose in enumerate(poses, start=1):
         if (pose.setup, pose.point, pose.repeat) in writer.recorded:
@@ -136,7 +136,7 @@ def take_free_poses(
 
 @contextmanager
 def seated(tip_m: Vector, arm: ArmPort, seat: TipSeat) -> Iterator[None]:
-    """The tip sits and the drives hold it; on every way out the drives hold and the hand is off."""
+    """Seat the tip, with the drives holding; on every exit the drives hold and the hand has released the arm."""
     seat.grip()
     try:
         arm.release()

@@ -1,4 +1,4 @@
-"""Still-stand: the arm rests when no joint has moved by more than a limit for a while."""
+"""Standstill: the arm is at rest if no joint has moved by more than a limit for some time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from calib.session.moves.ports import ArmPort
 
 
 class StandstillWindow:
-    """Fed with times and joint angles, says when the arm rests."""
+    """Detects from times and joint angles that the arm is at rest."""
 
     def __init__(self, limit_rad: float, duration_s: float) -> None:
         """At rest: over the last duration_s no joint spanned more than limit_rad."""
@@ -18,7 +18,7 @@ class StandstillWindow:
         self._seen: deque[tuple[float, tuple[float, ...]]] = deque()
 
     def update(self, t_s: float, q_rad: Sequence[float]) -> bool:
-        """Take one reading in; True when the arm rests. Times must rise."""
+        """Add one reading; True if the arm is at rest. Times must increase."""
         self._seen.append((t_s, tuple(q_rad)))
         while len(self._seen) > 1 and self._seen[1][0] <= t_s - self._duration_s:
             self._seen.popleft()
@@ -27,7 +27,7 @@ class StandstillWindow:
 
     @property
     def motion_rad(self) -> float:
-        """The largest span of a joint over the readings that count."""
+        """The largest span of a joint over the window."""
         joints: Iterable[tuple[float, ...]] = zip(*(q for _, q in self._seen), strict=True)
         return max(max(angles) - min(angles) for angles in joints)
 

@@ -1,6 +1,6 @@
-"""Where a session stands: which targets are left, done, skipped or bad, and which is next. No I/O, nothing moves.
+"""State of a session: which targets are left, done, skipped or bad, and which is next. No I/O, nothing moves.
 
-What happens to a target, and what each event makes of it:
+Transitions of a target by event:
 
 | is | recorded | skip | redo | bad |
 | --- | --- | --- | --- | --- |
@@ -25,7 +25,7 @@ from calib.session.plan import Target
 
 
 class Mark(Enum):
-    """What became of a target."""
+    """State of a target."""
 
     LEFT = "left"
     DONE = "done"
@@ -34,7 +34,7 @@ class Mark(Enum):
 
 
 class Event(Enum):
-    """What happens to a target."""
+    """Event of a target."""
 
     RECORDED = "recorded"
     SKIP = "skip"
@@ -64,7 +64,7 @@ _ADVICE = {
 
 @dataclass(frozen=True, slots=True)
 class SessionState:
-    """Marks by key, in the plan's order, and the record that was taken last."""
+    """Marks by key, in the plan's order, and the last record."""
 
     targets: Mapping[Key, Target]
     marks: Mapping[Key, Mark]
@@ -72,14 +72,14 @@ class SessionState:
 
     @classmethod
     def begun(cls, targets: tuple[Target, ...]) -> SessionState:
-        """Everything is left."""
+        """The initial state: everything is left."""
         return cls(
             MappingProxyType({target.key: target for target in targets}),
             MappingProxyType({target.key: Mark.LEFT for target in targets}),
         )
 
     def after(self, event: Event, key: Key) -> SessionState:
-        """The state after an event; SessionError where it makes no sense."""
+        """The state after an event; SessionError if it is invalid."""
         self.require_planned(key)
         now = self.marks[key]
         if (now, event) not in AFTER:
@@ -88,27 +88,27 @@ class SessionState:
         return self.marked(key, AFTER[now, event], is_last=event is Event.RECORDED)
 
     def marked(self, key: Key, mark: Mark, is_last: bool = False) -> SessionState:
-        """The state with a target marked, as a file that is read back says."""
+        """The state with a target marked, when restoring from a file."""
         self.require_planned(key)
         marks = MappingProxyType({**self.marks, key: mark})
         last = key if is_last else (None if self.last == key and mark is not Mark.DONE else self.last)
         return replace(self, marks=marks, last=last)
 
     def next(self, standing: str = "") -> Target | None:
-        """The first target that is left, of the setup that stands if it has any; None when nothing is left."""
+        """The first remaining target, preferably of the present setup; None if nothing is left."""
         left = self.left()
         return next((target for target in left if target.setup == standing), left[0] if left else None)
 
     def left(self) -> list[Target]:
-        """Targets still to be taken, in order."""
+        """Remaining targets, in order."""
         return [target for key, target in self.targets.items() if self.marks[key] is Mark.LEFT]
 
     def count(self, mark: Mark) -> int:
-        """How many targets have a mark."""
+        """Number of targets with a mark."""
         return sum(one is mark for one in self.marks.values())
 
     def named(self, setup: str, point: str, repeat: int | None = None) -> list[Key]:
-        """Keys of a point: of one repeat or of all. SessionError where the plan has none."""
+        """Keys of a point: of one repeat or of all. SessionError if the plan has none."""
         keys = [key for key in self.targets if key[:2] == (setup, point) and repeat in (None, key[2])]
         if not keys:
             wanted = " ".join((setup, point, *([] if repeat is None else [str(repeat)])))
@@ -117,6 +117,6 @@ class SessionState:
         return keys
 
     def require_planned(self, key: Key) -> None:
-        """SessionError where the plan has no such target."""
+        """SessionError if the plan has no such target."""
         if key not in self.targets:
             raise SessionError(f"{' '.join(map(str, key))} is not in the session's plan")

@@ -15,7 +15,7 @@ Cavities = Mapping[str, Sequence[float] | Array]
 
 
 def board_points(setup: str, cavities: Cavities, repeat: int = 1) -> tuple[BoardPoint, ...]:
-    """Cavities (name to base-frame position) of a board as it stands in `setup`, with its normal."""
+    """Cavities (name to base-frame position) of a board in `setup`, with its normal."""
     positions = np.array([np.asarray(p, dtype=float) for p in cavities.values()])
     normal = board_normal(positions)
     up = (float(normal[0]), float(normal[1]), float(normal[2]))
@@ -26,7 +26,7 @@ def board_points(setup: str, cavities: Cavities, repeat: int = 1) -> tuple[Board
 
 
 def board_normal(positions_m: Array) -> Array:
-    """Unit normal of the plane through positions (m, 3), pointing up; z where they span no plane."""
+    """Unit normal of the plane through positions (m, 3), pointing up; z if they span no plane."""
     _, spread, axes = np.linalg.svd(positions_m - positions_m.mean(axis=0), full_matrices=True)
     if len(spread) < 2 or spread[1] < 1e-9:
         return np.array([0.0, 0.0, 1.0])
@@ -37,7 +37,7 @@ def with_reference_tips(points: Points, cavities_of: Callable[[str], Cavities]) 
     """Points whose tip was not measured get the cavity that they sat in; `cavities_of` gives a setup's
     cavities.
 
-    UnusablePointsError where neither a measurement nor a cavity is known.
+    UnusablePointsError if neither a measurement nor a cavity is known.
     """
     tip_m = np.array(points.tip_m)
     unmeasured = np.flatnonzero(np.isnan(tip_m).any(axis=1))

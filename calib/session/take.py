@@ -1,4 +1,4 @@
-"""One record: wait until the arm rests, average, look with the camera."""
+"""One record: wait until the arm is at rest, average, measure with the camera."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from calib.session.standstill import wait_for_rest
 
 @dataclass(frozen=True, slots=True)
 class SessionSettings:
-    """How a point is taken. The defaults suit encoders of some 0.03 mrad at the joint."""
+    """Settings for recording a point. The defaults suit encoders of some 0.03 mrad at the joint."""
 
     approach_m: float = 0.06  # an uncalibrated arm of half a metre is some 3 cm off
     still_limit_rad: float = 1e-4
@@ -31,7 +31,7 @@ def take(
     camera: Camera | None,
     clock_offset_s: float = 0.0,
 ) -> Record:
-    """The record of a target at which the arm stands; its tip is what the camera sees, else tip_m.
+    """Record the target at the arm's present pose; its tip is the camera's measurement, else tip_m.
 
     SessionError if the arm does not come to rest.
     """

@@ -1,1 +1,1 @@
-"""What a calibration is worth: held-out points, before against after, and the verdict."""
+"""Validation of a calibration: held-out points, before against after, and the verdict."""

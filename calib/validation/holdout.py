@@ -1,8 +1,8 @@
-"""Held-out error: what an identification is worth on points that it has not seen.
+"""Held-out error: cross-validation of an identification.
 
-Every setup in turn, or every k-th point, is left out, the rest identified, and what was left out predicted. A board of
-unknown place that is left out as a whole has no reference: then the scatter of the predicted tips of each cavity about
-their mean is taken, as all of them were seated in the same place.
+Every setup in turn, or every k-th point, is left out, the rest identified, and the left-out part predicted. A board of
+unknown pose that is completely left out has no reference: then the scatter of the predicted tips of each cavity about
+their mean is used, since all of them were seated in the same place.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Measure = Literal["error", "scatter"]
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """What was left out once: `rows` of the points, distances [m] of each before (nominal) and after calibration.
+    """One left-out part: `rows` of the points, distances [m] of each before (nominal) and after calibration.
 
     `measure`: "error" against the reference, or "scatter" about the mean of the cavity's predicted tips.
     """
@@ -54,25 +54,25 @@ class Fold:
 
     @property
     def rms_after_m(self) -> float:
-        """Root mean square of the same."""
+        """Root mean square distance after calibration."""
         return float(np.sqrt(np.mean(self.after_m**2)))
 
     @property
     def max_after_m(self) -> float:
-        """The largest of the same."""
+        """Largest distance after calibration."""
         return float(np.max(self.after_m))
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """All folds; `by` says how they were made: "setup", or every which point."""
+    """All folds; `by`: "setup", or k for every k-th point."""
 
     by: str
     folds: tuple[Fold, ...]
 
     @property
     def before_m(self) -> Array:
-        """Distances with nominal parameters of everything that was left out once."""
+        """Distances of all left-out points with nominal parameters."""
         return np.concatenate([fold.before_m for fold in self.folds])
 
     @property
@@ -87,20 +87,22 @@ class HeldOut:
         return 100.0 * (1.0 - float(np.mean(self.after_m)) / before) if before > 0.0 else 0.0
 
     def without(self, rows: Collection[int]) -> HeldOut | None:
-        """The same folds, judged at other points than these; None if nothing is left."""
+        """The folds without these points; None if nothing is left."""
         folds = []
         for fold in self.folds:
-            kept = [k for k, row in enumerate(fold.rows) if row not in rows]
-            if kept:
-                names = tuple(fold.rows[k] for k in kept)
+            remaining = [k for k, row in enumerate(fold.rows) if row not in rows]
+            if remaining:
+                names = tuple(fold.rows[k] for k in remaining)
                 folds.append(
-                    replace(fold, rows=names, before_m=fold.before_m[kept], after_m=fold.after_m[kept])
+                    replace(
+                        fold, rows=names, before_m=fold.before_m[remaining], after_m=fold.after_m[remaining]
+                    )
                 )
         return HeldOut(self.by, tuple(folds)) if folds else None
 
     @property
     def is_scatter(self) -> bool:
-        """Whether there was nothing to measure but agreement."""
+        """Whether only the scatter could be evaluated."""
         return all(fold.measure == "scatter" for fold in self.folds)
 
     def in_words(self) -> tuple[str, ...]:
@@ -125,7 +127,7 @@ def held_out(
 
     By default setups if there are several, else every fifth point.
 
-    `builder` makes the problem of some of the points; `report` hears how many folds are done, of how many.
+    `builder` makes the problem of some of the points; `report` gets the number of folds done, and the total.
     CalibrationError if nothing can be left out.
     """
     chosen = by if by is not None else ("setup" if len(set(points.setup)) > 1 else FOLDS_COUNT)
@@ -155,7 +157,7 @@ def _setups(points: Points) -> list[tuple[str, list[int]]]:
 
 
 def _free_parts(points: Points, rows: list[int]) -> list[tuple[str, list[int]]]:
-    """Free poses share no board that could be misplaced, and no board tells about where they are: part after part of them."""
+    """Parts of the free poses, which share no board: they are left out part by part."""
     points_names = list(dict.fromkeys(points.point[k] for k in rows))
     if len(points_names) < GROUPS_PER_FOLD * FREE_PARTS:
         return [(f'setup "{FREE}"', rows)]
@@ -167,7 +169,7 @@ def _free_parts(points: Points, rows: list[int]) -> list[tuple[str, list[int]]]:
 
 
 def _every(points: Points, k: int) -> list[tuple[str, list[int]]]:
-    """Interleaved; repeats of a point stay together where there are points enough."""
+    """Interleaved folds; repeats of a point stay together if there are enough points."""
     if not 2 <= k <= len(points):
         raise CalibrationError(
             f"held-out error: expected to hold out every k-th point, k from 2 to {len(points)}; got {k}"
@@ -184,7 +186,7 @@ def _every(points: Points, k: int) -> list[tuple[str, list[int]]]:
 def _fold(
     builder: Builder, points: Points, name: str, rows: Sequence[int], objective: Objective | None
 ) -> list[Fold]:
-    """One part left out; nothing where it holds no reference and no two tips of one cavity."""
+    """Evaluate one left-out part; None if it has no reference and no two tips of one cavity."""
     rest = sorted(set(range(len(points))) - set(rows))
     trained, seen = builder(points.chosen(rest)), builder(points.chosen(list(rows)))
     best, _ = fit(trained, objective, starts_count=1)
@@ -203,13 +205,13 @@ def _fold(
 
 
 def _is_known(seen: ArmProblem, row: int, known: set[str]) -> bool:
-    """Whether the place of a row's frame is known without the row."""
+    """Whether the pose of a row's frame is known without the row."""
     frame = seen.observed.frames[seen.observed.frame[row]]
     return frame.name in known or not frame.is_free
 
 
 def _cavity_groups(seen: ArmProblem, wanted: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
-    """A number for each cavity of each frame that two or more rows were seated in, -1 for other rows."""
+    """A number for each cavity of each frame with two or more rows, -1 for other rows."""
     keys = [
         (int(frame), tuple(position))
         for frame, position in zip(seen.observed.frame, seen.observed.position_m.tolist(), strict=True)

@@ -1,4 +1,4 @@
-"""Figures of distances, and whether a difference is more than chance: Student's t, 95 %, two-sided."""
+"""Statistics of distances, and significance of differences: Student's t, 95 %, two-sided."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class ErrorSummary:
-    """Distances between wanted and measured tips: how many, mean, root mean square, largest, standard
-    deviation.
+    """Distances between target and measured tips: count, mean, root mean square, largest, standard deviation.
 
     `mean_half_width_m` is half the 95 % confidence interval of the mean (Student's t); NaN for fewer than two
     points.
@@ -31,7 +30,7 @@ class ErrorSummary:
 
 
 class Finding(Enum):
-    """What a paired difference shows."""
+    """Result of a paired difference."""
 
     BETTER = "better"
     WORSE = "worse"
@@ -58,13 +57,13 @@ class Difference:
 
     @property
     def finding(self) -> Finding:
-        """Better or worse only if the whole interval is; one point shows nothing."""
+        """Better or worse only if the whole interval is; one point is not significant."""
         if self.lower_m > 0.0:
             return Finding.BETTER
         return Finding.WORSE if self.upper_m < 0.0 else Finding.NOTHING
 
     def in_words(self) -> str:
-        """As `better by 12.3 mm [11.9, 12.7] (95 %)`; the digits are those that the interval supports."""
+        """Text such as `better by 12.3 mm [11.9, 12.7] (95 %)`, with significant digits only."""
         if math.isnan(self.half_width_m):
             return f"one point, {1e3 * self.mean_m:+.3f} mm: too few for an interval"
         digits = digits_mm(self.half_width_m)
@@ -87,7 +86,7 @@ def digits_mm(uncertainty_m: float) -> int:
 
 
 def summarise(errors_m: Array) -> ErrorSummary:
-    """Figures of distances (m,)."""
+    """Statistics of distances (m,)."""
     return ErrorSummary(
         count=len(errors_m),
         mean_m=float(np.mean(errors_m)),
@@ -99,7 +98,7 @@ def summarise(errors_m: Array) -> ErrorSummary:
 
 
 def difference(before_m: Array, after_m: Array) -> Difference:
-    """Paired: distances (m,) at the same points; what the points have in common drops out."""
+    """Paired difference of distances (m,) at the same points."""
     each = before_m - after_m
     return Difference(len(each), float(np.mean(each)), mean_half_width(each))
 

@@ -1,4 +1,4 @@
-"""Paths as they were planned and as the tip went, and what of it is an error: SpringerPlus 5:1771, Figs. 6, 7, 10, Table 6."""
+"""Planned and measured paths, and their errors: SpringerPlus 5:1771, Figs. 6, 7, 10, Table 6."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
 from calib.validation.verify import Comparison, compare
 
-# Neighbouring camera frames miss by the same amount: a thousand of them are no thousand measurements. A path counts as this
-# many, each the mean of its part of the way.
+# Errors of neighbouring camera frames are correlated: they are not independent measurements. A path counts as this
+# many measurements, each the mean of one part.
 PARTS = 12
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One run along a path: time_s (k,), planned_m and measured_m (k, 3) of the tip, base frame; NaN where not seen."""
+    """One run along a path: time_s (k,), planned_m and measured_m (k, 3) of the tip, base frame; NaN where not measured."""
 
     name: str
     time_s: Array
@@ -27,7 +27,7 @@ class Track:
     measured_m: Array
 
     def seen(self) -> Track:
-        """The samples at which the tip was seen; CalibrationError if it never was."""
+        """The samples with a measured tip; CalibrationError if there are none."""
         rows = np.flatnonzero(np.isfinite(self.measured_m).all(axis=1))
         if not len(rows):
             raise CalibrationError(f"track {self.name}: the tip was never measured; omit it from the report")
@@ -54,7 +54,7 @@ class TrackPair:
 
 
 def compare_tracks(pairs: Sequence[TrackPair]) -> Comparison | None:
-    """Errors along paths, the parts of a path as points; None where there is no path."""
+    """Errors along paths, the parts of a path as points; None without paths."""
     if not pairs:
         return None
     setup, point, tips, before, after = [], [], [], [], []
@@ -71,7 +71,7 @@ def compare_tracks(pairs: Sequence[TrackPair]) -> Comparison | None:
 
 
 def parts_of(track: Track) -> tuple[Array, Array]:
-    """Mean planned tip and mean error vector of each part of the way, (PARTS, 3); NaN where the tip was not seen."""
+    """Mean planned tip and mean error vector of each part of the path, (PARTS, 3); NaN where not measured."""
     seen = track.seen()
     steps = norms(np.diff(track.planned_m, axis=0))
     way = np.concatenate(([0.0], np.cumsum(steps)))

@@ -1,4 +1,4 @@
-"""Were these points used by the calibration that they are to judge? By the file's hash, and pose by pose."""
+"""Detects points that the calibration has already used, by the file's hash and pose by pose."""
 
 from __future__ import annotations
 
@@ -13,21 +13,23 @@ from calib.inputs import input_file
 from calib.points.points import read_points
 from control.model.arm import Arm
 
-SAME_POSE_rad = 0.002  # every joint as near as this: about a millimetre at the tip, no new place
+SAME_POSE_rad = (
+    0.002  # difference of every joint, about a millimetre at the tip, below which a pose is not new
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Used:
-    """How many of the poses the calibration had seen, as far as is known, and what to say about it."""
+    """Known number of poses that the calibration has used, and warnings."""
 
     count: int
     warnings: tuple[str, ...]
 
 
 def already_used(calibrated: Arm, q_rad: Array, sha256: str = "") -> Used:
-    """Whether poses (m, n) were used; with the hash of the file that they come from, if they do.
+    """Check whether poses (m, n) were used; with the hash of their file, if any.
 
-    The files that the calibration names are looked for beside the calibrated arm; what is not there cannot be compared.
+    The calibration's input files are searched beside the calibrated arm; missing ones cannot be compared.
     """
     made = calibrated.calibration
     if made is None:
@@ -44,7 +46,7 @@ def already_used(calibrated: Arm, q_rad: Array, sha256: str = "") -> Used:
             len(q_rad),
             (f"these points are {name}, from which the arm was calibrated: they cannot verify it",),
         )
-    said, missing, total = [], [], 0
+    sentences, missing, total = [], [], 0
     for name, digest in made.inputs.items():
         if not name.endswith((".csv", ".csv.gz")):
             continue  # the nominal arm or a board's registration: no poses
@@ -53,19 +55,19 @@ def already_used(calibrated: Arm, q_rad: Array, sha256: str = "") -> Used:
             missing.append(name)
         elif count := _same_count(q_rad, used):
             total = max(total, count)
-            said.append(
+            sentences.append(
                 f"{count} of {len(q_rad)} poses are within {SAME_POSE_rad:g} rad of a pose of {name}, from which the arm was"
                 " calibrated"
             )
     if missing:
-        said.append(
+        sentences.append(
             f"missing beside the calibrated arm, or changed: {', '.join(missing)}; whether its poses were reused is unknown"
         )
-    return Used(total, tuple(said))
+    return Used(total, tuple(sentences))
 
 
 def _poses_of(calibrated: Arm, name: str, digest: str) -> Array | None:
-    """Joint angles of an input of the calibration; None where the file is not to be had."""
+    """Joint angles of an input of the calibration; None if the file is not available."""
     path = (calibrated.path.parent if calibrated.path is not None else Path()) / Path(name).name
     if not path.is_file() or input_file(path, "").sha256 != digest:
         return None
@@ -74,11 +76,11 @@ def _poses_of(calibrated: Arm, name: str, digest: str) -> Array | None:
     except CalibrationError:
         return np.zeros(
             (0, calibrated.joint_count)
-        )  # the right file, and no poses in it: a board's registration, say
+        )  # the right file, but without poses, such as a board's registration
 
 
 def _same_count(q_rad: Array, used_rad: Array) -> int:
-    """How many of q_rad (m, n) are near one of used_rad (k, n)."""
+    """Number of q_rad (m, n) that are near one of used_rad (k, n)."""
     if not len(used_rad):
         return 0
     from scipy.spatial import cKDTree

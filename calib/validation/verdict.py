@@ -1,14 +1,14 @@
-"""Is my result good? A plain answer from points that the calibration has not seen, and what to do next.
+"""Verdict on a calibration from held-out points, with next steps.
 
-The grades are tried in this order, and the first that fits is given:
+The grades are tried in this order, and the first that applies is given:
 
 | grade | when |
 | --- | --- |
-| too few points | fewer than FREEDOM_MINIMUM residual coordinates beyond the parameters, or nothing could be left out |
-| worse | points left out are no nearer than with nominal parameters |
-| over-fitted | points left out are OVER_FITTED times farther off than points of the fit (beyond what noise alone makes) |
-| noise not known | no repeats and no camera's noise in the file tell it, and what the fit leaves is no measure of it |
-| not at the floor | points left out are farther off than GOOD times the noise: something is missing in the model |
+| too few points | fewer than FREEDOM_MINIMUM residual coordinates beyond the parameters, or nothing could be held out |
+| worse | held-out points are no better than with nominal parameters |
+| over-fitted | held-out errors are OVER_FITTED times those of the fit (beyond the effect of noise alone) |
+| noise not known | there are no repeats and no camera noise in the file, and the residual of the fit does not measure it |
+| not at the floor | held-out errors exceed GOOD times the noise: an effect is missing in the model |
 | good | within GOOD times the noise |
 """
 
@@ -32,25 +32,25 @@ from control.model.arm import Arm
 Grade = Literal["good", "noise not known", "not at the floor", "over-fitted", "worse", "too few points"]
 
 FREEDOM_MINIMUM = (
-    20  # the noise is then known to 1 / sqrt(2 * 20) = 16 %; below, no ratio to it means anything
+    20  # the noise is then known to 1 / sqrt(2 * 20) = 16 %; with fewer, ratios to it are meaningless
 )
-WORSE_PERCENT = 0.0  # improvement on points left out
-OVER_FITTED = (
-    2.0  # left out over fitted, root mean squares, beyond sqrt((1 + p/3m) / (1 - p/3m)) that noise makes
+WORSE_PERCENT = 0.0  # improvement on held-out points
+OVER_FITTED = 2.0  # held-out over fitted RMS, beyond sqrt((1 + p/3m) / (1 - p/3m)) from noise
+GOOD = 1.5  # held-out over noise: the remaining error is then about as large as the noise (sqrt(1.5^2 - 1) = 1.1)
+CONDITION_LIMIT = (
+    100.0  # above, the weakest combination of parameters is 100 times less certain than the best
 )
-GOOD = 1.5  # left out over noise: the error that is left is then about the size of the noise itself (sqrt(1.5^2 - 1) = 1.1)
-CONDITION_LIMIT = 100.0  # above, the weakest combination of parameters is 100 times worse known than the best
 PAPER_PERCENT = {"normal": 38.8, "roll": 28.9, "pitch": 17.3}  # SpringerPlus 5:1771, Table 4
 MEAN_OF_NORM = math.sqrt(
     8.0 / math.pi
 )  # mean length of a normal vector of three coordinates, standard deviation 1
-SAME_POSTURE_rad = 0.02  # repeats in one posture show noise; in several, errors of the model too
-REPEATS_FREEDOM = 9  # coordinates beyond the means, for a noise from repeats
+SAME_POSTURE_rad = 0.02  # repeats in one posture show only noise; in several, model errors too
+REPEATS_FREEDOM = 9  # degrees of freedom required for a noise from repeats
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The answer: `sentences` say why, `next_steps` what to do; each can be read alone."""
+    """The verdict: `sentences` give the reasons, `next_steps` the remedies; each is self-contained."""
 
     grade: Grade
     sentences: tuple[str, ...]
@@ -62,28 +62,28 @@ class Verdict:
         return self.grade == "good"
 
     def in_words(self) -> tuple[str, ...]:
-        """Everything, the answer first."""
+        """All sentences, the verdict first."""
         return (*self.sentences, *self.next_steps)
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseFloor:
-    """Standard deviation of one axis of a tip position that no calibration can undercut, and where it is from."""
+    """Noise floor: standard deviation of one axis of a tip position, and its source."""
 
     axis_m: float
     source: str
 
     @property
     def mean_m(self) -> float:
-        """Mean distance that such noise makes."""
+        """Mean distance caused by this noise."""
         return MEAN_OF_NORM * self.axis_m
 
 
 def noise_floor(arm: Arm, points: Points, problem: ArmProblem, x: Array) -> NoiseFloor | None:
-    """The camera's noise where it measured the tips, or the scatter of repeats; the smaller if both are known.
+    """The camera's noise if it measured the tips, or the scatter of repeats; the smaller if both are known.
 
-    Repeats are poses in one cavity and posture with the same payload, reached from the same side: what still differs
-    between them is noise, and any effect that comes and goes makes it larger, never smaller.
+    Repeats are poses in one cavity and posture with the same payload, reached from the same side: their differences
+    are noise; a varying effect can only increase it.
     """
     found = [_from_repeats(points, problem.residuals(x)), _from_camera(arm, points)]
     known = [floor for floor in found if floor is not None]
@@ -108,7 +108,7 @@ def _from_camera(arm: Arm, points: Points) -> NoiseFloor | None:
 
 
 def _repeats(points: Points) -> list[list[int]]:
-    """Rows that repeat each other, two or more."""
+    """Groups of two or more rows that are repeats."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for row in range(len(points)):
         side, load = tuple(points.direction[row].tolist()), str(points.payload_kg[row])
@@ -124,27 +124,27 @@ def verdict(
     suspects: Suspects | None = None,
     setups: Sequence[str] = (),
 ) -> Verdict:
-    """The quality of a calibration; `setups` names the setup of each point, for the advice."""
+    """The verdict on a calibration; `setups` names the setup of each point, for the advice."""
     slips = _slips(suspects)
     held = held.without(slips) if held is not None else None
     grade = _grade(found, held, floor, slips)
-    said = [_answer(grade, found)]
+    sentences = [_answer(grade, found)]
     if held is not None:
-        said += _on_held_out(held, floor, len(slips))
+        sentences += _on_held_out(held, floor, len(slips))
     if grade == "over-fitted" and held is not None:
-        said.append(
+        sentences.append(
             f"The mean error is {1e3 * found.mean_after_m:.3f} mm at the points of the fit and"
             f" {1e3 * float(np.mean(held.after_m)):.3f} mm at held-out points: parameters follow the noise, or the other"
             " points do not cover the held-out ones."
         )
     if len(set(setups)) == 1 and grade in ("good", "noise not known", "not at the floor"):
-        said.append(f'This applies only around the setup "{setups[0]}": nothing else was tested.')
+        sentences.append(f'This applies only around the setup "{setups[0]}": nothing else was tested.')
     steps = (*_about_suspects(suspects), *_next(grade, found, floor, sorted(set(setups))))
-    return Verdict(grade, tuple(said), steps)
+    return Verdict(grade, tuple(sentences), steps)
 
 
 def _slips(suspects: Suspects | None) -> frozenset[int]:
-    """Rows of single outliers: they do not count against the arm."""
+    """Rows of single outliers, which do not count against the arm."""
     if suspects is None or suspects.is_systematic:
         return frozenset()
     return frozenset(one.row for one in suspects.outliers)
@@ -174,7 +174,7 @@ def _over_fit(found: Identification, held: HeldOut, slips: Collection[int] = ())
 
 
 def _answer(grade: Grade, found: Identification) -> str:
-    """The first sentence; it names parameters at their bounds where the result is good."""
+    """The first sentence; it names parameters at their bounds if the result is good."""
     bound = [estimate.parameter.name for estimate in found.estimates if estimate.is_at_bound]
     if grade == "good" and bound:
         rest = "rests on its bound" if len(bound) == 1 else "rest on their bounds"
@@ -193,30 +193,30 @@ def _answer(grade: Grade, found: Identification) -> str:
 
 
 def _on_held_out(held: HeldOut, floor: NoiseFloor | None, slips_count: int = 0) -> list[str]:
-    """Improvement on points not used, against the floor, against the paper."""
+    """Improvement on held-out points, compared with the noise floor and the paper."""
     before, after = 1e3 * float(np.mean(held.before_m)), 1e3 * float(np.mean(held.after_m))
     what = "scatter of each cavity's predicted tips" if held.is_scatter else "error"
     change = "better" if held.improvement_percent >= 0.0 else "worse"
     how = "setup by setup" if held.by == "setup" else held.by
     but = f", without the {slips_count} that contradict the others" if slips_count else ""
-    said = [
+    sentences = [
         f"On points not used (held out {how}{but}), the mean {what} went from {before:.3f} to {after:.3f} mm:"
         f" {abs(held.improvement_percent):.1f} % {change}."
     ]
     if floor is not None:
-        said.append(
+        sentences.append(
             f"The noise of one axis is {1e3 * floor.axis_m:.3f} mm (from {floor.source}), a mean distance of"
             f" {1e3 * floor.mean_m:.3f} mm; the error is {after / (1e3 * floor.mean_m):.2f} times that."
         )
     else:
-        said.append(
+        sentences.append(
             "The noise is unknown: there are no repeats in one posture, and the arm's file gives no camera noise."
         )
-    return [*said, _against_paper(held)]
+    return [*sentences, _against_paper(held)]
 
 
 def _against_paper(held: HeldOut) -> str:
-    """Improvement beside SpringerPlus 5:1771, Table 4, setup by setup where the names are the same."""
+    """Improvement compared with SpringerPlus 5:1771, Table 4, setup by setup if the names are the same."""
     own = {
         name: 100.0 * (1.0 - fold.mean_after_m / max(fold.mean_before_m, 1e-12))
         for fold in held.folds
@@ -225,7 +225,7 @@ def _against_paper(held: HeldOut) -> str:
     }
     if own:
         pairs = ", ".join(f"{name} {own[name]:.1f} % (paper {PAPER_PERCENT[name]} %)" for name in own)
-        return f"Improvement beside SpringerPlus 5:1771: {pairs}."
+        return f"Improvement compared with SpringerPlus 5:1771: {pairs}."
     published = ", ".join(f"{percent} % ({name})" for name, percent in PAPER_PERCENT.items())
     return f"SpringerPlus 5:1771 reports improvements of {published}; here {held.improvement_percent:.1f} %."
 
@@ -250,34 +250,34 @@ def _about_suspects(suspects: Suspects | None) -> list[str]:
 
 
 def _next(grade: Grade, found: Identification, floor: NoiseFloor | None, setups: list[str]) -> list[str]:
-    """What would help, most first."""
-    said = []
+    """Next steps, the most useful first."""
+    sentences = []
     if grade == "too few points":
-        said.append(
+        sentences.append(
             "Take more points: all cavities of the board, in three tilts; armwright plan-poses chooses them."
         )
     if grade == "not at the floor":
-        said.append(
+        sentences.append(
             "Run armwright gap: it looks for backlash, compliance and other effects in the residuals. Poses approached from"
             " both sides show backlash."
         )
     if grade in ("over-fitted", "worse"):
-        said.append(
+        sentences.append(
             "Take free poses away from the board, or more tilts, so that the points cover the arm's working volume; or fix"
             " parameters that the points hardly determine."
         )
     if not math.isfinite(found.condition_number) or found.condition_number > CONDITION_LIMIT:
         tilts = "more tilts of the board and " if len(setups) == 1 else ""
-        said.append(
+        sentences.append(
             f"The points determine some parameters {found.condition_number:.0f} times worse than others: add {tilts}a dozen"
             " poses away from the board (armwright plan-poses)."
         )
     binding = [e.parameter.name for e in found.estimates if e.is_at_bound and e.is_determined]
     if binding:
-        said.append(
+        sentences.append(
             f"{', '.join(binding)} rest{'s' if len(binding) == 1 else ''} on the bound: measure the part, or widen the bound"
             " if it can deviate that much."
         )
     if grade == "noise not known":
-        said.append("Record three points two or three times each to measure the noise.")
-    return said
+        sentences.append("Record three points two or three times each to measure the noise.")
+    return sentences

@@ -31,7 +31,7 @@ ALL = "all"
 
 @dataclass(frozen=True, slots=True)
 class SetupComparison:
-    """One setup (or `all`): errors before and after, and how much smaller the mean became."""
+    """One setup (or `all`): errors before and after, and the improvement of the mean."""
 
     setup: str
     before: ErrorSummary
@@ -46,10 +46,10 @@ class SetupComparison:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Points with their error vectors (measured minus wanted, base frame) before and after calibration.
+    """Points with their error vectors (measured minus target, base frame) before and after calibration.
 
     setup, point: m names; tip_m, before_m, after_m: (m, 3). Half widths (m,): of the 95 % interval of each point's
-    distance, from repeats at the point; NaN where there were none.
+    distance, from repeats at the point; NaN without repeats.
     """
 
     setup: tuple[str, ...]
@@ -91,7 +91,7 @@ def compare(
     before_half_width_m: Array | None = None,
     after_half_width_m: Array | None = None,
 ) -> Comparison:
-    """A Comparison; CalibrationError where the arrays do not belong together or hold no numbers."""
+    """Compare errors; CalibrationError if the arrays do not match or are not finite."""
     shapes = {np.shape(tip_m), np.shape(before_m), np.shape(after_m), (len(setup), 3), (len(point), 3)}
     if len(shapes) != 1 or not len(setup):
         raise CalibrationError(
@@ -116,7 +116,7 @@ def compare(
 def compare_repeated(
     setup: Sequence[str], point: Sequence[str], tip_m: Array, before_m: Array, after_m: Array
 ) -> Comparison:
-    """As `compare`, with several rows a point: its error is the mean vector of its repeats.
+    """As `compare`, with several rows per point: its error is the mean vector of its repeats.
 
     The interval of a point's distance is that of the repeats' parts along the mean error: t s / sqrt(k).
     """
@@ -167,7 +167,7 @@ def _figures(summary: ErrorSummary) -> tuple[str, ...]:
 
 
 def findings(comparison: Comparison) -> tuple[str, ...]:
-    """Of each setup, and of all together, whether the difference is more than chance."""
+    """Significance of the difference for each setup, and for all together."""
     return tuple(f"{entry.setup}: {entry.difference.in_words()}" for entry in comparison.by_setup())
 
 

@@ -1,8 +1,8 @@
-"""Two models of an arm on recorded poses: what each predicts from the encoders, against where the tip was.
+"""Compares two models of an arm on recorded poses: predictions from the encoders against measured tips.
 
-Where it was says the camera, or the table if its pose is known. A board that stood nobody knows where, a tip seated in its
-cavities again and again, still tells models apart: each model gets the board where its own predictions fit best, and what is
-left is how badly they agree among themselves. Static effects that a model has (backlash, scale, ...) are part of it.
+The tip is measured by the camera, or given by the table if its pose is known. A board of unknown pose, with the tip seated in its
+cavities repeatedly, still distinguishes models: for each model the board is placed where its predictions fit best, and the
+residual is its inconsistency. Static effects of a model (backlash, scale, ...) are included.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
 from control.model.arm import Arm
 
-SAME_POSE_rad = 0.02  # rows of one name further apart are other poses, not repeats
-LEAST_POSES = 5  # of a setup whose board is placed by the model: with fewer any board fits
+SAME_POSE_rad = 0.02  # rows of one name that differ more are different poses, not repeats
+LEAST_POSES = 5  # of a setup whose board is fitted: with fewer poses any board fits
 
 
 def compare_arms(nominal: Arm, calibrated: Arm, points: Points) -> Comparison:
-    """Errors by two models; rows of the same name and pose are repeats, other poses of the same name points of their own.
+    """Errors by two models; rows of the same name and pose are repeats, other poses of the same name separate points.
 
-    Rows are left out whose tip is neither measured nor in a cavity of a board that enough poses place; CalibrationError
+    Rows are omitted if their tip is neither measured nor in a cavity of a board with enough poses; CalibrationError
     if none is left, UnusablePointsError for points in other units or of another arm.
     """
     require_of_arm(calibrated, points)
@@ -45,12 +45,12 @@ def compare_arms(nominal: Arm, calibrated: Arm, points: Points) -> Comparison:
 
 
 def predicted_tips(arm: Arm, points: Points) -> Array:
-    """Tips (m, 3) in the base frame from the encoders, with the static effects that the arm's model has."""
+    """Tips (m, 3) in the base frame from the encoders, with the static effects of the arm's model."""
     return Kinematics(arm).tips(points.q_rad + known_corrections(arm, points))
 
 
 def errors_of(arm: Arm, points: Points) -> Array:
-    """Where the tip was minus where the model has it, (m, 3) in the model's base frame; NaN where nothing says where."""
+    """Measured minus predicted tips, (m, 3) in the model's base frame; NaN without a reference."""
     tips = predicted_tips(arm, points)
     was = base_frame_of(arm).to_base(points.tip_m)
     for setup in dict.fromkeys(points.setup):
@@ -61,7 +61,7 @@ def errors_of(arm: Arm, points: Points) -> Array:
 
 
 def _on_fitted_board(arm: Arm, names: list[str], tips: Array) -> Array:
-    """Cavities (m, 3) of a board that stands where these tips want it; NaN where there are too few, or no such cavity."""
+    """Cavities (m, 3) of a board fitted to these tips; NaN if there are too few, or no such cavity."""
     cavities = tables.board_cavities(arm.table) if arm.table is not None else {}
     known = [k for k, name in enumerate(names) if name in cavities]
     was = np.full(tips.shape, np.nan)
@@ -72,7 +72,7 @@ def _on_fitted_board(arm: Arm, names: list[str], tips: Array) -> Array:
 
 
 def _names(points: Points) -> list[str]:
-    """The points' names, with a number where poses of one name are not the same."""
+    """The points' names, with a number if poses of one name differ."""
     poses: dict[tuple[str, str], list[Array]] = {}
     numbers = []
     for k, name in enumerate(zip(points.setup, points.point, strict=True)):

@@ -1,4 +1,4 @@
-"""`armwright arm` reads an arm.toml, so that errors are found before it is used; `armwright export-arm` writes it for others."""
+"""`armwright arm` checks and summarises an arm.toml; `armwright export-arm` converts it to other formats."""
 
 import argparse
 import json
@@ -12,7 +12,7 @@ from control.model.description import load_arm
 
 
 def run(given: argparse.Namespace) -> int:
-    """Print what the file holds, or write it in another form."""
+    """Print a summary of the file, or write it in another format."""
     arm = load_arm(given.arm)
     if given.command == "export-arm":
         return _export(arm, given.export, Path(given.out))
@@ -33,7 +33,7 @@ def _export(arm: Arm, form: str, path: Path) -> int:
 
 
 def summary(arm: Arm) -> dict[str, Any]:
-    """The arm in brief, for programs."""
+    """Summary of the arm for programs."""
     return {
         "name": arm.name,
         "path": str(arm.path),
@@ -48,7 +48,7 @@ def summary(arm: Arm) -> dict[str, Any]:
 
 
 def described(arm: Arm) -> str:
-    """The arm in brief, for people."""
+    """Summary of the arm for people."""
     lines = [
         f"arm {arm.name} ({arm.path}): {arm.joint_count} joints, {len(arm.drives)} drives, {arm.dh_convention} DH",
         f"{'link':<6}{'joint':<10}{'d [mm]':>12}{'theta [deg]':>14}{'L [mm]':>12}{'alpha [deg]':>14}",

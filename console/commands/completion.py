@@ -53,7 +53,7 @@ def _actions(parser: argparse.ArgumentParser) -> list[argparse.Action]:
 
 
 def _completion(action: argparse.Action) -> dict[str, Any] | None:
-    """What completes a value: chosen by its metavar; None if nothing can be offered."""
+    """The completion of a value, chosen by its metavar; None if there is none."""
     import shtab
 
     kind = str(action.metavar)
@@ -67,7 +67,7 @@ def _completion(action: argparse.Action) -> dict[str, Any] | None:
 
 
 def _named_in_bash() -> str:
-    """Functions that offer what ships by name, beside files."""
+    """Functions that complete supplied names and files."""
     return "".join(
         f'{function}() {{\n  compgen -W "{" ".join(names)}" -- "$1"\n  compgen -f -- "$1"\n}}\n'
         for function, names in (

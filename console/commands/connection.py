@@ -15,7 +15,7 @@ def socket_path(given: argparse.Namespace, arm: Arm) -> Path:
 
 
 def connected(given: argparse.Namespace) -> ArmClient:
-    """A client of the runtime; of a script, its own. RuntimeGone names the command that starts one."""
+    """A client of the runtime; within a script, the script's own. RuntimeGone names the command that starts one."""
     if (connect := getattr(given, "connect", None)) is not None:
         client: ArmClient = connect()
         return client

@@ -1,4 +1,4 @@
-"""`armwright demo`: the full workflow on a mock arm, the paper's experiment, or a hidden effect found and corrected."""
+"""`armwright demo`: the full workflow on a mock arm, the paper's experiment, or the gap workflow."""
 
 import argparse
 import sys
@@ -16,13 +16,13 @@ from procedures.folders import free_folder, require_writable
 from procedures.mock.bench import Bench, RealTimeBench, SteppedBench
 from procedures.mock.scenario_file import seeded_scenario
 
-GAP_SEED = 1  # of what `demo gap` hides by default
+GAP_SEED = 1  # seed of the hidden effect of `demo gap`
 Conduct = Callable[[Arm, Bench, Path, Advance], str]
-"""Does a demo on the bench's arm; returns what is printed about it."""
+"""Runs a demo on the bench's arm; returns the text to print."""
 
 
 def run(given: argparse.Namespace) -> int:
-    """Run the demo and print what it found."""
+    """Run the demo and print its results."""
     if given.what == "gap":
         return _gap(given)
     for name in ("effect", "joint"):
@@ -82,7 +82,7 @@ def _paper(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
 
 
 def _gap(given: argparse.Namespace) -> int:
-    """An effect is hidden, found, added and corrected; exit status 1 if it was not found."""
+    """Hide an effect, find it, add it to the model and correct it; exit status 1 if it was not found."""
     from procedures.demo import gap
     from procedures.demo.gap_hidden import beyond_known, drawn, with_known_friction
     from procedures.demo.gap_page import findings, write_page

@@ -17,11 +17,11 @@ from control.motion.plan import PlannedPath, plan_path
 from control.motion.waypoints import POSITION_COLUMNS, read_waypoints
 
 HEADER = ",".join(POSITION_COLUMNS)
-SAME_m = 1e-4  # two way-points nearer than this are one: no path can turn there
+SAME_m = 1e-4  # closer way-points are duplicates
 
 
 def run(given: argparse.Namespace) -> int:
-    """Run the command of the given name; returns when the arm has done it."""
+    """Run the command of the given name; returns when the motion is complete."""
     return MOTIONS[given.command](given)
 
 
@@ -40,7 +40,7 @@ def _go(given: argparse.Namespace) -> int:
 
 
 def _joint_move(given: argparse.Namespace, q_rad: Any, tip_m: Any) -> int:
-    """To joint angles, or to the nearest ones with the tip at a position."""
+    """Move to joint angles, or to the nearest ones with the tip at a position."""
     client = connected(given)
     if q_rad is None:
         from control.kinematics.inverse import InverseKinematics
@@ -52,7 +52,7 @@ def _joint_move(given: argparse.Namespace, q_rad: Any, tip_m: Any) -> int:
 
 
 def _run(given: argparse.Namespace) -> int:
-    """Way-points through a Cartesian spline; everything is checked before anything moves."""
+    """Run way-points through a Cartesian spline; everything is checked before anything moves."""
     arm = load_arm(given.arm)
     waypoints = read_waypoints(given.file)
     if given.plan_only:
@@ -70,12 +70,12 @@ def _run(given: argparse.Namespace) -> int:
 
 
 def _waits(given: argparse.Namespace) -> bool:
-    """Not for a script's line that ends with &."""
+    """Whether to wait for the end; not for a script's line that ends with &."""
     return bool(getattr(given, "waits", True))
 
 
 def described(path: PlannedPath) -> str:
-    """The plan in words."""
+    """The plan as text."""
     angles = ", ".join(f"{q:.4f}" for q in path.q_start_rad)
     lines = [
         f"{len(path.q_waypoints_rad)} way-points in {path.duration_s:.2f} s, {path.branch}; begins at {angles} rad",
@@ -100,7 +100,7 @@ def _jog(given: argparse.Namespace) -> int:
     return 1 if limited and not limited.startswith("slower") else 0
 
 
-# ---- notes of where the arm is
+# ---- saving the present pose
 
 
 def _mark(given: argparse.Namespace) -> int:

@@ -1,15 +1,15 @@
-"""A progress bar with the time left on a terminal; a line now and then where output goes to a file."""
+"""A progress bar with the remaining time on a terminal; occasional lines if output goes to a file."""
 
 import sys
 import time
 from types import TracebackType
 from typing import Self
 
-LINES = 10  # of a whole job, where there is no terminal
+LINES = 10  # of a job, without a terminal
 
 
 class Bar:
-    """Shows how much of a job is done; a context manager."""
+    """Shows the progress of a job; a context manager."""
 
     def __init__(self, title: str) -> None:
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -43,7 +43,7 @@ class Bar:
             self._progress.stop()
 
     def advance(self, what: str, done: float) -> None:
-        """`done` of the whole, 0 to 1, and the present step. The share never falls and never exceeds 1."""
+        """Set the share done, 0 to 1, and the present step. The share never falls and never exceeds 1."""
         done = self._done = min(max(done, self._done), 1.0)
         if self._is_terminal:
             self._progress.update(self._task, completed=done, description=what)

@@ -1,4 +1,4 @@
-"""Commands that are one request to the runtime: each a line of `REQUESTS`."""
+"""Commands that send a single request to the runtime: each is an entry of `REQUESTS`."""
 
 import argparse
 import sys
@@ -9,7 +9,7 @@ from console.waiting import shown
 from control.errors import ArmError
 from control.server.client import ArmClient
 
-# Sends the request and waits until it is done; returns what there is to say of it.
+# Sends the request and waits until it is done; returns a message for the operator.
 Request = Callable[[ArmClient, argparse.Namespace], str | None]
 LONGEST_WAIT_S = 24 * 3600.0
 RESTING = ("HOLDING", "BRAKED", "OFF", "GUIDING")
@@ -61,7 +61,7 @@ REQUESTS: Mapping[str, Request] = {
 
 
 def _require_consent(given: argparse.Namespace) -> None:
-    """ArmError unless --yes is given or the operator confirms the release; nothing has moved then."""
+    """ArmError unless --yes is given or the operator confirms the release."""
     if given.yes:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):

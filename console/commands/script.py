@@ -1,4 +1,4 @@
-"""`armwright script FILE`: operator lines from a file, one after the other, until the end or the first that fails."""
+"""`armwright script FILE`: runs operator lines from a file until the end or the first failure."""
 
 import argparse
 import json
@@ -68,6 +68,6 @@ def _message(outcome: Outcome) -> dict[str, object]:
         "number": outcome.number,
         "line": outcome.line,
         "status": outcome.status,
-        "said": outcome.said,
+        "transcript": outcome.transcript,
         "took_s": round(outcome.took_s, 3),
     }

@@ -1,4 +1,4 @@
-"""`armwright serve`: the loop, in this process, until it is stopped."""
+"""`armwright serve`: runs the loop in this process until it is stopped."""
 
 import argparse
 from pathlib import Path
@@ -27,7 +27,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def camera_port(given: argparse.Namespace, arm: Arm) -> int | None:
-    """The UDP port of the command line, or that of the arm's [camera]; None for an arm without one."""
+    """The UDP port of the command line, or of the arm's [camera]; None for an arm without a camera."""
     if given.camera_port is not None:
         return int(given.camera_port)
     return arm.camera.udp_port if arm.camera else None

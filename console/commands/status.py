@@ -1,4 +1,4 @@
-"""`armwright status`: what the arm does now, in words or as JSON."""
+"""`armwright status`: the state of the arm as text or JSON."""
 
 import argparse
 import json
@@ -13,7 +13,7 @@ STALE = " *"
 
 
 def run(given: argparse.Namespace) -> int:
-    """Print the status; exit status 1 when the arm is in FAULT."""
+    """Print the status; exit status 1 if the arm is in FAULT."""
     status = connected(given).status()
     text = json.dumps(status, indent=2) if given.json else described(status)
     sys.stdout.write(f"{text}\n")
@@ -21,7 +21,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def described(status: Message) -> str:
-    """The status as a page for an operator."""
+    """The status as text for an operator."""
     homed = "homed" if status["is_homed"] else "not homed"
     done = f", {100 * status['progress']:.0f} % of run {status['run']}" if status["run"] else ""
     pace = f", speed override {100 * status['override']:.0f} %" if status["override"] < 1.0 else ""
@@ -79,7 +79,7 @@ def _recording(recorder: RecorderState) -> str:
 
 
 def stale_lines(status: Message) -> list[str]:
-    """What a mark beside a value means: which board is silent, and since when."""
+    """Explain the stale marks: which board is silent, and for how long."""
     return [
         f"{STALE.strip()} joint {joint}: no report from its {board} board for {age_s:.1f} s; these are the last values"
         for board, ages_s in (("encoder", status["encoder_stale_s"]), ("motor", status["drive_stale_s"]))
@@ -89,7 +89,7 @@ def stale_lines(status: Message) -> list[str]:
 
 
 def _marked(cells: Sequence[str], ages_s: Sequence[float | None]) -> list[str]:
-    """The cells, with a mark at each that shows a value of a silent board."""
+    """The cells, with a mark at each value of a silent board."""
     return [cell if age_s is None else f"{cell}{STALE}" for cell, age_s in zip(cells, ages_s, strict=True)]
 
 

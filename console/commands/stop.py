@@ -1,6 +1,6 @@
-"""`armwright stop`: needs no readable file, and reaches every runtime of this user.
+"""`armwright stop`: needs no readable file and reaches every runtime of this user.
 
-A stop must not fail for a reason that has nothing to do with the arm: a line of arm.toml, a configuration, a runtime that hangs.
+A stop must not fail for unrelated reasons: an error in arm.toml or the configuration, or a hanging runtime.
 """
 
 import argparse
@@ -15,8 +15,8 @@ from control.server.sockets import find_sockets
 
 
 def run(given: argparse.Namespace) -> int:
-    """Stop; exit status 1 where a runtime did not answer, its arm is in FAULT, or none runs."""
-    if (connect := getattr(given, "connect", None)) is not None:  # a line of a script: its runtime alone
+    """Stop; exit status 1 if a runtime did not answer, its arm is in FAULT, or none runs."""
+    if (connect := getattr(given, "connect", None)) is not None:  # in a script: only its own runtime
         connect().stop()
         return 0
     return stop_all(_wanted(given))
@@ -38,7 +38,7 @@ def _wanted(given: argparse.Namespace) -> Sequence[Path]:
 
 
 def stop_all(paths: Sequence[Path]) -> int:
-    """Ask all runtimes at once, so that one that hangs delays no other; a line for each."""
+    """Ask all runtimes in parallel, so that a hanging one does not delay the others; print a line for each."""
     with ThreadPoolExecutor(max(1, len(paths))) as pool:
         found = [end for end in pool.map(_stopped, paths) if end is not None]
     for is_good, text in found:
@@ -49,7 +49,7 @@ def stop_all(paths: Sequence[Path]) -> int:
 
 
 def _stopped(path: Path) -> tuple[bool, str] | None:
-    """Whether the runtime at a socket stopped its arm, in words; None where nothing listens."""
+    """Whether the runtime at a socket stopped its arm, and a message; None if nothing listens."""
     try:
         client = ArmClient(SocketChannel(path))
         try:

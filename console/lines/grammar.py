@@ -1,6 +1,6 @@
-"""One grammar for the shell, for scripts and for the console's command box: a line is a subcommand and its options.
+"""The grammar of operator lines in scripts and the console's command box: a subcommand and its options.
 
-`move --joints 0 -0.8 0` is what `armwright move --joints 0 -0.8 0` does. A line may end with `&`: the motion is begun, and the
+`move --joints 0 -0.8 0` does the same as `armwright move --joints 0 -0.8 0`. A line may end with `&`: the motion starts, and the
 next line follows at once (`wait` waits for it). Empty lines and what follows a `#` are remarks.
 """
 
@@ -15,7 +15,7 @@ from console.options import CommandSpec
 from console.specs.operating import OPERATING
 from control.errors import ArmError
 
-# They run until they are ended, or read lines themselves.
+# These run until they are ended, or read lines themselves.
 NOT_HERE = ("serve", "mock", "console", "script", "view")
 IN_BACKGROUND = ("move", "go", "run")
 BACKGROUND = "&"
@@ -27,7 +27,7 @@ class LineError(ArmError):
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A parsed line: the command's name, and its options as its module takes them."""
+    """A parsed line: the command's name and its parsed options."""
 
     text: str
     command: str
@@ -52,7 +52,7 @@ class Grammar:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The commands that a line may begin with."""
+        """The commands that a line may start with."""
         return tuple(self._specs)
 
     def line(self, text: str) -> Line | None:
@@ -76,7 +76,7 @@ class Grammar:
         return Line(text, name, given)
 
     def _check_arm(self, name: str, given: argparse.Namespace) -> None:
-        """Lines share one runtime: a motion that is planned for another arm must not run on this one."""
+        """LineError for another arm: lines share one runtime, and a motion planned for another arm must not run on it."""
         if name not in self._moving:
             return
         for key in ("arm", "socket"):

@@ -1,4 +1,4 @@
-"""Runs operator lines one after the other over one connection, and stops at the first that fails."""
+"""Runs operator lines in order over one connection, and stops at the first failure."""
 
 import contextlib
 import importlib
@@ -15,22 +15,22 @@ from control.server.client import ArmClient
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The outcome of a line: its number in the file, exit status as of the subcommand, what it wrote, how long it took.
+    """The outcome of a line: its number in the file, the subcommand's exit status, its output, its duration.
 
-    `said` is all of it; `output` what it wrote to standard output, as errors have been seen when they came.
+    `transcript` is standard output and error; `output` is standard output only, as errors were shown immediately.
     """
 
     number: int
     line: str
     status: int
-    said: str
+    transcript: str
     output: str
     took_s: float
 
 
 def parse_lines(lines: Iterable[str], grammar: Grammar) -> list[tuple[int, Line]]:
-    """All lines with their numbers, from 1. LineError names every line that is wrong, before anything is done."""
-    found: list[tuple[int, Line]] = []
+    """All lines with their numbers, from 1. LineError names every invalid line, before anything is done."""
+    parsed: list[tuple[int, Line]] = []
     wrong: list[str] = []
     for number, text in enumerate(lines, 1):
         try:
@@ -39,10 +39,10 @@ def parse_lines(lines: Iterable[str], grammar: Grammar) -> list[tuple[int, Line]
             wrong.append(f"line {number}: {error}")
             continue
         if line is not None:
-            found.append((number, line))
+            parsed.append((number, line))
     if wrong:
         raise LineError("\n  ".join(wrong))
-    return found
+    return parsed
 
 
 def replay(
@@ -50,8 +50,8 @@ def replay(
 ) -> int:
     """Run lines until the first that fails; returns its exit status, or 0.
 
-    They share one connection, made for the first that needs it: a motion that a line began belongs to the script. When
-    the script ends, so does the motion.
+    They share one connection, opened by the first that needs it: a motion started by a line belongs to the script. When
+    the script ends, the motion is stopped.
     """
     shared = _SharedClient(connect)
     try:
@@ -66,7 +66,7 @@ def replay(
 
 
 class _SharedClient:
-    """The script's connection, made when it is first wanted."""
+    """The script's connection, opened on first use."""
 
     def __init__(self, connect: Callable[[], ArmClient]) -> None:
         self._connect = connect
@@ -86,26 +86,29 @@ def _run(number: int, line: Line, connect: Callable[[], ArmClient]) -> Outcome:
     from console.main import run
 
     line.given.connect = connect
-    said, output = io.StringIO(), io.StringIO()
+    transcript, output = io.StringIO(), io.StringIO()
     begun_s = time.monotonic()
-    with contextlib.redirect_stdout(_Tee(said, output)), contextlib.redirect_stderr(_Tee(said, sys.stderr)):
+    stdout, stderr = _Tee(transcript, output), _Tee(transcript, sys.stderr)
+    with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
         module = importlib.import_module(f"console.commands.{line.given.module}")
         status = run(module.run, line.given)
-    return Outcome(number, line.text, status, said.getvalue(), output.getvalue(), time.monotonic() - begun_s)
+    return Outcome(
+        number, line.text, status, transcript.getvalue(), output.getvalue(), time.monotonic() - begun_s
+    )
 
 
 class _Tee(io.TextIOBase):
     """Writes to two streams."""
 
-    def __init__(self, one: TextIO, other: TextIO) -> None:
-        self._one, self._other = one, other
+    def __init__(self, first: TextIO, second: TextIO) -> None:
+        self._first, self._second = first, second
 
     def write(self, text: str) -> int:
-        self._other.write(text)
-        return self._one.write(text)
+        self._second.write(text)
+        return self._first.write(text)
 
     def flush(self) -> None:
-        self._other.flush()
+        self._second.flush()
 
     def isatty(self) -> bool:
         return False

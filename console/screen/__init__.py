@@ -1,5 +1,5 @@
-"""The operator's console: a full-screen terminal program (Textual), a client of the runtime like any other.
+"""The operator's console: a full-screen terminal program (Textual), and an ordinary client of the runtime.
 
-It decides nothing: the dead man's switch, the limits and the stop are the runtime's. One process, one event loop, no threads;
-what takes long (planning, a session) is a subcommand in a process of its own.
+The dead man's switch, the limits and the stop are in the runtime. One process, one event loop, no threads;
+long tasks (planning, a session) are subcommands in separate processes.
 """

@@ -1,4 +1,4 @@
-"""The console as a Textual application: the link, the operator, and the space bar before everything else."""
+"""The console as a Textual application: the link, the operator, and the space bar as the stop."""
 
 import asyncio
 import os
@@ -31,7 +31,7 @@ COMMAND_KEYS = ("colon", "slash")
 
 
 class ConsoleApp(App[None]):
-    """`armwright console`. Exits with the arm held: its connection ends, and with it its motion."""
+    """`armwright console`. On exit its connection closes, which stops its motion; the arm holds."""
 
     CSS_PATH = "style.tcss"
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide"), (160, "-huge")]  # noqa: RUF012 - as Textual declares it
@@ -41,7 +41,7 @@ class ConsoleApp(App[None]):
     BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+q,ctrl+c", "quit", show=False, priority=True)]
 
     def __init__(self, arm: Arm, socket: Path, files: Files, shared: Mapping[str, str]) -> None:
-        """`shared`: options that every subcommand is given, such as --arm and --socket."""
+        """`shared`: options for every subcommand, such as --arm and --socket."""
         super().__init__(ansi_color=False)
         self.register_theme(THEME)
         self.theme = THEME.name
@@ -57,24 +57,24 @@ class ConsoleApp(App[None]):
         self.operating = OperatingScreen(dashboard, self.operator, self.jogger, files, self.open_session)
 
     def get_line_filters(self) -> Sequence[LineFilter]:
-        """Textual's, and ASCII where the terminal shows nothing else."""
+        """Textual's filters, and ASCII if the terminal shows nothing else."""
         return [*super().get_line_filters(), *([self._filter] if self._filter.enabled else [])]
 
     def on_mount(self) -> None:
-        """The main screen, and the link."""
+        """Open the main screen, and the link."""
         self.push_screen(self.operating)
         self.run_worker(self.link.run(), group="link")
 
     async def on_event(self, event: events.Event) -> None:
-        """Space stops before any screen, dialog or box sees it; a box gets it where nothing moves.
+        """Space stops before any screen, dialog or box receives it; a box receives it if nothing moves.
 
-        The colon, too, is taken here: what is typed behind it must not be taken for keys that move the arm, however fast it
+        The colon is also handled here: what is typed after it must not act as keys that move the arm, however fast it
         comes.
         """
         if isinstance(event, events.Key) and not event.is_forwarded:
             is_typing = isinstance(self.focused, Input)
             if event.key == "space":
-                self._stopping = asyncio.create_task(self.action_stop())  # keys behind it wait for nothing
+                self._stopping = asyncio.create_task(self.action_stop())  # later keys need not wait
                 if not (is_typing and self._is_resting()):
                     return
             elif event.key in COMMAND_KEYS and not is_typing and self.screen is self.operating:
@@ -83,27 +83,27 @@ class ConsoleApp(App[None]):
         await super().on_event(event)
 
     async def on_app_blur(self, _: events.AppBlur) -> None:
-        """The terminal lost the focus: whoever holds a key holds it elsewhere."""
+        """Release the jog: the terminal lost the focus, so a held key is held elsewhere."""
         await self.operating.let_go()
 
     async def action_stop(self) -> None:
-        """Controlled stop, and the end of the line that runs."""
+        """Controlled stop, and end the running line."""
         await self.operator.stop()
 
     async def action_quit(self) -> None:
-        """Leave; the arm is held."""
+        """Exit; the arm holds."""
         self.operator.end_line()
         if isinstance(self.screen, SessionScreen):
             self.screen.end()
         self.exit()
 
     def say(self, text: str, is_error: bool = False) -> None:
-        """A line in the log."""
+        """Write a line to the log."""
         if self.operating.is_mounted:
             self.operating.say(text, is_error)
 
     def open_session(self, line: str) -> None:
-        """The calibration session with these options of `armwright session`."""
+        """Open the calibration session with these options of `armwright session`."""
         words = shlex.split(line)
         if "--out" not in words[:-1]:
             self.say("session: expected --out FOLDER among its options", True)

@@ -1,6 +1,6 @@
-"""A subcommand in a process of its own that does not outlive the console: where the console dies, so do its lines.
+"""A subcommand in a separate process that ends with the console.
 
-Its motion ends with its connection, so whatever kills the console leaves no arm moving for it.
+Its motion ends with its connection, so a killed console leaves no moving arm.
 """
 
 import asyncio
@@ -12,7 +12,7 @@ from procedures.child_process import ends_with_parent
 
 
 async def subcommand(words: Sequence[str], takes_answers: bool = False) -> asyncio.subprocess.Process:
-    """Start `armwright WORDS`; what it says comes from its stdout. OSError where there can be no process."""
+    """Start `armwright WORDS` with piped stdout. OSError if the process cannot be started."""
     return await asyncio.create_subprocess_exec(
         *command("console.main", *words),
         stdin=asyncio.subprocess.PIPE if takes_answers else asyncio.subprocess.DEVNULL,

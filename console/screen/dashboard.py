@@ -1,4 +1,4 @@
-"""What the main screen's panels show, and how often: text and the arm three times a second, plots once."""
+"""The contents of the main screen's panels: text and the arm are updated three times a second, plots once."""
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
@@ -16,14 +16,14 @@ from console.screen.operator import Operator
 from console.screen.texts import headline, joint_rows, status_rows, tip_row
 from control.model.arm import Arm
 
-TEXT_S, VIEW_S, PLOT_S = 0.3, 0.3, 0.9  # multiples: what is due together is drawn in one pass
-STILL_rad = 1e-3  # a pose that has changed by less is not drawn anew
-CollisionFreeBox = Callable[[str], tuple[int, int]]  # columns and rows inside a panel
+TEXT_S, VIEW_S, PLOT_S = 0.3, 0.3, 0.9  # multiples, so that updates coincide and are drawn in one pass
+STILL_rad = 1e-3  # smaller changes of pose are not redrawn
+PanelSize = Callable[[str], tuple[int, int]]  # columns and rows inside a panel
 Drawn = tuple[str, Sequence[Row]]  # a panel's name and its rows
 
 
 class Dashboard:
-    """From one status after another to the rows of the panels that are due."""
+    """Computes from each status the rows of the panels that are due."""
 
     def __init__(self, arm: Arm, operator: Operator, jogger: Jogger) -> None:
         self.override = 1.0
@@ -52,17 +52,17 @@ class Dashboard:
         yield Panel("late", "Loop lateness p99 us")
 
     def hurry(self) -> None:
-        """Show what a key has changed with the next status."""
+        """Update all panels with the next status, after a key."""
         self._drawn_s.clear()
 
     def events(self, status: Message | None) -> list[Event]:
-        """What has happened since the last status, which this one becomes."""
+        """Events since the last status; stores this one."""
         events = events_between(self._last, status, self._link.why_lost)
         self._last = status
         return events
 
-    def changed(self, status: Message | None, room: CollisionFreeBox, now_s: float) -> Iterator[Drawn]:
-        """The panels that are due, with what they show."""
+    def changed(self, status: Message | None, room: PanelSize, now_s: float) -> Iterator[Drawn]:
+        """The panels that are due, with their rows."""
         if status is not None:
             self._history.add(status)
             self.override = status["override"]
@@ -79,7 +79,7 @@ class Dashboard:
         self._drawn_s[what] = now_s
         return True
 
-    def _texts(self, status: Message | None, room: CollisionFreeBox) -> Iterator[Drawn]:
+    def _texts(self, status: Message | None, room: PanelSize) -> Iterator[Drawn]:
         arm, selected, why_lost = self._arm, self._jogger.selected.name, self._link.why_lost
         yield "head", [headline(status, arm, why_lost, room("head")[0], clock())]
         yield "status", status_rows(status, why_lost, room("status")[0])
@@ -96,7 +96,7 @@ class Dashboard:
             *running,
         )
 
-    def _views(self, status: Message, room: CollisionFreeBox) -> Iterator[Drawn]:
+    def _views(self, status: Message, room: PanelSize) -> Iterator[Drawn]:
         is_stale = [age is not None for age in stale_s(status)]
         pose = [round(q / STILL_rad) for q in status["joint_rad"]] if status["is_homed"] else []
         selected = self._jogger.selected.joint
@@ -112,7 +112,7 @@ class Dashboard:
             if columns > 8 and rows > 2:
                 yield name, draw(scene, columns, rows, self._skeleton.reach_m)
 
-    def _drawn_plots(self, room: CollisionFreeBox) -> Iterator[Drawn]:
+    def _drawn_plots(self, room: PanelSize) -> Iterator[Drawn]:
         for name, (series, plot) in self._plots.items():
             if room(name)[0]:
                 yield name, plot_rows(plot(series, (self._jogger.selected.joint or 1) - 1), *room(name))

@@ -1,4 +1,4 @@
-"""Questions over the screen. Space stops the arm in them as everywhere."""
+"""Modal dialogs. Space stops the arm in them, too."""
 
 from collections.abc import Sequence
 from typing import ClassVar
@@ -19,9 +19,9 @@ HELP = """\
 [b]- +[/]       jog slower, faster       [b]< >[/]     speed override
 [b]n[/]         drives on, and hold      [b]o[/]       stop, lower, drives off
 [b]h[/]         home                     [b]g[/]       go to a named place
-[b]f[/]         run a way-point file     [b]p[/]       pause on path, go on
+[b]f[/]         run a way-point file     [b]p[/]       pause, continue
 [b]u[/]         guide by hand            [b]r[/]       record a way-point
-[b]k[/]         keep this place by name  [b]a[/]       acknowledge faults
+[b]k[/]         save this place by name  [b]a[/]       acknowledge faults
 [b]c[/]         calibration session      [b]:[/]       command box
 [b]v[/]         plots or the arm         [b]pgup[/] [b]pgdn[/]   scroll the events
 [b]ctrl+q[/], [b]ctrl+c[/]   leave: the motion is stopped, the arm is held
@@ -35,7 +35,7 @@ class HelpDialog(ModalScreen[None]):
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape,enter,question_mark", "dismiss", show=False)]
 
     def compose(self) -> ComposeResult:
-        """Text."""
+        """Compose the text."""
         with Vertical(classes="dialog"):
             yield Static(HELP)
 
@@ -64,7 +64,7 @@ class Confirm(ModalScreen[bool]):
 
 
 class AskText(ModalScreen[str | None]):
-    """A line of text; Escape is none."""
+    """Ask for a line of text; Escape cancels."""
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "dismiss(None)", show=False)]
 
@@ -79,13 +79,13 @@ class AskText(ModalScreen[str | None]):
             yield Input(self._value, compact=True)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Close with what was typed."""
+        """Close with the text."""
         event.stop()
         self.dismiss(event.value.strip() or None)
 
 
 class Choose(ModalScreen[str | None]):
-    """One of some names; Escape is none."""
+    """Choose one of some names; Escape cancels."""
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "dismiss(None)", show=False)]
 

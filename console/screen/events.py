@@ -1,4 +1,4 @@
-"""What has happened between two answers of the runtime, in words: the events of the log."""
+"""Events between two statuses of the runtime, as text for the log."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ Event = tuple[str, bool]  # text, whether it is a fault
 
 
 def events_between(before: Message | None, after: Message | None, why_lost: str = "") -> list[Event]:
-    """Events that turn `before` into `after`; None is a lost link."""
+    """Events between `before` and `after`; None is a lost link."""
     if after is None:
         return [(f"link lost: {why_lost}", True)] if before is not None else []
     if before is None:
@@ -16,7 +16,7 @@ def events_between(before: Message | None, after: Message | None, why_lost: str 
 
 
 def stale_s(status: Message) -> list[float | None]:
-    """Age in s of each joint's data where one of its boards is silent, else None."""
+    """Age [s] of each joint's data if one of its boards is silent, else None."""
     boards = zip(status["encoder_stale_s"], status["drive_stale_s"], strict=True)
     return [max((age for age in ages if age is not None), default=None) for ages in boards]
 

@@ -1,4 +1,4 @@
-"""Where the console reads and writes."""
+"""Paths of the console's files."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 
 @dataclass(frozen=True, slots=True)
 class Files:
-    """Named places, way-points taught, the file of lines done, the folder of sessions."""
+    """Named places, taught way-points, the record of executed lines, the folder of sessions."""
 
     places: Path
     taught: Path

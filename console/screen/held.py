@@ -1,19 +1,19 @@
-"""Whether a key is still held, in a terminal that says when a key goes down and never when it comes up.
+"""Detects whether a key is still held; terminals report presses but not releases.
 
-A held key repeats, after a delay of a quarter to half a second at first and then 10 to 40 times a second. So each press that
-arrives is one renewal of the jog, and nothing else is: the first press moves the arm a little (until the runtime's dead man's
-switch ends it), repeats keep it moving, and when they cease, for whatever reason, so does the arm.
+A held key repeats after a delay of a quarter to half a second, then 10 to 40 times a second. So each press that
+arrives renews the jog, and nothing else does: the first press moves the arm a little (until the runtime's dead man's
+switch ends it), repeats keep it moving, and when they stop, for whatever reason, the arm stops.
 """
 
 from dataclasses import dataclass
 
-REPEAT_s = 0.2  # presses of one key nearer than this are one holding
-RENEWAL_least_s = 0.04  # renewals nearer than this say nothing new
+REPEAT_s = 0.2  # closer presses of a key count as holding it
+RENEWAL_least_s = 0.04  # closer renewals are skipped
 
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """What a press of a key means: whether it begins something, and whether the runtime is to hear of it."""
+    """Meaning of a key press: whether it starts a jog, and whether to notify the runtime."""
 
     is_new: bool
     is_due: bool
@@ -27,7 +27,7 @@ class HeldKey:
         self._pressed_s = self._sent_s = -1e9
 
     def press(self, key: str, now_s: float) -> Press:
-        """A press of `key` at a time of any steady clock."""
+        """Process a press of `key` at a time of any monotonic clock."""
         is_new = key != self._key or now_s - self._pressed_s > REPEAT_s
         is_due = is_new or now_s - self._sent_s >= RENEWAL_least_s
         self._key, self._pressed_s = key, now_s
@@ -36,5 +36,5 @@ class HeldKey:
         return Press(is_new, is_due)
 
     def forget(self) -> None:
-        """The next press is a new one."""
+        """Treat the next press as a new one."""
         self._key = ""

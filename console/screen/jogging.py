@@ -1,4 +1,4 @@
-"""Jogging by keys and buttons: what is selected, how fast, and that it ends when nobody asks for it any more."""
+"""Jogging by keys and buttons: selection, speed, and the end of a jog that is not renewed."""
 
 import time
 from collections.abc import Callable
@@ -13,11 +13,11 @@ SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # of a jog's limit
 STEPS_rad = (0.0005, 0.001, 0.005, 0.02, 0.1)
 STEPS_m = (0.0001, 0.0005, 0.001, 0.005, 0.02)
 RENEW_S = 0.05
-UNSEEN_S = 2.0  # a button that is held with a mouse that says nothing for so long: the terminal may be gone
+UNSEEN_S = 2.0  # a held button without mouse events for this long: the terminal may be lost
 
 
 class Jogger:
-    """Turns presses and held buttons into jogs and steps of the operator."""
+    """Converts key presses and held buttons to jogs and steps."""
 
     def __init__(self, arm: Arm, operator: Operator, say: Callable[[str, bool], None]) -> None:
         self.targets = [
@@ -37,21 +37,21 @@ class Jogger:
         self._seen_s = 0.0
 
     def describe(self) -> Row:
-        """What the arrow keys do now."""
+        """Describe what the arrow keys do."""
         joint = self.selected.joint is not None
         size = f"{STEPS_rad[self._step_at]:g} rad" if joint else f"{1e3 * STEPS_m[self._step_at]:g} mm"
         how = f" step {size}" if self.is_stepping else " hold the key"
         return row((self.selected.name, "chosen"), f"{how}, {100 * self.speed:g} %")
 
     def select(self, name: str) -> None:
-        """What the arrow keys jog; a name that the arm does not have changes nothing."""
+        """Select what the arrow keys jog; an unknown name changes nothing."""
         for target in self.targets:
             if target.name == name:
                 self.selected = target
                 self._key.forget()
 
     async def press(self, sign: int) -> None:
-        """An arrow key, once more."""
+        """Process a press or repeat of an arrow key."""
         press = self._key.press(f"{self.selected.name}{sign}", time.monotonic())
         if self.is_stepping:
             self._step(self.selected, sign)
@@ -59,7 +59,7 @@ class Jogger:
             await self._jog(self.selected, sign)
 
     async def hold(self, target: Target, sign: int) -> None:
-        """A button went down."""
+        """Process a button press."""
         self.selected = target
         if self.is_stepping:
             self._step(target, sign)
@@ -69,11 +69,11 @@ class Jogger:
             await self._jog(target, sign)
 
     def see(self) -> None:
-        """The mouse said something: the terminal is there."""
+        """Note a mouse event: the terminal is alive."""
         self._seen_s = time.monotonic()
 
     async def renew(self) -> bool:
-        """Go on with the button that is held; False where the mouse has been silent for too long."""
+        """Renew the jog of the held button; False if there was no mouse event for too long."""
         if self._held is None:
             return True
         if time.monotonic() - self._seen_s > self.unseen_s:
@@ -83,14 +83,14 @@ class Jogger:
         return True
 
     async def let_go(self) -> None:
-        """Nothing is held any more: mouse up, focus lost."""
+        """Release everything: mouse up, focus lost."""
         held, self._held = self._held, None
         self._key.forget()
         if held is not None or self.has_jogged:
             await self._operator.let_go(self.selected, self._joint_count)
 
     def change_step(self, by: int) -> None:
-        """Smaller or larger steps."""
+        """Make steps smaller or larger."""
         self._step_at = min(max(self._step_at + by, 0), len(STEPS_rad) - 1)
 
     def change_speed(self, by: int) -> None:
@@ -106,13 +106,13 @@ class Jogger:
         await self._operator.jog(target, sign * self.speed * self._fastest(target), self._joint_count)
 
     def _fastest(self, target: Target) -> float:
-        """Greatest speed of a jog, rad/s or m/s."""
+        """Largest speed of a jog, rad/s or m/s."""
         if target.joint is None:
             return self._limits.tip_speed_m_s
         return self._limits.joints.speed_rad_s[target.joint - 1]
 
 
 def neighbour(values: tuple[float, ...], now: float, by: int) -> float:
-    """The value `by` places from the one that is nearest to `now`."""
+    """The value `by` places after the one nearest to `now`."""
     at = min(range(len(values)), key=lambda i: abs(values[i] - now))
     return values[min(max(at + by, 0), len(values) - 1)]

@@ -1,7 +1,7 @@
-"""The console's connection to the runtime, on asyncio: asks, polls the status, and comes back by itself when it was lost.
+"""The console's connection to the runtime on asyncio: requests, status polling, and automatic reconnection.
 
-Requests are sent at once, one behind the other; answers are matched by their number. Motions of this connection end with it, so
-a console that dies, hangs up or loses its link leaves no moving arm behind: the runtime sees to that.
+Requests are sent at once, in order; answers are matched by number. Motions of this connection end with it, so
+a console that dies or loses its link leaves no moving arm; the runtime ensures that.
 """
 
 import asyncio
@@ -14,17 +14,17 @@ import msgspec
 
 Message = dict[str, Any]
 POLL_S = 0.05
-ANSWER_S = 1.0  # a loop that does not answer within this is taken for lost
+ANSWER_S = 1.0  # the link is lost if the loop does not answer within this time
 RETRY_S = 0.5
 _LONGEST_LINE_bytes = 1 << 20
 
 
 class LinkLost(Exception):
-    """Nobody answers; the text says what the console then says."""
+    """No answer; the text is the message for the operator."""
 
 
 class RuntimeLink:
-    """A runtime's socket as seen from an event loop. `on_status(status or None)` is called after every poll, None: lost."""
+    """A runtime's socket on an event loop. `on_status(status or None)` is called after every poll; None: lost."""
 
     def __init__(self, path: Path, on_status: Callable[[Message | None], Awaitable[None]]) -> None:
         self.path = path
@@ -42,20 +42,20 @@ class RuntimeLink:
         return self.status is not None
 
     async def run(self) -> None:
-        """Connect, poll, and again when lost; until cancelled."""
+        """Connect, poll, and reconnect when lost, until cancelled."""
         while True:
             try:
                 await self._session()
-            except Exception as error:  # whatever comes over the wire, it is tried again
+            except Exception as error:  # after any error, try again
                 self.why_lost = str(error) or type(error).__name__
             finally:
                 self._hang_up()
-            with contextlib.suppress(LinkLost):  # what is let go of then has nobody to tell it to
+            with contextlib.suppress(LinkLost):  # nobody to report to
                 await self._on_status(None)
             await asyncio.sleep(RETRY_S)
 
     async def ask(self, do: str, **arguments: Any) -> Message:
-        """One request and its answer, which may be a refusal (`ok` false, `error`). LinkLost."""
+        """Send one request and return its answer, which may be a refusal (`ok` false, `error`). Raises LinkLost."""
         writer = self._writer
         if writer is None:
             raise LinkLost(self.why_lost)
@@ -106,7 +106,7 @@ class RuntimeLink:
         except ConnectionError:  # reset: it was closed with a request unread
             pass
         finally:
-            self._close()  # nobody waits for an answer that cannot come
+            self._close()  # pending answers cannot arrive
 
     def _fail(self, error: LinkLost) -> None:
         for future in self._waiting.values():

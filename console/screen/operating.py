@@ -1,4 +1,4 @@
-"""The console's main screen: what the arm does, and the keys that move it."""
+"""The console's main screen: the state of the arm, and the keys that move it."""
 
 import asyncio
 import time
@@ -74,15 +74,15 @@ class OperatingScreen(Screen[None]):
         files: Files,
         open_session: Callable[[str], None],
     ) -> None:
-        """`open_session` is given the options of a calibration session."""
+        """`open_session` gets the options of a calibration session."""
         super().__init__()
         self._dashboard, self._operator, self._jogger = dashboard, operator, jogger
         self._link: RuntimeLink = operator.link
         self._files, self._open_session = files, open_session
-        self._panels: dict[str, Panel] = {}  # by name: a query for each would cost more than drawing them
+        self._panels: dict[str, Panel] = {}  # by name: queries would cost more than drawing
 
     def compose(self) -> ComposeResult:
-        """Panels from top to bottom; style.tcss says which are beside one another."""
+        """Panels from top to bottom; style.tcss arranges them."""
         yield Panel("head")
         with Container(id="upper"):
             yield Panel("joints", "Joints")
@@ -98,25 +98,25 @@ class OperatingScreen(Screen[None]):
         yield hints
 
     def on_mount(self) -> None:
-        """Keys are for jogging until the command box is asked for."""
+        """Focus the jog keys, not the command box."""
         self.query_one("#jogging").border_title = "Jog"
         self._panels = {str(panel.id): panel for panel in self.query(Panel)}
         self.set_focus(None)
         self.set_interval(RENEW_S, self._renew_held)
 
     def on_resize(self) -> None:
-        """Panels are drawn anew for the room that they have now."""
+        """Redraw all panels for their new size."""
         self._dashboard.hurry()
 
-    # ---- what is shown
+    # ---- display
 
     def show(self, status: Message | None) -> None:
-        """A new status, or none: the link is lost."""
+        """Show a new status, or None if the link is lost."""
         for text, is_error in self._dashboard.events(status):
             self.say(text, is_error)
         for name, rows in self._dashboard.changed(status, self._room, time.monotonic()):
             panel = self._panels.get(name)
-            if panel is not None and panel.is_attached:  # none is there while the console closes
+            if panel is not None and panel.is_attached:  # no panel while the console closes
                 panel.show(rows)
 
     def say(self, text: str, is_error: bool = False) -> None:
@@ -125,19 +125,19 @@ class OperatingScreen(Screen[None]):
             log.add(text, "error" if is_error else "plain", clock())
 
     def _room(self, name: str) -> tuple[int, int]:
-        """Columns and rows inside a panel; none where it is not shown."""
+        """Columns and rows inside a panel; zero if it is hidden."""
         panel = self._panels.get(name)
         return (panel.size.width, panel.size.height) if panel is not None and panel.display else (0, 0)
 
     # ---- jogging
 
     def action_select(self, name: str) -> None:
-        """What the arrow keys jog."""
+        """Select what the arrow keys jog."""
         self._jogger.select(name)
         self._dashboard.hurry()
 
     async def action_jog(self, sign: int) -> None:
-        """The arrow key, once more."""
+        """A press or repeat of an arrow key."""
         await self._jogger.press(sign)
 
     async def on_held_button_held(self, event: HeldButton.Held) -> None:
@@ -148,7 +148,7 @@ class OperatingScreen(Screen[None]):
             await self.let_go()
 
     def on_mouse_move(self, _: events.MouseMove) -> None:
-        """The terminal is there."""
+        """Note that the terminal is alive."""
         self._jogger.see()
 
     async def _renew_held(self) -> None:
@@ -156,18 +156,18 @@ class OperatingScreen(Screen[None]):
             await self.let_go()
 
     async def let_go(self) -> None:
-        """Nothing is held any more: mouse up, focus lost."""
+        """Release everything: mouse up, focus lost."""
         for button in self.query(HeldButton):
             button.let_go()
         await self._jogger.let_go()
 
     def action_toggle_step(self) -> None:
-        """Step or hold."""
+        """Toggle step or hold."""
         self._jogger.is_stepping = not self._jogger.is_stepping
         self._dashboard.hurry()
 
     def action_step_size(self, by: int) -> None:
-        """Smaller or larger steps."""
+        """Make steps smaller or larger."""
         self._jogger.change_step(by)
 
     def action_jog_speed(self, by: int) -> None:
@@ -175,64 +175,62 @@ class OperatingScreen(Screen[None]):
         self._jogger.change_speed(by)
 
     async def action_override(self, by: int) -> None:
-        """Motions slower or faster, the one that runs, too."""
+        """Change the speed override, also for the active motion."""
         override = neighbour(OVERRIDES, self._dashboard.override, by)
         if await self._operator.line(f"override {override:g}"):
-            self._dashboard.override = (
-                override  # the next press counts from here, also before the next status
-            )
+            self._dashboard.override = override  # later presses start from here, even before the next status
 
     # ---- panels
 
     def action_toggle_plots(self) -> None:
-        """Plots in the place of the arm, where a small terminal has room for one of them."""
+        """Show plots instead of the arm, if the terminal has room for only one."""
         self.toggle_class("-plots")
 
     def action_scroll_events(self, pages: int) -> None:
-        """A page up or down in the log."""
+        """Scroll the log by a page."""
         log = self.query_one("#events", EventLog)
         log.scroll_relative(y=pages * max(log.size.height - 1, 1), animate=False)
 
     # ---- lines
 
     async def action_line(self, text: str) -> None:
-        """A line, as if it were typed."""
+        """Run a line as if it were typed."""
         await self._operator.line(text)
 
     @work
     async def action_home(self) -> None:
-        """Find the zeros, after a question."""
+        """Home, after confirmation."""
         question = "Home: every joint moves to its switch. Is the way clear?"
         if await self.app.push_screen_wait(Confirm(question)):
             await self._operator.line("home")
 
     async def action_pause(self) -> None:
-        """Pause, or go on."""
+        """Pause or resume."""
         status = self._link.status
         is_paused = status is not None and status["mode"] == "PAUSED"
         await self._operator.line("resume" if is_paused else "pause")
 
     async def action_record(self) -> None:
-        """A way-point more."""
+        """Record a way-point."""
         await self._operator.line(f"teach {self._files.taught}")
 
     @work
     async def action_off(self) -> None:
-        """Drives off, after a question."""
+        """Turn the drives off, after confirmation."""
         question = "Stop, hold, lower the arm on shorted windings, drives off?"
         if await self.app.push_screen_wait(Confirm(question)):
             await self._operator.line("off")
 
     @work
     async def action_guide(self) -> None:
-        """By hand: drives off, or with gravity compensation."""
+        """Start hand guiding: drives off, or with gravity compensation."""
         how = await self.app.push_screen_wait(Choose("Guide by hand", list(GUIDING)))
         if how is not None:
             await self._operator.line(GUIDING[how])
 
     @work
     async def action_go(self) -> None:
-        """To a named place."""
+        """Move to a named place."""
         try:
             names = list(read_places(self._files.places))
         except PlacesError as error:
@@ -244,15 +242,15 @@ class OperatingScreen(Screen[None]):
 
     @work
     async def action_keep(self) -> None:
-        """This place by name."""
-        question = "A name for where the arm stands (letters, digits, - and _)"
+        """Save this place by name."""
+        question = "A name for this pose (letters, digits, - and _)"
         name = await self.app.push_screen_wait(AskText(question))
         if name is not None:
             await self._operator.line(f"mark '{name}' --places {self._files.places}")
 
     @work
     async def action_run_file(self) -> None:
-        """A way-point file."""
+        """Run a way-point file."""
         file = await self.app.push_screen_wait(AskText("A way-point file to run", str(self._files.taught)))
         if file is None:
             return
@@ -263,7 +261,7 @@ class OperatingScreen(Screen[None]):
 
     @work
     async def action_calibrate(self) -> None:
-        """The calibration session's screen; a folder that is there is resumed."""
+        """Open the calibration session; an existing folder is resumed."""
         folder = self._files.sessions / time.strftime("%Y-%m-%d")
         options = f"--out {folder}" if folder.exists() else f"--out {folder} --setups normal,roll,pitch"
         question = "Options of `armwright session`. To resume a session give --out alone."
@@ -272,11 +270,11 @@ class OperatingScreen(Screen[None]):
             self._open_session(line)
 
     def action_command(self) -> None:
-        """Into the command box, at once: what is typed next must not be taken for keys."""
+        """Focus the command box at once: what is typed next must not act as keys."""
         self.set_focus(self.query_one(CommandBox))
 
     def action_help(self) -> None:
-        """The keys."""
+        """Show the keys."""
         self.app.push_screen(HelpDialog())
 
     async def on_input_submitted(self, event: Input.Submitted) -> None:

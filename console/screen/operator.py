@@ -1,8 +1,8 @@
-"""What the operator does, without a screen: lines, jogs and the stop, over the console's link.
+"""The operator's actions without a screen: lines, jogs and the stop, over the console's link.
 
-What the runtime answers at once goes over the link; every other line is a subcommand in a process of its own, one at a time,
-so that planning, homing or a session never keeps the console from hearing the space bar. The stop ends that process, too:
-what was to follow the motion must not.
+Requests that the runtime answers at once go over the link; every other line is a subcommand in a separate process, one at a time,
+so that planning, homing or a session never delays the space bar. The stop also ends that process:
+what would follow the motion must not run.
 """
 
 import asyncio
@@ -26,19 +26,19 @@ MOVING = ("MOVING", "HOMING", "JOGGING", "PAUSED", "STOPPING", "GUIDING")
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What is jogged: a joint (1-based) or an axis of the base frame."""
+    """Target of a jog: a joint (1-based) or an axis of the base frame."""
 
     joint: int | None
     axis: str | None
 
     @property
     def name(self) -> str:
-        """As the screen shows it: J1 ... or X, Y, Z."""
+        """Name on the screen: J1 ... or X, Y, Z."""
         return f"J{self.joint}" if self.joint is not None else str(self.axis).upper()
 
 
 class Operator:
-    """Says what it does with `say(text, is_error)`; writes every line that was done to `record_file`, for replay."""
+    """Reports with `say(text, is_error)`; writes every executed line to `record_file`, for replay."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class Operator:
     ) -> None:
         """`shared`: options of every subcommand (--arm, --socket)."""
         self.link = link
-        self.running = ""  # the line whose process runs
+        self.running = ""  # the line of the running process
         self._grammar = grammar
         self._shared = shared
         self._say = say
@@ -59,7 +59,7 @@ class Operator:
         self._stepping: asyncio.Task[None] | None = None
 
     async def line(self, text: str) -> bool:
-        """Do what a line says; returns whether it was begun (a process) or done."""
+        """Execute a line; return whether it was started (a process) or done."""
         try:
             line = self._grammar.line(text)
         except LineError as error:
@@ -78,11 +78,11 @@ class Operator:
         return await self._begin(line)
 
     async def ask(self, do: str, **arguments: Any) -> bool:
-        """One request; a refusal or a lost link is said. Returns whether it was taken."""
+        """Send one request; report a refusal or a lost link. Returns whether it was accepted."""
         return await self._asked(do, **arguments) is not None
 
     async def stop(self) -> None:
-        """Stop the arm, and whatever line runs; always legal."""
+        """Stop the arm and the running line; always legal."""
         stopping = asyncio.ensure_future(self.ask("stop"))
         if self._stepping is not None:
             self._stepping.cancel()
@@ -98,20 +98,20 @@ class Operator:
     # ---- jogging
 
     async def jog(self, target: Target, speed: float, joint_count: int) -> None:
-        """Ask for a speed (rad/s or m/s, with its sign) until the runtime's dead man's switch ends it."""
+        """Request a signed speed (rad/s or m/s) until the runtime's dead man's switch ends it."""
         answer = await self._asked("jog", **_velocity(target, speed, joint_count))
         if answer is not None and answer["limited"]:
             self._say(str(answer["limited"]), True)
 
     async def let_go(self, target: Target, joint_count: int) -> None:
-        """Nobody wants the jog any more: to rest now."""
+        """End the jog: come to rest now."""
         status = self.link.status
         if status is not None and status["mode"] == "JOGGING":
             with contextlib.suppress(LinkLost):
                 await self.link.ask("jog", **_velocity(target, 0.0, joint_count))
 
     def step(self, target: Target, by: float, speed: float) -> None:
-        """One step, renewed until it has ended; while one runs another is not begun."""
+        """Jog one step, renewed until it has ended; only one at a time."""
         if self._stepping is None or self._stepping.done():
             self._stepping = asyncio.create_task(
                 self._step(_step_of(target, by, speed), _step_line(target, by, speed))
@@ -173,7 +173,7 @@ class Operator:
         )
 
     async def wait(self) -> None:
-        """Until the line's process and the step have ended."""
+        """Wait until the line's process and the step have ended."""
         if self._process is not None:
             await self._follower
         if self._stepping is not None:

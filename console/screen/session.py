@@ -1,7 +1,7 @@
-"""The calibration session on a screen: the board with its points, how each record fits, and the result.
+"""The calibration session on a screen: the board with its points, the residual of each record, and the result.
 
-The session itself is `armwright session --json` in a process of its own: it has its own connection, asks before anything moves,
-and what it has recorded is on the disk, so that whatever happens to this screen it is resumed by opening it again.
+The session is `armwright session --json` in a separate process: it has its own connection, asks before anything moves,
+and saves each record, so that opening this screen again resumes it.
 """
 
 import asyncio
@@ -33,18 +33,18 @@ NEAR_ENDING_S = 5.0
 
 
 class SessionScreen(Screen[None]):
-    """One session: its talk, its board, then its calibration."""
+    """The screen of one session: dialogue, board, then calibration."""
 
     AUTO_FOCUS = "CommandBox"
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "back", show=False, priority=True)]
 
     def __init__(self, line: str, folder: Path, arm_name: str, say: Callable[[str], None]) -> None:
-        """`line`: the session's options as of the shell; `folder` is its --out; `say` writes to the main screen's log."""
+        """`line`: the session's options as in the shell; `folder` is its --out; `say` writes to the main screen's log."""
         super().__init__()
         self._line, self._folder, self._arm_name, self._say = line, folder, arm_name, say
         self._process: asyncio.subprocess.Process | None = None
         self._board: list[dict[str, Any]] = []
-        self._rest = ""  # what an answer means when no session runs
+        self._rest = ""  # meaning of an answer when no session runs
         self._doing: asyncio.Task[None] | None = None
 
     def compose(self) -> ComposeResult:
@@ -62,7 +62,7 @@ class SessionScreen(Screen[None]):
         yield Panel("hints")
 
     def on_mount(self) -> None:
-        """Begin or resume."""
+        """Start or resume the session."""
         self.query_one("#session_left").border_title = "Board"
         self.query_one("#session_right").border_title = "Records"
         self._put("heading", [row((HEADING, "muted"))])
@@ -78,7 +78,7 @@ class SessionScreen(Screen[None]):
         if status != 0:
             self._wait_for(
                 "resume",
-                f"The session ended with status {status}; what was recorded is kept. Enter resumes it.",
+                f"The session ended with status {status}; all records are saved. Enter resumes it.",
             )
         elif (self._folder / "points.csv").exists():
             self._wait_for("calibrate", "Enter calibrates with these points, escape goes back.")
@@ -93,7 +93,7 @@ class SessionScreen(Screen[None]):
             self._wait_for("calibrate", "The calibration failed; Enter tries again, escape goes back.")
 
     def _result(self) -> Path:
-        """A folder for a calibration: none is overwritten."""
+        """A new folder for a calibration."""
         number = 1
         while (folder := self._folder / f"calibrated-{number}").exists():
             number += 1
@@ -109,12 +109,12 @@ class SessionScreen(Screen[None]):
         return await self._process.wait()
 
     def end(self) -> None:
-        """End the process as Ctrl-C would: it holds the arm and keeps what it has."""
+        """End the process as Ctrl-C would: it holds the arm, and its records are saved."""
         if self._process is not None and self._process.returncode is None:
             with contextlib.suppress(ProcessLookupError):
                 self._process.send_signal(signal.SIGINT)
 
-    # ---- what it says
+    # ---- messages of the session
 
     def _hear(self, line: str) -> None:
         try:
@@ -124,10 +124,12 @@ class SessionScreen(Screen[None]):
             return
         if "ask" in message:
             self._asked(message)
-        elif "kept" in message:
+        elif "recorded" in message:
             self._write(*record_text(message))
-        elif not str(message.get("told", "")).endswith(" >"):
-            self._write(str(message.get("told", line)), "warning" if message.get("is_warning") else "plain")
+        elif not str(message.get("message", "")).endswith(" >"):
+            self._write(
+                str(message.get("message", line)), "warning" if message.get("is_warning") else "plain"
+            )
 
     def _asked(self, message: Mapping[str, Any]) -> None:
         total = message["done"] + message["left"]
@@ -159,17 +161,17 @@ class SessionScreen(Screen[None]):
         self._put("question", wrapped(question, "strong", self.size.width - 4))
 
     def _put(self, name: str, rows: Sequence[Row]) -> None:
-        for panel in self.query(f"#{name}").results(Panel):  # none is there while the screen closes
+        for panel in self.query(f"#{name}").results(Panel):  # no panel while the screen closes
             panel.show(rows)
 
     def _wait_for(self, what: str, question: str) -> None:
         self._rest = what
         self._ask(question)
 
-    # ---- what is answered
+    # ---- answers
 
     async def on_input_submitted(self, event: Input.Submitted) -> None:
-        """An answer to the session, or to what comes after it."""
+        """An answer to the session, or to the calibration after it."""
         event.stop()
         answer = self.query_one(CommandBox).take()
         if self._rest:
@@ -189,7 +191,7 @@ class SessionScreen(Screen[None]):
             self._decide(answer.startswith("y"))
 
     def _decide(self, is_accepted: bool) -> None:
-        """Keep the decision beside the result; the arm that runs is another after `armwright serve` with the new file."""
+        """Save the decision beside the result; the new arm is used after `armwright serve` with its file."""
         folders = sorted(self._folder.glob("calibrated-*"), key=lambda f: int(f.name.rpartition("-")[2]))
         decision = {"accepted": is_accepted, "decided_unix_s": round(time.time(), 3)}
         write_whole(folders[-1] / "decision.json", json.dumps(decision) + "\n")
@@ -201,7 +203,7 @@ class SessionScreen(Screen[None]):
         self._wait_for("done", text)
 
     async def action_back(self) -> None:
-        """To the main screen; a session that runs is ended and can be resumed."""
+        """Return to the main screen; a running session ends and can be resumed."""
         self.end()
         self.app.pop_screen()
         if self._process is not None and self._process.returncode is None:

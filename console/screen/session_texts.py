@@ -1,4 +1,4 @@
-"""What the session's screen shows, as rows: the board with its cavities, and each record with how it fits."""
+"""Rows of the session's screen: the board with its cavities, and each record with its residuals."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -22,7 +22,7 @@ HEADING = f"{'point':<12}{'model mm':>9}{'others mm':>11}{'deviation sd':>14}"
 
 
 def legend_rows(width: int) -> list[Row]:
-    """The signs of the board, on as many rows as it takes."""
+    """The legend of the board, wrapped."""
     rows: list[Row] = []
     taken = width
     for mark, meaning in MEANINGS.items():
@@ -36,7 +36,7 @@ def legend_rows(width: int) -> list[Row]:
 
 
 def board_rows(board: Sequence[Mapping[str, Any]], width: int, height: int) -> list[Row]:
-    """The board from above, its x axis to the right, a character a cavity (one is twice as high as wide)."""
+    """The board from above, its x axis to the right, one character per cavity (twice as high as wide)."""
     if not board:
         return [row("no cavities in this setup")]
     xs, ys = [p["x_m"] for p in board], [p["y_m"] for p in board]
@@ -52,14 +52,14 @@ def board_rows(board: Sequence[Mapping[str, Any]], width: int, height: int) -> l
 
 
 def record_text(message: Mapping[str, Any]) -> Span:
-    """A record, the model's error there, and how far it is from what the others say; a suspect one with what to do."""
+    """A record, the model's error, and its deviation from the other records; a suspect one with the remedy."""
     if message["is_suspect"]:
         return message["text"], "error"
-    surprise, off_mm, error_mm = message["surprise"], message["off_mm"], message["error_mm"]
-    text = f"{message['kept']:<12}" + (f"{error_mm:9.2f}" if error_mm is not None else f"{'-':>9}")
-    if surprise is None or off_mm is None:
+    sd, deviation_mm, error_mm = message["deviation_sd"], message["deviation_mm"], message["error_mm"]
+    text = f"{message['recorded']:<12}" + (f"{error_mm:9.2f}" if error_mm is not None else f"{'-':>9}")
+    if sd is None or deviation_mm is None:
         return text, "plain"
     return (
-        f"{text}{off_mm:11.2f}{surprise:14.1f}{' ~' if surprise > ODD else ''}",
-        "warning" if surprise > ODD else "plain",
+        f"{text}{deviation_mm:11.2f}{sd:14.1f}{' ~' if sd > ODD else ''}",
+        "warning" if sd > ODD else "plain",
     )

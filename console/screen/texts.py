@@ -1,4 +1,4 @@
-"""The console's panels as rows: from a status to text, without a screen, so that tests and eyes can read them."""
+"""The console's panels as rows of text from a status, without a screen, so that tests can read them."""
 
 import math
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from console.screen.events import stale_s
 from control.model.arm import Arm, Drive
 
 Message = dict[str, Any]
-NEAR = 0.8  # of a limit: a warning
+NEAR = 0.8  # of a limit: warn above
 # A command and a reply of 8 bytes a joint and cycle, with the worst stuffing: 135 bit times each (docs/motor_board.md).
 FRAME_bits = 135
 MODE_LOOKS = {
@@ -20,14 +20,14 @@ NEXT = {
     "OFF": "The drives are off. `n` switches them on and holds.",
     "BRAKED": "The drives are at 0 V; the windings brake. `n` holds.",
     "GUIDING": "Move the arm by hand. `r` records a way-point, `n` holds, space brakes.",
-    "PAUSED": "Paused on the path. `p` goes on, space ends the motion.",
+    "PAUSED": "Paused on the path. `p` continues, space ends the motion.",
 }
 GAUGE_least, GAUGE_most = 12, 40  # columns
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of the joints' table: its heading where there is room and where there is little, and its widths."""
+    """A column of the joints' table: its long and short heading, and its widths."""
 
     heading: str
     short: str
@@ -37,7 +37,7 @@ class Column:
 
 
 def headline(status: Message | None, arm: Arm, why_lost: str, width: int, clock: str) -> Row:
-    """Arm, mode, and what the loop does."""
+    """Arm, mode, and state of the loop."""
     name: Span = (f" {arm.name} ", "strong")
     if status is None:
         return row(name, (" NO LINK ", "error-badge"), f"  {why_lost}")
@@ -58,13 +58,13 @@ def headline(status: Message | None, arm: Arm, why_lost: str, width: int, clock:
 
 
 def bus_load(arm: Arm, period_s: float) -> float:
-    """Share of the CAN bus that commands and replies take at worst."""
+    """Worst-case share of the CAN bus used by commands and replies."""
     bitrate = arm.can.bitrate if arm.can is not None and arm.can.bitrate else 1_000_000
     return 2 * arm.joint_count * FRAME_bits / (bitrate * period_s)
 
 
 def joint_rows(status: Message, arm: Arm, selected: str, width: int) -> list[Row]:
-    """A heading and a row a joint; where there is room, the angle in its range is drawn, too."""
+    """A heading and a row per joint; if there is room, with a gauge of the angle in its range."""
     is_wide = width >= NAME + sum(column.wide for column in COLUMNS) + DRIVE
     widths = [column.wide if is_wide else column.narrow for column in COLUMNS]
     titles = [column.heading if is_wide else column.short for column in COLUMNS]
@@ -86,7 +86,7 @@ def joint_rows(status: Message, arm: Arm, selected: str, width: int) -> list[Row
 
 
 def tip_row(status: Message, selected: str) -> Row:
-    """The tip by the arm's model, how far its set-point is, and how far what the camera sees."""
+    """The tip by the arm's model, and its distances from the set-point and the camera's measurement."""
     axes = tuple(
         (f"{'▸' if selected == a else ' '}{a}", "chosen" if selected == a else "strong") for a in "XYZ"
     )
@@ -102,12 +102,12 @@ def tip_row(status: Message, selected: str) -> Row:
 
 
 def status_rows(status: Message | None, why_lost: str, width: int) -> list[Row]:
-    """What is wrong and what to do about it, the worst first."""
+    """Problems with their remedies, the worst first."""
     if status is None:
         return [
             *wrapped(f"The link to the runtime is lost: {why_lost}.", "error", width, "! "),
             *wrapped(
-                "The runtime stops what this console had begun. The link is tried twice a second.",
+                "The runtime stops the motion of this console. The link is tried twice a second.",
                 "plain",
                 width,
             ),
@@ -141,7 +141,7 @@ def _drive_state(state: str, age_s: float | None) -> Span:
 
 
 def _gauge(q: float, drive: Drive, width: int) -> Row:
-    """Where an angle is between the ends of its range."""
+    """A gauge of an angle within its range."""
     lower, upper = drive.joint_lower_rad, drive.joint_upper_rad
     if not math.isfinite(upper - lower) or not math.isfinite(q):
         return row((f"{'no range':^{width}}", "muted"))
@@ -197,7 +197,7 @@ def _range_use(q: float, lower: float, upper: float) -> float:
 
 
 def _near(text: str, share: float) -> Span:
-    """A value and how near it is to its limit: `!` beyond it, `~` near it, besides the colour."""
+    """A value and its distance to the limit: `!` beyond it, `~` near it, besides the colour."""
     if share > 1.0:
         return f"!{text}", "error"
     return (f"~{text}", "warning") if share > NEAR else (text, "plain")

@@ -17,7 +17,7 @@ class HeldButton(Static):
     """A button that posts a message when the mouse goes down on it, and when it is released or leaves."""
 
     class Held(Message):
-        """The mouse went down, or up again."""
+        """The button was pressed or released."""
 
         def __init__(self, target: Target, sign: int, is_down: bool) -> None:
             super().__init__()
@@ -28,23 +28,23 @@ class HeldButton(Static):
         self._target, self._sign, self._is_down = target, sign, False
 
     def on_mouse_down(self, event: events.MouseDown) -> None:
-        """Held from now on."""
+        """Press the button."""
         event.stop()
         self._is_down = True
         self.capture_mouse()
         self.post_message(self.Held(self._target, self._sign, True))
 
     def on_mouse_up(self, event: events.MouseUp) -> None:
-        """Let go."""
+        """Release the button."""
         event.stop()
         self.let_go()
 
     def on_mouse_release(self, _: events.MouseRelease) -> None:
-        """Somebody else has the mouse."""
+        """Release the button: another widget has the mouse."""
         self.let_go()
 
     def let_go(self) -> None:
-        """Held no more, for whatever reason."""
+        """Release the button, for whatever reason."""
         if self._is_down:
             self._is_down = False
             self.release_mouse()
@@ -65,14 +65,14 @@ class PressButton(Static):
 
 
 class JogPad(Vertical):
-    """The stop and what the keys do now; below, a pair of held buttons for each joint and axis."""
+    """The stop and the state of the keys; below, a pair of held buttons for each joint and axis."""
 
     def __init__(self, targets: list[Target]) -> None:
         super().__init__(id="pad")
         self._targets = targets
 
     def compose(self) -> ComposeResult:
-        """Buttons in two rows, those of the targets equally wide."""
+        """Buttons in two rows; those of the targets have equal widths."""
         with Horizontal(id="buttons"):
             yield PressButton("■ STOP", "app.stop", id="stop")
             yield PressButton("pause", "pause")
@@ -90,7 +90,7 @@ BOX_HINT = ": a line, as in `armwright script`, e.g. move --joints 0 -0.8 0"
 
 
 class CommandBox(Input):
-    """The command line. Escape leaves it; up and down bring back what was typed before."""
+    """The command line. Escape leaves it; up and down recall earlier lines."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape", "leave", show=False),
@@ -108,7 +108,7 @@ class CommandBox(Input):
         self._at = 0
 
     def take(self) -> str:
-        """What was typed; the box is empty then."""
+        """Return the text and clear the box."""
         text, self.value = self.value.strip(), ""
         if text:
             self._lines.append(text)
@@ -116,11 +116,11 @@ class CommandBox(Input):
         return text
 
     def action_leave(self) -> None:
-        """Back to the jog keys."""
+        """Return to the jog keys."""
         self.screen.set_focus(None)
 
     def action_recall(self, by: int) -> None:
-        """An earlier or a later line."""
+        """Recall an earlier or a later line."""
         self._at = min(max(self._at + by, 0), len(self._lines))
         self.value = self._lines[self._at] if self._at < len(self._lines) else ""
         self.cursor_position = len(self.value)

@@ -1,1 +1,1 @@
-"""Names and options of the subcommands as data: nothing but argparse is needed to read it."""
+"""Names and options of the subcommands as data; needs only argparse."""

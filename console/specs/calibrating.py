@@ -52,12 +52,12 @@ CALIBRATING = (
                 help="static effects to identify too: backlash:2, joint_compliance:2, encoder_scale:1, belt_coupling",
             ),
             option(
-                "--boards", metavar="FILE", help="boards.json of `armwright register`: where the boards stood"
+                "--boards", metavar="FILE", help="boards.json of `armwright register`: measured board poses"
             ),
             option(
                 "--accuracy",
                 metavar="LENGTH",
-                help="wanted mean error (a in E <= k a); warns if it cannot be met",
+                help="required mean error (a in E <= k a); warns if it cannot be met",
             ),
             option(
                 "--without",
@@ -162,9 +162,7 @@ CALIBRATING = (
             ),
             option("--seed", type=int, metavar="N", help="seed of the mock arm's hidden errors"),
             option("--quick", action="store_true", help="with --record: fewer poses, shorter motions"),
-            option(
-                "--minutes", type=finite, metavar="M", help="with --record: as much as fits into this time"
-            ),
+            option("--minutes", type=finite, metavar="M", help="with --record: as much as fits in this time"),
             option(
                 "--payload",
                 type=finite,

@@ -1,4 +1,4 @@
-"""Commands that run the arm, by way of the runtime's socket."""
+"""Commands that run the arm through the runtime's socket."""
 
 from console.options import ARM, JSON, LINKS, RATE, SOCKET, CommandSpec, finite, option
 
@@ -24,7 +24,7 @@ OPERATING = (
     ),
     CommandSpec(
         "check",
-        "find the boards that arm.toml names and compare their identities; nothing moves",
+        "find the boards in arm.toml and compare their identities; nothing moves",
         (ARM, *LINKS, JSON),
         module="bringup.check",
     ),

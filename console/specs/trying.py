@@ -12,7 +12,7 @@ TRYING = (
                 nargs="?",
                 choices=("job", "paper", "gap"),
                 default="job",
-                help="job: the full workflow (default); paper: the published experiment beside its figures; gap: a"
+                help="job: the full workflow (default); paper: the published experiment with its figures; gap: a"
                 " hidden effect, found and corrected",
             ),
             option(

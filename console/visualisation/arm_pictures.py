@@ -126,7 +126,7 @@ def draw_tip(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
 
 
 def draw_lateness(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
-    """How late cycles began and how long they took, over time and as shares; deadlines missed."""
+    """Lateness and duration of cycles over time and as a distribution; missed deadlines."""
     axes = figure.subplots(1, 3, width_ratios=[2, 1, 1])
     figure.subplots_adjust(left=0.075, right=0.985, top=0.84, bottom=0.17, wspace=0.3)
     for values, label, colour, line in (
@@ -137,7 +137,7 @@ def draw_lateness(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
         if not len(found):
             continue
         curve(axes[0], series, 1e6 * values, color=colour, linestyle=line, label=label, linewidth=0.7)
-        if found[-1] <= LEAST_s:  # on a stepped clock nothing is ever late
+        if found[-1] <= LEAST_s:  # nothing is late on a stepped clock
             continue
         share = 1.0 - np.arange(len(found)) / len(found)
         pick = np.unique(np.concatenate([np.geomspace(1, len(found), 300).astype(int), [1]]))

@@ -1,6 +1,6 @@
-"""How the figures of `armwright plot` are laid out and styled: what every picture shares.
+"""Layout and style of the figures of `armwright plot`.
 
-Colours are Okabe and Ito's, and no curve differs from another by colour alone. Each axis has its unit.
+Colours are Okabe and Ito's, and curves never differ by colour alone. Each axis has its unit.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PATH_POINTS: Final = 20_000
 RUN_MARKS_MOST: Final = 40
 LEAST_s: Final = 1e-7  # on a logarithmic axis
 CAMERA_MARKS_MOST: Final = 1500
-LEAST_ORDER, MOST_ORDER = 0.5, 16.0  # per motor turn; below is the motion itself
+LEAST_ORDER, MOST_ORDER = 0.5, 16.0  # per motor turn; lower orders are the motion itself
 ABOVE: Final[dict[str, Any]] = {
     "loc": "upper right", "ncols": 6, "fontsize": 8, "bbox_to_anchor": (0.985, 1.0),
 }  # fmt: skip
@@ -39,12 +39,12 @@ COMMANDED_PATH: Final[dict[str, Any]] = {
 
 
 def columns_of(joints: Sequence[int]) -> int:
-    """Joints stand below each other, in two columns where there are many."""
+    """Joints are below each other, in two columns if there are many."""
     return 1 if len(joints) <= 4 else 2
 
 
 def joint_axes(figure: FigureBase, joints: Sequence[int]) -> list[Axes]:
-    """An axes a joint, time below the lowest."""
+    """One axes per joint, with time below the lowest."""
     columns = columns_of(joints)
     rows = math.ceil(len(joints) / columns)
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
@@ -76,7 +76,7 @@ def _step(series: Series) -> float:
 
 
 def mark_runs(axes: Axes, series: Series) -> None:
-    """A thin line where a run begins, unless there are so many that they would hide the curves."""
+    """A thin line at the start of each run, unless there are so many that they would hide the curves."""
     begins = np.flatnonzero(np.diff(series.run)) + 1
     if len(begins) <= RUN_MARKS_MOST:
         for k in begins:
@@ -84,7 +84,7 @@ def mark_runs(axes: Axes, series: Series) -> None:
 
 
 def legend(axes: Axes, **more: Any) -> None:
-    """Above the right end of the axes, where it hides no curve."""
+    """A legend above the right end of the axes, where it hides no curve."""
     place = {
         "loc": "lower right",
         "bbox_to_anchor": (1.0, 1.0),

@@ -1,4 +1,4 @@
-"""Named columns of a recording, as every file format yields them, made one series."""
+"""Builds a series from the named columns of any file format."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def draw_voltages(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
 
 
 def _limit(axes: Axes, values: Array, limit: float | None, unit: str) -> None:
-    """Lines at +-limit where the values come near it; else its size in words, so that the curve fills its axes."""
+    """Lines at +-limit if the values come near it; else its value as text, so that the curve fills its axes."""
     if limit is None:
         return
     if len(values) and np.abs(values).max() > 0.5 * limit:

@@ -1,4 +1,4 @@
-"""The figures of a recording, for people and programs: following errors, currents, saturation, tip, cycle timing."""
+"""Key figures of a recording: following errors, currents, saturation, tip, cycle timing."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FORMAT: Final = "plot/1"
 
 @dataclass(frozen=True, slots=True)
 class JointMetrics:
-    """Of one joint; None where it was not recorded. Shares are of the samples that have the value."""
+    """Figures of one joint; None if not recorded. Shares are of the samples that have the value."""
 
     joint: int
     following_rms_rad: float | None
@@ -34,7 +34,7 @@ class JointMetrics:
 
 @dataclass(frozen=True, slots=True)
 class Metrics:
-    """Of the whole recording, or the part of it that was chosen."""
+    """Figures of the whole recording, or of the selected part."""
 
     joints: tuple[JointMetrics, ...]
     tip_rms_m: float | None
@@ -88,14 +88,14 @@ def _joint(series: Series, error_rad: Array, k: int) -> JointMetrics:
 
 
 def drive_of(arm: Arm | None, joint: int) -> Drive | None:
-    """The drive of a joint (1-based), where the arm is known and has one."""
+    """The drive of a joint (1-based), if the arm is known and has one."""
     return next((d for d in arm.drives if d.joint == joint), None) if arm else None
 
 
 def tip_error_m(series: Series) -> Array:
-    """Distance (m,) between the camera's tip and the model's at the joints' angles, as the encoders and the model tell them.
+    """Distance (m,) between the camera's tip and the model's at the joint angles.
 
-    NaN where either is not known, or the arm has not found its zeros.
+    NaN if either is unknown, or the arm is not homed.
     """
     from control.kinematics.kinematics import Kinematics
 
@@ -151,7 +151,7 @@ def _saturated(values: Array, limit: Array | float | None) -> float | None:
 
 
 def metrics_json(series: Series, merit: Metrics) -> dict[str, Any]:
-    """What `armwright plot --json` prints; docs/visualisation.md says what each key is."""
+    """Output of `armwright plot --json`; docs/visualisation.md describes the keys."""
     from dataclasses import asdict
 
     return {
@@ -168,7 +168,7 @@ def metrics_json(series: Series, merit: Metrics) -> dict[str, Any]:
 
 
 def metrics_text(series: Series, merit: Metrics) -> str:
-    """The same as text."""
+    """The figures as text."""
     runs = series.runs_present
     span = f"{len(series)} samples, {series.t_s[-1] - series.t_s[0]:.2f} s, {len(runs)} runs"
     joints = merit.joints

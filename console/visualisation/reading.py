@@ -1,4 +1,4 @@
-"""Recordings from any file that armwright writes: .armlog, log.csv(.gz), MCAP. Recognised by their first bytes."""
+"""Reads recordings from .armlog, log.csv(.gz) and MCAP, recognised by their first bytes."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ NUMPY_OF_CODE: Final = {"d": "<f8", "f": "<f4", "I": "<u4", "i": "<i4", "H": "<u
 
 
 def read_series(path: Path, arm: Arm | None = None, report: Report = lambda done: None) -> Series:
-    """The whole file. `arm`: the arm that it is of, where the file does not say.
+    """Read a whole file. `arm`: its arm, if the file does not name it.
 
-    ArmError (RecordError, LogFileError) when it is none of these files, is damaged, or is of another number of joints.
+    ArmError (RecordError, LogFileError) if it is none of these files, is damaged, or has another number of joints.
     """
     if not path.is_file():
         what = "a folder; give the recording in it" if path.is_dir() else "no such file"
@@ -98,7 +98,7 @@ def _of_log(path: Path, arm: Arm | None) -> Series:
 
 
 def _numbers(texts: list[str]) -> Array:
-    """A column that the format does not know, as numbers; NaN where a cell is none."""
+    """An unknown column as numbers; NaN where a cell is not a number."""
     try:
         return np.array([text or "nan" for text in texts], dtype=np.float64)
     except ValueError:

@@ -1,4 +1,4 @@
-"""An MCAP file of `armwright export`, whole or cut off, as a series."""
+"""Reads an MCAP file of `armwright export`, complete or truncated, as a series."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REPORT_EVERY = 20_000  # messages
 
 
 def of_mcap(path: Path, arm: Arm | None, report: Report) -> Series:
-    """The rows that `to_mcap` wrote. ArmError when the file holds none of our topics."""
+    """The rows written by `to_mcap`. ArmError if the file has none of our topics."""
     table, notes = _Table(), []
     total_bytes = max(1, path.stat().st_size)
     with path.open("rb") as file:
@@ -51,7 +51,7 @@ def of_mcap(path: Path, arm: Arm | None, report: Report) -> Series:
 
 
 def _damage_errors() -> tuple[type[Exception], ...]:
-    """What mcap's reader raises where a file is cut off or has wrong bytes."""
+    """Exceptions of mcap's reader for truncated or damaged files."""
     import struct
 
     from mcap.exceptions import McapError
@@ -61,7 +61,7 @@ def _damage_errors() -> tuple[type[Exception], ...]:
 
 
 class _Table:
-    """Columns that grow by rows; messages of one time are one row."""
+    """Columns that grow by rows; messages with the same time form one row."""
 
     def __init__(self) -> None:
         self.times_ns: list[int] = []
@@ -83,7 +83,7 @@ class _Table:
                 column.append(value)
 
     def columns(self) -> dict[str, Array]:
-        """By name, NaN where a message had no such field; `t_s` from the messages' times."""
+        """Columns by name, NaN where a message lacks the field; `t_s` from the messages' times."""
         count = len(self.times_ns)
         found = {
             key: np.concatenate([np.array(column), np.full(count - len(column), np.nan)])
@@ -94,7 +94,7 @@ class _Table:
 
 
 def _read(file: BinaryIO, table: _Table, report: Callable[[], None]) -> None:
-    """Message after message in the file's order, which a cut-off file still has."""
+    """Read messages in the file's order, which works for truncated files, too."""
     from mcap.reader import NonSeekingReader
 
     decode = msgspec.json.Decoder(dict[str, Any]).decode

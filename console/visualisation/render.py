@@ -1,4 +1,4 @@
-"""The arm as pictures, without a window: by MuJoCo where there is OpenGL, else by matplotlib in lines."""
+"""Renders the arm without a window: by MuJoCo if there is OpenGL, else as lines by matplotlib."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FRAMES_MOST: Final = 3000
 
 
 def prefer_headless_gl() -> None:
-    """Without a display MuJoCo is to draw by EGL; it decides when it is imported."""
+    """Make MuJoCo use EGL without a display; must be called before it is imported."""
     has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if sys.platform == "linux" and not has_display:
         os.environ.setdefault("MUJOCO_GL", "egl")
@@ -37,7 +37,7 @@ def painter_of(arm: Arm, warn: Callable[[str], None]) -> Painter:
     prefer_headless_gl()
     try:
         return MujocoPainter(arm)
-    except Exception as error:  # every OpenGL platform has errors of its own, down to missing libraries
+    except Exception as error:  # OpenGL platforms raise different errors, including missing libraries
         reason = str(error).strip().splitlines()
         warn(
             f"MuJoCo finds no OpenGL ({reason[0] if reason else type(error).__name__}): matplotlib draws lines"
@@ -47,7 +47,7 @@ def painter_of(arm: Arm, warn: Callable[[str], None]) -> Painter:
 
 
 class MujocoPainter:
-    """Draws by MuJoCo into memory."""
+    """Renders with MuJoCo to memory."""
 
     def __init__(self, arm: Arm) -> None:
         import mujoco

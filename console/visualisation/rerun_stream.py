@@ -1,4 +1,4 @@
-"""The arm to a Rerun viewer: joints, set-points, currents over time and the arm as lines. An extra: rerun-sdk is 521 MB."""
+"""Streams the arm to a Rerun viewer: joints, set-points, currents, and the arm as lines. An extra: rerun-sdk is 521 MB."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ MEASURED, COMMANDED, CAMERA = [0, 114, 178], [213, 94, 0], [0, 158, 115]
 
 
 def stream(arm: Arm, snapshots: Iterator[Snapshot], file: Path | None) -> int:
-    """Send every snapshot to a viewer that Rerun starts, or into an .rrd `file`; returns how many.
+    """Send all snapshots to a viewer that Rerun starts, or to an .rrd `file`; return their number.
 
-    ArmError where rerun-sdk is not installed or the file is there already.
+    ArmError if rerun-sdk is not installed or the file exists.
     """
     rerun = _rerun()
     rerun.init(f"armwright {arm.name}", spawn=file is None)

@@ -1,6 +1,6 @@
 """The arm as a MuJoCo scene: the commanded pose as a solid arm, the measured one as a ghost, paths as lines. No physics runs.
 
-The arms are those of `calib.export` (MJCF), so that what is seen is what other programs get.
+The arms are those exported by `calib.export` (MJCF).
 """
 
 from __future__ import annotations
@@ -59,16 +59,16 @@ class ArmScene:
         mujoco.mj_forward(self.model, self.data)
 
     def tip_m(self, which: str = "") -> Array:
-        """Where a tip is in the scene: "" of the commanded arm, "measured/" of the ghost."""
+        """Position of a tip in the scene: "" for the commanded arm, "measured/" for the ghost."""
         return np.array(self.data.site(f"{which}tip").xpos)
 
     def trace(self, scene: Any, traces: Traces) -> None:
-        """Draw lines and marks into a MjvScene, as far as it has room."""
+        """Add lines and marks to the scene, as far as it has room."""
         scene.ngeom = 0
         self.add_traces(scene, traces)
 
     def add_traces(self, scene: Any, traces: Traces) -> None:
-        """The same behind what the scene holds already."""
+        """Add lines and marks after the scene's contents."""
         for points, colour, radius in (
             (traces.commanded_m, COMMANDED, LINE_m),
             (traces.measured_m, MEASURED, 1.7 * LINE_m),
@@ -80,7 +80,7 @@ class ArmScene:
             _mark(scene, point)
 
     def camera(self) -> Any:
-        """A view of the whole arm from the side of its work, a little from above."""
+        """A camera view of the whole arm from the front, slightly from above."""
         camera = mujoco.MjvCamera()
         mujoco.mjv_defaultFreeCamera(self.model, camera)
         reach = _reach_m(self.arm)
@@ -90,7 +90,7 @@ class ArmScene:
 
 
 def _reach_m(arm: Arm) -> float:
-    """How far the tip can be from the base at most, about."""
+    """Approximate largest distance of the tip from the base."""
     links = sum(math.hypot(link.d_m, link.L_m) for link in arm.links)
     return max(0.1, links + math.hypot(*arm.tool.position_m))
 
@@ -101,7 +101,7 @@ def _spec(arm: Arm) -> Any:
     _paint(spec, COMMANDED)
     ghost = mujoco.MjSpec.from_string(export_text(arm, "mjcf"))
     _paint(ghost, GHOST)
-    for geom in ghost.geoms:  # around the solid one, or both would flicker in one place
+    for geom in ghost.geoms:  # larger than the solid one, or both would flicker
         geom.size[0] *= GHOST_THICKER
     spec.attach(ghost, prefix=PREFIX, frame=spec.worldbody.add_frame())
     world, reach = spec.worldbody, _reach_m(arm)
@@ -120,7 +120,7 @@ def _spec(arm: Arm) -> Any:
 
 
 def _tiles(spec: Any, reach_m: float) -> str:
-    """A floor in tiles of a tenth of a metre, and a sky that is not black."""
+    """A floor with tiles of 0.1 m, and a light sky."""
     kinds, patterns = mujoco.mjtTexture, mujoco.mjtBuiltin
     spec.add_texture(
         name="sky", type=kinds.mjTEXTURE_SKYBOX, builtin=patterns.mjBUILTIN_GRADIENT,
@@ -143,7 +143,7 @@ def _paint(spec: Any, colour: Colour) -> None:
 
 
 def _add_board(world: Any, arm: Arm) -> None:
-    """The calibration board's cavities on a plate, if the file knows its level place."""
+    """The calibration board's cavities on a plate, if the level board's pose is known."""
     if arm.table is None or not arm.table.known_pose or arm.table.origin_m is None:
         return
     points = np.array(list(cavities(arm.table).values()))
@@ -160,7 +160,7 @@ def _add_board(world: Any, arm: Arm) -> None:
 
 
 def _pieces(points: Array) -> list[tuple[Array, Array]]:
-    """Neighbours of a line that is thinned to what a scene takes; gaps where a point is not finite."""
+    """Segments of a line, thinned to the scene's capacity; gaps where a point is not finite."""
     points = points[:: 1 + len(points) // LINE_PIECES]
     pairs = itertools.pairwise(points)
     return [(a, b) for a, b in pairs if np.isfinite(a).all() and np.isfinite(b).all()]

@@ -1,4 +1,4 @@
-"""What a recording shows over time, whatever file it came from."""
+"""The time series of a recording, independent of the file format."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ FOLLOWING_MODES: Final = (
     "STOPPING",
     "JOGGING",
     "PAUSED",
-)  # set-points mean something in these
+)  # modes with valid set-points
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
     """m samples of n joints; NaN where nothing was measured.
 
-    t_s (m,), from the first sample on and rising (runs that each begin at zero stand one after the other); run (m,) indices into
+    t_s (m,), increasing from the first sample (runs that each start at zero are concatenated); run (m,) indices into
     `runs`; mode (m,) indices into `modes`, -1 unknown; q_rad, q_set_rad of the encoders, joint_rad, joint_set_rad of the
-    joints (the same where nothing else is recorded), current_A, voltage_V, supply_V, temperature_C (m, n);
-    tip_m (m, 3) as the camera saw it in the base frame; late_s, busy_s, missed (m,). `notes` say what is wrong with the file.
+    joints (the same if not recorded separately), current_A, voltage_V, supply_V, temperature_C (m, n);
+    tip_m (m, 3) by the camera in the base frame; late_s, busy_s, missed (m,). `notes` are problems of the file.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Series:
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
-        """How many samples."""
+        """Number of samples."""
         return len(self.t_s)
 
     @property
@@ -69,12 +69,12 @@ class Series:
 
     @property
     def runs_present(self) -> tuple[str, ...]:
-        """Names of the runs that have samples here, in their order."""
+        """Names of the runs with samples, in order."""
         return tuple(self.runs[k] for k in np.unique(self.run))
 
     @property
     def following_error_rad(self) -> Array:
-        """Set-point minus angle (m, n), NaN in modes that follow no set-point."""
+        """Set-point minus angle (m, n), NaN in modes without set-points."""
         error = self.q_set_rad - self.q_rad
         followed = [k for k, name in enumerate(self.modes) if name in FOLLOWING_MODES]
         is_known = self.mode >= 0
@@ -83,7 +83,7 @@ class Series:
 
     @property
     def is_placed(self) -> NDArray[np.bool_]:
-        """Samples (m,) whose angles mean something: not while the arm looks for its zeros, nor before it first did."""
+        """Samples (m,) with valid angles: not during homing, nor before it."""
         if "HOMING" not in self.modes:
             return np.ones(len(self), dtype=bool)
         homing = self.mode == self.modes.index("HOMING")
@@ -103,7 +103,7 @@ _ROWS: Final = (
 
 
 def chosen(series: Series, run: str | None, from_s: float | None, to_s: float | None) -> Series:
-    """The samples of one run and of a time span; ArmError when there are none, saying which there are."""
+    """The samples of one run and of a time span; ArmError lists the existing ones if there are none."""
     is_wanted = np.ones(len(series), dtype=bool)
     if run is not None:
         if run not in series.runs:
@@ -125,7 +125,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def joined_runs(t_s: Array, run: NDArray[np.int64]) -> Array:
-    """Times that rise over the whole file: where a run begins again at zero it is put behind the last one."""
+    """Times that increase over the whole file: a run that starts at zero again is appended to the last one."""
     steps = np.diff(t_s, prepend=t_s[:1])
     falls = steps < 0.0
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0

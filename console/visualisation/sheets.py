@@ -1,4 +1,4 @@
-"""Pictures on sheets: a file each, all on one, or in a window."""
+"""Writes pictures to one file each, to one common file, or shows them in windows."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def write_each(
     joints: Sequence[int],
     report: Report = _ignore_progress,
 ) -> list[Path]:
-    """One PNG a picture into `folder`; returns the files. `report` is told each title and the share done."""
+    """Write one PNG per picture to `folder`; return the files. `report` gets each title and the share done."""
     files = [folder / f"{picture.name}.png" for picture in pictures]
     _require_free(files)
     folder.mkdir(parents=True, exist_ok=True)
@@ -53,7 +53,7 @@ def write_sheet(file: Path, pictures: Sequence[Picture], series: Series, joints:
 
 
 def show(pictures: Sequence[Picture], series: Series, joints: Sequence[int]) -> None:
-    """A window a picture; returns when all are closed. ArmError where no window can be opened."""
+    """Show a window per picture; returns when all are closed. ArmError if no window can be opened."""
     import matplotlib
     import matplotlib.pyplot as plt
 

@@ -21,7 +21,7 @@ Point = tuple[float, float, float]
 class Snapshot:
     """Measured and commanded pose of the arm; angles in rad, the camera's tip in m or None.
 
-    Of the encoders, and of the joints, which are drawn.
+    Angles of the encoders, and of the joints, which are drawn.
 
     `status` has currents and faults of a live snapshot.
     """
@@ -37,13 +37,13 @@ class Snapshot:
 
 
 class StatusSource(Protocol):
-    """Whatever answers `status`."""
+    """A source of statuses."""
 
     def status(self) -> Message: ...
 
 
 def recorded(series: Series, period_s: float) -> tuple[NDArray[np.int64], Array]:
-    """Rows of the series that are `period_s` apart, and their times [s]; rows without all angles are passed over."""
+    """Rows of the series that are `period_s` apart, and their times [s]; rows with missing angles are skipped."""
     whole = np.isfinite(series.q_rad).all(axis=1)
     rows = np.flatnonzero(whole)
     if not len(rows):
@@ -54,7 +54,7 @@ def recorded(series: Series, period_s: float) -> tuple[NDArray[np.int64], Array]
 
 
 def snapshot_at(series: Series, row: int) -> Snapshot:
-    """One row of a series; without set-points they are where the arm is."""
+    """The snapshot of a row; missing set-points are replaced by the measured angles."""
     mode = series.mode[row]
     seen = tuple(series.tip_m[row].tolist())
     current_A = tuple(series.current_A[row].tolist())
@@ -74,7 +74,7 @@ def _angles(measured: Array, wanted: Array) -> tuple[tuple[float, ...], tuple[fl
 
 
 def live(source: StatusSource, clock: Clock, period_s: float) -> Iterator[Snapshot]:
-    """A snapshot each `period_s`, until the caller stops. RuntimeGone when the runtime ends."""
+    """Yield a snapshot every `period_s`. RuntimeGone when the runtime ends."""
     next_s = clock.now_s()
     while True:
         yield snapshot_of(source.status())

@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from console.visualisation.series import Array
 
-BUCKETS: Final = 2000  # about the pixels that a figure is wide
+BUCKETS: Final = 2000  # about the width of a figure in pixels
 SEGMENT: Final = 2048  # samples of one piece of a spectrum
-SHORTEST: Final = 64  # a piece that is worth transforming
+SHORTEST: Final = 64  # shortest piece to transform
 PER_TURN: Final = 64  # samples of a motor turn
-GAP: Final = 10.0  # periods without a sample; a host that is late by less still sampled every cycle
+GAP: Final = 10.0  # periods without a sample; a shorter delay is only lateness of the host
 TURNS: Final = 8  # of one piece of a spectrum over angle
 
 
 def envelope(t: Array, values: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
-    """Minimum and maximum of each bucket of time, as one line (2 buckets,); short series as they are.
+    """Minimum and maximum of each bucket of time, as one line (2 buckets,); short series unchanged.
 
-    Returns t, values; NaN where a bucket holds nothing else. No peak is lost, whatever its width.
+    Returns t, values; NaN where a bucket has no other values. No peak is lost, whatever its width.
     """
     if len(t) <= 4 * buckets:
         return t, values
@@ -31,7 +31,7 @@ def envelope(t: Array, values: Array, buckets: int = BUCKETS) -> tuple[Array, Ar
 
 
 def with_gaps(t: Array, values: Array, period_s: float) -> tuple[Array, Array]:
-    """The same with a NaN in each gap of time, so that a line does not bridge what was not recorded."""
+    """Insert a NaN in each gap of time, so that lines do not bridge gaps."""
     if len(t) < 2:
         return t, values
     after = np.flatnonzero(np.diff(t) > GAP * max(period_s, 1e-9)) + 1
@@ -110,9 +110,7 @@ def _turn_spectra(turns: Array, values: Array) -> list[Array]:
     for k in range(int((turns[-1] - turns[0]) / TURNS)):
         grid = turns[0] + TURNS * k + np.arange(count) / PER_TURN
         inside = np.searchsorted(turns, [grid[0], grid[-1]])
-        if (
-            inside[1] - inside[0] < count // 4
-        ):  # too fast for its sampling: orders above a few would be invented
+        if inside[1] - inside[0] < count // 4:  # too fast for the sampling rate: higher orders would be wrong
             continue
         sampled = np.interp(grid, turns, values)
         line = np.polynomial.polynomial.polyfit(grid - grid[0], sampled, 1)

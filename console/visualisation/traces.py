@@ -1,4 +1,4 @@
-"""Paths of the tip: commanded, measured, and seen by the camera."""
+"""Paths of the tip: commanded, measured, and by the camera."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Traces:
 
 
 def traces_of(series: Series, kinematics: Kinematics) -> Traces:
-    """Of a whole recording, thinned; gaps where an angle is not known or means nothing."""
+    """Traces of a whole recording, thinned; gaps where an angle is missing or invalid."""
     step = 1 + len(series) // POINTS_MOST
     placed = np.where(series.is_placed[:, None], 1.0, np.nan)
     camera = series.tip_m[np.isfinite(series.tip_m).all(axis=1) & series.is_placed]
@@ -37,7 +37,7 @@ def traces_of(series: Series, kinematics: Kinematics) -> Traces:
 
 
 def tips_of(kinematics: Kinematics, angles_rad: Array) -> Array:
-    """Tips (m, 3) of angles (m, n); NaN where an angle is."""
+    """Tips (m, 3) of angles (m, n); NaN where an angle is NaN."""
     found = np.full((len(angles_rad), 3), np.nan)
     rows = np.isfinite(angles_rad).all(axis=1)
     if rows.any():

@@ -1,6 +1,6 @@
 """The arm in MuJoCo's own viewer: a recording played back, or the live arm.
 
-The viewer draws in a thread of its own, in this process, which is neither the loop nor its writer.
+The viewer has its own thread in this process, which is neither the loop nor its writer.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ REMEDY: Final = "use --render FILE.png, FILE.gif or a folder, or a machine with 
 
 
 class Handle(Protocol):
-    """What is used of MuJoCo's viewer."""
+    """The part of MuJoCo's viewer that is used here."""
 
     user_scn: Any
     cam: Any
@@ -48,7 +48,7 @@ Open = Callable[[ArmScene, Callable[[int], None]], Handle]
 
 
 def open_window(scene: ArmScene, on_key: Callable[[int], None]) -> Handle:
-    """MuJoCo's viewer; ArmError where no window can be opened: it would wait for ever."""
+    """MuJoCo's viewer; ArmError if no window can be opened, instead of waiting for ever."""
     _require_display()
     import mujoco.viewer
 
@@ -66,7 +66,7 @@ def open_window(scene: ArmScene, on_key: Callable[[int], None]) -> Handle:
 
 
 class _Window:
-    """MuJoCo's handle, whose own threads have ended when it is closed: a process that ends before them may crash."""
+    """MuJoCo's handle; closing waits for its threads, because a process that ends before them may crash."""
 
     def __init__(self, handle: Handle, drawing: Sequence[threading.Thread]) -> None:
         self._handle, self._drawing = handle, drawing
@@ -88,7 +88,7 @@ class _Window:
 
 
 def aim(at: Any, scene: ArmScene) -> None:
-    """The viewer's camera on the whole arm."""
+    """Aim the viewer's camera at the whole arm."""
     camera = scene.camera()
     at.lookat[:] = camera.lookat
     at.distance, at.azimuth, at.elevation = camera.distance, camera.azimuth, camera.elevation
@@ -102,21 +102,21 @@ def _require_display() -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         is_ready = glfw.init()
-        glfw.terminate()  # the viewer's own thread is to be the one that has it
+        glfw.terminate()  # the context must belong to the viewer's own thread
     if not is_ready:
         why = "; ".join(str(one.message) for one in caught) or "GLFW gives no reason"
         raise ArmError(f"cannot open a window on this display ({why}): {REMEDY}")
 
 
 class Player:
-    """Which snapshot of a recording is shown now; keys: space, arrows, home."""
+    """Playback position in a recording; keys: space, arrows, home."""
 
     def __init__(self, times_s: Sequence[float], speed: float) -> None:
         self._times_s = np.asarray(times_s)
         self.at_s, self.speed, self.is_paused = float(self._times_s[0]), speed, False
 
     def key(self, code: int) -> None:
-        """Pause, a second on or back, faster or slower, from the beginning."""
+        """Process a key: pause, a second forward or back, faster or slower, restart."""
         if code == SPACE:
             self.is_paused = not self.is_paused
         elif code in (LEFT, RIGHT):
@@ -127,7 +127,7 @@ class Player:
             self.at_s = float(self._times_s[0])
 
     def on(self, passed_s: float) -> int:
-        """Let time pass; returns the index of the snapshot that is shown. It stays at the end."""
+        """Advance the time; return the index of the present snapshot. Stops at the end."""
         if not self.is_paused:
             self.at_s += passed_s * self.speed
         self.at_s = min(max(self.at_s, float(self._times_s[0])), float(self._times_s[-1]))

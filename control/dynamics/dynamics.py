@@ -1,7 +1,7 @@
-"""Joint torques of the rigid arm: inverse dynamics, gravity, mass matrix; scalar for the loop and in batches.
+"""Joint torques of the rigid arm: inverse dynamics, gravity, mass matrix; scalar for the loop, and in batches.
 
-Rotors count as reflected inertia (ratio^2 times the rotor's), without their gyroscopic part. Friction and what
-else is between motor and joint are effects (`control.model.effects`).
+Rotors count as reflected inertia (ratio^2 times the rotor's), without gyroscopic terms. Friction and everything
+between motor and joint are effects (`control.model.effects`).
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +25,7 @@ Floats = tuple[float, ...]
 class Dynamics:
     """The equations of motion of one arm, with a point mass `payload_kg` at its tip.
 
-    Raises MissingModel where the arm's file lacks masses; says which.
+    Raises MissingModel, which names the masses that the arm's file lacks.
     """
 
     def __init__(self, arm: Arm, payload_kg: float = 0.0) -> None:

@@ -1,7 +1,7 @@
-"""What the effects do, as pure functions: friction and cogging as torques, and the joint angle behind the encoder.
+"""The laws of the effects as pure functions: friction and cogging torques, and joint angle minus encoder angle.
 
-Scalars, numpy arrays or both. Friction torques oppose motion: they are what the motor has to add. A speed's sign is
-smooth, tanh(speed / smooth), so that a feed-forward does not chatter where the set-point stands still.
+Scalars, numpy arrays or both. A friction torque is what the motor has to add to overcome it. The sign of a speed is
+smooth, tanh(speed / smooth), so that the feed-forward does not chatter at a constant set-point.
 """
 
 from typing import Any, Final
@@ -38,35 +38,35 @@ def load_friction_Nm(speed_rad_s: Value, transmitted_Nm: Value, fraction: Value)
 
 
 def asymmetric_Nm(speed_rad_s: Value, torque_Nm: Value) -> Value:
-    """Coulomb friction's surplus in the positive direction, its lack in the negative; nothing at rest."""
+    """Additional Coulomb friction in the positive direction, and as much less in the negative; zero at rest."""
     return torque_Nm * abs(direction(speed_rad_s))
 
 
 def cogging_Nm(q_rad: Value, gear_ratio: float, amplitude_Nm: Value, order: Value, phase_rad: Value) -> Value:
-    """Torque that the motor has to add against its magnets: `order` periods a motor turn."""
+    """Torque that the motor has to add against cogging: `order` periods per motor turn."""
     return amplitude_Nm * np.sin(order * gear_ratio * q_rad + phase_rad)
 
 
 def encoder_scale_rad(q_rad: Value, scale: Value) -> Value:
-    """How much further than its encoder says the joint has turned."""
+    """Joint angle minus encoder angle, for a scale error of the encoder."""
     return scale * q_rad
 
 
 def encoder_eccentricity_rad(q_rad: Value, amplitude_rad: Value, phase_rad: Value) -> Value:
-    """How far the joint is ahead of an encoder whose disc is off centre."""
+    """Joint angle minus encoder angle, for an eccentric encoder disc."""
     return amplitude_rad * np.sin(q_rad + phase_rad)
 
 
 def backlash_rad(flank: Value, width_rad: Value) -> Value:
-    """How far the joint is ahead of its motor; `flank` is the sign of the torque that the gear transmits."""
+    """Joint angle minus motor angle, for backlash; `flank` is the sign of the transmitted torque."""
     return -0.5 * width_rad * flank
 
 
 def compliance_rad(transmitted_Nm: Value, stiffness_Nm_rad: Value) -> Value:
-    """How far the joint is ahead of its motor when the gear transmits a torque from motor to joint."""
+    """Joint angle minus motor angle, for a compliant gear that transmits a torque from motor to joint."""
     return -transmitted_Nm / stiffness_Nm_rad
 
 
 def belt_coupling_rad(q2_rad: Value, ratio: Value) -> Value:
-    """How far joint 3 turns with joint 2 unseen by its encoder."""
+    """Rotation of joint 3 by the belt from joint 2, which its encoder does not measure."""
     return ratio * q2_rad

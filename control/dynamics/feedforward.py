@@ -1,6 +1,6 @@
-"""The torque that the model expects for a motion: rigid body, rotors, and what the arm's effects add to it.
+"""Feed-forward torque of a motion: rigid body, rotors, and the arm's effects.
 
-Masses by `payload` and `link_inertia`, frictions by the sign of the set-point's speed, cogging by the motor's angle.
+`payload` and `link_inertia` change masses, friction takes the sign of the set-point's speed, cogging the motor's angle.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +25,7 @@ FrictionTerm = Callable[
 
 
 class MotionTorques(Protocol):
-    """Joint torques [N m] for angles, speeds and accelerations of the joints; `motor_rad` where the motors are not at those."""
+    """Joint torques [N m] for angles, speeds and accelerations of the joints; `motor_rad` if the motors are at other angles."""
 
     def __call__(
         self,
@@ -38,7 +38,7 @@ class MotionTorques(Protocol):
 
 
 def torque_model(arm: Arm, payload_kg: float = 0.0) -> MotionTorques:
-    """Return the torques of the arm with all that it knows of itself.
+    """Return the torque function of the arm with all effects of its file.
 
     Raises MissingModel where the arm's file lacks masses.
     """
@@ -64,12 +64,12 @@ def torque_model(arm: Arm, payload_kg: float = 0.0) -> MotionTorques:
 
 
 def own_payload_kg(arm: Arm) -> float:
-    """What the arm's file says that the tip carries."""
+    """Payload mass in the arm's file [kg]."""
     return sum(e.parameters["mass_kg"] for e in arm.effects if e.effect == "payload")
 
 
 def with_link_inertia(arm: Arm) -> Arm:
-    """The arm with the mass and inertia that `link_inertia` adds put into its links; the same arm where there is none."""
+    """The arm with the mass and inertia of its `link_inertia` effects added to its links; unchanged if it has none."""
     more = [
         (e.joint - 1, e.parameters) for e in arm.effects if e.effect == "link_inertia" and e.joint is not None
     ]

@@ -1,6 +1,6 @@
-"""Gains of a joint's position control: those that arm.toml gives, the others by pole placement on the model.
+"""Gains of a joint's position control: from arm.toml, or else by pole placement on the model.
 
-The joint as its motor sees it, without the inductance (its time constant is a fraction of a cycle): with inertia J
+The joint model neglects the inductance (its time constant is a fraction of a cycle). With inertia J
 (the largest that the joint meets within the joint ranges, rotor included), ratio N, motor constant k, resistance R,
 
     J q'' = N k i,   i = (u - N k q') / R        =>   q'' = b u - a q',   b = N k / (R J),   a = (N k)^2 / (R J)
@@ -12,8 +12,8 @@ The joint as its motor sees it, without the inductance (its time constant is a f
 Where the back-EMF damps more than 3 w, kd is zero. With the loop's delay (one and a half cycles of 2 ms, counts up to 1 ms
 old) and the filters of the speed estimate, w = 40 rad/s leaves the reference arm at least 50 degrees of phase margin (40 with
 0.5 kg at the tip) and a sensitivity of at most 1.65 in every pose, at a crossover of 28 to 72 rad/s. In current mode no
-back-EMF damps and the derivative has to, so delay costs more: w = 25 rad/s leaves 44 degrees at the inertia that it was placed
-for and only 15 at joint 1 with the arm drawn in. There the loop scales the PID by `InertiaScale`, which keeps the 44.
+back-EMF damps and the derivative has to, so delay costs more: w = 25 rad/s leaves 44 degrees at the design inertia
+and only 15 at joint 1 with the arm retracted. The loop scales the PID by `InertiaScale`, which restores the 44.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from control.model.arm import Arm, Drive
 POLE_rad_s = 40.0
 CURRENT_MODE_POLE_rad_s = 25.0
 _POSES = 200
-DERIVATIVE_FILTER_S = 0.001  # half a cycle: only enough to calm the steps of the encoder
+DERIVATIVE_FILTER_S = 0.001  # half a cycle: just enough to smooth the encoder's quantisation
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Gains:
 
 
 def gains_of(arm: Arm, joint: int) -> Gains:
-    """Return the gains of a joint (1-based); MissingModel where neither the file nor the masses give them."""
+    """Return the gains of a joint (1-based); MissingModel if neither the file nor the masses determine them."""
     drive = arm.drive(joint)
     pid = drive.pid
     filter_s = DERIVATIVE_FILTER_S if pid.derivative_filter_s is None else pid.derivative_filter_s
@@ -74,9 +74,9 @@ def placed_gains(
 
 
 class InertiaScale:
-    """What share of its derived gains each joint takes in a pose: its inertia there over the largest that it meets.
+    """Scale of each joint's derived gains in a pose: its inertia there over its largest inertia.
 
-    A joint whose gains arm.toml gives takes all of them. `unknown` holds the least shares, for an arm whose pose is not known.
+    1 for a joint whose gains are in arm.toml. `unknown` holds the smallest scales, for an arm whose pose is not known.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -88,7 +88,7 @@ class InertiaScale:
         self.unknown = self._shares(diagonals.min(axis=0).tolist())
 
     def __call__(self, q_rad: Sequence[float]) -> tuple[float, ...]:
-        """Shares of all joints, above 0 and at most about 1."""
+        """Scales of all joints, above 0 and at most about 1."""
         rows = self._mass_matrix(q_rad)
         return self._shares([row[joint] for joint, row in enumerate(rows)])
 
@@ -98,7 +98,7 @@ class InertiaScale:
 
 
 def _inertia_kg_m2(arm: Arm, joint: int) -> float:
-    """The largest inertia that a joint meets, over a scatter of poses within the joint ranges."""
+    """The largest inertia of a joint over random poses within the joint ranges."""
     try:
         matrices = Dynamics(arm).mass_matrices(_scatter(arm))
     except MissingModel as error:
@@ -114,6 +114,6 @@ def _inertia_kg_m2(arm: Arm, joint: int) -> float:
 
 
 def _scatter(arm: Arm) -> NDArray[np.float64]:
-    """Poses within the joint ranges (a turn where there is no limit), the same ones every time."""
+    """Random poses within the joint ranges (one turn if unlimited), with a fixed seed."""
     lower, upper = np.clip(np.array(arm.limits_rad), -np.pi, np.pi).T
     return np.random.default_rng(0).uniform(lower, upper, (_POSES, arm.joint_count))

@@ -1,38 +1,38 @@
-"""One gear with play or a spring behind a motor: on which flank it lies, and how far its motor is to be ahead of the joint.
+"""One gear with backlash or compliance: its contact flank, and the offset of the motor from the joint.
 
-A gear lies on the flank that the torque which it transmits points to. For a set-point that is known beforehand:
+The sign of the transmitted torque determines the contact flank. For a planned set-point:
 
-- while the joint is to move, the sign of links' torque + link-side friction times direction;
-- while it is to rest, that of gravity where friction cannot turn it round, else the flank on which it came to rest;
-- near zero, the last one: a set-point makes no noise, but a model is not exact.
+- in motion: the sign of the links' torque + link-side friction times direction;
+- at rest: the sign of gravity if it exceeds friction, else the flank on which the joint came to rest;
+- near zero: the last flank, because the model is not exact.
 
-What flank and spring ask for is followed with limited speed and acceleration, critically damped: it never jumps.
+The offset follows flank and spring critically damped, with limited speed and acceleration, so it never jumps.
 """
 
 from dataclasses import dataclass
 from math import copysign, sqrt
 from typing import Final
 
-DOUBT: Final = 0.05  # of the friction: a torque below that leaves the flank as it was
-PACE_rad_s: Final = 100.0  # of following: faster than the position loop (40 rad/s)
-STEP_S, MOST_STEPS = 0.002, 100  # of following; after a pause of the host it need not be exact
+DOUBT: Final = 0.05  # of the friction: a smaller torque does not change the flank
+PACE_rad_s: Final = 100.0  # bandwidth of the offset: faster than the position loop (40 rad/s)
+STEP_S, MOST_STEPS = 0.002, 100  # largest step; after a pause of the host it need not be exact
 _STILL_rad_s = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class GearLaw:
-    """What is known of a gear; dry friction and load friction are the link side's part."""
+    """Parameters of a gear; dry friction and load friction are the link-side shares."""
 
     width_rad: float
     compliance_rad_Nm: float
     friction_Nm: float
     load_fraction: float
-    speed_rad_s: float  # most, of what comes on top of the joint's motion
+    speed_rad_s: float  # limits of the offset's own motion
     acceleration_rad_s2: float
 
 
 class Gear:
-    """The state of one gear. `offset_rad` is by how much the motor is to be ahead of the joint, with its two derivatives."""
+    """The state of one gear. `offset_rad` is motor minus joint angle, with its two derivatives."""
 
     __slots__ = ("_direction", "_flank", "_law", "acceleration_rad_s2", "offset_rad", "speed_rad_s")
 
@@ -44,18 +44,18 @@ class Gear:
 
     @property
     def flank(self) -> int:
-        """Sign of the torque from motor to joint; 0 while nobody knows it."""
+        """Sign of the torque from motor to joint; 0 while unknown."""
         return int(self._flank)
 
     def rest(self, torque_Nm: float) -> None:
-        """The joint stands, with this torque of the links; nothing is on its way."""
+        """Initialise at rest with this torque of the links."""
         self.offset_rad = self._wanted(torque_Nm, 0.0, 0.0)
         self.speed_rad_s = self.acceleration_rad_s2 = 0.0
 
     def follow(
         self, torque_Nm: float, speed_rad_s: float, acceleration_rad_s2: float, elapsed_s: float
     ) -> None:
-        """The joint is to move so, `elapsed_s` after the last call, with this torque of the links."""
+        """Advance by `elapsed_s` with the joint's set-point and this torque of the links."""
         wanted = self._wanted(torque_Nm, speed_rad_s, acceleration_rad_s2)
         if wanted == self.offset_rad and self.speed_rad_s == 0.0:
             self.acceleration_rad_s2 = 0.0
@@ -82,7 +82,7 @@ class Gear:
         return 0.5 * law.width_rad * self._flank + law.compliance_rad_Nm * transmitted
 
     def _approach(self, wanted: float, step_s: float) -> None:
-        """One step of a critically damped follower whose speed leaves it room to brake."""
+        """One step of a critically damped follower, with its speed limited so that it can still brake."""
         law, off = self._law, wanted - self.offset_rad
         most = min(law.speed_rad_s, sqrt(law.acceleration_rad_s2 * abs(off)))
         target = min(max(0.5 * PACE_rad_s * off, -most), most)

@@ -1,10 +1,10 @@
-"""The joint side of an arm that knows its play, springs, belt or encoder errors: where encoders must be for joints to be right.
+"""Encoder set-points for joint set-points, on an arm with known backlash, compliance, belt coupling or encoder errors.
 
     joint = rigid(encoder) - offset,    offset = flank width / 2 + transmitted torque / stiffness
 
-`rigid` is control.kinematics.encoder_chain. Encoders are on the motors: the offset is by how much a motor is ahead of its
-joint. It comes from the set-point and the model, never from what is measured (control.dynamics.gear). The transmitted torque
-is that of the links without the rotors, with the link-side share of the dry friction, which is unknown.
+`rigid` is control.kinematics.encoder_chain. Encoders are on the motors; the offset is motor minus joint angle.
+It is computed from set-point and model, never from measurements (control.dynamics.gear). The transmitted torque
+is that of the links without the rotors, plus the link-side share of the dry friction, which is an assumption.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,18 +21,18 @@ from control.model.arm import Arm
 
 GEAR_EFFECTS: Final = frozenset({"backlash", "joint_compliance"})
 SIDE_EFFECTS: Final = RIGID_EFFECTS | GEAR_EFFECTS
-LINK_SHARE: Final = 0.5  # of a joint's dry friction on the link's side: the middle of what it may be
+LINK_SHARE: Final = 0.5  # of a joint's dry friction on the link side: the middle of the possible range
 UNKNOWN_FRICTION: Final = (
-    0.01  # on the link's side, of the torque at the current limit, where the arm's file says none
+    0.01  # on the link side, of the torque at the current limit, if the arm's file gives none
 )
-SHARE_OF_SPEED, SHARE_OF_ACCELERATION = 0.25, 0.5  # of a joint's limits, for what comes on top of its motion
+SHARE_OF_SPEED, SHARE_OF_ACCELERATION = 0.25, 0.5  # of a joint's limits, for the offset's own motion
 
 State = tuple[Floats, Floats, Floats]  # angles, speeds, accelerations
 LinkTorque = Callable[[Sequence[float], Sequence[float], Sequence[float], float], Sequence[float]]
 
 
 class JointSide:
-    """Between joints and encoders of one arm. Keeps the gears' state, so `aim` is called once a cycle, in order of time."""
+    """Maps between joints and encoders of one arm. Keeps the state of the gears, so call `aim` once a cycle, in order of time."""
 
     def __init__(self, arm: Arm) -> None:
         self._rigid = EncoderChain(arm)
@@ -44,20 +44,20 @@ class JointSide:
 
     @classmethod
     def of(cls, arm: Arm) -> Self | None:
-        """The joint side of an arm whose file has such effects, else None. MissingModel where gears lack masses or drives."""
+        """The joint side of an arm whose file has such effects, else None. MissingModel if gears lack masses or drives."""
         return cls(arm) if has_joint_side(arm) else None
 
     @property
     def flanks(self) -> Mapping[int, int]:
-        """By joint (1-based) with play or a spring: the sign of the torque that its gear transmits, 0 while unknown."""
+        """Sign of the transmitted torque by joint (1-based) with backlash or compliance; 0 while unknown."""
         return {joint + 1: gear.flank for joint, gear in self._gears}
 
     def stand(self, encoder_rad: Sequence[float], payload_kg: float = 0.0) -> Floats:
-        """Joint angles of an arm that stands where its encoders say; `aim` goes on from there without a step."""
+        """Joint angles of an arm at rest at these encoder angles; `aim` continues from there without a step."""
         joints = self.joint_rad(encoder_rad)
         if self._torque is None:
             return joints
-        for _ in range(2):  # gravity at the joints' angles, which it moves by a thousandth of itself
+        for _ in range(2):  # gravity at the joints' angles; one iteration is accurate to a thousandth
             torques = self._torque(joints, self._still, self._still, payload_kg)
             for joint, gear in self._gears:
                 gear.rest(torques[joint])
@@ -66,7 +66,7 @@ class JointSide:
         return joints
 
     def aim(self, wanted: State, elapsed_s: float, payload_kg: float = 0.0) -> State:
-        """Where the encoders have to be and how to go for joints that are `wanted` so, `elapsed_s` after the last call."""
+        """Encoder set-points for the joint set-points `wanted`, `elapsed_s` after the last call."""
         q, speed, acceleration = wanted
         if self._torque is not None:
             torques = self._torque(q, speed, acceleration, payload_kg)
@@ -76,11 +76,11 @@ class JointSide:
         return self._rigid.encoders(*self._motors(q, speed, acceleration))
 
     def joint_rad(self, encoder_rad: Sequence[float]) -> Floats:
-        """Joint angles at encoder angles, with the gears as they are now."""
+        """Joint angles at encoder angles, with the present state of the gears."""
         return self._rigid.joints(encoder_rad, self._offset)
 
     def _motors(self, q: Floats, speed: Floats, acceleration: Floats) -> tuple[list[float], ...]:
-        """The joints' motion less the belt's part, plus what the motors are ahead."""
+        """The joints' motion minus the belt's share, plus the gears' offsets."""
         parts = [self._rigid.unbelted(values) for values in (q, speed, acceleration)]
         for joint, gear in self._gears:
             parts[0][joint] += gear.offset_rad
@@ -90,12 +90,12 @@ class JointSide:
 
 
 def has_joint_side(arm: Arm) -> bool:
-    """Whether something is known of this arm that its encoders do not see."""
+    """Whether the arm has effects between encoders and joints."""
     return any(effect.effect in SIDE_EFFECTS for effect in arm.effects)
 
 
 def link_torque(arm: Arm) -> LinkTorque:
-    """`torque(q, speed, acceleration, payload_kg)` [N m] of the links alone: what gears transmit, but for friction."""
+    """`torque(q, speed, acceleration, payload_kg)` [N m] of the links alone: the transmitted torque without friction."""
     rotorless = replace(
         with_link_inertia(arm), drives=tuple(replace(drive, rotor_inertia_kg_m2=0.0) for drive in arm.drives)
     )
@@ -115,7 +115,7 @@ def link_torque(arm: Arm) -> LinkTorque:
 
 
 def gear_laws(arm: Arm) -> dict[int, GearLaw]:
-    """The gears with play or a spring, by joint (1-based)."""
+    """The gears with backlash or compliance, by joint (1-based)."""
     found = {}
     for joint in sorted({e.joint for e in arm.effects if e.effect in GEAR_EFFECTS and e.joint is not None}):
         drive = arm.drive(joint)
@@ -134,7 +134,7 @@ def gear_laws(arm: Arm) -> dict[int, GearLaw]:
 
 
 def torque_limit_Nm(arm: Arm, joint: int) -> float:
-    """A joint's torque at its current limit; 0 where it has none."""
+    """A joint's torque at its current limit; 0 if it has none."""
     limit_A = arm.drive(joint).current_limit_A
     return torque_constants_Nm_A(arm)[joint - 1] * limit_A if isfinite(limit_A) else 0.0
 
@@ -144,9 +144,9 @@ def _sum(arm: Arm, joint: int, effect: str, parameter: str) -> float:
 
 
 def usable_range_rad(arm: Arm) -> tuple[tuple[float, float], ...]:
-    """Of each joint the range in which joint and encoder are both within its limits, whatever its gear does.
+    """The range of each joint in which joint and encoder both stay within its limits, for any state of the gear.
 
-    ArmError where nothing is left.
+    ArmError if that range is empty.
     """
     rigid, laws = EncoderChain(arm), gear_laws(arm)
     second = arm.limits_rad[1] if arm.joint_count > 1 else (0.0, 0.0)
@@ -163,6 +163,8 @@ def usable_range_rad(arm: Arm) -> tuple[tuple[float, float], ...]:
             min(upper, rigid.joint_of(j, upper) - off + low),
         )
         if not room[0] < room[1]:
-            raise ArmError(f"arm {arm.name}: its effects leave joint {j + 1} no range within its limits")
+            raise ArmError(
+                f"arm {arm.name}: with its effects, joint {j + 1} has no range left within its limits"
+            )
         found.append(room)
     return tuple(found)

@@ -1,4 +1,4 @@
-"""The equations of motion of a DH chain: the recursive Newton-Euler algorithm, one textbook function.
+"""Equations of motion of a DH chain by the recursive Newton-Euler algorithm.
 
 Siciliano, Sciavicco, Villani, Oriolo: Robotics: Modelling, Planning and Control, 7.5 (standard DH); for modified DH
 Craig: Introduction to Robotics, 6.5. Vectors of link i are in its own frame, moments are about its origin. The
@@ -29,7 +29,7 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """What the equations need of an arm."""
+    """The parameters of an arm that the equations need."""
 
     bodies: tuple[Body, ...]
     is_modified: bool
@@ -39,7 +39,7 @@ class Chain:
 
 
 def chain_of(arm: Arm) -> Chain:
-    """Return the bodies of an arm; MissingModel says which masses its file lacks."""
+    """Return the bodies of an arm; MissingModel names the masses that its file lacks."""
     _check_masses(arm)
     bodies = []
     joint = 0
@@ -55,7 +55,7 @@ def chain_of(arm: Arm) -> Chain:
 
 
 def _check_masses(arm: Arm) -> None:
-    """A revolute link needs its mass, or a fixed link after it that carries the body's; com and inertia with it."""
+    """A revolute link, or a fixed link after it, needs mass, com and inertia."""
     for number, link in enumerate(arm.links, start=1):
         carried = []
         for other in arm.links[number - 1 :]:
@@ -86,7 +86,7 @@ def inverse_dynamics(
     """Return the joint torques [N m] for angles, speeds and accelerations; `gravity_m_s2` in the base frame."""
     turns, moves, forces, moments = _forward(chain, q, speed, acceleration, gravity_m_s2, payload_kg)
     torques: list[Scalar] = [0.0] * chain.joint_count
-    force, moment = ZERO, ZERO  # that the next link takes, in this link's frame
+    force, moment = ZERO, ZERO  # transmitted to the next link, in this link's frame
     for i in reversed(range(len(chain.bodies))):
         force, moment = _add(forces[i], force), _add(moments[i], moment)
         joint = chain.bodies[i].joint
@@ -107,7 +107,7 @@ def _forward(
     gravity: Sequence[Scalar],
     payload_kg: Scalar,
 ) -> tuple[list[list[Vector]], list[Vector], list[Vector], list[Vector]]:
-    """From base to tip: of each link its rotation, its origin in the frame before, and its inertial force, moment.
+    """From base to tip: each link's rotation, its origin in the previous frame, and its inertial force and moment.
 
     Gravity enters as an acceleration of the base (Siciliano 7.5).
     """
@@ -162,7 +162,7 @@ def _inertial(body: Body, omega: Vector, alpha: Vector, linear: Vector) -> tuple
 def _link_transform(
     dh: tuple[float, float, float, float], angle: Scalar, is_modified: bool
 ) -> tuple[list[Vector], Vector]:
-    """Return the rows of the rotation to the frame before, and the origin in it."""
+    """Return the rows of the rotation to the previous frame, and the origin in it."""
     d, _, length, alpha = dh
     c, s, ca, sa = cos(angle), sin(angle), cos(alpha), sin(alpha)
     if is_modified:

@@ -1,13 +1,13 @@
-"""An arm at rest, behind its encoders: the torque that each gear transmits, and the flank that it lies on.
+"""Gears of an arm at rest: the torque that each transmits, and its contact flank.
 
-A joint at rest was driven or led there. A driven one stands where its motor took it: dry friction keeps some of the torque
-of its last motion, part of it on the link's side, so with gravity torque g, motor torque t and share s of the friction
-on the link's side the gear transmits g + s (t - g). A led joint was taken there by a hand, and its motor shows no friction:
-where the motor's torque overcomes the friction of its own side, it pushes the gear to its flank; elsewhere the gear lies near the
-one by which the link pushed it, but not quite, because the rotor ran on when the hand stopped.
+A joint at rest was driven or hand-guided there. If driven, dry friction retains some of the torque
+of its last motion, part of it on the link side. With gravity torque g, motor torque t and share s of the friction
+on the link side, the gear transmits g + s (t - g). If hand-guided, the motor shows no friction:
+where the motor's torque overcomes the friction on its own side, it pushes the gear to its flank. Elsewhere the gear lies near the
+flank by which the link pushed it, but not on it, because the rotor ran on when the hand stopped.
 
-Angles are joint angles, torques joint torques, arrays (m poses, n joints). The law wants poses that were reached gently: an arm
-that brakes harder than its links' friction does throws its gears onto the other flank.
+Angles are joint angles, torques joint torques, arrays (m poses, n joints). The poses must be approached gently: an arm
+that brakes harder than its link friction throws its gears onto the other flank.
 """
 
 from dataclasses import dataclass
@@ -23,17 +23,17 @@ from control.model.arm import Arm
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 LINK_SHARE_LEAST: Final = (
-    0.02  # of a joint's dry friction: nobody knows it, so a flank counts if it is the same from here to 1
+    0.02  # of a joint's dry friction: unknown, so a flank counts only if it is the same from here to 1
 )
-LED: Final = 0.3  # of a joint's friction: a motor that shows less than this did not take the joint there
-FRICTION_QUANTILE: Final = 0.95  # of what motors hold beyond gravity: most poses of a table may be led
-CURRENT_NOISE_A: Final = 0.02  # friction that shows less than three of these is none
+LED: Final = 0.3  # of a joint's friction: with less than this, the motor did not drive the joint there
+FRICTION_QUANTILE: Final = 0.95  # quantile of what motors hold beyond gravity: most poses may be hand-guided
+CURRENT_NOISE_A: Final = 0.02  # friction below three of these is treated as zero
 GRAVITY_ERROR: Final = 0.03  # of the model's gravity torque
 FRICTION_ERROR: Final = 0.005  # of a measured friction
 ROUNDING_Nm: Final = 1e-6
-# Of the torque at the current limit, where neither currents nor effects say more:
+# Of the torque at the current limit, if neither currents nor effects determine it:
 ASSUMED_FRICTION: Final = 0.1
-ASSUMED_LEAST: Final = 1e-3  # of that: every gear has some
+ASSUMED_LEAST: Final = 1e-3  # minimum: every gear has some
 _FRICTIONS: Final = ("coulomb_friction", "stribeck_friction")
 
 
@@ -42,8 +42,8 @@ class RestingPose:
     """m poses at rest of an arm with n joints, all (m, n).
 
     gravity_Nm: what holds the links; held_Nm: what the motor holds beyond that, friction on either side of the gear;
-    flank: sign of the torque from motor to joint, 0 where poses, currents and directions do not tell it; leaning: the flank
-    that it lies on or near if friction alone decides, 0 where not even that is known; is_led: by a hand, not by the motor.
+    flank: sign of the torque from motor to joint, 0 if poses, currents and directions do not determine it; leaning: the flank
+    that it lies on or near if friction alone decides, 0 if unknown; is_led: hand-guided, not driven.
     """
 
     gravity_Nm: Array
@@ -60,10 +60,10 @@ def resting(
     current_A: ArrayLike | None = None,
     payload_kg: ArrayLike = 0.0,
 ) -> RestingPose:
-    """What the gears transmit at joint angles q_rad (m, n).
+    """The state of the gears at joint angles q_rad (m, n).
 
     direction (m, n): sign of each joint's last motion, 0 unknown; current_A (m, n) of the motors while they hold, NaN
-    unknown; payload_kg (m,), or one for all. MissingModel where the arm's file lacks masses or drives.
+    unknown; payload_kg (m,), or one for all. MissingModel if the arm's file lacks masses or drives.
     """
     q, last = np.asarray(q_rad, dtype=np.float64), np.asarray(direction, dtype=np.float64)
     gravity = gravity_Nm(arm, q, payload_kg)
@@ -73,18 +73,18 @@ def resting(
     held = np.where(is_known & (level == 0.0), 0.0, held)  # noise is no friction
     is_seen = np.isfinite(held)
     is_led = is_seen & is_known & (np.abs(held) < LED * level)
-    believed = np.where(is_seen, held, last * level)
+    assumed = np.where(is_seen, held, last * level)
     low, high, margin = _driven_range(gravity, held, last, level, is_known)
     is_clear = (low * high > 0.0) & (np.minimum(np.abs(low), np.abs(high)) > margin)
     driven = np.where(is_clear, np.sign(high), 0.0)
-    push = gravity + believed
+    push = gravity + assumed
     led = np.where(np.abs(push) > level, np.sign(push), 0.0)
-    leaning = np.where(is_led, -last, np.where(believed * last < 0.0, 0.0, np.sign(believed)))
-    return RestingPose(gravity, believed, np.where(is_led, led, driven), leaning, is_led)
+    leaning = np.where(is_led, -last, np.where(assumed * last < 0.0, 0.0, np.sign(assumed)))
+    return RestingPose(gravity, assumed, np.where(is_led, led, driven), leaning, is_led)
 
 
 def gravity_Nm(arm: Arm, q_rad: ArrayLike, payload_kg: ArrayLike = 0.0) -> Array:
-    """Torques (m, n) that hold the links of poses (m, n) still; effects of the arm that weigh something are counted in."""
+    """Torques (m, n) that hold the links still in poses (m, n), including the arm's effects that add mass."""
     q = np.asarray(q_rad, dtype=np.float64)
     still = np.zeros(q.shape)
     load_kg = np.asarray(payload_kg, dtype=np.float64) + own_payload_kg(arm)
@@ -92,16 +92,16 @@ def gravity_Nm(arm: Arm, q_rad: ArrayLike, payload_kg: ArrayLike = 0.0) -> Array
 
 
 def torque_per_A(arm: Arm) -> Array:
-    """Joint torque per ampere of each motor, (n,); MissingModel where a joint has no [[drive]]."""
+    """Joint torque per ampere of each motor, (n,); MissingModel if a joint has no [[drive]]."""
     return np.array(torque_constants_Nm_A(arm))
 
 
 def friction_Nm(arm: Arm, held_Nm: Array, gravity_Nm: Array | None = None) -> tuple[Array, Flags]:
     """Dry friction of each joint (n,), and whether it is known rather than assumed.
 
-    It shows in held_Nm (m, n), what the motors hold beyond gravity_Nm (NaN unknown); else the arm's effects say it. A motor that
-    holds nothing of gravity, or pushes with it, may do so by friction; where a hand holds the link, the motor may stand inside
-    its play and feel nothing. Such poses tell nothing of friction and do not count while there are others.
+    Estimated from held_Nm (m, n), the motor torque beyond gravity_Nm (NaN unknown), else from the arm's effects. A motor that
+    holds no gravity, or pushes with it, may do so by friction; if a hand holds the link, the motor may be inside
+    its backlash and unloaded. Such poses say nothing about friction and are used only if there are no others.
     """
     per_A = torque_per_A(arm)
     modelled = np.zeros(arm.joint_count)
@@ -122,7 +122,7 @@ def friction_Nm(arm: Arm, held_Nm: Array, gravity_Nm: Array | None = None) -> tu
 
 
 def _without_unloaded(held: Array, gravity: Array, per_A: Array) -> Array:
-    """`held` (m, n), NaN where the motor does not hold the gravity that there is; all of a joint's where that is everywhere."""
+    """`held` (m, n), NaN where the motor does not hold gravity; unchanged for a joint where that is so in all poses."""
     is_unloaded = (held * gravity < 0.0) & (np.abs(held) > np.abs(gravity))
     is_unloaded &= np.abs(gravity) > 3.0 * CURRENT_NOISE_A * per_A
     left = np.where(is_unloaded, np.nan, held)
@@ -132,10 +132,10 @@ def _without_unloaded(held: Array, gravity: Array, per_A: Array) -> Array:
 def _driven_range(
     gravity: Array, held: Array, last: Array, level: Array, is_known: Flags
 ) -> tuple[Array, Array, Array]:
-    """Both ends of what a driven joint's gear may transmit, and how far from 0 it must be, all (m, n).
+    """Lower and upper bound of a driven joint's transmitted torque, and its required distance from 0, all (m, n).
 
-    A motor that seems to hold friction against the joint's last motion has turned back since, or the arm braked hard: there
-    friction may be on either side.
+    A motor that seems to hold friction against the joint's last motion has turned back since, or the arm braked hard. Then
+    friction may have either sign.
     """
     is_seen = np.isfinite(held)
     friction = np.where(is_seen, held, last * level)

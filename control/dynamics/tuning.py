@@ -1,7 +1,7 @@
-"""Gains from a measured frequency response: the model that fits it, the loop that gains make of it, and its margins.
+"""Gains from a measured frequency response: a fitted model, the resulting loop, and its stability margins.
 
-The plant is what the loop sees: commanded volts (or amperes) in one cycle to the angle that is measured in another, so hold,
-transport and the age of counts are in it. A joint behind a motor on a voltage is q'' = b u - a q' (control.dynamics.gains), with
+The plant is seen from the loop: commanded volts (or amperes) in one cycle to the angle measured in a later one, so hold,
+transport delay and the age of counts are included. A joint driven by a voltage is q'' = b u - a q' (control.dynamics.gains), with
 all delays together
 
     P(jw) = b exp(-jw delay) / (jw (jw + a)).
@@ -11,7 +11,7 @@ The controller is the loop's own, in its discrete form: control.servo.pid behind
     C(z) = kp + ki T / (1 - 1/z) + kd H_pid(z) H_speed(z) (1 - 1/z) / T,   H(z) = g / (1 - (1 - g)/z),   g = T / (T + filter).
 
 Margins are read from L = C P at the measured frequencies, interpolated in log magnitude and phase (Bode's plot); the model is
-used to choose gains, and to move the response to other inertias, never in place of the measurement.
+used to choose gains and to scale the response to other inertias, never in place of the measurement.
 """
 
 import math
@@ -28,16 +28,16 @@ from control.errors import ArmError
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 SPEED_FILTER_S = 0.001  # of control.hardware.measurement
-SLOW_POLE = 0.3  # of the other two: the integral's own, so that it costs little phase and little overshoot
+SLOW_POLE = 0.3  # ratio of the integral's pole to the others: costs little phase and little overshoot
 LOWEST_POLE_rad_s, HIGHEST_POLE_rad_s = 3.0, 150.0
 DELAYS_S = np.linspace(0.0, 0.02, 201)
-NO_MOTOR = 0.8  # residual of a fit that fits nothing
-FINE = 40  # points between two measured frequencies, where margins are read
+NO_MOTOR = 0.8  # residual of a failed fit
+FINE = 40  # interpolation points between two measured frequencies
 _BISECTIONS = 40
 
 
 class MarginsUnmet(ArmError):
-    """No gains of this structure have the margins that are asked for."""
+    """No gains of this structure meet the requested margins."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class MotorFit:
     residual: float
 
     def response(self, omega_rad_s: Real, inertia_ratio: float = 1.0) -> Complex:
-        """The model, for an inertia that is larger by a ratio: b and a are both inverse to it."""
+        """The model for an inertia that is larger by a ratio: b and a are inversely proportional to it."""
         s = 1j * omega_rad_s
         b, a = self.b / inertia_ratio, self.a_1_s / inertia_ratio
         return np.asarray(b * np.exp(-s * self.delay_s) / (s * (s + a)), dtype=np.complex128)
@@ -67,7 +67,7 @@ class MotorFit:
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """Of a loop: gain in dB (inf: its phase never gets to -180 deg within the measurement), phase, crossover, peak of |S|."""
+    """Stability margins of a loop: gain in dB (inf: the phase stays above -180 deg), phase, crossover, peak of |S|."""
 
     gain_dB: float
     phase_deg: float
@@ -75,13 +75,13 @@ class Margins:
     sensitivity: float
 
     def meet(self, gain_dB: float, phase_deg: float) -> bool:
-        """Whether both are kept; a NaN keeps nothing."""
+        """Whether both margins are met; NaN meets none."""
         return self.gain_dB >= gain_dB and self.phase_deg >= phase_deg
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """Gains, where their poles were put, and the margins in the pose of the measurement and at the worst inertia."""
+    """Gains, their poles, and the margins in the measured pose and at the worst inertia."""
 
     gains: Gains
     pole_rad_s: float
@@ -90,7 +90,7 @@ class Design:
 
 
 def pole_gains(fit: MotorFit, inertia_ratio: float, filter_s: float, pole_rad_s: float) -> Gains:
-    """Return the gains that make (s + w)^2 (s + r w) of s^3 + (a + b kd) s^2 + b kp s + b ki, delay left out; r = SLOW_POLE.
+    """Return the gains that make (s + w)^2 (s + r w) of s^3 + (a + b kd) s^2 + b kp s + b ki, without the delay; r = SLOW_POLE.
 
     Where the back-EMF damps more than that, kd is zero.
     """
@@ -100,15 +100,15 @@ def pole_gains(fit: MotorFit, inertia_ratio: float, filter_s: float, pole_rad_s:
 
 
 def fit_motor(response: Response) -> MotorFit:
-    """Fit the model by least squares in 1/P, linear in 1/b and a/b for each delay; frequencies weigh by their coherence.
+    """Fit the model by least squares in 1/P, linear in 1/b and a/b for each delay; frequencies are weighted by coherence.
 
-    Raises ArmError where nothing that falls like a motor was measured.
+    Raises ArmError if the response does not fall with frequency as a motor's does.
     """
     omega, plant = response.omega_rad_s, response.plant
     weight = np.sqrt(np.clip(response.coherence, 0.0, 1.0))
     best: MotorFit | None = None
     for delay_s in DELAYS_S.tolist():
-        # |P exp(jw delay) (A s^2 + B s) - 1| = min, with A = 1/b and B = a/b: relative errors, as residuals are.
+        # |P exp(jw delay) (A s^2 + B s) - 1| = min, with A = 1/b and B = a/b: relative errors, like the residuals.
         turned = plant * np.exp(1j * omega * delay_s)
         columns = np.stack((turned * (1j * omega) ** 2, turned * (1j * omega)), axis=1) * weight[:, None]
         matrix = np.concatenate((columns.real, columns.imag))
@@ -124,7 +124,7 @@ def fit_motor(response: Response) -> MotorFit:
             best = MotorFit(trial.b, trial.a_1_s, trial.delay_s, residual)
     if best is None or best.residual > NO_MOTOR:
         raise ArmError(
-            "tuning: the measured response is not that of a motor: it does not fall with frequency"
+            "tuning: the measured response does not look like a motor's: it does not fall with frequency"
         )
     return best
 
@@ -144,10 +144,10 @@ def controller(gains: Gains, period_s: float, omega_rad_s: Real) -> Complex:
 
 
 def margins(omega_rad_s: Real, loop: Complex) -> Margins:
-    """Margins of a loop that is given at some frequencies.
+    """Margins of a loop given at discrete frequencies.
 
     Gain: the smallest factor, up or down, that brings |L| to 1 where its phase is -180 deg. Phase: the smallest distance from
-    -180 deg where |L| is 1; NaN where it never is, and the crossover then infinite or 0, for it lies beyond what was measured.
+    -180 deg where |L| is 1; NaN if |L| never is 1. The crossover is then infinite or 0, since it lies outside the measured range.
     """
     omega, loop = _refined(omega_rad_s, loop)
     magnitude_dB = 20.0 * np.log10(np.abs(loop))
@@ -181,7 +181,7 @@ def _refined(omega: Real, loop: Complex) -> tuple[Real, Complex]:
 
 
 class Tuner:
-    """Designs for one joint. `inertia_ratios`: of the inertias that the joint meets, over that of the measurement."""
+    """Designs for one joint. `inertia_ratios`: the joint's range of inertias over that of the measured pose."""
 
     def __init__(
         self,
@@ -195,13 +195,13 @@ class Tuner:
         self._ratios = tuple(inertia_ratios)
 
     def margins_of(self, gains: Gains, inertia_ratio: float = 1.0) -> Margins:
-        """Margins of any gains on the measured plant, moved by the model to another inertia."""
+        """Margins of any gains on the measured plant, scaled by the model to another inertia."""
         omega = self._response.omega_rad_s
         moved = self._response.plant * self._fit.response(omega, inertia_ratio) / self._fit.response(omega)
         return margins(omega, controller(gains, self._period_s, omega) * moved)
 
     def design_at(self, pole_rad_s: float) -> Design:
-        """Poles for the largest inertia, as control.dynamics.gains has it; margins of what comes out."""
+        """The design with poles for the largest inertia (control.dynamics.gains), and its margins."""
         largest = max(self._ratios)
         gains = pole_gains(self._fit, largest, self._filter_s, pole_rad_s)
         each = [self.margins_of(gains, ratio) for ratio in self._ratios]
@@ -214,7 +214,7 @@ class Tuner:
         return Design(gains, pole_rad_s, self.margins_of(gains), worst)
 
     def fastest(self, gain_dB: float, phase_deg: float) -> Design:
-        """The highest poles whose worst margins are kept. Raises MarginsUnmet where none are."""
+        """The fastest poles that meet the margins in all poses. Raises MarginsUnmet if there are none."""
         poles = np.geomspace(HIGHEST_POLE_rad_s, LOWEST_POLE_rad_s, 120)
         for pole in poles.tolist():
             design = self.design_at(pole)
@@ -224,11 +224,11 @@ class Tuner:
         most = max((worst.phase_deg for worst in tried if worst.gain_dB >= gain_dB), default=math.nan)
         raise MarginsUnmet(
             f"no gains reach margins of {gain_dB:g} dB and {phase_deg:g} deg: the largest phase margin with {gain_dB:g} dB is"
-            f" {most:.0f} deg; check play and compliance between motor and joint, and delay in the loop"
+            f" {most:.0f} deg; check backlash and compliance between motor and joint, and delay in the loop"
         )
 
     def at_bandwidth(self, crossover_rad_s: float, gain_dB: float, phase_deg: float) -> Design:
-        """Poles where the loop's gain is 1 at this frequency in the pose of the measurement. Raises MarginsUnmet."""
+        """The design whose loop crosses over at this frequency in the measured pose. Raises MarginsUnmet."""
         best = self.fastest(gain_dB, phase_deg)
         low, high = LOWEST_POLE_rad_s, best.pole_rad_s
         for _ in range(_BISECTIONS):

@@ -1,1 +1,1 @@
-"""The arm's boards as the loop sees them: one Protocol, the real boards behind it, and angles from counts."""
+"""The hardware interface of the loop: one Protocol, its implementation on boards, and angles from counts."""

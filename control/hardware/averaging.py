@@ -1,6 +1,6 @@
-"""An average at rest: what a calibration point is made of.
+"""Averaging at rest, for calibration points.
 
-Started by a request, fed by every cycle, read when its time is over. Camera frames that arrive meanwhile are averaged too.
+A request starts it, every cycle adds to it, and the result is ready after its duration. Camera frames are averaged too.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from control.hardware.measurement import Measurement, RunningMean
 
 @dataclass(frozen=True, slots=True)
 class Average:
-    """A measurement at rest: means over `duration_s`; angles in rad through the joint map, tip in the base frame in m."""
+    """Means at rest over `duration_s`; joint angles in rad, tip in the base frame in m."""
 
     duration_s: float
     samples: int
@@ -44,7 +44,7 @@ class Averaging:
         current_A: Sequence[float],
         tip_m: tuple[float, float, float] | None,
     ) -> None:
-        """Take one cycle; sets `result` when the time is over."""
+        """Add one cycle; sets `result` after the last one."""
         if self.result is not None:
             return
         self._q_rad.add(measured.q_rad)

@@ -1,7 +1,7 @@
-"""The arm's hardware on real wires: encoder boards on serial lines, motor boards on one CAN bus.
+"""The arm's hardware: encoder boards on serial lines, motor boards on one CAN bus.
 
-Undoes the wiring's signs, sends one COMMAND to each motor board a cycle and keeps what comes back in one `Feedback`.
-Mock boards stand behind the links, below this file; nothing here can tell.
+Corrects the wiring signs, sends one COMMAND per cycle to each motor board, and collects the replies in one `Feedback`.
+Mock boards are connected behind the links; the code here is the same for both.
 """
 
 import contextlib
@@ -20,13 +20,13 @@ from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.cia402 import State
 from firmware_iface.motor.wire import Mode, Output, Parameter
 
-REPORT_WAIT_S = 0.05  # a stream runs at 500 Hz or more; a host may pause longer, a line does not
-FULL_INTEGRAL = 0.5  # of the supply: what the board's integral may ask for in position mode
+REPORT_WAIT_S = 0.05  # a stream runs at 500 Hz or more; only a pause of the host lasts longer
+FULL_INTEGRAL = 0.5  # of the supply: limit of the board's integral in position mode
 
 
 @dataclass(frozen=True, slots=True)
 class JointWiring:
-    """Where a joint is plugged in, and with which signs."""
+    """The wiring of a joint: boards, channel, signs."""
 
     encoder: EncoderBoard
     channel: int
@@ -36,7 +36,7 @@ class JointWiring:
 
 
 def start_stream(encoder: EncoderBoard, period_s: float) -> None:
-    """Two reports a cycle where the line can take them, so that the newest is never older than half a cycle."""
+    """Stream two reports per cycle if the line is fast enough, so that the newest is at most half a cycle old."""
     try:
         encoder.stream(0.5 * period_s)
     except MisuseError:
@@ -44,7 +44,7 @@ def start_stream(encoder: EncoderBoard, period_s: float) -> None:
 
 
 class BoardHardware:
-    """`control.hardware.interface.Hardware` on boards; made and checked by control.hardware.connect."""
+    """Implements `control.hardware.interface.Hardware` on boards; made and checked by control.hardware.connect."""
 
     def __init__(
         self, arm: Arm, clock: Clock, bus: MotorBus, wiring: Sequence[JointWiring], period_s: float
@@ -84,7 +84,7 @@ class BoardHardware:
         return feedback
 
     def _update(self) -> None:
-        """Hear all boards, also when one of them has to complain."""
+        """Update all boards, even if one of them raises."""
         try:
             for encoder in self._encoders:
                 encoder.update()
@@ -104,13 +104,13 @@ class BoardHardware:
         feedback.drive_faults[joint] = reply.faults
 
     def write(self, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float]) -> None:
-        """One COMMAND to each board; a board that is not where it is wanted gets its next step there instead."""
+        """Send one COMMAND to each board; a board not in its target state gets the next state command instead."""
         wanted = State.OPERATION_ENABLED if self._is_wanted_enabled else State.SWITCH_ON_DISABLED
         for joint, wired in enumerate(self._wiring):
             if wired.motor.state is wanted or wired.motor.state is State.FAULT:
                 self._command(joint, wired.motor, mode, output[joint], feedforward_V[joint])
             else:
-                with contextlib.suppress(BoardFaulted):  # seen in the feedback, by whoever watches
+                with contextlib.suppress(BoardFaulted):  # the watch sees it in the feedback
                     wired.motor.step_towards(wanted)
 
     def _command(
@@ -133,22 +133,22 @@ class BoardHardware:
         return sign * self._maps[joint].count(q_rad) + self._position_offset_count[joint]
 
     def is_any_enabled(self) -> bool:
-        """Whether a drive was in OPERATION ENABLED when last heard."""
+        """Whether a drive was in OPERATION ENABLED in its last reply."""
         return any(wired.motor.state is State.OPERATION_ENABLED for wired in self._wiring)
 
-    # ---- now and then: these wait for answers
+    # ---- outside of the cycle: these wait for answers
 
     def enable(self) -> None:
-        """Upload what the boards must know and let `write` walk them to OPERATION ENABLED."""
+        """Upload the boards' parameters and let `write` bring them to OPERATION ENABLED."""
         self._configure()
         self._is_wanted_enabled = True
 
     def disable(self) -> None:
-        """Let `write` walk the drives to SWITCH ON DISABLED, where the boards short the windings."""
+        """Let `write` bring the drives to SWITCH ON DISABLED, where the boards short the windings."""
         self._is_wanted_enabled = False
 
     def reset_drive_faults(self) -> None:
-        """Acknowledge the drives' faults and start boards that were reset as they were. Raises BoardFaulted."""
+        """Acknowledge the drives' faults and restore the state of boards that were reset. Raises BoardFaulted."""
         for wired in self._wiring:
             if wired.encoder.latest is None:
                 start_stream(wired.encoder, self._period_s)
@@ -163,7 +163,7 @@ class BoardHardware:
             self._bus.emergency_stop(1)
 
     def arm_index(self, joint: int) -> None:
-        """Let the next index pulse of the joint latch its count."""
+        """Arm the index latch of the joint."""
         wired = self._wiring[joint]
         wired.encoder.arm_index(wired.channel)
 
@@ -173,7 +173,7 @@ class BoardHardware:
         return wired.encoder.index_latch(wired.channel)
 
     def shift_count(self, joint: int, counts: int) -> None:
-        """Shift the counter of a joint that stands still; the motor may move by a count meanwhile, no more."""
+        """Shift the counter of a joint at rest; the motor may move by at most one count meanwhile."""
         wired = self._wiring[joint]
         wired.encoder.set_zero(wired.channel, self._fresh_count(wired) + counts)
         self._fresh_count(wired)
@@ -181,7 +181,7 @@ class BoardHardware:
         self._follow_position_count(joint)
 
     def _fresh_count(self, wired: JointWiring) -> int:
-        """The count of a report that arrives from now on. BoardSilent when none does."""
+        """The count of the next report. BoardSilent if there is none."""
         asked_s = self._clock.now_s()
         while (now_s := self._clock.now_s()) - asked_s < REPORT_WAIT_S:
             self._clock.wait_until_s(now_s + 0.0005)
@@ -200,7 +200,7 @@ class BoardHardware:
             self._follow_position_count(joint)
 
     def _parameters(self, joint: int) -> list[tuple[Parameter, int]]:
-        """What a board is told: limits, watchdog, and the gains of its PID per count of its own encoder."""
+        """Parameters of a board: limits, watchdog, and the gains of its PID per count of its own encoder."""
         drive, gains = self._wiring[joint].drive, self._wiring[joint].gains
         per_count = abs(self._maps[joint].radians_per_count)
         parameters = [
@@ -222,7 +222,7 @@ class BoardHardware:
         return parameters
 
     def _follow_position_count(self, joint: int) -> None:
-        """How the motor board's count lies to the encoder board's, both read at rest."""
+        """Offset of the motor board's count from the encoder board's, both read at rest."""
         wired = self._wiring[joint]
         if wired.drive.pid.mode != Mode.POSITION.name.lower():
             return

@@ -1,6 +1,6 @@
-"""Opens the links that arm.toml names, and makes sure that the right boards are behind them; nothing moves.
+"""Opens the links in arm.toml and checks that the right boards are connected; nothing moves.
 
-All devices are tried, and one error names every one that failed.
+All devices are tried, and one error names all that failed.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ from firmware_iface.motor.board import MotorBoard, MotorBus
 
 @dataclass(frozen=True, slots=True)
 class LinkOptions:
-    """Links given on the command line, in place of those of arm.toml."""
+    """Links from the command line, which replace those of arm.toml."""
 
     encoder_urls: tuple[str, ...] = ()
     can_interface: str | None = None
@@ -31,7 +31,7 @@ class LinkOptions:
 
 @dataclass(slots=True)
 class Connection:
-    """Open links and identified boards. Close it when the drives are off."""
+    """Open links and identified boards. Close it after the drives are off."""
 
     hardware: BoardHardware
     camera: "TipCamera | None"
@@ -49,13 +49,13 @@ class Connection:
 
 
 class TipCamera:
-    """The camera as the loop wants it: the newest frame of the tip."""
+    """The camera for the loop: the newest frame of the tip."""
 
     def __init__(self, receiver: CameraReceiver) -> None:
         self._receiver = receiver
 
     def newest_tip_m(self) -> tuple[float, float, float] | None:
-        """Tip in the base frame from the newest frame since the last call in which it was visible, or None."""
+        """Tip in the base frame from the newest frame since the last call that shows it, or None."""
         tip = None
         for frame in self._receiver.receive():
             if frame.is_visible and frame.source == 0:
@@ -64,7 +64,7 @@ class TipCamera:
 
 
 def with_links(arm: Arm, options: LinkOptions) -> Arm:
-    """The arm with the links of the command line in place of its own."""
+    """The arm with its links replaced by those of the command line."""
     boards = arm.encoder_boards
     if options.encoder_urls:
         boards = tuple(
@@ -82,11 +82,11 @@ def with_links(arm: Arm, options: LinkOptions) -> Arm:
 
 
 def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = None) -> Connection:
-    """Open, identify, compare, and start the encoder streams with a report each `period_s`.
+    """Open the links, check the boards, and start the encoder streams for a cycle of `period_s`.
 
     Raises:
-        ConnectionFailed: naming every port that is not there and every board that is silent or the wrong one.
-        MissingModel: arm.toml does not say how the arm is wired.
+        ConnectionFailed: names every missing port and every board that is silent or wrong.
+        MissingModel: arm.toml does not describe the wiring.
     """
     _require_wiring(arm)
     closers: list[Callable[[], None]] = []

@@ -1,8 +1,8 @@
-"""What the loop asks of an arm's hardware: measured values in, outputs out.
+"""The hardware interface of the loop: measured values in, outputs out.
 
-The one seam between the loop and the wires. Values are per joint, in the joint's own sign (board wiring signs are undone
-below this seam) and in the encoder's counts; the loop maps counts to angles. Nothing here blocks: `read` drains what has
-arrived, `write` hands over what is to be sent.
+The only interface between loop and wires. Values are per joint, in the joint's own sign (board wiring signs are corrected
+below it) and in the encoder's counts; the loop maps counts to angles. `read` and `write` do not block: `read` drains what has
+arrived, `write` queues what is to be sent.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from typing import Protocol
 
 
 class OutputMode(Enum):
-    """What the numbers given to `write` are. `OFF` opens the motor circuit: the joint is free and a loaded arm drops."""
+    """Meaning of the numbers passed to `write`. `OFF` opens the motor circuit: the joint is free and a loaded arm drops."""
 
     OFF = 0
     VOLTAGE = 1
@@ -22,7 +22,7 @@ class OutputMode(Enum):
 
 @dataclass(slots=True)
 class Feedback:
-    """What the boards last said. One object for the life of the loop, overwritten by every read; lists have one entry a joint."""
+    """The boards' latest values. One object, overwritten by every read; lists have one entry per joint."""
 
     joint_count: int
     encoder_at_s: float = float("-inf")  # the oldest of the last reports, on the host's clock
@@ -34,7 +34,7 @@ class Feedback:
     count: list[int] = field(default_factory=list)
     shift_count: list[int] = field(
         default_factory=list
-    )  # added by `shift_count`, as far as `count` includes it
+    )  # sum of `shift_count` calls that `count` already includes
     channel_flags: list[int] = field(default_factory=list)
     current_A: list[float] = field(default_factory=list)
     supply_V: list[float] = field(default_factory=list)
@@ -52,7 +52,7 @@ class Feedback:
 
 
 class Hardware(Protocol):
-    """The arm as the loop sees it; boards on wires behind it, real or mock alike."""
+    """The arm as seen by the loop; real and mock boards implement it alike."""
 
     feedback: Feedback
 
@@ -61,15 +61,15 @@ class Hardware(Protocol):
         ...
 
     def write(self, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float]) -> None:
-        """Command every joint: V, A or counts as `mode` says; `feedforward_V` is added on the board in POSITION mode."""
+        """Command every joint in V, A or counts, depending on `mode`; in POSITION mode the board adds `feedforward_V`."""
         ...
 
     def enable(self) -> None:
-        """Walk every drive to OPERATION ENABLED with 0 V output. Raises a firmware_iface error that names each that would not."""
+        """Bring every drive to OPERATION ENABLED with 0 V output. Raises a firmware_iface error that names each failed drive."""
         ...
 
     def disable(self) -> None:
-        """Open the circuits and walk every drive to SWITCH ON DISABLED. Only for an arm that is at rest."""
+        """Open the circuits and bring every drive to SWITCH ON DISABLED. Only for an arm at rest."""
         ...
 
     def reset_drive_faults(self) -> None:
@@ -81,17 +81,17 @@ class Hardware(Protocol):
         ...
 
     def arm_index(self, joint: int) -> None:
-        """Let the next index pulse of joint (0-based) latch its count. Waits some ms for the board's answer."""
+        """Arm the index latch of joint (0-based). Waits some ms for the board's answer."""
         ...
 
     def index_count(self, joint: int) -> int | None:
-        """The count latched since `arm_index`, or None as long as no index has passed."""
+        """The count latched since `arm_index`, or None if there was no index pulse yet."""
         ...
 
     def shift_count(self, joint: int, counts: int) -> None:
-        """Add `counts` to the board's counter of joint (0-based), which stands still, and mark its zero as set.
+        """Add `counts` to the board's counter of joint (0-based), which must be at rest, and mark its zero as set.
 
-        Waits some ms for the board's answer. From the next read on, `feedback.count` is counted from the new zero and
-        `feedback.shift_count` says by how much it was shifted.
+        Waits some ms for the board's answer. From the next read on, `feedback.count` is relative to the new zero and
+        `feedback.shift_count` is the sum of the shifts.
         """
         ...

@@ -1,4 +1,4 @@
-"""From counts to angles, speeds and the direction of the last motion; and averages at rest.
+"""Angles, speeds and direction of the last motion from counts; and averages at rest.
 
 Plain floats: this runs every cycle.
 """
@@ -10,10 +10,12 @@ from typing import Protocol
 
 from control.model.joint_map import Unwrapper
 
-# Enough to calm the steps of one count; each millisecond more costs 5 degrees of phase margin.
+# Enough to smooth steps of one count; each millisecond more costs 5 degrees of phase margin.
 SPEED_FILTER_S = 0.001
-LONGEST_GAP_S = 1.0  # between two reports; beyond it, or backwards in time, the speed starts anew
-DIRECTION_STEP_rad = 2e-4  # a motion smaller than this is dither at a set-point, not an approach
+LONGEST_GAP_S = (
+    1.0  # between two reports; after a longer gap, or a step back in time, the speed filter is reset
+)
+DIRECTION_STEP_rad = 2e-4  # a smaller motion is dither at a set-point, not an approach
 
 
 class CountMap(Protocol):
@@ -25,7 +27,7 @@ class CountMap(Protocol):
 class Measurement:
     """Joint angles in rad, speeds in rad/s and the sign of the last motion, joint by joint.
 
-    `shifted_rad` is by how much the last update moved the angles because a counter was shifted, not because anything turned.
+    `shifted_rad` is the change of angle in the last update that came from shifted counters, not from motion.
     """
 
     def __init__(self, maps: Sequence[CountMap], counter_bits: Sequence[int]) -> None:
@@ -42,11 +44,11 @@ class Measurement:
         self._last_s = [-math.inf] * n
 
     def update(self, counts: Sequence[int], shifts: Sequence[int], counted_at_s: Sequence[float]) -> bool:
-        """Take the counts of the newest reports; a report seen before changes nothing.
+        """Process the counts of the newest reports; an old report changes nothing.
 
-        `counted_at_s` is when each count was latched, by its board's own clock: what a line or a busy host adds on the way
-        must not look like speed. `shifts` are the counts that have been added to each counter by request, as far as this
-        report includes them. Returns whether one of them is new.
+        `counted_at_s` is when each count was latched, by its board's own clock, so that delays of the line or the host
+        do not look like speed. `shifts` are the counts added to each counter by request that this
+        report includes. Returns whether a shift is new.
         """
         if not self._unwrappers:
             self._unwrappers = [
@@ -71,7 +73,7 @@ class Measurement:
         return is_shifted
 
     def _follow_shifts(self, counts: Sequence[int], shifts: Sequence[int]) -> bool:
-        """Take a counter that was set at its word: turns that it went through before its zero was known mean nothing."""
+        """Restart unwrapping at a counter that was set: turns counted before its zero was known are discarded."""
         if self._shifts == shifts:
             return False
         for joint, (count, shift) in enumerate(zip(counts, shifts, strict=True)):
@@ -100,7 +102,7 @@ class Measurement:
 
 @dataclass(slots=True)
 class RunningMean:
-    """Mean, spread and range of a stream of vectors, relative to the first for the sake of rounding."""
+    """Mean, standard deviation and range of a stream of vectors, relative to the first to limit rounding errors."""
 
     count: int = 0
     first: tuple[float, ...] = ()
@@ -110,7 +112,7 @@ class RunningMean:
     upper: list[float] = field(default_factory=list)
 
     def add(self, values: Sequence[float]) -> None:
-        """Take one more vector."""
+        """Add a vector."""
         if not self.count:
             self.first = tuple(values)
             zeros = [0.0] * len(values)

@@ -1,1 +1,1 @@
-"""Where the tip is and which joint angles take it somewhere; generated straight-line code and closed forms."""
+"""Forward and inverse kinematics: generated straight-line code and closed forms."""

@@ -1,8 +1,8 @@
-"""The DH chain: the one textbook function from joint angles to the tip, and its batch form with derivatives.
+"""Forward kinematics of a DH chain: one textbook function, and its batch form with derivatives.
 
 A link frame follows Tz(d) Rz(theta) Tx(L) Rx(alpha) ("standard"; SpringerPlus 5:1771, appendix) or
 Rx(alpha) Tx(L) Rz(theta) Tz(d) ("modified", Craig). Either is a sequence of moves along and turns about the x
-and z of the moving frame, and that sequence is all that the functions here look at.
+and z of the moving frame, and the functions here use only that sequence.
 """
 
 from collections.abc import Iterator, Sequence
@@ -97,7 +97,7 @@ def _is_nothing(value: Any) -> bool:
 
 
 def checked_poses(q: ArrayLike, joint_count: int) -> Array:
-    """Return poses as (m, n); BadTarget if they are not that or not finite."""
+    """Return poses as (m, n); BadTarget if the shape is wrong or a value is not finite."""
     poses = np.asarray(q, dtype=np.float64)
     if poses.ndim != 2 or poses.shape[1] != joint_count:
         raise BadTarget(f"joint angles: expected an array (m, {joint_count}), got {poses.shape}")

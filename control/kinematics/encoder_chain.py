@@ -1,4 +1,4 @@
-"""From encoder to joint where nothing gives: scale, eccentric discs, the belt; and back, with speeds and accelerations.
+"""Rigid map from encoder to joint angles (scale, eccentric discs, belt) and back, with speeds and accelerations.
 
     joint_j = (1 + scale_j) e_j + a_j sin e_j + b_j cos e_j  [+ ratio joint_2 for joint 3]
 
@@ -18,7 +18,7 @@ Floats = tuple[float, ...]
 
 
 class EncoderChain:
-    """The rigid part of what is between encoders and joints. Angles are encoder angles and joint angles, one a joint."""
+    """The rigid part of the map between encoder and joint angles, one of each per joint."""
 
     __slots__ = ("_cosine", "_gain", "_ratio", "_sine")
 
@@ -37,11 +37,11 @@ class EncoderChain:
                 self._ratio += p["ratio"]
 
     def joint_of(self, joint: int, e: float) -> float:
-        """Angle of one joint (0-based) without what the belt adds."""
+        """Angle of one joint (0-based) without the belt's share."""
         return self._gain[joint] * e + self._sine[joint] * sin(e) + self._cosine[joint] * cos(e)
 
     def joints(self, encoder_rad: Sequence[float], offset_rad: Sequence[float]) -> Floats:
-        """Joint angles where each motor is ahead of its joint by `offset_rad`."""
+        """Joint angles if each motor leads its joint by `offset_rad`."""
         q = [self.joint_of(j, e) - offset_rad[j] for j, e in enumerate(encoder_rad)]
         if self._ratio:
             q[_COUPLED] += self._ratio * q[_COUPLED_TO]
@@ -57,14 +57,14 @@ class EncoderChain:
         return tuple(q), tuple(speed), tuple(acceleration)
 
     def unbelted(self, values: Sequence[float]) -> list[float]:
-        """Angles, speeds or accelerations of the joints less what the belt does to joint 3."""
+        """Angles, speeds or accelerations of the joints without the belt's share in joint 3."""
         own = list(values)
         if self._ratio:
             own[_COUPLED] -= self._ratio * own[_COUPLED_TO]
         return own
 
     def belt(self, second: float) -> float:
-        """What the belt adds to joint 3 for an angle, speed or acceleration of joint 2."""
+        """The belt's share in joint 3 for an angle, speed or acceleration of joint 2."""
         return self._ratio * second
 
     def _encoder(self, j: int, q: float, speed: float, acceleration: float) -> tuple[float, float, float]:

@@ -1,6 +1,6 @@
 """Inverse kinematics: from a tip position to joint angles, on a chosen branch, within the joint limits.
 
-Three kinds of arm: the exact yaw - pitch - pitch structure has a closed form; one near it (a calibrated arm) takes
+Three kinds of arm: the exact yaw - pitch - pitch structure has a closed form; one near it (a calibrated arm) uses
 the closed form of the nearest ideal one as the seed of Newton's method; any other arm goes by damped least squares
 and has no named branches.
 """
@@ -38,8 +38,8 @@ class Solution:
 class InverseKinematics:
     """Joint angles for tip positions of one arm, to 1e-9 m.
 
-    `elbow_margin_rad` and `shoulder_margin_m` say how near to a singular pose a target may bring the arm; for arms
-    of another structure `singular_margin_m` is the least tip travel per radian in the arm's weakest direction.
+    `elbow_margin_rad` and `shoulder_margin_m` are the required distances from singular poses; for arms
+    of another structure, `singular_margin_m` is the least tip travel per radian in the weakest direction.
     """
 
     def __init__(
@@ -66,14 +66,14 @@ class InverseKinematics:
         return self._planar is not None
 
     def branch(self, q: Sequence[float]) -> Branch:
-        """Return the branch that a pose is in; MissingModel where the arm has no branches."""
+        """Return the branch of a pose; MissingModel if the arm has no branches."""
         self._range.check_pose(q)
         return self._structure().branch(q)
 
     def branches(self, point: Sequence[float]) -> list[Solution]:
-        """Return every branch that reaches a point [m], also beyond the joint limits.
+        """Return every branch that reaches a point [m], ignoring joint limits.
 
-        Where none does, raises why: OutOfReach with the least distance, or NearSingular.
+        If none does, raises OutOfReach with the least distance, or NearSingular.
         """
         found: list[Solution] = []
         failures: list[OutOfReach | NearSingular] = []
@@ -91,7 +91,7 @@ class InverseKinematics:
         """Return the joint angles for a point [m] on a branch.
 
         Raises:
-            OutOfReach, NearSingular, JointLimitViolated: with how far off the point is.
+            OutOfReach, NearSingular, JointLimitViolated: with the distance of the point.
             BadTarget: the point is not three finite numbers.
             MissingModel: the arm has no named branches; use `nearest`.
         """
@@ -101,7 +101,7 @@ class InverseKinematics:
         return q
 
     def nearest(self, point: Sequence[float], q_near: Sequence[float]) -> tuple[float, ...]:
-        """Return the joint angles within the limits with the least largest joint travel from `q_near`.
+        """Return the joint angles within the limits that minimise the largest joint travel from `q_near`.
 
         Raises as `solve`; works for every arm.
         """
@@ -119,15 +119,15 @@ class InverseKinematics:
     def follow(self, point: Sequence[float], q_previous: Sequence[float]) -> tuple[float, ...]:
         """Return the joint angles for a point [m] near the last one, on the branch of the last pose.
 
-        For the control cycle: one closed form, or a few Newton steps from the last pose. Raises as `solve`, and
-        NearSingular where the pose would have to jump.
+        For the control cycle: the closed form, or a few Newton steps from the last pose. Raises as `solve`, and
+        NearSingular if the pose would have to jump.
         """
         planar = self._planar
         if planar is None:
             return self._follow_numeric(point, q_previous)
         branch = planar.branch(q_previous)
         q = self._followed(planar, point, q_previous, branch)
-        if not travel_rad(q, q_previous) <= _LARGEST_FOLLOWED_RAD:  # not-a-number comes here, too
+        if not travel_rad(q, q_previous) <= _LARGEST_FOLLOWED_RAD:  # NaN comes here, too
             self._range.check_pose(q_previous)
             target = errors.checked_point(point)
             raise errors.jump(self._name, target, travel_rad(q, q_previous), _LARGEST_FOLLOWED_RAD)
@@ -172,7 +172,7 @@ class InverseKinematics:
         return self._range.inside_by_turns(q)
 
     def _descended(self, target: Vector3, seed: Sequence[float]) -> tuple[float, ...]:
-        """Go the slow way where Newton's method fails; OutOfReach with the distance that is left."""
+        """Damped least squares, if Newton's method fails; OutOfReach with the remaining distance."""
         end = descend(self.kinematics, target, seed, np.array([(-math.inf, math.inf)] * 3))
         if end.distance_m > ACCURACY_M:
             raise errors.out_of_reach(self._name, target, end.distance_m)
@@ -181,7 +181,7 @@ class InverseKinematics:
     def _check_margins(
         self, planar: PlanarInverse, point: Sequence[float], q: Sequence[float], branch: Branch
     ) -> None:
-        """Raise NearSingular too near to a singular pose, or where q has left its branch through one."""
+        """Raise NearSingular if q is too close to a singular pose, or has left its branch through one."""
         shoulder_m, elbow_rad = planar.margins(q)
         if branch.shoulder == "back":
             shoulder_m = -shoulder_m
@@ -219,7 +219,7 @@ class InverseKinematics:
         return end.q
 
     def _check_weakest(self, target: Vector3, q: Sequence[float]) -> None:
-        """An arm of three joints or more moves its tip in every direction unless it is singular."""
+        """Raise NearSingular if an arm of three joints or more cannot move its tip in every direction."""
         if len(q) < 3:
             return
         weakest = float(np.linalg.svd(self.kinematics.tip_jacobian(*q)[1], compute_uv=False)[-1])
@@ -229,5 +229,5 @@ class InverseKinematics:
 
 
 def _telling(failure: OutOfReach | NearSingular) -> tuple[int, float]:
-    """Of several failures the one to show: near-singular before the least distance out of reach."""
+    """The most useful of several failures: near-singular, else the least distance out of reach."""
     return (0, failure.margin) if isinstance(failure, NearSingular) else (1, failure.distance_m)

@@ -1,4 +1,4 @@
-"""The words for a target that an arm cannot take."""
+"""Error messages for targets that an arm cannot reach."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ def checked_point(point: Sequence[float]) -> Vector3:
 
 
 def spelled(point: Sequence[float]) -> str:
-    """Return a point as a message shows it."""
+    """Format a point for messages."""
     return f"({', '.join(f'{coordinate:.4f}' for coordinate in point)}) m"
 
 
@@ -38,7 +38,7 @@ def near_singular(
 
 
 def jump(name: str, point: Sequence[float], travel_rad: float, limit_rad: float) -> NearSingular:
-    """Return the error for a step of a path that no small motion of the joints follows."""
+    """Return the error for a path step that would need a jump of the joints."""
     message = (
         f"arm {name}: to follow the path to {spelled(point)} a joint would jump by {travel_rad:.2f} rad (limit "
         f"{limit_rad} rad): the path passes a singular pose, or its points are too far apart"

@@ -1,4 +1,4 @@
-"""Joint limits: which whole turns bring an angle inside, and by how much a pose is outside."""
+"""Joint limits: shifting angles inside by whole turns, and how far a pose is outside."""
 
 import math
 from collections.abc import Sequence
@@ -8,12 +8,12 @@ from operator import le
 from control.errors import BadTarget, JointLimitViolated
 from control.model.arm import Arm
 
-_SLACK_RAD = 1e-9  # rounding of a pose that lies on its limit is no violation
+_SLACK_RAD = 1e-9  # rounding errors of a pose on its limit are not a violation
 _TURN = 2.0 * pi
 
 
 class JointRange:
-    """The ranges of an arm's joints; infinite where its file gives none."""
+    """The ranges of an arm's joints; infinite if its file gives none."""
 
     __slots__ = ("_lower", "_name", "_upper", "limits")
 
@@ -24,7 +24,7 @@ class JointRange:
         self._upper = tuple(upper + _SLACK_RAD for _, upper in self.limits)
 
     def excess_rad(self, q: Sequence[float]) -> float:
-        """Return how far the worst joint is beyond its limit, negative inside."""
+        """Return how far the worst joint is beyond its limit; negative inside."""
         return max(max(lower - a, a - upper) for a, (lower, upper) in zip(q, self.limits, strict=True))
 
     def is_inside(self, q: Sequence[float]) -> bool:
@@ -32,7 +32,7 @@ class JointRange:
         return all(map(le, self._lower, q)) and all(map(le, q, self._upper))
 
     def check(self, q: Sequence[float], purpose: str) -> None:
-        """Raise JointLimitViolated for the first joint outside; `purpose` says what it would be there for."""
+        """Raise JointLimitViolated for the first joint outside; `purpose` is part of the message."""
         if self.is_inside(q):
             return
         for joint, (angle, (lower, upper)) in enumerate(zip(q, self.limits, strict=True), start=1):
@@ -51,11 +51,11 @@ class JointRange:
             raise BadTarget(f"arm {self._name}: {expected}, got {list(q)}")
 
     def inside_by_turns(self, q: Sequence[float]) -> tuple[float, ...]:
-        """Return q with the whole turns that bring each angle nearest to the middle of its range."""
+        """Return q shifted by whole turns, each angle as near as possible to the middle of its range."""
         return tuple(_centred(a, *limits) for a, limits in zip(q, self.limits, strict=True))
 
     def toward(self, q: Sequence[float], q_near: Sequence[float]) -> tuple[float, ...]:
-        """Return q with the whole turns that bring it nearest to `q_near` where that is within the limits."""
+        """Return q shifted by whole turns as near as possible to `q_near`, within the limits."""
         turned = turned_toward(q, q_near)
         return tuple(
             near if lower <= near <= upper else given
@@ -64,7 +64,7 @@ class JointRange:
 
 
 def turned_toward(q: Sequence[float], q_near: Sequence[float]) -> tuple[float, ...]:
-    """Return q with the whole turns that bring each angle nearest to that of `q_near`."""
+    """Return q shifted by whole turns, each angle as near as possible to that of `q_near`."""
     return tuple(
         [a if -pi < a - b <= pi else a - _whole_turns_rad(a - b) for a, b in zip(q, q_near, strict=True)]
     )

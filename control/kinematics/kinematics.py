@@ -1,6 +1,6 @@
 """Forward kinematics of any arm of revolute joints: tip, Jacobian and their derivatives, scalar and in batches.
 
-Everything comes from the one chain in `control.kinematics.chain`. The scalar functions are that chain traced and compiled
+Everything is derived from `control.kinematics.chain`. The scalar functions are that chain, traced and compiled
 for this arm's numbers (see `control.kinematics.tracing`); their derivatives are taken on the traced expression.
 """
 
@@ -23,7 +23,7 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 class Kinematics:
-    """The tip of an arm, from its joint angles. Lengths in m, angles in rad, everything in the base frame.
+    """Forward kinematics of an arm's tip. Lengths in m, angles in rad, everything in the base frame.
 
     Args:
         arm_or_dh: an Arm, or a DH table (links, 4) with columns d, theta, L, alpha.

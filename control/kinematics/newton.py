@@ -9,7 +9,7 @@ from control.kinematics.tracing import Graph
 
 ACCURACY_M = 1e-9
 _STEPS = 8
-_QUADRATIC_M2 = 1e-10  # square of an error from which one more step reaches the accuracy
+_QUADRATIC_M2 = 1e-10  # squared error from which one more step reaches the accuracy
 Joints = tuple[float, float, float]
 
 
@@ -21,7 +21,7 @@ class Newton:
         self._tip = kinematics.tip
 
     def solve(self, point: Sequence[float], q: Sequence[float]) -> Joints | None:
-        """Return the joint angles for a point [m], or None where the method does not converge from q."""
+        """Return the joint angles for a point [m], or None if the method does not converge from q."""
         step = self._step
         q1, q2, q3 = q
         x, y, z = point

@@ -16,19 +16,19 @@ from control.kinematics.newton import ACCURACY_M
 Array = NDArray[np.float64]
 _STEPS = 100
 _SEEDS = 12
-_STALLED = 1e-12  # a step that gains less than this share of the error has arrived
+_STALLED = 1e-12  # converged if a step reduces the error by less than this share
 
 
 @dataclass(frozen=True, slots=True)
 class Descent:
-    """Where a descent ended: joint angles, and how far the tip is from the target."""
+    """Result of a descent: joint angles, and the distance of the tip from the target."""
 
     q: tuple[float, ...]
     distance_m: float
 
 
 def descend(kinematics: Kinematics, point: Sequence[float], start: Sequence[float], limits: Array) -> Descent:
-    """Return the end of one descent from `start` within limits (n, 2)."""
+    """Return the result of one descent from `start` within limits (n, 2)."""
     lower, upper = limits[:, 0], limits[:, 1]
     target = np.asarray(point, dtype=np.float64)
     q = np.clip(np.asarray(start, dtype=np.float64), lower, upper)
@@ -60,7 +60,7 @@ def descend(kinematics: Kinematics, point: Sequence[float], start: Sequence[floa
 
 
 def _inside(step: Array, q: Array, hessian: Array, gradient: Array, lower: Array, upper: Array) -> Array:
-    """Solve again without the joints that stand at a limit and would be pushed beyond it."""
+    """Solve again without the joints that are at a limit and would be pushed beyond it."""
     blocked = ((q <= lower) & (step < 0.0)) | ((q >= upper) & (step > 0.0))
     if not blocked.any() or blocked.all():
         return step
@@ -71,7 +71,7 @@ def _inside(step: Array, q: Array, hessian: Array, gradient: Array, lower: Array
 
 
 def seeds(limits: Array, first: Sequence[Sequence[float]]) -> Iterator[tuple[float, ...]]:
-    """Yield starting poses: those given, the middle of the ranges, then a fixed scatter over the ranges."""
+    """Yield starting poses: those given, the middle of the ranges, then fixed random poses."""
     for q in first:
         yield tuple(q)
     lower = np.where(np.isfinite(limits[:, 0]), limits[:, 0], -np.pi)

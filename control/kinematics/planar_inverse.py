@@ -1,13 +1,13 @@
 """Closed-form inverse kinematics of the structure yaw - pitch - pitch: axis 2 square to axis 1, axis 3 parallel
 to axis 2, any offsets, any tool (the reference arm; SpringerPlus 5:1771, Fig. 4).
 
-The axes are taken from the arm at q = 0, so DH convention, angle offsets and fixed links need no cases of their
-own. In the frame of axis 1 (z along it, y along axis 2), written as complex numbers u + i z in the plane of the arm,
+The axes are taken from the arm at q = 0, so DH convention, angle offsets and fixed links need no special cases.
+In the frame of axis 1 (z along it, y along axis 2), with complex numbers u + i z in the plane of the arm,
 
     tip = a + exp(-i s2 q2) (l2 exp(i b2) + exp(-i s3 q3) l3 exp(i b3)),
 
-out of which the tip stands by the constant w. An arm near this structure gets the nearest ideal one: then the
-solution is a seed.
+and the tip is offset from that plane by the constant w. For an arm near this structure the nearest ideal one is
+solved, and the solution is a seed.
 """
 
 import math
@@ -29,13 +29,13 @@ Shoulder = Literal["front", "back"]
 Elbow = Literal["up", "down"]
 Joints = tuple[float, float, float]
 Function = Callable[[Scalar], Scalar]
-_EXACT = 1e-12  # the structure is ideal to the precision of the numbers that describe it
-_NEAREST = 0.2  # rad: beyond this an axis is no deviation but another structure
+_EXACT = 1e-12  # ideal to within the precision of the parameters
+_NEAREST = 0.2  # rad: a larger deviation of an axis is another structure
 _SHORTEST_M = 1e-3  # a link shorter than this has no elbow
 
 
 class Branch(NamedTuple):
-    """One of the ways to reach a point.
+    """One branch of the inverse kinematics.
 
     Shoulder "front": the arm's plane faces the point, "back": the arm reaches over its shoulder. Elbow "up":
     above the line from shoulder to tip, as seen with the point to the front.
@@ -57,7 +57,7 @@ BRANCHES = (
 
 
 class Margins(NamedTuple):
-    """How far a pose is from where the arm loses a direction of motion.
+    """Distance of a pose from its singularities.
 
     `shoulder_m`: distance of the tip from axis 1 within the arm's plane, negative in the branch "back";
     `elbow_rad`: bend of the elbow away from stretched (0) or folded (+-pi), negative in the branch "down".
@@ -68,7 +68,7 @@ class Margins(NamedTuple):
 
 
 def planar_inverse(kinematics: Kinematics) -> "PlanarInverse | None":
-    """Return the closed form of the structure nearest to an arm, or None where the arm is of another kind."""
+    """Return the closed form of the nearest ideal structure, or None if the arm's structure is different."""
     if kinematics.joint_count != 3:
         return None
     axes = _axes_at_zero(kinematics)
@@ -80,7 +80,7 @@ def planar_inverse(kinematics: Kinematics) -> "PlanarInverse | None":
 
 
 class PlanarInverse:
-    """The closed form for one arm; `is_exact` is False where the arm only comes near the structure."""
+    """The closed form for one arm; `is_exact` is False if the arm deviates from the ideal structure."""
 
     def __init__(self, axes: "Axes") -> None:
         z = axes.directions[0]
@@ -101,7 +101,7 @@ class PlanarInverse:
 
     @cached_property
     def closed_form(self) -> dict[Branch, Callable[..., Joints]]:
-        """For each branch `f(x, y, z) -> (q1, q2, q3)`, not wrapped; ValueError where that is out of reach."""
+        """For each branch `f(x, y, z) -> (q1, q2, q3)`, not wrapped; ValueError if out of reach."""
         return {branch: self._compiled(branch) for branch in BRANCHES}
 
     def local(self, point: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar]:
@@ -113,7 +113,7 @@ class PlanarInverse:
     def angles(
         self, point: Sequence[Scalar], branch: Branch, root: Function = sqrt, arc: Function = acos
     ) -> tuple[Scalar, ...]:
-        """Return joint angles, not wrapped, for a point [m]; `root` and `arc` see to what is out of reach."""
+        """Return joint angles, not wrapped, for a point [m]; `root` and `arc` decide what happens out of reach."""
         x, y, z = self.local(point)
         w, l2, l3 = self._w, self.l2, self.l3
         u = root(x * x + y * y - w * w)
@@ -136,7 +136,7 @@ class PlanarInverse:
         return compile_function("closed_form", point, self.angles(point, branch))
 
     def solve(self, point: Sequence[float], branch: Branch) -> Joints:
-        """Return joint angles in (-pi, pi]; out of reach those of the nearest pose in the arm's plane."""
+        """Return joint angles in (-pi, pi]; out of reach, those of the nearest pose in the arm's plane."""
         try:
             q1, q2, q3 = self.closed_form[branch](point[0], point[1], point[2])
         except ValueError:
@@ -144,7 +144,7 @@ class PlanarInverse:
         return wrapped(q1), wrapped(q2), wrapped(q3)
 
     def out_of_reach_m(self, point: Sequence[float], branch: Branch) -> float:
-        """Return how far outside of the branch's reach a point lies within the arm's plane, 0 inside."""
+        """Return the distance of a point from the branch's reach within the arm's plane; 0 inside."""
         x, y, z = self.local(point)
         from_axis = hypot(x, y)
         if from_axis < abs(self._w):
@@ -154,14 +154,14 @@ class PlanarInverse:
         return max(from_shoulder - (self.l2 + self.l3), abs(self.l2 - self.l3) - from_shoulder, 0.0)
 
     def margins(self, q: Sequence[float]) -> Margins:
-        """Return how far a pose of the (nearest) ideal structure is from its singularities."""
+        """Return the distances of a pose of the (nearest) ideal structure from its singularities."""
         bend = wrapped(self._b3 - self._b2 - self._s3 * q[2])
         upper = self._b2 - self._s2 * q[1]
         u = self._a_u + self.l2 * math.cos(upper) + self.l3 * math.cos(upper + bend)
         return Margins(u, -bend if u >= 0.0 else bend)
 
     def branch(self, q: Sequence[float]) -> Branch:
-        """Return the branch that a pose is in."""
+        """Return the branch of a pose."""
         margins = self.margins(q)
         shoulder: Shoulder = "front" if margins.shoulder_m >= 0.0 else "back"
         return Branch(shoulder, "up" if margins.elbow_rad >= 0.0 else "down")
@@ -203,7 +203,7 @@ def _axes_at_zero(kinematics: Kinematics) -> Axes:
     frames = kinematics.link_transforms(np.zeros((1, kinematics.joint_count)))[0]
     ahead = (
         0 if kinematics.convention == "standard" else 1
-    )  # the axis is z of the frame before, or of its own
+    )  # the axis is z of the previous frame, or of the link's own
     turning = [link + ahead for link, turns in enumerate(kinematics.joints) if turns]
     tip = frames[-1] @ np.array([*kinematics.tool_m, 1.0])
     facing = frames[turning[0] + 1 - ahead, :3, 0]

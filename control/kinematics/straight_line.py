@@ -1,4 +1,4 @@
-"""Traced expressions made into code: exact derivatives, and a compiled function with one assignment a value."""
+"""Code generation from traced expressions: exact derivatives, and compiled straight-line functions."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -43,7 +43,7 @@ def _rule(node: Symbol, d: list[Scalar]) -> Scalar:
 
 
 def _in_order(outputs: Sequence[Scalar]) -> Iterator[Symbol]:
-    """Yield every node that the outputs need, arguments before what uses them."""
+    """Yield every node that the outputs need, in topological order."""
     seen: set[int] = set()
     stack: list[tuple[Symbol, bool]] = [(o, False) for o in reversed(outputs) if isinstance(o, Symbol)]
     while stack:
@@ -67,7 +67,9 @@ def compile_function(
     """
     source = function_source(name, inputs, outputs)
     scope: dict[str, Any] = {f"_{function}": getattr(library, function) for function in FUNCTIONS}
-    exec(compile(source, f"<traced {name}>", "exec"), scope)  # the source is our own, from numbers and names
+    exec(
+        compile(source, f"<traced {name}>", "exec"), scope
+    )  # the source is generated from numbers and names only
     function: Callable[..., Any] = scope[name]
     return function
 
@@ -78,7 +80,7 @@ def function_source(name: str, inputs: Sequence[Symbol | Sequence[Symbol]], outp
     uses = _uses(flat)
     text: dict[int, str] = {}
     used = sorted({node.operation for node in _in_order(flat)} & FUNCTIONS)
-    bound = [f"{function}=_{function}" for function in used]  # a local is found faster than a global
+    bound = [f"{function}=_{function}" for function in used]  # local lookups are faster than global ones
     lines = [f"def {name}({', '.join([*_parameters(inputs), *bound])}):"]
     lines += [
         f"    {', '.join(s.name for s in group)}, = a{i}"

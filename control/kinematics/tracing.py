@@ -1,10 +1,10 @@
-"""Textbook functions made fast: run once on symbols, they become straight-line Python, no dead arithmetic.
+"""Traces textbook functions on symbols, so that they can be compiled to straight-line Python.
 
 A generic function uses `+ - * /` and the `sin`, `cos` of this module; it runs on floats, on numpy arrays, and
-on symbols. On symbols, what is constant is computed now (0, 1, -1 and multiples of pi/2 leave no operation
-behind), equal sub-expressions become one (hash-consing); `control.kinematics.straight_line` writes out the rest. Constants
-are never rounded: only a multiple of pi/2 to the last bit of a double counts as one, so calibrated values stay
-as they are.
+on symbols. On symbols, constants are folded (0, 1, -1 and multiples of pi/2 leave no operation
+behind) and equal sub-expressions are shared (hash-consing); `control.kinematics.straight_line` generates the code. Constants
+are never rounded: only a multiple of pi/2 to the last bit of a double counts as one, so calibrated values are
+kept exactly.
 """
 
 import math
@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-Scalar = Any  # float, numpy array or Symbol: what a generic function computes with
+Scalar = Any  # float, numpy array or Symbol: arguments of generic functions
 FUNCTIONS: Final = frozenset({"sin", "cos", "sqrt", "acos", "atan2"})
 _EXACT_ANGLE: Final = 1e-15  # rad; the double nearest to pi/2 is 6e-17 off, the one nearest to 2 pi 2.5e-16
 
@@ -59,7 +59,7 @@ def _called(function: str, *arguments: Scalar) -> Scalar:
 
 
 def quarter_turns(angle_rad: float) -> int | None:
-    """Return k where an angle is k pi/2 to the last bit, else None."""
+    """Return k if an angle is k pi/2 to the last bit, else None."""
     k = round(angle_rad / (math.pi / 2))
     return k if abs(angle_rad - k * (math.pi / 2)) <= _EXACT_ANGLE else None
 
@@ -112,17 +112,17 @@ class Symbol:
 
 
 class Graph:
-    """Makes symbols and simplifies while it does."""
+    """Creates and simplifies symbols."""
 
     def __init__(self) -> None:
         self._nodes: dict[tuple[Any, ...], Symbol] = {}
 
     def variable(self, name: str) -> Symbol:
-        """Return an input of the function."""
+        """Return a symbol for an input of the function."""
         return self._node("variable", (), name)
 
     def add(self, a: Scalar, b: Scalar) -> Scalar:
-        """A + b; a difference where one of them is negated."""
+        """Sum a + b; a difference if one of them is negated."""
         if _is_zero(a):
             return b
         if _is_zero(b):
@@ -134,7 +134,7 @@ class Graph:
         return self._node("+", _ordered(a, b))
 
     def subtract(self, a: Scalar, b: Scalar) -> Scalar:
-        """A - b; b - a is its negative, so the two share one node."""
+        """Difference a - b; b - a is its negative, so the two share one node."""
         if _is_zero(b):
             return a
         if _is_zero(a):
@@ -158,7 +158,7 @@ class Graph:
         return self._node("negate", (a,))
 
     def multiply(self, a: Scalar, b: Scalar) -> Scalar:
-        """A product: signs are pulled out, constants are multiplied together."""
+        """Product a b: signs are pulled out, constants are multiplied together."""
         a, b = _ordered(a, b)  # a constant comes first
         if _is_negated(b):
             return self.negate(self.multiply(a, b.arguments[0]))
@@ -180,7 +180,7 @@ class Graph:
         return self._node("*", (factor, b))
 
     def divide(self, a: Scalar, b: Scalar) -> Scalar:
-        """A / b."""
+        """Quotient a / b."""
         if _is_zero(a):
             return 0.0
         if not isinstance(b, Symbol):
@@ -203,7 +203,7 @@ class Graph:
         return -value if turned % 4 == 2 else value
 
     def call(self, function: str, arguments: tuple[Scalar, ...]) -> Symbol:
-        """Return the value of a function of the library; it has no derivative here."""
+        """Return a call of a library function; it has no derivative here."""
         return self._node(function, arguments)
 
     def _node(self, operation: str, arguments: tuple[Any, ...], name: str = "") -> Symbol:
@@ -227,7 +227,7 @@ def _is_negated(a: Scalar) -> bool:
 
 
 def _ordered(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar]:
-    """Return the two in the order that every commutative node keeps: constants first, then as made."""
+    """Return two operands in canonical order for commutative nodes: constants first, then by creation."""
     rank_a, rank_b = (x.number if isinstance(x, Symbol) else -1 for x in (a, b))
     return (a, b) if rank_a <= rank_b else (b, a)
 

@@ -1,7 +1,7 @@
-"""All that changes while an arm is under control, in one place: what the steps of a cycle read and write.
+"""The mutable state of an arm under control, read and written by the steps of a cycle.
 
-The steps are functions of it, one module a subject: control.loop.set_points (where the arm is to be), motion_modes (motions,
-jogs, stops), fault_reactions, homing, shutdown. Each module lists the attributes that it changes; all others only read them.
+The steps are functions of it, one module per subject: control.loop.set_points (set-points), motion_modes (motions,
+jogs, stops), fault_reactions, homing, shutdown. Each module lists the attributes that it writes; all others only read them.
 """
 
 import math
@@ -20,7 +20,7 @@ from control.safety.table import CONTROLLED_MODES, Event, Mode
 
 
 class ArmState:
-    """The arm as the loop knows it and wants it."""
+    """State of the arm: measured values, set-points, mode and motion."""
 
     def __init__(self, parts: Parts) -> None:
         n = len(parts.joint_names)
@@ -29,35 +29,35 @@ class ArmState:
         # the cycle
         self.punctuality = Punctuality(parts.period_s, parts.stopwatch_s)
         self.now_s = 0.0
-        self.elapsed_s = parts.period_s  # since the last cycle, by the beat
+        self.elapsed_s = parts.period_s  # since the last cycle, by the cycle timer
         self.cycles = 0
-        self.has_waited = False  # for boards, outside of a cycle: the deadlines meanwhile do not count
-        # what is seen
+        self.has_waited = False  # for boards, outside of a cycle: deadlines missed meanwhile do not count
+        # measured
         self.averaging: Averaging | None = None
-        self.camera_m = self.new_camera_m = NOWHERE  # of the last frame; of this cycle's
+        self.camera_m = self.new_camera_m = NOWHERE  # of the last frame; of this cycle's frame
         self.camera_at_s = -math.inf
         self.drives = DriveReadiness(parts.joint_names)
         self.stillness = Standstill()
         # set-points (set_points)
         self.no_motion = (0.0,) * n  # speeds or accelerations
         self.set_point = self.aim = at_rest(self.no_motion)  # of the joints; of their encoders
-        self.is_of_encoders = False  # whether set_point is, while a motion runs that was given so
+        self.is_of_encoders = False  # whether set_point is; only during a motion given in encoder angles
         # motions (motion_modes, homing)
         self.run_number = 0
-        self.paced: Paced | None = None  # the motion that runs, a stop too
+        self.paced: Paced | None = None  # the active motion or stop
         self.override = 1.0  # pace at which motions run
         self.jogging: Jogging | None = None
         self.homing: HomingSequence | None = None
         self.was_stopped = False  # the last motion, before its end
-        self.is_weightless = False  # while a hand guides the arm: its drives carry it
-        # the mode that is wanted (shutdown)
+        self.is_weightless = False  # gravity compensation during hand guiding
+        # requested mode (shutdown)
         self.is_hold_pending = False
         self.is_shutting_down = False
         self.is_quitting = False
         self.fault_rows: tuple[bytes, ...] = ()  # the cycles before the first fault (fault_reactions)
 
     def on(self, event: Event) -> None:
-        """Take an event; IllegalTransition when the mode does not allow it, and nothing has changed."""
+        """Raise an event; IllegalTransition if the mode does not allow it, and then nothing changes."""
         before = self.monitor.mode
         self.monitor.on(event)
         if self.monitor.mode is not before or event is Event.BRAKE:
@@ -68,7 +68,7 @@ class ArmState:
         return self.monitor.mode in CONTROLLED_MODES or self.monitor.is_held_fault
 
     def is_searching(self) -> bool:
-        """Whether joints move whose angles mean nothing yet."""
+        """Whether joints without a known zero are moving."""
         mode = self.monitor.mode
         return mode is Mode.HOMING or (mode is Mode.JOGGING and not self.monitor.is_homed)
 
@@ -81,14 +81,14 @@ class ArmState:
         return self.parts.servo.torque_model.payload_kg
 
     def progress(self) -> float:
-        """How much of the present motion is done, 0 to 1; 1 when there is none."""
+        """Progress of the active motion, 0 to 1; 1 if there is none."""
         return self.paced.progress if self.paced is not None else 1.0
 
     def pace(self) -> float:
-        """How fast the present motion's time runs, 0 to 1; 1 when there is none."""
+        """Pace of the active motion, 0 to 1; 1 if there is none."""
         return self.paced.pace if self.paced is not None else 1.0
 
     @property
     def motion(self) -> Motion | None:
-        """The motion that runs."""
+        """The active motion."""
         return self.paced.motion if self.paced is not None else None

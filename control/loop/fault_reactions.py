@@ -1,6 +1,6 @@
-"""What a fault does to the arm: the controlled stop or the brake that it asks for, and the cycles before it kept.
+"""Reactions to a fault: a controlled stop or braking, and saving the cycles before it.
 
-Writes `fault_rows`, and ends what runs: `paced`, `jogging`, `homing`, `was_stopped`, `is_hold_pending`.
+Writes `fault_rows`, and ends motions: `paced`, `jogging`, `homing`, `was_stopped`, `is_hold_pending`.
 """
 
 from dataclasses import replace
@@ -16,7 +16,7 @@ from firmware_iface.errors import LinkError
 
 
 def fail(state: ArmState, fault: Fault) -> None:
-    """A fault: to FAULT with the reaction that it asks for, the cycles before it kept."""
+    """Go to FAULT with the fault's reaction, and save the cycles before it."""
     monitor = state.monitor
     was_braking = monitor.reaction is Reaction.BRAKE
     is_first = monitor.mode is not Mode.FAULT
@@ -36,7 +36,7 @@ def fail(state: ArmState, fault: Fault) -> None:
 
 
 def _sharpened(state: ArmState, fault: Fault) -> Fault:
-    """Where not even the stop is followed, control is not to be trusted: brake."""
+    """Escalate to braking if the arm does not even follow the stop."""
     is_stop_lost = (
         fault.code == "following_error"
         and state.monitor.is_held_fault
@@ -46,7 +46,7 @@ def _sharpened(state: ArmState, fault: Fault) -> Fault:
 
 
 def lose_motion(state: ArmState, error: Exception) -> None:
-    """The motion gave no set-point: a controlled stop; brake if it was the stop itself."""
+    """The motion raised instead of giving a set-point: controlled stop, or brake if it was the stop itself."""
     is_stop = state.monitor.mode not in TRAVELLING_MODES
     state.paced = state.jogging = None
     fault = Fault(
@@ -60,7 +60,7 @@ def lose_motion(state: ArmState, error: Exception) -> None:
 
 
 def refuse(state: ArmState, clip: Clip) -> None:
-    """A motion exceeded a limit and was clipped: a controlled stop."""
+    """A motion exceeded a limit and was clipped: controlled stop."""
     fault = Fault(
         "set_point_limit",
         state.parts.joint_names[clip.joint - 1],

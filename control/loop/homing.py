@@ -1,6 +1,6 @@
-"""How the arm comes to know its pose: boards that still know their zeros, or the homing sequence.
+"""Establishes the arm's pose: from zeros that the boards still have, or by the homing sequence.
 
-Writes `homing` and, where the pose becomes known, the set-point.
+Writes `homing` and, when the pose becomes known, the set-point.
 """
 
 from control.loop import set_points
@@ -14,9 +14,9 @@ from control.safety.table import Event
 
 
 def take_known_zeros(state: ArmState) -> bool:
-    """Believe boards that all say that their zero was set since power-up; returns whether they do.
+    """Use the boards' zeros if all of them were set since power-up; return whether they were.
 
-    A counter that wraps inside its joint's travel may have done so while nobody looked: it is never believed.
+    A counter that can wrap within its joint's travel may have wrapped unobserved, so it is never used.
     """
     flags = state.parts.hardware.feedback.channel_flags
     if not (state.parts.do_counters_span and all(flag & ZERO_SET for flag in flags)):
@@ -26,7 +26,7 @@ def take_known_zeros(state: ArmState) -> bool:
 
 
 def _become_homed(state: ArmState) -> None:
-    """The pose is known: the feed-forward now carries the weight that the integrals have carried so far."""
+    """The pose is known: the feed-forward takes over the weight from the integrals."""
     was_homed = state.monitor.is_homed
     state.on(Event.HOMED)
     if not was_homed:
@@ -35,7 +35,7 @@ def _become_homed(state: ArmState) -> None:
 
 
 def start(state: ArmState) -> None:
-    """Home every joint, one after the other. ArmError when arm.toml does not say how."""
+    """Home every joint, one after the other. ArmError if arm.toml does not describe how."""
     sequence = state.parts.homing()
     state.on(Event.HOME)
     state.set_point = at_rest(state.aim.q_rad)

@@ -1,13 +1,13 @@
 """Homing: each joint toward its home switch, on to the next index pulse, stop, shift the counter.
 
-An incremental encoder knows nothing at power-up, so the switch (a cam that is active on one side of an angle) says which way
-to go and which motor turn it is, and the index pulse in that turn says where exactly: the counter is shifted by what the
-latched count is off, once the joint stands still. The joints home one after the other while the others hold; the first that
-fails stops them all.
+An incremental encoder has no zero at power-up. The switch (a cam that is active on one side of an angle) gives the direction
+and the motor turn, and the index pulse in that turn gives the exact position: the counter is shifted by the error of the
+latched count once the joint is at rest. The joints home one after the other while the others hold; the first that
+fails stops all.
 
     RELEASE  the switch is active: move back until it is not, and a little further
-    SEEK     move forth until the switch becomes active; forth is from `switch_rad` to `index_rad`
-    INDEX    go on slower until the index latches
+    SEEK     move forward until the switch becomes active; forward is from `switch_rad` to `index_rad`
+    INDEX    continue more slowly until the index latches
     SETTLE   slow down; at rest, shift the counter
     SHIFTED  the next cycle reads counts from the new zero
     DONE
@@ -22,16 +22,16 @@ from control.hardware.interface import Feedback
 from control.motion.setpoint import SetPoint
 
 HOME_SWITCH = 1 << 2  # bit of the channel flags, docs/encoder_board.md
-DITHER_counts = 2  # a held joint without friction hunts by a count; that is rest, whatever a count is in rad
+DITHER_counts = 2  # a held joint without friction hunts by one count, which still is rest
 SETTLE_S = 0.1
 INDEX_SPEED_FRACTION = 0.3  # of the seeking speed: the joint must stop soon after the latch
 TURN_TOLERANCE = (
-    0.35  # of a motor turn, between where the index is and where arm.toml says; half a turn is ambiguous
+    0.35  # of a motor turn, between the index and its position in arm.toml; half a turn is ambiguous
 )
 
 
 class Phase(Enum):
-    """Where the homing of a joint is."""
+    """Phase of a joint's homing."""
 
     RELEASE = "release"
     SEEK = "seek"
@@ -53,7 +53,7 @@ STEPS = {
 
 @dataclass(frozen=True, slots=True)
 class JointHome:
-    """How a joint homes, in rad at the joint: its switch becomes active at `switch_rad`, the next index comes at `index_rad`."""
+    """Homing parameters of a joint, in rad: its switch becomes active at `switch_rad`, the next index is at `index_rad`."""
 
     name: str
     speed_rad_s: float
@@ -67,7 +67,7 @@ class JointHome:
 
 
 class Counter(Protocol):
-    """What homing needs of the hardware."""
+    """The hardware functions that homing needs."""
 
     def arm_index(self, joint: int) -> None: ...
 
@@ -104,7 +104,7 @@ class JointHoming:
         self._rest_count = 0
 
     def step(self, feedback: Feedback, elapsed_s: float) -> float:
-        """Advance by one cycle and return the step of the set-point in rad. HomingFailed when something is not found."""
+        """Advance by one cycle and return the step of the set-point in rad. HomingFailed if switch or index is not found."""
         is_active = bool(feedback.channel_flags[self._joint] & HOME_SWITCH)
         if self.phase is Phase.RELEASE:
             return self._release(is_active, elapsed_s)
@@ -114,7 +114,7 @@ class JointHoming:
             return self._find_index(elapsed_s)
         if self.phase is Phase.SETTLE:
             return self._settle(feedback.count[self._joint], elapsed_s)
-        self.phase = Phase.DONE  # this cycle has read counts from the new zero
+        self.phase = Phase.DONE  # this cycle's counts are relative to the new zero
         return 0.0
 
     def _release(self, is_active: bool, elapsed_s: float) -> float:
@@ -162,13 +162,13 @@ class JointHoming:
         return step
 
     def _check_turn(self) -> None:
-        """The latch must be in the motor turn that arm.toml gives, clear of the two adjacent turns."""
+        """Check that the latch is in the motor turn of arm.toml, clear of the two adjacent turns."""
         expected_rad = self._home.index_rad - self._home.switch_rad
         off = abs(self._travelled_rad - expected_rad) / self._home.turn_rad
         if off > TURN_TOLERANCE:
             raise HomingFailed(
                 self._home.name,
-                f"its index came {self._travelled_rad:.4f} rad after its home switch, expected {expected_rad:.4f} rad"
+                f"its index was {self._travelled_rad:.4f} rad after its home switch, expected {expected_rad:.4f} rad"
                 f" (tolerance {TURN_TOLERANCE * self._home.turn_rad:.4f} rad): the motor turn is ambiguous",
                 "the switch has moved: adjust it, or correct [drive.home] in arm.toml",
             )
@@ -206,7 +206,7 @@ class HomingSequence:
 
     @property
     def step_text(self) -> str:
-        """Which joint homes now, and what it does; empty between two joints."""
+        """The joint being homed and its phase, as text; empty between two joints."""
         if self._present is None:
             return ""
         _, homing = self._present
@@ -214,16 +214,16 @@ class HomingSequence:
 
     @property
     def is_done(self) -> bool:
-        """Whether every joint knows its zero."""
+        """Whether every joint is homed."""
         return not self._waiting and self._present is None
 
     @property
     def phase(self) -> Phase | None:
-        """Where the joint is that is being homed; None while there is none."""
+        """Phase of the joint being homed; None if there is none."""
         return None if self._present is None else self._present[1].phase
 
     def step(self, set_point: SetPoint, feedback: Feedback, elapsed_s: float) -> SetPoint:
-        """The set-point of this cycle from that of the last. HomingFailed names the joint that did not find its zero."""
+        """Return this cycle's set-point, given the last one. HomingFailed names the joint that did not find its zero."""
         if self._present is None:
             if not self._waiting:
                 return set_point

@@ -1,7 +1,7 @@
-"""The jog that runs: what is asked for, whether anybody still asks, and the motion that does it.
+"""The active jog: the request, whether it is still renewed, and its motion.
 
-A dead man's switch: whoever jogs must say so again and again. Where that falls silent for longer than the limit, nothing is
-asked any more, the arm slows to rest and the jog is over.
+A dead man's switch: the client must keep renewing the request. If it is silent for longer than the limit,
+the arm slows to rest and the jog ends.
 """
 
 from dataclasses import dataclass
@@ -61,7 +61,7 @@ class _Motion(Protocol):
 
 
 class Jogging:
-    """One jog, from HOLDING to HOLDING. Joints may follow each other without a stop; from joints to the tip there is one."""
+    """One jog, from HOLDING to HOLDING. Changing between joints needs no stop; changing from joints to the tip does."""
 
     def __init__(self, limits: JogLimits, inverse: InverseKinematics, is_homed: bool) -> None:
         self._limits = limits if is_homed else limits.unhomed()
@@ -75,17 +75,17 @@ class Jogging:
 
     @property
     def limited(self) -> str:
-        """What keeps the arm from doing as it is asked, in words; empty: nothing."""
+        """What limits the jog, as text; empty if nothing does."""
         return "" if self._motion is None else self._motion.limited
 
     @property
     def is_over(self) -> bool:
-        """Whether the arm has come to rest and nobody asks for more."""
+        """Whether the arm is at rest and no request is active."""
         is_done = self._is_step or self._has_ceased
         return is_done and self._next is None and (self._motion is None or self._motion.is_at_rest)
 
     def ask(self, now_s: float, request: JogRequest, set_point: SetPoint) -> None:
-        """Ask for something, anew or once more. ArmError says why it cannot be, and nothing has changed."""
+        """Start, change or renew a request. ArmError says why it is refused; then nothing changes."""
         if self._begun(request, set_point):
             self._next = None
         else:
@@ -95,12 +95,12 @@ class Jogging:
         self._asked_s = now_s
 
     def renew(self, now_s: float) -> None:
-        """Whoever asked still wants it."""
+        """Renew the request."""
         if not self._has_ceased:
             self._asked_s = now_s
 
     def advance(self, now_s: float, elapsed_s: float, set_point: SetPoint) -> SetPoint:
-        """The next set-point. Raises what makes a motion impossible."""
+        """Return the next set-point. Raises whatever makes the motion impossible."""
         if not self._has_ceased and now_s - self._asked_s > self._limits.silence_s:
             self._has_ceased, self._next = True, None
             self._cease()
@@ -109,12 +109,12 @@ class Jogging:
             request, self._next = self._next, None
             try:
                 self._begun(request, set_point)
-            except ArmError:  # it stands elsewhere than where it was asked for; the next renewal says why
+            except ArmError:  # the arm is elsewhere than at the request; the next renewal reports why
                 self._is_step = True
         return set_point if self._motion is None else self._motion.advance(elapsed_s)
 
     def _begun(self, request: JogRequest, set_point: SetPoint) -> bool:
-        """Whether the request could be followed at once; else the arm must first come to rest."""
+        """Whether the request could start at once; else the arm must first come to rest."""
         motion = self._motion
         is_step = isinstance(request, JointStep | TipStep)
         if (

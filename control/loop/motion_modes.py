@@ -1,6 +1,6 @@
-"""Motions, pauses, jogs and stops: what begins them, and what they do to the set-point cycle by cycle.
+"""Motions, pauses, jogs and stops: how they start, and how they change the set-point each cycle.
 
-Writes `paced`, `jogging`, `run_number` and `was_stopped`; the set-point by way of control.loop.set_points.
+Writes `paced`, `jogging`, `run_number` and `was_stopped`; the set-point through control.loop.set_points.
 """
 
 from control.errors import ArmError
@@ -15,12 +15,12 @@ from control.safety.table import TRAVELLING_MODES, Event, Mode
 
 
 def follow_motion(state: ArmState) -> None:
-    """One cycle further along the motion that runs, if one does."""
+    """Advance the active motion, if any, by one cycle."""
     if state.paced is None:
         return
     try:
         wanted = state.paced.advance(state.elapsed_s, _wanted_pace(state))
-    except Exception as error:  # the feedback is good all the same, so the arm can stop under control
+    except Exception as error:  # the feedback is still good, so the arm can stop under control
         lose_motion(state, error)
         return
     _take(state, wanted)
@@ -35,7 +35,7 @@ def _wanted_pace(state: ArmState) -> float:
 
 
 def follow_jog(state: ArmState) -> None:
-    """One cycle further as somebody keeps asking."""
+    """Advance the jog by one cycle."""
     if state.jogging is None:
         return
     try:
@@ -60,7 +60,7 @@ def _come_to_rest(state: ArmState, event: Event) -> None:
 
 
 def start(state: ArmState, motion: Motion, as_encoders: bool) -> None:
-    """Start a motion that was checked and that begins where the arm is `seen`, at rest."""
+    """Start a checked motion that begins, at rest, at the arm's position `seen`."""
     state.on(Event.MOVE)
     state.set_point, state.is_of_encoders = set_points.seen(state, as_encoders), as_encoders
     state.run_number += 1
@@ -69,7 +69,7 @@ def start(state: ArmState, motion: Motion, as_encoders: bool) -> None:
 
 
 def jog(state: ArmState, request: JogRequest) -> None:
-    """Move as somebody keeps asking; ArmError says why not, and nothing has changed then."""
+    """Start, change or renew a jog; ArmError says why it is refused, and then nothing changes."""
     if state.jogging is not None and state.monitor.mode is Mode.JOGGING:
         state.jogging.ask(state.now_s, request, state.set_point)
         return
@@ -83,7 +83,7 @@ def jog(state: ArmState, request: JogRequest) -> None:
 
 
 def renew_jog(state: ArmState) -> None:
-    """Renew the running jog; ArmError where there is none."""
+    """Renew the active jog; ArmError if there is none."""
     if state.jogging is None or state.monitor.mode is not Mode.JOGGING:
         raise ArmError(f"the arm is {state.monitor.mode.name}: no jog to renew")
     state.jogging.renew(state.now_s)
@@ -101,7 +101,7 @@ def stop(state: ArmState) -> None:
 
 
 def brake(state: ArmState) -> None:
-    """Short the windings now, without a controlled stop first (that is `stop`)."""
+    """Short the windings now, without a controlled stop (see `stop`)."""
     if state.monitor.mode in TRAVELLING_MODES or state.monitor.mode is Mode.STOPPING:
         remedy = "acknowledge when it is safe"
         fail(state, Fault("brake", "operator", "braked while moving", remedy, Reaction.BRAKE))

@@ -1,4 +1,4 @@
-"""What a runtime is made of: the fixed parts that control.server.assemble hands to it."""
+"""The fixed parts of a runtime, built by control.server.assemble."""
 
 import math
 from collections.abc import Callable
@@ -23,16 +23,16 @@ NOWHERE: Vector = (math.nan, math.nan, math.nan)
 
 
 class Camera(Protocol):
-    """Whatever sees the tip."""
+    """A source of tip measurements."""
 
     def newest_tip_m(self) -> Vector | None:
-        """Tip in the base frame of the newest frame that came since the last call, or None."""
+        """Tip in the base frame from the newest frame since the last call, or None."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What a runtime is made of; see control.server.assemble."""
+    """The parts of a runtime; see control.server.assemble."""
 
     hardware: Hardware
     recorder: Recorder
@@ -42,13 +42,13 @@ class Parts:
     set_point_limits: tuple[SetPointLimits, ...]
     homing: Callable[[], HomingSequence]
     gravity_compensation: GravityCompensation
-    jogging: Callable[[bool], Jogging]  # of an arm that is homed, or not
+    jogging: Callable[[bool], Jogging]  # of an arm that is homed; of one that is not
     stop_from: Callable[[SetPoint], Motion]
     inverse: InverseKinematics
     camera: Camera | None
     joint_names: tuple[str, ...]
-    do_counters_span: bool  # the whole travel of their joints, without a wrap
+    do_counters_span: bool  # whose counters cover the whole travel of their joints without a wrap
     period_s: float
     stopwatch_s: Callable[[], float]
-    aim_limits: tuple[SetPointLimits, ...] = ()  # of the encoders' set-points, for that arm
+    aim_limits: tuple[SetPointLimits, ...] = ()  # of the encoders' set-points, for such an arm
     joint_side: JointSide | None = None  # of an arm whose encoders do not say where its joints are

@@ -1,4 +1,4 @@
-"""How punctual the loop is: late starts, time spent, deadlines missed; over the last cycles, for people to read."""
+"""Timing statistics of the last cycles: lateness, time spent, deadlines missed."""
 
 from collections.abc import Callable
 
@@ -8,7 +8,7 @@ KEPT_CYCLES = 500  # a second at the usual rate
 class Punctuality:
     """Statistics over the last cycles. `begin` and `end` cost a fraction of a microsecond each.
 
-    `stopwatch_s` reads a clock; a stepped simulation hands in its own, so that its recordings are the same every time.
+    `stopwatch_s` reads a clock; a stepped simulation passes its own, so that its recordings are reproducible.
     """
 
     def __init__(self, period_s: float, stopwatch_s: Callable[[], float]) -> None:
@@ -21,24 +21,24 @@ class Punctuality:
         self._began_s = 0.0
 
     def begin(self, late_s: float, missed: int) -> None:
-        """A cycle begins `late_s` after its deadline, `missed` deadlines after the last."""
+        """Note a cycle that begins `late_s` after its deadline, with `missed` deadlines since the last."""
         self._began_s = self._stopwatch_s()
         self.missed += missed
         self._late_s[self._next] = late_s
 
     def end(self) -> float:
-        """The cycle's work is done; returns how long it took in s."""
+        """Note the end of the cycle's work; return its duration in s."""
         busy_s = self._stopwatch_s() - self._began_s
         self._busy_s[self._next] = busy_s
         self._next = (self._next + 1) % KEPT_CYCLES
         return busy_s
 
     def late_s(self, fraction: float) -> float:
-        """Lateness that `fraction` of the last cycles kept within, e.g. 0.99."""
+        """Quantile of the lateness over the last cycles, e.g. `fraction` 0.99."""
         return _quantile(self._late_s, fraction)
 
     def busy_s(self, fraction: float) -> float:
-        """Time spent that `fraction` of the last cycles kept within."""
+        """Quantile of the time spent over the last cycles."""
         return _quantile(self._busy_s, fraction)
 
 

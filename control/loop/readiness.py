@@ -1,4 +1,4 @@
-"""Whether the drives are where the loop wants them: asked for, awaited, and a fault for each that does not come."""
+"""Follows the drives to OPERATION ENABLED; a fault for each that does not get there in time."""
 
 import math
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from control.hardware.interface import Feedback
 from control.loop.watch import OPERATION_ENABLED, STATE_MASK
 from control.safety.fault import Fault, Reaction
 
-ENABLE_LIMIT_S = 1.0  # a drive takes three cycles; a second is somebody's emergency stop
+ENABLE_LIMIT_S = 1.0  # a drive takes three cycles; a second means an emergency stop
 
 
 class DriveReadiness:
@@ -20,21 +20,21 @@ class DriveReadiness:
 
     @property
     def is_awaited(self) -> bool:
-        """Whether drives are still on their way, and not too late."""
+        """Whether drives are still changing state, within the time limit."""
         return not self.is_ready and self._expected_from_s != math.inf
 
     def expect(self, now_s: float) -> None:
-        """The drives have been asked to OPERATION ENABLED just now."""
+        """The drives were just commanded to OPERATION ENABLED."""
         self.is_ready = False
         self._expected_from_s = now_s
 
     def forget(self) -> None:
-        """Nothing is expected of the drives."""
+        """Stop expecting the drives to be enabled."""
         self.is_ready = False
         self._expected_from_s = math.inf
 
     def follow(self, now_s: float, feedback: Feedback) -> list[Fault]:
-        """Look at the newest states; a fault for each drive that has not come in time, once."""
+        """Check the latest states; one fault for each drive that is too late."""
         if self.is_ready or self._expected_from_s == math.inf:
             return []
         missing = [joint for joint in range(feedback.joint_count) if not _is_enabled(feedback, joint)]
@@ -56,7 +56,7 @@ class DriveReadiness:
 
 
 def is_any_enabled(feedback: Feedback) -> bool:
-    """Whether a drive was in OPERATION ENABLED when it was last heard."""
+    """Whether a drive was in OPERATION ENABLED in its last reply."""
     return any(_is_enabled(feedback, joint) for joint in range(feedback.joint_count))
 
 

@@ -10,7 +10,7 @@ MODE_NUMBER = {mode: number for number, mode in enumerate(Mode)}  # as recorded
 
 
 def row_of(state: ArmState, late_s: float) -> list[float]:
-    """The values of the cycle that is about to end, `late_s` after its deadline begun."""
+    """The values of the cycle that is about to end and began `late_s` after its deadline."""
     feedback, measured, volts = (
         state.parts.hardware.feedback,
         state.parts.measurement,

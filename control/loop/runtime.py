@@ -3,14 +3,14 @@
     cycle(now_s, late_s, missed, missed_in_row)
       _read            hardware.read(), then angles and speeds from counts, camera, averages
       _watch           limits, stale data, board faults -> faults -> the state machine
-      _advance         what the present mode does to the set-point (hold, motion, jog, homing, stop, nothing)
-      _aim             where the encoders have to be for it, on an arm whose gears or belt are known
+      _advance         the mode's change of the set-point (hold, motion, jog, homing, stop, nothing)
+      _aim             encoder set-points, on an arm whose gears or belt are known
       _drive           set-point -> feed-forward + PID -> hardware.write()
       _record          one row
 
-The runtime never waits and opens nothing: a hardware, a recorder and the rest are handed to it (control.server.assemble). The
-same object runs in a process of its own in real time and inside a test on a stepped clock. What it knows is ArmState; what the
-modes do is in control.loop.set_points, motion_modes, homing, shutdown and fault_reactions.
+The runtime never waits and opens nothing: hardware, recorder and the rest are passed in (control.server.assemble). The
+same object runs in its own process in real time and in a test on a stepped clock. Its state is ArmState; the
+modes are in control.loop.set_points, motion_modes, homing, shutdown and fault_reactions.
 """
 
 from control.errors import ArmError
@@ -26,7 +26,7 @@ from control.safety.fault import Fault
 from control.safety.table import Event, Mode
 from firmware_iface.errors import BoardReset, LinkError
 
-HOMING_CURRENT_FRACTION = 0.5  # in search of the zero, and while joints without one are jogged
+HOMING_CURRENT_FRACTION = 0.5  # during homing, and while joints without a zero are jogged
 
 
 class Runtime(ArmState):
@@ -35,7 +35,7 @@ class Runtime(ArmState):
     # ---- the cycle
 
     def cycle(self, now_s: float, late_s: float, missed: int, missed_in_row: int) -> bool:
-        """One control cycle that began at `now_s`; False when the runtime was told to end and the drives are off."""
+        """Run one control cycle that began at `now_s`; False once a requested shutdown is complete."""
         self.now_s = now_s
         self.cycles += 1
         self.elapsed_s = (1 + missed) * self.parts.period_s
@@ -48,7 +48,7 @@ class Runtime(ArmState):
             self._advance()
             self._aim()
             self._drive()
-        except Exception as error:  # whatever breaks here, the arm must not be left moving
+        except Exception as error:  # whatever fails here, the arm must not be left moving
             self._break_down(error)
         self._record(late_s)
         return not (self.is_quitting and shutdown.has_left(self))
@@ -117,7 +117,7 @@ class Runtime(ArmState):
         self.parts.hardware.write(servo.mode, servo.output, servo.feedforward_V)
 
     def _carry(self) -> bool:
-        """Let the drives carry the arm; not where it moves too fast, which is a fault."""
+        """Apply gravity compensation; moving too fast is a fault."""
         measured, servo, gravity_compensation = (
             self.parts.measurement,
             self.parts.servo,
@@ -136,11 +136,11 @@ class Runtime(ArmState):
         self.parts.recorder.write(row_of(self, late_s))
 
     def _break_down(self, error: Exception) -> None:
-        """Something in the cycle raised: fault, and 0 V as long as the links still carry it."""
+        """The cycle raised: fault, and 0 V if the links still work."""
         if not (self.is_quitting and self.monitor.mode is Mode.OFF):
             self.fail(fault_reactions.fault_of(error))
         if isinstance(error, BoardReset):
-            self.monitor.forget_home()  # boards that still know their zero are taken at their word by `home`
+            self.monitor.forget_home()  # `home` uses the zeros of boards that still have them
         shutdown.follow(self)
         servo = self.parts.servo
         servo.silence()
@@ -149,14 +149,14 @@ class Runtime(ArmState):
         except LinkError:
             self.parts.hardware.emergency_stop()
 
-    # ---- what requests ask for
+    # ---- requests
 
     def fail(self, fault: Fault) -> None:
-        """A fault: to FAULT with the reaction that it asks for, the cycles before it kept."""
+        """Go to FAULT with the fault's reaction, and save the cycles before it."""
         fault_reactions.fail(self, fault)
 
     def acknowledge(self) -> tuple[Fault, ...]:
-        """A human has seen the faults. Drives that faulted are reset and enabled again, at 0 V."""
+        """Acknowledge the faults on a person's request. Faulted drives are reset and enabled again at 0 V."""
         are_drives_faulted = any(self.parts.hardware.feedback.drive_faults)
         if are_drives_faulted or (self.monitor.mode is Mode.FAULT and not self.monitor.is_held_fault):
             self.has_waited = True
@@ -166,45 +166,45 @@ class Runtime(ArmState):
             else:
                 self.drives.forget()
             if not self.monitor.faults:
-                return ()  # drives that were faulted before this runtime began
+                return ()  # drives that were in FAULT before this runtime started
         cleared = self.monitor.acknowledge()
         self.stillness.enter_mode(self.now_s)
         return cleared
 
     def want_hold(self) -> None:
-        """Get to HOLDING from OFF, BRAKED or GUIDING, through all that lies between."""
+        """Get to HOLDING from OFF, BRAKED or GUIDING, through the modes in between."""
         shutdown.want_hold(self)
 
     def go_off(self, quits: bool) -> None:
-        """Stop, hold, brake, off: begun here, carried on by the cycle."""
+        """Start the shutdown: stop, hold, brake, off. The cycle continues it."""
         shutdown.begin(self, quits)
 
     def take_known_zeros(self) -> bool:
-        """Believe boards that all say that their zero was set since power-up; returns whether they do."""
+        """Use the boards' zeros if all of them were set since power-up; return whether they were."""
         return homing.take_known_zeros(self)
 
     def start_homing(self) -> None:
-        """Home every joint, one after the other. ArmError when arm.toml does not say how."""
+        """Home every joint, one after the other. ArmError if arm.toml does not describe how."""
         homing.start(self)
 
     def start(self, motion: Motion, as_encoders: bool = False) -> None:
-        """Start a motion that was checked and that begins where the arm is `seen`, at rest."""
+        """Start a checked motion that begins, at rest, at the arm's position `seen`."""
         motion_modes.start(self, motion, as_encoders)
 
     def jog(self, request: JogRequest) -> None:
-        """Move as somebody keeps asking; ArmError says why not, and nothing has changed then."""
+        """Start, change or renew a jog; ArmError says why it is refused, and then nothing changes."""
         motion_modes.jog(self, request)
 
     def renew_jog(self) -> None:
-        """Whoever jogs still wants it; ArmError where nothing is jogged."""
+        """Renew the active jog; ArmError if there is none."""
         motion_modes.renew_jog(self)
 
     def pause(self) -> None:
-        """Slow to rest along the motion and hold on it."""
+        """Slow to rest along the motion's path and hold there."""
         self.on(Event.PAUSE)
 
     def resume(self) -> None:
-        """Go on along the motion."""
+        """Resume the motion."""
         self.on(Event.RESUME)
 
     def stop(self) -> None:
@@ -212,13 +212,13 @@ class Runtime(ArmState):
         motion_modes.stop(self)
 
     def brake(self) -> None:
-        """Windings shorted now: under control first to a stop where something moves would be `stop`."""
+        """Short the windings now, without a controlled stop (see `stop`)."""
         motion_modes.brake(self)
 
     def guide(self, weightless: bool) -> None:
-        """Let a hand move the arm: circuits open, somebody holds it; or `weightless`, the drives carry it.
+        """Start hand guiding: circuits open, so somebody must hold the arm; or `weightless`, with gravity compensation.
 
-        ArmError where it does not know its angles, and so not its weight.
+        `weightless` needs a homed arm: ArmError if it is not.
         """
         self.monitor.require(Event.GUIDE)
         if weightless and not self.monitor.is_homed:
@@ -228,10 +228,10 @@ class Runtime(ArmState):
         self.run_number += 1
 
     def joint_rad(self) -> tuple[set_points.Angles, set_points.Angles]:
-        """Angles that the joints have and are to have, as far as the model knows what is between them and their encoders."""
+        """Actual and set joint angles, corrected for the modelled effects between joints and encoders."""
         measured, wanted = set_points.joint_rad(self)
         return tuple(measured), wanted
 
     def seen(self, as_encoders: bool) -> SetPoint:
-        """Where the arm is to stand now, as joint angles or as encoder angles."""
+        """The present set-point, as joint angles or as encoder angles."""
         return set_points.seen(self, as_encoders)

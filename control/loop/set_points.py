@@ -1,7 +1,7 @@
-"""Where the arm is to be: the set-point of its joints, and the aim, where its encoders must be for that.
+"""Set-points: of the joints, and the aim, which is the set-point of their encoders.
 
-Writes `set_point`, `aim` and `is_of_encoders`. The two are one on an arm whose encoders say where its joints are; else
-`control.dynamics.joint_side` stands between them, once the arm is homed.
+Writes `set_point`, `aim` and `is_of_encoders`. The two are equal on an arm without effects behind its encoders; else
+`control.dynamics.joint_side` converts between them, once the arm is homed.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ ON_PATH = (Mode.MOVING, Mode.PAUSED)
 
 
 def joints_standing(state: ArmState, encoder_rad: Sequence[float]) -> Angles:
-    """Joint angles of an arm that stands where its encoders say; before homing nobody knows better than they."""
+    """Joint angles of an arm at rest at its encoder angles; before homing they are equal."""
     side = state.parts.joint_side
     if side is None or not state.monitor.is_homed:
         return tuple(encoder_rad)
@@ -24,13 +24,13 @@ def joints_standing(state: ArmState, encoder_rad: Sequence[float]) -> Angles:
 
 
 def measured(state: ArmState) -> SetPoint:
-    """The arm as it moves now, as a set-point."""
+    """The present motion of the arm as a set-point."""
     found = state.parts.measurement
     return SetPoint(joints_standing(state, found.q_rad), tuple(found.speed_rad_s), state.no_motion)
 
 
 def stay(state: ArmState) -> None:
-    """Nothing is controlled: the set-point goes with the arm."""
+    """Let the set-point follow the arm while nothing is controlled."""
     state.set_point, state.is_of_encoders = (
         at_rest(joints_standing(state, state.parts.measurement.q_rad)),
         False,
@@ -38,17 +38,17 @@ def stay(state: ArmState) -> None:
 
 
 def rest(state: ArmState) -> None:
-    """A motion is over: the set-point stays where it is, of the joints again."""
+    """End a motion: hold the set-point, again as joint angles."""
     at_rad = state.set_point.q_rad
     state.set_point = at_rest(joints_standing(state, at_rad) if state.is_of_encoders else at_rad)
     state.is_of_encoders = False
 
 
 def take(state: ArmState, wanted: SetPoint) -> Clip | None:
-    """Follow a motion through the last guard: its plan was checked, so a clip means that something is wrong.
+    """Apply a motion's set-point through the final limits: its plan was checked, so a clip means an error.
 
-    A stop is not held back: it may brake harder than a motion, where a joint's range asks for it. Nor is a jog of joints
-    whose angles mean nothing yet: its speed and acceleration are its own.
+    A stop is not limited: it may brake harder than a motion to stay in a joint's range. Nor is a jog of joints
+    without a zero: it has its own limits of speed and acceleration.
     """
     mode = state.monitor.mode
     if not (mode in ON_PATH or (mode is Mode.JOGGING and state.monitor.is_homed)):
@@ -66,7 +66,7 @@ def take(state: ArmState, wanted: SetPoint) -> Clip | None:
 
 
 def aim(state: ArmState) -> Clip | None:
-    """Where the encoders are to be for the joints' set-point, inside their own limits; the clip where they held it back."""
+    """Compute the encoders' set-point for that of the joints, within its own limits; returns the clip, if any."""
     side = state.parts.joint_side
     if side is None or not state.monitor.is_homed:
         state.aim = state.set_point
@@ -90,7 +90,7 @@ def aim(state: ArmState) -> Clip | None:
 
 
 def joint_rad(state: ArmState) -> tuple[Sequence[float], Angles]:
-    """Angles that the joints have and are to have, as far as the model knows what is between them and their encoders."""
+    """Actual and set joint angles, corrected for the modelled effects between joints and encoders."""
     side, encoder_rad = state.parts.joint_side, state.parts.measurement.q_rad
     if side is None or not state.monitor.is_homed:
         return encoder_rad, state.set_point.q_rad
@@ -98,7 +98,7 @@ def joint_rad(state: ArmState) -> tuple[Sequence[float], Angles]:
 
 
 def seen(state: ArmState, as_encoders: bool) -> SetPoint:
-    """Where the arm is to stand now, as joint angles or as encoder angles."""
+    """The present set-point, as joint angles or as encoder angles."""
     side = state.parts.joint_side
     if side is None or not state.monitor.is_homed or as_encoders == state.is_of_encoders:
         return state.set_point
@@ -106,7 +106,7 @@ def seen(state: ArmState, as_encoders: bool) -> SetPoint:
 
 
 def follow_shift(state: ArmState) -> None:
-    """A counter was shifted under a joint that is held: its set-point is shifted with it, so nothing moves."""
+    """Shift the set-point with a counter that was shifted, so that a held joint does not move."""
     shifts = state.parts.measurement.shifted_rad
     state.set_point, state.aim = (
         point._replace(q_rad=tuple(q + shift for q, shift in zip(point.q_rad, shifts, strict=True)))

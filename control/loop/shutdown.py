@@ -1,4 +1,4 @@
-"""The way from any mode to OFF, stop, hold, brake, off, a step whenever the arm is still; and from OFF back to holding.
+"""Shutdown from any mode to OFF (stop, hold, brake, off; a step whenever the arm is at rest), and from OFF back to HOLDING.
 
 Writes `is_shutting_down`, `is_quitting` and `is_hold_pending`.
 """
@@ -11,14 +11,14 @@ from control.safety.table import Event, Mode
 
 
 def begin(state: ArmState, quits: bool) -> None:
-    """Stop, hold, brake, off: begun here, carried on by the cycle."""
+    """Start the shutdown: stop, hold, brake, off. The cycle continues it."""
     state.is_shutting_down = True
     state.is_hold_pending = False
     state.is_quitting = state.is_quitting or quits
 
 
 def follow(state: ArmState) -> None:
-    """The next step on the way off, when the arm is ready for it."""
+    """Take the next step of the shutdown when the arm is ready for it."""
     if not state.is_shutting_down or (event := state.monitor.next_towards_off(state.is_still())) is None:
         return
     if event is Event.STOP:
@@ -32,7 +32,7 @@ def follow(state: ArmState) -> None:
 
 
 def has_left(state: ArmState) -> bool:
-    """Whether the arm is off and its drives have said so, or have had time enough to."""
+    """Whether the arm is off and its drives have confirmed it or have had enough time to."""
     if state.monitor.mode is not Mode.OFF:
         return False
     has_waited_long = state.now_s - state.stillness.mode_from_s > ENABLE_LIMIT_S
@@ -40,7 +40,7 @@ def has_left(state: ArmState) -> bool:
 
 
 def want_hold(state: ArmState) -> None:
-    """Get to HOLDING from OFF, BRAKED or GUIDING, through all that lies between."""
+    """Get to HOLDING from OFF, BRAKED or GUIDING, through the modes in between."""
     if state.monitor.mode is Mode.OFF:
         state.monitor.require_no_faults("ENABLE")
         state.has_waited = True
@@ -49,13 +49,13 @@ def want_hold(state: ArmState) -> None:
     elif state.monitor.mode is Mode.GUIDING:
         state.on(Event.BRAKE)
     elif state.monitor.mode is not Mode.BRAKED:
-        state.monitor.on(Event.ENABLE)  # says why not
+        state.monitor.on(Event.ENABLE)  # raises the reason
     state.is_shutting_down = False
     state.is_hold_pending = True
 
 
 def follow_hold(state: ArmState) -> None:
-    """The next step towards HOLDING, when it is wanted and the drives are ready."""
+    """Take the next step towards HOLDING if it is requested and the drives are ready."""
     if not (state.is_hold_pending and state.drives.is_ready):
         return
     if state.monitor.mode is Mode.OFF:

@@ -1,6 +1,6 @@
-"""What can be wrong in a cycle: measured values against their limits, each finding a fault with a remedy.
+"""Monitoring of each cycle: measured values against limits; each violation is a fault with a remedy.
 
-Two reactions (control.safety.monitor): where the feedback is good, a controlled stop and hold; where it cannot be trusted, the
+Two reactions (control.safety.monitor): if the feedback is good, a controlled stop and hold; if it cannot be trusted, the
 windings are shorted on all joints. Order matters only for the operator: the first finding is usually the cause.
 """
 
@@ -30,7 +30,7 @@ DRIVE_FAULTS = {
 
 @dataclass(frozen=True, slots=True)
 class JointLimits:
-    """Limits of what is measured at one joint; lag: following error = base + per_speed * |speed|."""
+    """Limits of one joint's measured values; allowed following error = base + per_speed * |speed|."""
 
     lower_rad: float
     upper_rad: float
@@ -40,7 +40,7 @@ class JointLimits:
     following_error_per_speed_s: float
 
     def holds(self, q_rad: float, q_set_rad: float) -> bool:
-        """Whether the joint is inside its range and margin; one that a hand took out of it may be held there, no further."""
+        """Whether the joint is inside its range and margin. A joint taken out of it by hand may be held there, but no further."""
         lower = min(self.lower_rad, q_set_rad) - self.range_margin_rad
         upper = max(self.upper_rad, q_set_rad) + self.range_margin_rad
         return lower <= q_rad <= upper
@@ -48,9 +48,9 @@ class JointLimits:
 
 @dataclass(frozen=True, slots=True)
 class WatchLimits:
-    """Limits of the whole arm: ages of what the boards last said, and cycles missed in a row.
+    """Limits of the whole arm: age of the boards' values, and cycles missed in a row.
 
-    `stale_s` holds while the loop runs; after a pause of the host itself, when nobody listened, `silent_s` does for as long.
+    `stale_s` applies while the loop runs; after a pause of the host itself, `silent_s` applies for as long.
     """
 
     joints: tuple[JointLimits, ...]
@@ -60,7 +60,7 @@ class WatchLimits:
 
 
 class Expectation(NamedTuple):
-    """What the loop counts on in this cycle. A named tuple: it is made every cycle, 0.5 us faster."""
+    """What the loop expects in this cycle. A named tuple, because one is created every cycle (0.5 us faster)."""
 
     are_drives_enabled: bool
     is_homed: bool
@@ -70,8 +70,8 @@ class Expectation(NamedTuple):
 class Watch:
     """Compares a cycle's feedback with its limits.
 
-    Nearly always all is well, so that is found out first, in plain comparisons; only otherwise are faults put into words. Each
-    comparison is written so that a NaN is not well.
+    Almost every cycle is fault-free, so plain comparisons come first, and messages are built only for faults. Each
+    comparison is written so that NaN is a fault.
     """
 
     def __init__(self, limits: WatchLimits, joint_names: Sequence[str]) -> None:
@@ -80,11 +80,11 @@ class Watch:
         self._resumed_s = -math.inf
 
     def note_pause(self, now_s: float) -> None:
-        """The host itself has missed deadlines until now: silence meanwhile says nothing of the boards."""
+        """Note that the host itself missed deadlines until now, so silence of the boards meanwhile is no fault."""
         self._resumed_s = now_s
 
     def age_limit_s(self, now_s: float) -> float:
-        """How old what a board last said may be now."""
+        """The allowed age of a board's values now."""
         has_just_resumed = now_s - self._resumed_s < self._limits.stale_s
         return self._limits.silent_s if has_just_resumed else self._limits.stale_s
 
@@ -99,7 +99,7 @@ class Watch:
         missed_in_row: int,
         expected: Expectation,
     ) -> list[Fault]:
-        """All that is wrong in this cycle, the likeliest cause first."""
+        """Return all faults of this cycle, the most likely cause first."""
         is_in_order = (
             self._are_boards_well(now_s, feedback, expected)
             and missed_in_row <= self._limits.missed_in_row
@@ -164,7 +164,7 @@ class Watch:
         return True
 
     def _boards(self, now_s: float, feedback: Feedback, expected: Expectation) -> list[Fault]:
-        """What is wrong with boards and encoders."""
+        """Return the faults of boards and encoders."""
         faults: list[Fault] = []
         limit_s = self.age_limit_s(now_s)
         if is_stale(now_s, feedback.encoder_at_s, limit_s):

@@ -1,7 +1,7 @@
-"""The arm as data: what an arm.toml says, one frozen dataclass a table.
+"""The contents of an arm.toml: one frozen dataclass per table.
 
-`control.model.description` reads and writes it. The field names are the keys of the file; the annotations carry
-what a value must be (`control.model.rules`).
+`control.model.description` reads and writes it. The field names are the keys of the file; the annotations hold
+the conditions on values (`control.model.rules`).
 """
 
 import dataclasses
@@ -40,7 +40,7 @@ ENCODER_CHANNELS = 3  # an encoder board reads three encoders
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """One row of the DH table, and the body that moves with its frame (mass absent: not known)."""
+    """One row of the DH table, and the body that moves with its frame (no mass: unknown)."""
 
     joint: Literal["revolute", "fixed"]
     d_m: float
@@ -54,7 +54,7 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class DrivePid:
-    """What the file says about a joint's position control; gains that are absent come from the model.
+    """A joint's position control; missing gains are derived from the model.
 
     In voltage and position mode kp is in V/rad, ki in V/(rad s), kd in V s/rad, all at the joint; in current
     mode the same with amperes.
@@ -69,7 +69,7 @@ class DrivePid:
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """How a joint finds its zero: its switch, the index pulse after it, how fast to look."""
+    """How a joint homes: its switch, the index pulse after it, and the speed."""
 
     switch_rad: float
     index_rad: float
@@ -79,7 +79,7 @@ class Home:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A joint's motor, gear and encoder; a limit that the file does not give is infinite."""
+    """A joint's motor, gear and encoder; a missing limit is infinite."""
 
     joint: Annotated[int, ONE_OR_MORE]
     gear_ratio: Positive
@@ -107,7 +107,7 @@ class Drive:
     home: Home | None = None
 
     def __post_init__(self) -> None:
-        """Resolve the wiring that follows from the joint's number."""
+        """Fill in the default wiring from the joint's number."""
         board, channel = divmod(self.joint - 1, ENCODER_CHANNELS)
         for name, default in (
             ("encoder_board", board),
@@ -120,7 +120,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """Where the tip is in the last frame, and whether that is known or to be identified."""
+    """Position of the tip in the last frame, and whether it is known or to be identified."""
 
     position_m: Vector3 = (0.0, 0.0, 0.0)
     known: bool = True
@@ -128,7 +128,7 @@ class Tool:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The calibration table; `control.model.table` turns it into points."""
+    """The calibration table; `control.model.table` computes its points."""
 
     origin_m: Vector3 | None = None
     circle_radius_m: Positive | None = None
@@ -143,7 +143,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """The camera that sees the tip."""
+    """The camera that measures the tip."""
 
     position_noise_m: NonNegative = 0.0
     udp_port: Annotated[int, Rule("a UDP port from 1 to 65535", lambda n: 1 <= n <= 65535)] = (
@@ -153,7 +153,7 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """An effect that the model has; names and parameters are those of `control.model.effects`."""
+    """An effect of the model; `control.model.effects` lists names and parameters."""
 
     effect: str
     joint: Annotated[int, ONE_OR_MORE] | None = None
@@ -162,7 +162,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class EncoderBoardPort:
-    """Where an encoder board is plugged in; a serial number that is given is checked."""
+    """The port of an encoder board; a given serial number is checked."""
 
     name: str
     port: str
@@ -172,7 +172,7 @@ class EncoderBoardPort:
 
 @dataclass(frozen=True, slots=True)
 class CanBus:
-    """The bus of the motor boards, in python-can's words; `options` go to the interface as they are."""
+    """The bus of the motor boards, in python-can's terms; `options` are passed to the interface unchanged."""
 
     interface: str
     channel: str
@@ -182,31 +182,31 @@ class CanBus:
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """A pose where the arm can wait: inside its limits, clear of the table, little gravity torque."""
+    """A pose in which the arm can wait: inside its limits, clear of the table, with little gravity torque."""
 
     q_rad: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the loop never lets pass. A joint's following error may be `a + b |speed|`."""
+    """Limits that the loop enforces. A joint's following error may be `a + b |speed|`."""
 
     tip_speed_m_s: Positive = 1.0
     following_error_rad: Positive = 0.05
     following_error_per_speed_s: NonNegative = 0.05
     floor_z_m: float = 0.0  # the tip stays above this height in the base frame
     floor_clearance_m: NonNegative = 0.0
-    watchdog_s: Positive = 0.2  # a host may pause 40-170 ms, a board watchdog must live with it
+    watchdog_s: Positive = 0.2  # a host may pause 40-170 ms; a board watchdog must tolerate it
     stale_s: Positive = 0.02
     jog_tip_speed_m_s: Positive = 0.25  # the reduced speed of ISO 10218-1 for people beside the arm
-    jog_silence_s: Positive = 0.2  # a jog that nobody renews for this long comes to rest
+    jog_silence_s: Positive = 0.2  # a jog that is not renewed for this long comes to rest
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingPolicy:
-    """How large a recording grows before the next file begins, and how much the recordings of this arm may take.
+    """Size at which a recording continues in a new file, and the total size of this arm's recordings.
 
-    keep_bytes: the oldest finished ones in the folder are removed beyond it; 0: none is ever removed.
+    keep_bytes: beyond it, the oldest finished recordings in the folder are removed; 0: none is ever removed.
     """
 
     rotate_bytes: Annotated[int, ROTATE_BYTES] = 500_000_000
@@ -215,7 +215,7 @@ class RecordingPolicy:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Where a calibrated arm comes from; `inputs` maps files to their SHA-256."""
+    """Origin of a calibrated arm; `inputs` maps files to their SHA-256."""
 
     source: str = field(metadata={"key": "from"})
     inputs: Mapping[str, str]
@@ -226,7 +226,7 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """An arm: geometry, masses, drives, boards and limits, as its file (`path`) says."""
+    """An arm: geometry, masses, drives, boards and limits, read from the file `path`."""
 
     name: str
     links: tuple[Link, ...] = field(metadata={"key": "link"})
@@ -247,7 +247,7 @@ class Arm:
 
     @property
     def joints(self) -> tuple[bool, ...]:
-        """For every link whether its joint turns (True) or is fixed."""
+        """For every link, whether its joint is revolute (True) or fixed."""
         return tuple(link.joint == "revolute" for link in self.links)
 
     @property
@@ -276,7 +276,7 @@ class Arm:
         return dataclasses.replace(self, links=links)
 
     def drive(self, joint: int) -> Drive:
-        """Return the drive of a joint (1-based); MissingModel where the file has none."""
+        """Return the drive of a joint (1-based); MissingModel if the file has none."""
         for drive in self.drives:
             if drive.joint == joint:
                 return drive
@@ -287,6 +287,6 @@ class Arm:
 
     @property
     def limits_rad(self) -> tuple[tuple[float, float], ...]:
-        """Lower and upper limit of every joint [rad], infinite where no drive says otherwise."""
+        """Lower and upper limit of every joint [rad]; infinite if no drive gives one."""
         ranges = {drive.joint: (drive.joint_lower_rad, drive.joint_upper_rad) for drive in self.drives}
         return tuple(ranges.get(j, (-math.inf, math.inf)) for j in range(1, self.joint_count + 1))

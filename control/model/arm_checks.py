@@ -1,4 +1,4 @@
-"""What must hold between the values of an arm.toml: each check names the key that breaks it."""
+"""Consistency checks between the values of an arm.toml; each error names the key."""
 
 from collections.abc import Hashable, Iterable
 
@@ -11,7 +11,7 @@ Named = tuple[tuple[str | int, ...], Hashable]
 
 
 def check_arm(arm: Arm) -> None:
-    """Raise Rejected for the first contradiction."""
+    """Raise Rejected for the first inconsistency."""
     if not arm.links:
         raise Rejected(("link",), "at least one [[link]]", "none")
     if arm.joint_count == 0:
@@ -91,10 +91,10 @@ def _check_unique(items: Iterable[Named], expected: str) -> None:
 
 
 def _check_recording(arm: Arm) -> None:
-    kept = arm.recording
-    if 0 < kept.keep_bytes < 2 * kept.rotate_bytes:
-        expected = f"0 (keep everything) or at least twice rotate_bytes, {2 * kept.rotate_bytes}"
-        raise Rejected(("recording", "keep_bytes"), expected, str(kept.keep_bytes))
+    recording = arm.recording
+    if 0 < recording.keep_bytes < 2 * recording.rotate_bytes:
+        expected = f"0 (keep everything) or at least twice rotate_bytes, {2 * recording.rotate_bytes}"
+        raise Rejected(("recording", "keep_bytes"), expected, str(recording.keep_bytes))
 
 
 def _check_rest(arm: Arm) -> None:

@@ -1,6 +1,6 @@
-"""arm.toml: read strictly, written exactly. The dataclasses themselves stand in `control.model.arm`.
+"""Reads arm.toml strictly and writes it exactly. The dataclasses are in `control.model.arm`.
 
-An error names file, line, key, what was expected and what was found. The arms that ship are found by name.
+An error names file, line, key, the expected and the actual value. The supplied arms are found by name.
 """
 
 import dataclasses
@@ -67,7 +67,7 @@ _POSITION_IN_MESSAGE = re.compile(r" ?\(at (?:line (\d+), column \d+|end of docu
 
 
 def load_arm(path_or_name: str | Path) -> Arm:
-    """Return the arm of a file, or of a name that ships ("right", "left"); else ArmFileError."""
+    """Load an arm from a file, or a supplied arm by its name ("right", "left"); ArmFileError otherwise."""
     path = Path(path_or_name)
     if path.suffix == ".toml" or path.exists():
         return parse_arm(_text_of(path), path)
@@ -81,13 +81,13 @@ def load_arm(path_or_name: str | Path) -> Arm:
 
 
 def arm_names() -> tuple[str, ...]:
-    """Return the names of the arms that ship."""
+    """Return the names of the supplied arms."""
     files = resources.files("control.arms").iterdir()
     return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
 
 
 def parse_arm(text: str, path: Path) -> Arm:
-    """Return the arm that a TOML text describes; `path` is where it came from."""
+    """Parse a TOML text to an arm; `path` is the origin of the text."""
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -103,9 +103,9 @@ def parse_arm(text: str, path: Path) -> Arm:
 
 
 def save_arm(arm: Arm, path: str | Path) -> None:
-    """Write the arm as a new file; a file that is there is never overwritten. Every number is kept exactly.
+    """Write the arm to a new file; an existing file is never overwritten. Numbers are written exactly.
 
-    Keys with their default value are omitted. NotWritten where the disk is full: then there is no file.
+    Keys with their default value are omitted. NotWritten if the disk is full; then there is no file.
     """
     try:
         write_new(Path(path), arm_text(arm))
@@ -120,7 +120,7 @@ def save_arm(arm: Arm, path: str | Path) -> None:
 
 
 def arm_text(arm: Arm) -> str:
-    """Return the arm as the text of an arm.toml, every number exact."""
+    """Return the arm as the text of an arm.toml, with exact numbers."""
     text = tomli_w.dumps(_table_of(arm))
     if arm.calibration is not None:
         return f"# A calibrated arm, from {_one_line(arm.calibration.source)}; see [calibration].\n{text}"
@@ -165,7 +165,7 @@ def _one_line(text: str) -> str:
 
 
 def _table_of(thing: object) -> dict[str, Any]:
-    """Return a dataclass as a TOML table, without what has its default value."""
+    """Return a dataclass as a TOML table, without keys that have their default value."""
     table: dict[str, Any] = {}
     for key, field in keys_of(type(thing)).items():
         value = getattr(thing, field.name)

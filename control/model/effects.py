@@ -1,4 +1,4 @@
-"""The effects that a model can have: their names, where they act, and their parameters (docs/formats.md).
+"""The effects of a model: names, where they act, and parameters (docs/formats.md).
 
 An `[[effect]]` of an arm.toml is checked against this table. Torques are at the joint, angles are joint
 angles.
@@ -14,7 +14,7 @@ Place = Literal["joint", "link", "none", "joint or none"]
 
 @dataclass(frozen=True, slots=True)
 class EffectKind:
-    """What an effect of this name needs: `place` says whose number the key `joint` is."""
+    """Requirements of one kind of effect; `place` says what the key `joint` numbers."""
 
     place: Place
     required: tuple[str, ...]
@@ -64,7 +64,7 @@ Fault = Callable[[tuple[str, ...], str, str], Exception]
 
 
 def parameter_names(kind: EffectKind) -> tuple[str, ...]:
-    """Return the parameters that an effect of this kind may have, as an error message lists them."""
+    """Return the parameters of this kind of effect for an error message."""
     pattern = ("link<i>_d_m", "link<i>_theta_rad", "link<i>_L_m", "link<i>_alpha_rad") if kind.pattern else ()
     return (*kind.required, *kind.optional, *kind.one_of, *pattern)
 
@@ -72,7 +72,7 @@ def parameter_names(kind: EffectKind) -> tuple[str, ...]:
 def check_effect(
     name: str, joint: int | None, parameters: Mapping[str, float], joints: int, links: int, fault: Fault
 ) -> None:
-    """Raise `fault(path inside the effect, expected, got)` if an effect is not one that docs/formats.md allows."""
+    """Raise `fault(path inside the effect, expected, got)` if an effect does not conform to docs/formats.md."""
     kind = EFFECTS.get(name)
     if kind is None:
         raise fault(("effect",), "one of " + ", ".join(EFFECTS), f'"{name}"')

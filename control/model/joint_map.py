@@ -1,4 +1,4 @@
-"""Between the counts of a motor's encoder and the radians of its joint, across the wrap of the counter."""
+"""Conversion between counts of a motor's encoder and radians of its joint, with counter unwrapping."""
 
 import math
 
@@ -37,7 +37,7 @@ class JointMap:
 
 
 class Unwrapper:
-    """Follows a counter of `bits` bits through its wraps: any step below half its range is taken as it is.
+    """Unwraps a counter of `bits` bits; steps must be below half of its range.
 
     The first count is the reference: `start` unwraps to itself.
     """

@@ -1,7 +1,7 @@
-"""Strict reading of a parsed TOML document into dataclasses: keys are known, values are what they must be.
+"""Strict conversion of a parsed TOML document to dataclasses: unknown keys and invalid values are refused.
 
 The dataclass is the schema: its annotations give types (`Annotated` adds a `Rule`), `metadata={"key": ...}`
-another name in the file. The first thing that is wrong raises `Rejected` with the path to it.
+another name in the file. The first error raises `Rejected` with its path.
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ _SCALARS = {str: "text", bool: "true or false", int: "a whole number", float: "a
 
 
 class Rejected(Exception):
-    """Something in the document is not as it must be; the caller knows the file and the lines."""
+    """An invalid entry of the document; the caller knows the file and the lines."""
 
     def __init__(self, path: Path, expected: str, got: str, hint: str = "") -> None:
         self.path = path
@@ -30,7 +30,7 @@ class Rejected(Exception):
 
 
 def read_table(kind: type[T], table: object, path: Path = ()) -> T:
-    """Return the dataclass `kind` from a TOML table."""
+    """Read a TOML table as the dataclass `kind`."""
     if not isinstance(table, dict):
         raise Rejected(path, "a table", show(table))
     fields = keys_of(kind)
@@ -50,14 +50,14 @@ def read_table(kind: type[T], table: object, path: Path = ()) -> T:
 
 
 def keys_of(kind: type[Any]) -> dict[str, "dataclasses.Field[Any]"]:
-    """Return the keys that a table of this kind may have; a field with an empty key is not in the file."""
+    """Return the allowed keys of a table of this kind; a field with an empty key is not in the file."""
     fields = {field.metadata.get("key", field.name): field for field in dataclasses.fields(kind)}
     fields.pop("", None)
     return fields
 
 
 def show(value: object) -> str:
-    """Return a value as an error message shows it."""
+    """Format a value for an error message."""
     if isinstance(value, dict):
         return "a table"
     text = repr(value) if not isinstance(value, bool) else str(value).lower()
@@ -75,7 +75,7 @@ def _unknown(key: str, known: tuple[str, ...], path: Path) -> Rejected:
 
 
 def _value(hint: Any, value: object, path: Path) -> Any:
-    """Return the value as the annotation wants it."""
+    """Return the value converted to its annotation."""
     origin = get_origin(hint)
     if origin is Annotated:
         return _ruled(hint, value, path)
@@ -146,7 +146,7 @@ def _scalar(kind: Any, value: object, path: Path) -> Any:
 
 
 def _words(hint: Any) -> str:
-    """Return what an annotation expects, in words."""
+    """Describe an annotation for an error message."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
         rules = [rule.expected for rule in inner[1:] if isinstance(rule, Rule)]

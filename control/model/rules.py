@@ -1,4 +1,4 @@
-"""What a value of an arm.toml must be beyond its type: a rule says it in words, and tests it."""
+"""Rules for values of an arm.toml beyond their type: a description and a test."""
 
 import math
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from typing import Any, Final
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A condition on one value, in the words of an error message, with a remedy where that is not obvious."""
+    """A condition on one value, its text for error messages, and a remedy if that is not obvious."""
 
     expected: str
     holds: Callable[[Any], bool]

@@ -1,5 +1,4 @@
-"""The calibration table: where its cavities are on the board, and where the board's tilts put them in the
-base frame.
+"""The calibration table: its cavities on the board and, by the board's tilt, in the base frame.
 
 Board frame: origin at the board's centre, x and y in the board, z up out of it. The setup "normal" has its
 axes along the base frame's; "roll" turns the board about its x axis, "pitch" about its y axis (right-hand
@@ -26,8 +25,8 @@ def board_cavities(table: Table) -> dict[str, Vector3]:
     """Cavities in the board frame [m] by name: the circle from "1" on counter-clockwise from +x, then the
     line.
 
-    The line runs along x from its negative end, centred on the board. Cavities that the file names stand for
-    themselves, after the pattern or without one.
+    The line runs along x from its negative end, centred on the board. Cavities named in the file
+    follow the pattern, if there is one.
     """
     pattern = [*_circle(table), *_line(table)]
     numbered = {str(number): point for number, point in enumerate(pattern, 1)}
@@ -54,9 +53,7 @@ def to_base(table: Table, setup: str, point: Vector3) -> Vector3:
 
 
 def board_origin(table: Table) -> Vector3:
-    """The board's centre in the base frame, also the centre of its tilts; MissingModel where it is not
-    known.
-    """
+    """The board's centre in the base frame, also the centre of its tilts; MissingModel if unknown."""
     if not table.known_pose or table.origin_m is None:
         raise MissingModel(
             "the calibration board's pose is unknown: set known_pose = true and origin_m in [table]"

@@ -1,7 +1,7 @@
-"""Where a key of a TOML document stands: the line of each path, which tomllib does not tell.
+"""Line numbers of the keys of a TOML document, which tomllib does not give.
 
-The document has been parsed by tomllib before, so this scanner may trust its syntax. A path is a tuple of
-keys and of 0-based indices, as one would index the parsed document: `("link", 2, "d_m")`.
+tomllib has parsed the document before, so the syntax is valid. A path is a tuple of
+keys and 0-based indices into the parsed document: `("link", 2, "d_m")`.
 """
 
 import re
@@ -26,7 +26,7 @@ def key_lines(text: str) -> dict[Path, int]:
 
 
 def nearest_line(lines: dict[Path, int], path: Path) -> int | None:
-    """Return the line of a path, or of the innermost thing around it that the document has."""
+    """Return the line of a path, or of its innermost parent in the document."""
     for length in range(len(path), 0, -1):
         if path[:length] in lines:
             return lines[path[:length]]

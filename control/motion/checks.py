@@ -1,8 +1,7 @@
-"""What is checked of a path before anything moves: existence, joint range, singularity, clearance, and
-demands on time.
+"""Checks of a path before anything moves: reachability, joint range, singularity, clearance and timing.
 
-Everything here works on samples of the whole path; the first violation found is raised as a PathError that
-names the way-point and says by how much.
+All checks work on samples of the whole path. A violation is raised as a PathError that
+names the way-point and the amount.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +18,7 @@ from control.motion.joint_limits import JointLimits
 from control.motion.samples import Array, JointSamples, TipSamples
 from control.motion.waypoints import Waypoints
 
-# Smallest singular value of J [m/rad] that a path may come to: with less, a tip speed of 0.02 m/s asks for 1
+# Smallest singular value of J [m/rad] allowed on a path: with less, a tip speed of 0.02 m/s needs 1
 # rad/s.
 LEAST_SINGULAR_M_RAD = 0.02
 # How far the tip may go below the board it touches: the cavities' own depth and a calibrated arm's error.
@@ -38,7 +37,7 @@ class Demand:
 
 
 def place(waypoints: Waypoints, times_s: Sequence[float], time_s: float) -> tuple[str, int]:
-    """Where on the path a time is, in words, and the way-point (1-based) nearest in time."""
+    """Describe a time on the path, and return the way-point (1-based) nearest in time."""
     nearest = int(np.abs(np.asarray(times_s) - time_s).argmin())
     name = waypoints.name(nearest + 1)
     if abs(times_s[nearest] - time_s) < 1e-9:
@@ -96,7 +95,7 @@ def check_clearance(
     """Raise PathError where tip, forearm or elbow would go below the board (over it) or the floor
     (elsewhere).
 
-    The tip may touch: TOUCH_TOLERANCE_M below is in order. Over the board the board's plane counts, not the
+    The tip may touch: TOUCH_TOLERANCE_M below is allowed. Over the board the board's plane counts, not the
     floor.
     """
     floor = arm.limits.floor_z_m + arm.limits.floor_clearance_m
@@ -116,7 +115,7 @@ def check_clearance(
 
 
 def demands(tip: TipSamples, joints: JointSamples, limits: JointLimits, tip_speed_m_s: float) -> list[Demand]:
-    """How much slower each limit wants the path: speed goes with 1/k, acceleration 1/k^2, jerk 1/k^3.
+    """How much slower the path must be for each limit: speed scales with 1/k, acceleration 1/k^2, jerk 1/k^3.
 
     Jerk is that within a section; the steps of acceleration at way-points are bounded by the acceleration
     limit.
@@ -169,7 +168,7 @@ def _require(
     say: Callable[[int], str],
     margin: Array | None = None,
 ) -> None:
-    """Raise PathError for the worst (least margin) or first sample that is not good."""
+    """Raise PathError for the worst (least margin) or first invalid sample."""
     if is_good.all():
         return
     worst = int(margin.argmin()) if margin is not None else int((~is_good).argmax())

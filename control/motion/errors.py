@@ -1,14 +1,14 @@
-"""What can be wrong with a motion that is asked for; nothing has moved when one of these is raised."""
+"""Errors of a requested motion; nothing has moved when one of these is raised."""
 
 from control.errors import ArmError
 
 
 class MotionError(ArmError):
-    """A motion that cannot be planned: not finite, out of limits, impossible numbers."""
+    """A motion that cannot be planned: not finite, outside of limits, or inconsistent."""
 
 
 class PathError(MotionError):
-    """A Cartesian path that cannot be run; `waypoint` is 1-based, None where no single one is to blame."""
+    """A Cartesian path that cannot be run; `waypoint` is 1-based, None if no single one is the cause."""
 
     def __init__(self, message: str, waypoint: int | None = None) -> None:
         self.waypoint = waypoint

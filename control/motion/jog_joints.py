@@ -1,7 +1,7 @@
-"""Jogging joints: each at the speed that is asked for now, jerk-limited, and to rest at the end of its range.
+"""Joint jog: each joint at its requested speed, jerk-limited, coming to rest at the end of its range.
 
-A joint that is asked to turn is on its way to the end of its range, at the asked speed at most (ruckig, position control):
-where nobody asks otherwise it comes to rest exactly there. A joint that is asked to rest stops at once (velocity control).
+A joint with a requested speed moves towards the end of its range at no more than that speed (ruckig, position control)
+and comes to rest exactly there. A joint with zero requested speed stops at once (velocity control).
 """
 
 import math
@@ -20,7 +20,7 @@ _NOTHING_rad_s = 1e-6
 
 
 class JointJog:
-    """Moves joints as it is told, from a set-point, at rest or moving. `speed_rad_s` of the limits is the most it takes."""
+    """Jogs joints from a set-point, at rest or moving, at no more than `speed_rad_s` of the limits."""
 
     __slots__ = ("_is_endless", "_limits", "_plans", "_state", "_target", "_time_s", "_wanted")
 
@@ -38,17 +38,17 @@ class JointJog:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether every joint has come to rest where it was to."""
+        """Whether every joint has come to rest at its goal."""
         return all(plan is None for plan in self._plans)
 
     @property
     def limited(self) -> str:
-        """Why joints do not turn as asked, in words; empty where they do."""
+        """Why joints do not move as requested, as text; empty if they do."""
         stuck = [joint + 1 for joint in range(len(self._wanted)) if self._is_at_end(joint)]
         return "; ".join(f"joint {joint} is at the end of its range" for joint in stuck)
 
     def want(self, speed_rad_s: Sequence[float]) -> None:
-        """Speeds asked for, one a joint; more than a joint's limit is the limit."""
+        """Set the requested speed of each joint, clamped to the joint's limit."""
         for joint, (speed, limit) in enumerate(zip(speed_rad_s, self._limits.speed_rad_s, strict=True)):
             speed = min(max(speed, -limit), limit) if abs(speed) > _NOTHING_rad_s else 0.0
             if speed != self._wanted[joint] or self._target[joint] is not None:
@@ -56,7 +56,7 @@ class JointJog:
                 self._plan(joint)
 
     def step(self, joint: int, by_rad: float, speed_rad_s: float) -> None:
-        """Turn one joint (0-based) by an angle, from rest. MotionError where that is outside of its range."""
+        """Turn one joint (0-based) by an angle, from rest. MotionError if that is outside of its range."""
         lower, upper = self._limits.lower_rad[joint], self._limits.upper_rad[joint]
         goal = self._state.q_rad[joint] + by_rad
         if not lower <= goal <= upper:
@@ -77,7 +77,7 @@ class JointJog:
     def _follow(self, joint: int, plan: "ruckig.Trajectory", elapsed_s: float) -> None:
         self._time_s[joint] += elapsed_s
         is_over = self._time_s[joint] >= plan.duration and not self._is_endless[joint]
-        time_s = plan.duration if is_over else self._time_s[joint]  # beyond its end a cruise goes on
+        time_s = plan.duration if is_over else self._time_s[joint]  # beyond its end the joint keeps its speed
         (q,), (speed,), (acceleration,) = plan.at_time(time_s)
         if is_over:
             speed = acceleration = 0.0
@@ -115,7 +115,7 @@ class JointJog:
         self._plans[joint], self._time_s[joint] = trajectory, 0.0
 
     def _goal(self, joint: int) -> float | None:
-        """Where the joint would come to rest by itself; None where it is to rest now, or knows no range."""
+        """Where the joint comes to rest by itself; None if it is to stop now or has no range."""
         wanted = self._wanted[joint]
         if (target := self._target[joint]) is not None:
             return target
@@ -127,7 +127,7 @@ class JointJog:
         return self._limits.upper_rad[joint] if is_up else self._limits.lower_rad[joint]
 
     def _is_at_end(self, joint: int) -> bool:
-        """Whether the joint is asked further than its range goes; a hand may have taken it out of it."""
+        """Whether the request leads beyond the joint's range, which it may already have left by hand."""
         wanted = self._wanted[joint]
         room = (self._end(joint) - self._state.q_rad[joint]) * wanted
         return wanted != 0.0 and self._target[joint] is None and room <= _NEAR_END_rad * abs(wanted)

@@ -1,4 +1,4 @@
-"""How fast an operator may jog: a hand is near, so much slower than a motion that was checked."""
+"""Limits of a jog: much slower than a checked motion, because a person is near."""
 
 import math
 from dataclasses import dataclass
@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from control.model.arm import Arm
 from control.motion.joint_limits import JointLimits
 
-# Of a joint without a zero, whose range is not known: an end stop is met softly, and with half of the current.
+# For a joint without a zero, whose range is unknown: an end stop is reached slowly and with half of the current.
 UNHOMED_SPEED_rad_s = 0.1
-# Tip motion from rest to speed in about 0.2 s; joints that cannot follow that are given more time.
+# The tip takes about 0.2 s from rest to speed; more if the joints cannot follow.
 TIP_ACCELERATION_m_s2, TIP_JERK_m_s3 = 1.5, 30.0
 
 
@@ -16,7 +16,7 @@ TIP_ACCELERATION_m_s2, TIP_JERK_m_s3 = 1.5, 30.0
 class JogLimits:
     """joints: range, acceleration and jerk as for every motion, speeds of a jog; of_motion: all of every motion.
 
-    tip_speed_m_s: of the tip's own jog. silence_s: how long a jog goes on that nobody renews.
+    tip_speed_m_s: of the tip jog. silence_s: how long a jog continues without renewal.
     """
 
     joints: JointLimits
@@ -26,7 +26,7 @@ class JogLimits:
 
     @staticmethod
     def of(arm: Arm) -> "JogLimits":
-        """The arm's; a single joint's speed keeps the tip's limit with the arm stretched as far as it goes."""
+        """The limits of an arm; a single joint's speed keeps the tip's limit with the arm fully stretched."""
         limits = JointLimits.of(arm)
         tip_m_s = min(arm.limits.jog_tip_speed_m_s, arm.limits.tip_speed_m_s)
         speeds = tuple(
@@ -36,7 +36,7 @@ class JogLimits:
         return JogLimits(_with_speed(limits, speeds), limits, tip_m_s, arm.limits.jog_silence_s)
 
     def unhomed(self) -> "JogLimits":
-        """The same for joints that do not know their zero: no range, slow."""
+        """The limits for joints without a zero: no range, slow."""
         count = len(self.joints.speed_rad_s)
         slow = tuple(min(speed, UNHOMED_SPEED_rad_s) for speed in self.joints.speed_rad_s)
         limits = _with_speed(self.joints, slow)
@@ -51,7 +51,7 @@ class JogLimits:
 
 
 def reaches_m(arm: Arm) -> tuple[float, ...]:
-    """For each joint an upper bound of the tip's distance from its axis in any pose: the links' lengths beyond it, added."""
+    """For each joint, an upper bound of the tip's distance from its axis: the sum of the link lengths beyond it."""
     lengths = [math.hypot(link.d_m, link.L_m) for link in arm.links]
     lengths[-1] += math.hypot(*arm.tool.position_m)
     first = [i for i, turns in enumerate(arm.joints) if turns]

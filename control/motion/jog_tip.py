@@ -1,14 +1,14 @@
-"""Jogging the tip along the axes of the base frame: jerk-limited, and never without a way to stop that was looked at.
+"""Tip jog along the axes of the base frame: jerk-limited, and always with a checked stop.
 
 The set-point is a tip position with its velocity and acceleration, moved by ruckig (velocity control, or position control for a
-step). Every cycle the next state is proposed, and from it the stop is calculated to its end. The proposal is taken only if
+step). Every cycle proposes the next state and calculates the stop from it. The proposal is accepted only if
 
 - the pose at the end of that stop exists: on the same branch, inside the joints' ranges, clear of singular poses,
 - no joint exceeds its limits of speed and acceleration in the proposed state, nor could at that end.
 
-Otherwise the arm follows the stop that was looked at with the last state, and says what was in the way. Before it comes to that
-it slows down: near a singular pose the joints turn ever faster for the same tip speed, so the tip's speed and acceleration
-are held to what half of the joints' limits give at the end of the stop.
+Otherwise the arm follows the stop that was checked with the last state, and reports the obstacle. Before that,
+it slows down: near a singular pose the joints move ever faster for the same tip speed, so the tip's speed and acceleration
+are limited to what half of the joints' limits allow at the end of the stop.
 
 For arms of three joints, whose tip position fixes the joint angles on a branch.
 """
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     import ruckig
 
 ZERO: Vector = (0.0, 0.0, 0.0)
-_EASY = 0.5  # of the joints' limits: what the tip's speed is held to
-_HARD = 0.95  # of the joints' limits: what no proposal may exceed
+_EASY = 0.5  # of the joints' limits: bound of the tip's speed
+_HARD = 0.95  # of the joints' limits: bound of every proposal
 _SLOWEST = 1e-3  # of the tip's acceleration, so that a stop always ends
 _SINGULAR = {
     "elbow": "the arm would be nearly stretched or folded (a singular pose)",
@@ -47,7 +47,7 @@ class TipState(NamedTuple):
 
 
 class _Looked(NamedTuple):
-    """A state that may be taken: its set-point, the stop from it, and the joints at the stop's end."""
+    """A checked state: its set-point, the stop from it, and the joints at the end of the stop."""
 
     tip: TipState
     joints: SetPoint
@@ -56,10 +56,10 @@ class _Looked(NamedTuple):
 
 
 class TipJog:
-    """Moves the tip as it is told, from rest.
+    """Jogs the tip, from rest.
 
     Raises:
-        ArmError: the pose is singular, or out of the joints' ranges: jog joints instead.
+        ArmError: the pose is singular or outside of the joints' ranges; jog joints instead.
     """
 
     __slots__ = (
@@ -74,7 +74,7 @@ class TipJog:
         limits: JointLimits,
         tip_speed_m_s: float,
     ) -> None:
-        """`limits`: of every motion, not of a jog; `tip_speed_m_s`: the most that the tip takes."""
+        """`limits`: those of every motion, not of a jog; `tip_speed_m_s`: the largest tip speed."""
         if len(start.q_rad) != 3:
             raise MotionError(
                 f"jog: a tip jog needs an arm of 3 joints, got {len(start.q_rad)}: jog its joints"
@@ -83,7 +83,7 @@ class TipJog:
         self._most_m_s = tip_speed_m_s
         self._wanted: Vector = ZERO
         self._goal_m: Vector | None = None
-        self._stopping = False  # until rest, or until something else is wanted
+        self._stopping = False  # until rest, or until another request
         self._stop_s = 0.0
         self.limited = ""
         tip = kinematics.tip_jacobian(*start.q_rad)[0]
@@ -94,7 +94,7 @@ class TipJog:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether the tip stands, having come to where it was to or having nowhere to go."""
+        """Whether the tip is at rest, at its goal or without one."""
         is_still = all(abs(v) < _AT_REST_m_s for v in self._looked.tip.velocity_m_s)
         return is_still and (self._stopping or self._wanted == ZERO or self._has_reached())
 
@@ -102,7 +102,7 @@ class TipJog:
         return self._goal_m is not None and math.dist(self._goal_m, self._looked.tip.position_m) < _ARRIVED_m
 
     def want(self, velocity_m_s: Vector) -> None:
-        """Velocity asked for, in the base frame; more than the limit is the limit, in the same direction."""
+        """Set the requested velocity in the base frame, scaled down to the limit if needed."""
         speed = math.hypot(*velocity_m_s)
         if speed > self._most_m_s:
             x, y, z = velocity_m_s
@@ -114,7 +114,7 @@ class TipJog:
         self._resume()
 
     def step(self, axis: int, by_m: float, speed_m_s: float) -> None:
-        """Move the tip along axis 0, 1 or 2 by a length, from rest. ArmError where it cannot come to rest there."""
+        """Move the tip along axis 0, 1 or 2 by a length, from rest. ArmError if it cannot come to rest there."""
         here = self._looked.tip.position_m
         goal, wanted = list(here), [0.0, 0.0, 0.0]
         goal[axis] += by_m
@@ -143,12 +143,12 @@ class TipJog:
         return self._looked.joints
 
     def _resume(self) -> None:
-        """Something else is wanted: leave a stop, looking anew from where it is."""
+        """Leave a stop for a new request, checking from the present state."""
         self.limited = ""
         self._stopping = False
 
     def _proposed(self, elapsed_s: float) -> _Looked:
-        """The next state, checked. ArmError names the obstacle."""
+        """The next checked state. ArmError names the obstacle."""
         last = self._looked
         share, ease = self._slowness(last)
         self.limited = "slowed near a singular pose: joint speeds are limited" if share < 1.0 else ""
@@ -156,7 +156,7 @@ class TipJog:
         return self._look(tip, last.joints.q_rad, ease)
 
     def _look(self, tip: TipState, q_near: tuple[float, ...], ease: float) -> _Looked:
-        """`tip` with its stop; ArmError where one of them must not be."""
+        """Check `tip` and its stop; ArmError if either is not allowed."""
         joints = self._joints(tip, q_near)
         stop = _trajectory(tip, ZERO, None, 1.0, ease)
         end = _sample(stop, stop.duration)
@@ -182,7 +182,7 @@ class TipJog:
                 raise MotionError(f"joint {joint + 1} would exceed its speed or acceleration")
 
     def _slowness(self, looked: _Looked) -> tuple[float, float]:
-        """Shares of the tip's wanted speed and of its acceleration that half of the joints' limits give."""
+        """Shares of the tip's requested speed and acceleration that half of the joints' limits allow."""
         wanted = self._wanted if self._wanted != ZERO else looked.tip.velocity_m_s
         speed = math.hypot(*wanted)
         if speed == 0.0:
@@ -208,7 +208,7 @@ class TipJog:
 
 
 def _in_words(obstacle: ArmError) -> str:
-    """The obstacle in words for an operator."""
+    """Describe the obstacle for an operator."""
     if isinstance(obstacle, JointLimitViolated):
         return f"joint {obstacle.joint} would leave its range"
     if isinstance(obstacle, NearSingular):
@@ -219,7 +219,7 @@ def _in_words(obstacle: ArmError) -> str:
 def _trajectory(
     tip: TipState, wanted: Vector, goal_m: Vector | None, share: float, ease: float
 ) -> "ruckig.Trajectory":
-    """From `tip` to the wanted velocity, or to rest at the goal with it; `ease` scales acceleration and jerk."""
+    """From `tip` to the requested velocity, or to rest at the goal; `ease` scales acceleration and jerk."""
     import ruckig
 
     asked: Any = ruckig.InputParameter(3)
@@ -245,7 +245,7 @@ def _trajectory(
 
 
 def _sample(trajectory: "ruckig.Trajectory", time_s: float) -> TipState:
-    """State at a time; beyond the end it cruises on, or is exactly at rest."""
+    """State at a time; beyond the end it keeps its velocity, or is exactly at rest."""
     p, v, a = trajectory.at_time(time_s)
     if time_s >= trajectory.duration and all(abs(x) < _AT_REST_m_s for x in v):
         p, v, a = trajectory.at_time(trajectory.duration)[0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]

@@ -1,4 +1,4 @@
-"""What each joint may do, as the planners need it: range, speed, acceleration and jerk of all joints."""
+"""Joint limits for the planners: range, speed, acceleration and jerk of all joints."""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from control.motion.errors import MotionError
 class JointLimits:
     """One float per joint in each tuple; the range may be infinite, the others are positive and finite.
 
-    The range is that in which joint and encoder are both within the limits of arm.toml.
+    Within the range, joint and encoder are both within the limits of arm.toml.
     """
 
     lower_rad: tuple[float, ...]
@@ -24,7 +24,7 @@ class JointLimits:
 
     @staticmethod
     def of(arm: Arm) -> "JointLimits":
-        """The limits in the arm's [[drive]] sections; MissingModel names a joint whose file gives none."""
+        """The limits in the arm's [[drive]] sections; MissingModel names a joint without them."""
         drives = [arm.drive(joint) for joint in range(1, arm.joint_count + 1)]
         for drive in drives:
             for quantity in ("speed_limit_rad_s", "acceleration_limit_rad_s2", "jerk_limit_rad_s3"):
@@ -42,8 +42,7 @@ class JointLimits:
         )
 
     def scaled(self, fraction: float) -> "JointLimits":
-        """Limits for the same motion in 1/fraction of the time: speed, acceleration, jerk by its powers 1,
-        2, 3.
+        """Limits for the same motion in 1/fraction of the time: powers 1, 2, 3 for speed, acceleration, jerk.
 
         Only for motions that start at rest: braking from a greater speed would take far too long.
 
@@ -60,13 +59,11 @@ class JointLimits:
         )
 
     def slower(self, fraction: float) -> "JointLimits":
-        """Only the speed limited to `fraction`: what a motion from a moving state needs, errors as
-        `scaled`.
-        """
+        """Limit only the speed to `fraction`, for a motion from a moving state; errors as `scaled`."""
         return replace(self, speed_rad_s=self.scaled(fraction).speed_rad_s)
 
     def braking(self, acceleration: float, jerk: float) -> "JointLimits":
-        """The same with `acceleration` and `jerk` times as much, for stops that must be harder."""
+        """Multiply acceleration and jerk by these factors, for harder stops."""
         return replace(
             self,
             acceleration_rad_s2=tuple(a * acceleration for a in self.acceleration_rad_s2),

@@ -16,7 +16,7 @@ from control.motion.setpoint import SetPoint, at_rest
 if TYPE_CHECKING:
     import ruckig
 
-# A joint may end a motion beyond its range by rounding only.
+# A joint may end a motion beyond its range only by rounding errors.
 _ROUNDING_RAD = 1e-9
 # Search for the turning points of a move: fine enough that a joint does not turn twice within a step unseen.
 _SEARCH_STEPS, _BISECTIONS = 100, 30
@@ -72,9 +72,8 @@ class JointMove:
 class Stop:
     """Jerk-limited stop of each joint from `state`, each as soon as its limits allow.
 
-    Where the normal stop would leave a joint's range, that joint brakes harder, by the steps of `_HARDER`;
-    where none of them suffices, the hardest remains and `overshoot_rad` (per joint) says what is physically
-    left over.
+    If the normal stop would leave a joint's range, that joint brakes harder, by the steps of `_HARDER`.
+    If none of them suffices, the hardest is used and `overshoot_rad` (per joint) is what remains.
     """
 
     __slots__ = ("_end", "_trajectories", "duration_s", "overshoot_rad")
@@ -100,7 +99,7 @@ class Stop:
 
 
 def _stop_one(state: SetPoint, limits: JointLimits) -> "tuple[ruckig.Trajectory, float]":
-    """The gentlest stop of one joint that stays in its range, or the hardest one, and its overshoot [rad]."""
+    """The gentlest stop of one joint within its range, or else the hardest one, and its overshoot [rad]."""
     for acceleration, jerk in _HARDER:
         trajectory = _calculate(state, None, limits.braking(acceleration, jerk))
         ((low, high),) = _extrema(trajectory)
@@ -112,7 +111,7 @@ def _stop_one(state: SetPoint, limits: JointLimits) -> "tuple[ruckig.Trajectory,
 
 
 def _calculate(state: SetPoint, target: tuple[float, ...] | None, limits: JointLimits) -> "ruckig.Trajectory":
-    """Trajectory to rest at `target`, all joints in step; or to rest anywhere where `target` is None."""
+    """Trajectory to rest at `target`, joints synchronised; or to rest anywhere if `target` is None."""
     import ruckig
 
     count = len(state.q_rad)
@@ -147,8 +146,7 @@ def _extrema(trajectory: "ruckig.Trajectory") -> list[tuple[float, float]]:
 
 
 def _searched_extrema(trajectory: "ruckig.Trajectory", joint: int) -> tuple[float, float]:
-    """Least and greatest position of a joint [rad] on a move from a moving state, where its speed changes
-    sign.
+    """Least and greatest position of a joint [rad] on a move from a moving state, at changes of direction.
 
     ruckig's `position_extrema` leaves out the braking that comes before such a move (0.19.4: up to 0.15 rad
     short).
@@ -168,7 +166,7 @@ def _searched_extrema(trajectory: "ruckig.Trajectory", joint: int) -> tuple[floa
 
 
 def _range(limits: JointLimits, state: SetPoint, joint: int) -> tuple[float, float]:
-    """A joint's range, reaching as far out as the joint already is (it may always come back)."""
+    """A joint's range, extended to the joint's present position (it may always come back)."""
     here = state.q_rad[joint]
     return min(limits.lower_rad[joint], here), max(limits.upper_rad[joint], here)
 
@@ -196,7 +194,7 @@ def _require_sane(what: str, state: SetPoint, target: tuple[float, ...], limits:
 
 
 def _require_inside(target: tuple[float, ...], limits: JointLimits) -> None:
-    """Raise MotionError naming the first joint whose target is out of its range, and by how much."""
+    """Raise MotionError for the first joint whose target is outside of its range."""
     for joint, (q, low, high) in enumerate(zip(target, limits.lower_rad, limits.upper_rad, strict=True), 1):
         beyond = max(q - high, low - q)
         if beyond > _ROUNDING_RAD:
@@ -207,7 +205,7 @@ def _require_inside(target: tuple[float, ...], limits: JointLimits) -> None:
 
 
 def _require_way_inside(trajectory: "ruckig.Trajectory", state: SetPoint, limits: JointLimits) -> None:
-    """Raise MotionError where a moving start carries a joint out of its range on the way."""
+    """Raise MotionError if a moving start would take a joint out of its range."""
     for joint in range(len(state.q_rad)):
         low, high = _searched_extrema(trajectory, joint)
         lower, upper = _range(limits, state, joint)

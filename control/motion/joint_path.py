@@ -1,7 +1,7 @@
-"""A path of the joints through time: between knots the quintic that meets angle, speed and acceleration at both.
+"""A joint path over time: quintic sections that match angle, speed and acceleration at both knots.
 
-For excitation and test motions that no tip path describes. The client plans and checks the whole of it; a request carries
-the knots, and the loop makes the polynomials of a section when it comes to it.
+For excitation and test motions that are not tip paths. The client plans and checks the whole path; a request carries
+the knots, and the loop computes the polynomials of each section when it gets there.
 
     q(s) = a0 + a1 s + a2 s^2 + a3 s^3 + a4 s^4 + a5 s^5,    s = (t - t_k) / h
 """
@@ -26,7 +26,7 @@ class JointPath:
     """Implements Motion: knots at `times_s` (k,), increasing from 0, and the set-point at each; at rest at both ends.
 
     Raises:
-        MotionError: no such path.
+        MotionError: the knots are invalid.
     """
 
     __slots__ = ("_at", "_section", "duration_s", "knots", "times_s")
@@ -54,7 +54,7 @@ class JointPath:
         return _sampled(self._section, (time_s - self.times_s[k]) / h, h)
 
     def require_within(self, limits: JointLimits) -> None:
-        """MotionError where a knot is outside of a joint's range, speed or acceleration; every set-point is guarded besides."""
+        """MotionError if a knot violates a joint's range, speed or acceleration; the loop also limits every set-point."""
         count = len(limits.lower_rad)
         if len(self.knots[0].q_rad) != count:
             raise MotionError(f"joint path: expected {count} joints, got {len(self.knots[0].q_rad)}")
@@ -86,7 +86,7 @@ class JointPath:
 
     @staticmethod
     def from_message(message: Mapping[str, Any]) -> "JointPath":
-        """Inverse of `to_message`; MotionError where it is none."""
+        """Inverse of `to_message`; MotionError if it is invalid."""
         try:
             times = [float(t) for t in message["times_s"]]
             rows = [[tuple(map(float, row)) for row in message[name]] for name in _GROUPS]

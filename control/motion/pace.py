@@ -1,8 +1,8 @@
-"""How fast a motion's time runs: from 1, as it was planned, to 0, standing on it. For pause, resume and speed override.
+"""Time scaling of a motion, from 1 (as planned) to 0 (paused), for pause, resume and speed override.
 
-With the motion q(s) and ds/dt = r the joints move at q'(s) r and accelerate by q''(s) r^2 + q'(s) dr/dt. r is at most 1, so
-speeds stay below those that were planned; dr/dt is held to what every joint's limit leaves beside q'' r^2. Its own rate is
-limited, too, for the sake of jerk. The arm never leaves the path.
+With the motion q(s) and ds/dt = r, the joints have speed q'(s) r and acceleration q''(s) r^2 + q'(s) dr/dt. r is at most 1, so
+speeds stay below the planned ones; dr/dt is limited to what every joint's limit leaves beside q'' r^2. Its own rate is
+limited, too, to bound the jerk. The arm never leaves the path.
 """
 
 import math
@@ -10,18 +10,18 @@ from collections.abc import Sequence
 
 from control.motion.setpoint import Motion, SetPoint
 
-RATE_per_s = 5.0  # from full speed to rest in 0.3 s where the joints can
+RATE_per_s = 5.0  # from full speed to rest in 0.3 s if the joints can
 CURB_per_s2 = 50.0
 _ARRIVED = 1e-9
 
 
 class Paced:
-    """A motion and how far along it is: `time_s` of the motion's own time, at `pace` now."""
+    """A motion and its progress: `time_s` is the motion's own time, `pace` its present rate."""
 
     __slots__ = ("_limits", "_rate", "motion", "pace", "time_s")
 
     def __init__(self, motion: Motion, acceleration_rad_s2: Sequence[float], pace: float) -> None:
-        """A motion from rest, which may begin at any pace from 0 to 1."""
+        """Start a motion from rest at any pace from 0 to 1."""
         self.motion = motion
         self.time_s = 0.0
         self.pace = pace
@@ -35,11 +35,11 @@ class Paced:
 
     @property
     def progress(self) -> float:
-        """How much of it is done, 0 to 1."""
+        """Progress, 0 to 1."""
         return min(1.0, self.time_s / self.motion.duration_s) if self.motion.duration_s > 0.0 else 1.0
 
     def advance(self, elapsed_s: float, wanted: float) -> SetPoint:
-        """Set-point `elapsed_s` after the last, on the way to the wanted pace. Raises what the motion raises."""
+        """Return the set-point `elapsed_s` after the last, moving towards the pace `wanted`. Raises what the motion raises."""
         before = self.pace
         time_s = self.time_s + before * elapsed_s
         q, speed, acceleration = self.motion.at(time_s)
@@ -61,7 +61,7 @@ class Paced:
         self, wanted: float, elapsed_s: float, speed: Sequence[float], acceleration: Sequence[float]
     ) -> float:
         left = wanted - self.pace
-        # so that the rate, too, ends at zero
+        # so that the rate also ends at zero
         rate = math.copysign(min(RATE_per_s, math.sqrt(2.0 * CURB_per_s2 * abs(left))), left)
         change = CURB_per_s2 * elapsed_s
         rate = min(max(rate, self._rate - change), self._rate + change)
@@ -71,5 +71,5 @@ class Paced:
             if v != 0.0:
                 bounds = ((-limit - spent) / v, (limit - spent) / v)
                 lower, upper = max(lower, min(bounds)), min(upper, max(bounds))
-        # A path that is at its limits already leaves nothing; what it takes by itself is not to be undone here.
+        # A path at its limits leaves nothing; acceleration of the path itself cannot be reduced here.
         return min(max(rate, min(lower, 0.0)), max(upper, 0.0))

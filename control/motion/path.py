@@ -15,14 +15,14 @@ from control.motion.setpoint import SetPoint, Vector
 from control.motion.spline import CartesianSpline
 
 Rows = tuple[tuple[float, ...], ...]
-# Between samples further apart than this the last pose is no good seed; the nearest way-point's is taken.
+# With samples further apart than this, the nearest way-point's pose is a better seed than the last pose.
 _JUMP_S = 0.05
-# |det J| [m^3/rad^3] below which the speeds have no meaning; the planner stays far from it.
+# |det J| [m^3/rad^3] below which joint speeds are meaningless; the planner stays far from it.
 _SINGULAR = 1e-9
 
 
 class Follows(Protocol):
-    """What the path needs of inverse kinematics."""
+    """The inverse kinematics that a path needs."""
 
     def follow(self, point: Vector, q_previous: Sequence[float]) -> tuple[float, ...]:
         """Joint angles for `point` on the branch of `q_previous`."""
@@ -30,7 +30,7 @@ class Follows(Protocol):
 
 
 class Differentiates(Protocol):
-    """What the path needs of forward kinematics."""
+    """The forward kinematics that a path needs."""
 
     @property
     def tip_jacobian(self) -> Callable[..., tuple[Vector, Rows]]:
@@ -44,8 +44,7 @@ class Differentiates(Protocol):
 
 
 class CartesianPath:
-    """Implements Motion. Keeps the last pose as the seed of the next, so that sampling forward in time is
-    cheap.
+    """Implements Motion. Each pose is the seed of the next, so sampling forward in time is cheap.
 
     Args:
         spline: the tip's path in the base frame.
@@ -99,7 +98,7 @@ class CartesianPath:
 
 
 def inverse_of(rows: Rows) -> tuple[Vector, Vector, Vector]:
-    """Inverse of a 3 x 3 matrix by cofactors: plain floats beat a library at this size."""
+    """Inverse of a 3 x 3 matrix by cofactors; at this size plain floats are faster than a library."""
     (a, b, c), (d, e, f), (g, h, i) = rows
     p, q, r = e * i - f * h, f * g - d * i, d * h - e * g
     determinant = a * p + b * q + c * r

@@ -1,10 +1,10 @@
-"""A Cartesian path planned for an arm: checked as a whole before anything moves, slowed where a limit asks
-for it.
+"""Plans a Cartesian path for an arm: checks all of it before anything moves, and slows it where a limit
+requires.
 
-Slowing is local. Where a section asks for more than a limit allows, the speeds at its two way-points and its
-own pace fall by the factor that the limit asks for (speed goes with 1/k, acceleration with 1/k^2, jerk with
-1/k^3), the section times follow, and the path stays continuous in velocity; sections that ask for nothing
-keep their speed. What is left after some rounds, a few per mille, is taken from the whole path.
+Slowing is local. If a section exceeds a limit, the speeds at its two way-points and its own pace are divided
+by the required factor k (speed scales with 1/k, acceleration with 1/k^2, jerk with 1/k^3). The section times
+follow, and the velocity stays continuous. Other sections keep their speed. After some rounds, the remaining
+excess of a few per mille is removed by slowing the whole path.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,18 +29,18 @@ from control.motion.waypoints import Waypoints
 Pose = tuple[float, ...]
 _CHECK_RATE_HZ = 500.0
 _LEAST_SAMPLES = 12  # of a section, however short
-_SEED_STEP_M = 0.02  # scalar solutions this far apart or less, between which the batch starts
-# A round takes only this power of the factor asked for: neighbouring sections slow each other, and full
+_SEED_STEP_M = 0.02  # the batch starts from scalar solutions at most this far apart
+# A round applies only this power of the required factor: neighbouring sections slow each other, and full
 # steps end up to twice as slow as needed. Measured on fast circles and lines: 0.4 comes within a tenth of
 # the slow optimum.
 _CAUTION = 0.4
 _ROUNDS = 20
-_NEAR_ENOUGH = 1.003  # what is left after the rounds is taken from the whole path
+_NEAR_ENOUGH = 1.003  # the rest is removed by slowing the whole path
 
 
 @dataclass(frozen=True, slots=True)
 class Slowdown:
-    """A section that takes `factor` times as long as asked, because of `limit` at `waypoint` (1-based)."""
+    """A section that takes `factor` times as long as requested, because of `limit` at `waypoint` (1-based)."""
 
     factor: float
     waypoint: int
@@ -52,7 +52,7 @@ class Slowdown:
 
 @dataclass(frozen=True, slots=True)
 class PlannedPath:
-    """A path that this arm can run. Poses are those at the spline's times, on one branch throughout."""
+    """A path that this arm can run. Poses are at the spline's times, all on one branch."""
 
     spline: CartesianSpline
     q_waypoints_rad: tuple[Pose, ...]
@@ -66,11 +66,11 @@ class PlannedPath:
 
     @property
     def q_start_rad(self) -> tuple[float, ...]:
-        """Joint angles at the first way-point: where the approach has to end."""
+        """Joint angles at the first way-point, where the approach ends."""
         return self.q_waypoints_rad[0]
 
     def motion(self, inverse: InverseKinematics, kinematics: Kinematics) -> CartesianPath:
-        """The motion that the loop runs."""
+        """The motion for the loop."""
         return CartesianPath(self.spline, inverse, kinematics, self.q_waypoints_rad)
 
     def to_message(self) -> dict[str, Any]:
@@ -84,7 +84,7 @@ class PlannedPath:
 
     @staticmethod
     def from_message(message: Mapping[str, Any]) -> "PlannedPath":
-        """Inverse of `to_message`; PathError where it is none. The loop still guards every set-point."""
+        """Inverse of `to_message`; PathError if it is invalid. The loop still limits every set-point."""
         try:
             spline = CartesianSpline.from_message(message["spline"])
             poses = tuple(tuple(float(angle) for angle in q) for q in message["q_waypoints_rad"])
@@ -116,15 +116,14 @@ def plan_path(
         arm: its limits, geometry and table.
         waypoints: from a file or a table, or plain points.
         speeds: [m/s] one for all, one each, or None: those of `waypoints`, else an acceleration-continuous
-        path. q_near_rad: of the branches that can run the whole path, the one whose start is nearest; the
-        arm's rest pose
-            by default.
+            path.
+        q_near_rad: the branch whose start is nearest to this pose is used; by default the rest pose.
         setup: how the calibration board is tilted, for clearance.
-        pace_m_s: speed where none is given.
-        inverse, kinematics: of this arm, where the caller has them already.
+        pace_m_s: speed if none is given.
+        inverse, kinematics: of this arm, if the caller has them already.
 
     Raises:
-        ArmError: what stands in the way, with the way-point and by how much; nothing is planned by half.
+        ArmError: the path cannot be run; names the obstacle, the way-point and the amount.
     """
     kinematics = kinematics or Kinematics(arm)
     inverse = inverse or InverseKinematics(arm)
@@ -147,7 +146,7 @@ def plan_path(
 
 
 class _Planner:
-    """One arm, one set of way-points: tries the path on a branch."""
+    """Tries the path of one arm through one set of way-points on a branch."""
 
     def __init__(
         self, arm: Arm, kinematics: Kinematics, inverse: InverseKinematics, waypoints: Waypoints, setup: str
@@ -157,7 +156,7 @@ class _Planner:
         self._limits = JointLimits.of(arm)
 
     def plan(self, recipe: TimedWaypoints, branch: Branch | None, q_start: Pose) -> PlannedPath:
-        """Check, slow, check again; PathError where the path cannot be run from `q_start`."""
+        """Check, slow, check again; PathError if the path cannot be run from `q_start`."""
         if branch is not None:
             self._check_waypoints(branch)
         asked = np.diff(recipe.spline().times_s)
@@ -201,9 +200,7 @@ class _Planner:
     def _followed(
         self, recipe: TimedWaypoints, spline: CartesianSpline, q_start: Pose
     ) -> tuple[list[float], list[Pose], tuple[Pose, ...]]:
-        """Times and poses followed along the path in small steps from `q_start`, and those at the
-        way-points.
-        """
+        """Times and poses followed along the path in small steps from `q_start`, and at the way-points."""
         times, poses, at_waypoints = [0.0], [q_start], [q_start]
         for length, (start, end) in zip(recipe.lengths_m, pairwise(spline.times_s), strict=True):
             steps = 2 + int(length / _SEED_STEP_M)
@@ -219,7 +216,7 @@ class _Planner:
         return times, poses, tuple(at_waypoints)
 
     def _check(self, spline: CartesianSpline, tip: TipSamples, joints: JointSamples) -> None:
-        """Everything that slowing does not cure."""
+        """Checks that do not depend on speed."""
         checks.check_poses(self._waypoints, spline.times_s, tip, joints, self._limits)
         checks.check_clearance(
             self._arm, self._kinematics, self._setup, self._waypoints, spline.times_s, tip, joints.q_rad
@@ -232,9 +229,7 @@ class _Planner:
         joints: JointSamples,
         causes: dict[int, tuple[float, int, str]],
     ) -> Array:
-        """How much slower each section has to be (n,); notes in `causes` who asked for the most, and
-        where.
-        """
+        """How much slower each section has to be (n,); `causes` gets the decisive limit and its place."""
         found = checks.demands(tip, joints, self._limits, self._arm.limits.tip_speed_m_s)
         stacked = np.stack([demand.factors for demand in found])
         worst, limit = stacked.max(axis=0), stacked.argmax(axis=0)
@@ -251,9 +246,7 @@ class _Planner:
 def _starts(
     arm: Arm, inverse: InverseKinematics, waypoints: Waypoints, q_near_rad: Sequence[float] | None
 ) -> list[tuple[Branch | None, Pose]]:
-    """Branches that reach the first way-point and their poses there, within limits first, then nearest
-    first.
-    """
+    """Branches that reach the first way-point and their poses, within limits first, then nearest first."""
     near = (
         q_near_rad if q_near_rad is not None else (arm.rest.q_rad if arm.rest else (0.0,) * arm.joint_count)
     )

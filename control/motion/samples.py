@@ -1,4 +1,4 @@
-"""A path sampled all at once, for the checks before a motion: numpy batches, never used in the cycle."""
+"""Samples of a whole path for the checks before a motion: numpy batches, not used in the cycle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from control.kinematics.kinematics import Kinematics
 from control.motion.spline import CartesianSpline
 
 Array = NDArray[np.float64]
-# Newton steps: from seeds a section's tenth apart the error squares each time, so that five are plenty.
+# Newton steps: seeds are a tenth of a section apart and convergence is quadratic, so five suffice.
 _NEWTON_STEPS = 6
 _CONVERGED_M = 1e-9
 _LONGEST_STEP_RAD = 0.3
@@ -66,7 +66,7 @@ def solve_joints(kinematics: Kinematics, tip: TipSamples, seeds_rad: Array) -> J
         error = tip.position_m - kinematics.tips(q)
         if np.abs(error).max() < _CONVERGED_M:
             break
-        # A damped step cannot fly off to another branch where a pose does not exist.
+        # A damped step cannot jump to another branch if a pose does not exist.
         q += np.clip(_solve(kinematics.jacobians(q), error), -_LONGEST_STEP_RAD, _LONGEST_STEP_RAD)
     jacobians = kinematics.jacobians(q)
     speed = _solve(jacobians, tip.velocity_m_s)
@@ -87,7 +87,7 @@ def interpolated(times_s: Array, known_s: Sequence[float], known_q_rad: Sequence
 
 
 def _solve(jacobians: Array, right: Array) -> Array:
-    """J x = right for each sample; where one is singular, least squares of slightly damped matrices."""
+    """Solve J x = right for each sample; if one is singular, by slightly damped least squares."""
     try:
         return _solved(jacobians, right)
     except np.linalg.LinAlgError:

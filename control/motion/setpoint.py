@@ -1,4 +1,4 @@
-"""What the loop follows: a set-point of all joints, and a motion that gives one for every time."""
+"""The set-point of all joints, and the protocol of a motion, which gives one for every time."""
 
 from typing import NamedTuple, Protocol
 
@@ -6,9 +6,7 @@ Vector = tuple[float, float, float]
 
 
 class SetPoint(NamedTuple):
-    """Joint angles, speeds and accelerations, one float per joint each; a NamedTuple because one is made a
-    cycle.
-    """
+    """Joint angles, speeds and accelerations, one float per joint; a NamedTuple, created every cycle."""
 
     q_rad: tuple[float, ...]
     speed_rad_s: tuple[float, ...]
@@ -29,6 +27,6 @@ class Motion(Protocol):
 
 
 def at_rest(q_rad: tuple[float, ...]) -> SetPoint:
-    """Set-point that stands still at `q_rad`."""
+    """Set-point at rest at `q_rad`."""
     zeros = (0.0,) * len(q_rad)
     return SetPoint(tuple(q_rad), zeros, zeros)

@@ -1,8 +1,8 @@
 """Cartesian path of cubic sections: s(t) = a0 + a1 t + a2 t^2 + a3 t^3 (SpringerPlus 5:1771, eq. (3)).
 
 Each section's four coefficients per axis follow from position and velocity at both of its ends. Velocities
-come from speeds along the tangent (speed and direction continuous, acceleration steps at way-points) or are
-chosen so that the acceleration is continuous too; timing.py says how. Evaluation is plain floats: it runs
+come from speeds along the tangent (speed and direction continuous, acceleration steps at way-points), or are
+chosen so that the acceleration is continuous too; see timing.py. Evaluation uses plain floats, because it runs
 every cycle.
 """
 
@@ -17,10 +17,10 @@ from control.motion import timing
 from control.motion.errors import PathError
 from control.motion.setpoint import Vector
 
-# Where the user gives no speed: slow enough to watch, as fast as the demo's friction is usually identified.
+# Default speed: slow enough to watch, and usual for friction identification.
 DEFAULT_PACE_M_S = 0.1
 _REST: Vector = (0.0, 0.0, 0.0)
-_COINCIDENT_M = 1e-6  # closer way-points are one point typed twice; the encoders do not resolve more
+_COINCIDENT_M = 1e-6  # closer way-points are duplicates; the encoders do not resolve more
 
 
 class CartesianSpline:
@@ -80,7 +80,7 @@ class CartesianSpline:
         """Inverse of `to_message`.
 
         Raises:
-            PathError: the message is not one, or holds numbers that are no path.
+            PathError: the message is invalid.
         """
         try:
             times = [float(t) for t in message["times_s"]]
@@ -122,7 +122,7 @@ def hermite(
 
 @dataclass(frozen=True, slots=True)
 class TimedWaypoints:
-    """Way-points with the speed of the path at each: what a spline is made from, and made slower from.
+    """Way-points with the path's speed at each, from which splines are made and slowed.
 
     `speeds_m_s` at the n + 1 points, after corners and rest; `paces_m_s` of the n sections, see
     `section_times`. `slowed_corners`: 1-based way-points whose corner does not allow the speed asked for,
@@ -149,9 +149,7 @@ class TimedWaypoints:
         return hermite(self.points, velocities, times)
 
     def slowed(self, factors: Sequence[float]) -> "TimedWaypoints":
-        """Each section takes at least `factors[i]` (>= 1) times as long: the speeds at both of its ends
-        fall.
-        """
+        """Make each section take at least `factors[i]` (>= 1) times as long, by reducing its end speeds."""
         at_points = [max(pair) for pair in zip((1.0, *factors), (*factors, 1.0), strict=True)]
         return replace(
             self,

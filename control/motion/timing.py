@@ -1,4 +1,4 @@
-"""From way-points and speeds to velocities and section times: what the cubics of spline.py are made from.
+"""Velocities and section times from way-points and speeds, for the cubics of spline.py.
 
 Tangent at a way-point between chords d0 (length h0) and d1 (length h1): the direction of h1/h0 d0 + h0/h1 d1,
 the parabola through three points over chord length, which is also the exact tangent of the circle through
@@ -14,7 +14,7 @@ Section time with speeds v0, v1 at its ends and pace p >= v0, v1, the speed aske
 On a straight section the speed is then a parabola that never exceeds p: constant where v0 = v1 = p (T = L /
 p), from rest to p with no acceleration left at p (T = 1.5 L / p), and with p as its crest from rest to rest.
 
-A corner that turns by beta allows cos^2(beta / 2) / cos^2(22.5 deg) of the speed asked, at most all of it:
+A corner that turns by beta allows cos^2(beta / 2) / cos^2(22.5 deg) of the requested speed, at most all of it:
 no loss up to 45 deg (a circle of eight points), nothing at a reversal, where any speed along a tangent would
 make a loop.
 """
@@ -25,7 +25,7 @@ from itertools import pairwise
 
 from control.motion.setpoint import Vector
 
-# Turning angle up to which a corner keeps its speed: eight points are the coarsest circle worth the name.
+# Turning angle up to which a corner keeps its speed: eight points are the coarsest useful circle.
 _FREE_TURN = (1.0 + math.cos(math.radians(45.0))) / 2.0
 # Below this share of the speed a corner is a reversal, and its tangent is rounding noise.
 _REVERSAL = 1e-6
@@ -43,9 +43,7 @@ def is_closed(points: Sequence[Vector]) -> bool:
 
 
 def tangents(points: Sequence[Vector]) -> list[Vector]:
-    """Unit tangent at each point; at open ends that of the circle through the end and its section; zero at
-    reversals.
-    """
+    """Unit tangent at each point (open ends: of the circle through the end section); zero at reversals."""
     inner = [_tangent(*points[i - 1 : i + 2]) for i in range(1, len(points) - 1)]
     if is_closed(points):
         seam = _tangent(points[-2], points[0], points[1])
@@ -57,7 +55,7 @@ def tangents(points: Sequence[Vector]) -> list[Vector]:
 
 
 def corner_factors(points: Sequence[Vector]) -> list[float]:
-    """Share of the asked speed that the corner at each point allows, 0 .. 1; 1 at open ends."""
+    """Share of the requested speed that each point's corner allows, 0 .. 1; 1 at open ends."""
     count = len(points)
     factors = [1.0, *(_corner_factor(*points[i - 1 : i + 2]) for i in range(1, count - 1)), 1.0]
     if is_closed(points):
@@ -73,7 +71,7 @@ def arc_lengths(points: Sequence[Vector], directions: Sequence[Vector]) -> list[
         angles = [
             angle for angle in (_angle(directions[j], difference) for j in (i, i + 1)) if angle is not None
         ]
-        # Beyond a right angle the chord says little; a reversal has no tangent and takes its other end's
+        # Beyond a right angle the chord is not meaningful; a reversal has no tangent and takes its other end's
         # angle.
         phi = min(sum(angles) / len(angles), math.pi / 2.0) if angles else 0.0
         lengths.append(length * phi / math.sin(phi) if phi > 1e-9 else length)
@@ -81,9 +79,7 @@ def arc_lengths(points: Sequence[Vector], directions: Sequence[Vector]) -> list[
 
 
 def section_times(lengths: Sequence[float], speeds: Sequence[float], paces: Sequence[float]) -> list[float]:
-    """Time of each of n sections [s]; `speeds` at the n + 1 points, `paces` of the sections, see the
-    module.
-    """
+    """Time of each of n sections [s]; `speeds` at the n + 1 points, `paces` of the sections (see module)."""
     return [
         3.0 * length * pace / (2.0 * pace * pace + start * end)
         for length, (start, end), pace in zip(lengths, pairwise(speeds), paces, strict=True)
@@ -93,7 +89,7 @@ def section_times(lengths: Sequence[float], speeds: Sequence[float], paces: Sequ
 def continuous_velocities(
     points: Sequence[Vector], times: Sequence[float], first: Vector, last: Vector
 ) -> list[Vector]:
-    """Velocities at the points for which the cubics' acceleration is continuous, the end velocities given.
+    """Velocities at the points for continuous acceleration of the cubics, given the end velocities.
 
     Equal accelerations at an inner point between sections of T0 and T1 and chords d0 and d1:
     T1 v[i-1] + 2 (T0 + T1) v[i] + T0 v[i+1] = 3 (T1/T0 d0 + T0/T1 d1); solved by the Thomas algorithm, which

@@ -1,4 +1,4 @@
-"""Way-points from a file, and the ready-made circle and line of the calibration table."""
+"""Way-points from a file, and the circle and line of the calibration table."""
 
 import csv
 import math
@@ -14,7 +14,7 @@ from control.motion.setpoint import Vector
 
 POSITION_COLUMNS = ("x_m", "y_m", "z_m")
 SPEED_COLUMN = "speed_m_s"
-# No arm on a table reaches this far; a greater number was meant in millimetres.
+# No table-top arm reaches this far; a larger number is probably in millimetres.
 _FARTHEST_M = 10.0
 _FASTEST_M_S = 10.0
 _FOREIGN_UNITS = {"_mm": "metres (column names end in _m)", "_cm": "metres (column names end in _m)"}
@@ -22,23 +22,23 @@ _FOREIGN_UNITS = {"_mm": "metres (column names end in _m)", "_cm": "metres (colu
 
 @dataclass(frozen=True, slots=True)
 class Waypoints:
-    """Points [m] in the base frame, a speed [m/s] each or None, and where each was written (for messages)."""
+    """Points [m] in the base frame, a speed [m/s] for each or None, and their places in the file (for messages)."""
 
     points: tuple[Vector, ...]
     speeds_m_s: tuple[float, ...] | None
     places: tuple[str, ...] = ()
 
     def name(self, number: int) -> str:
-        """What errors call way-point `number` (1-based): its number, and file and line where it has one."""
+        """Name of way-point `number` (1-based) for errors: its number, and file and line if known."""
         place = f" ({self.places[number - 1]})" if self.places else ""
         return f"way-point {number}{place}"
 
 
 def read_waypoints(path: str | Path) -> Waypoints:
-    """Way-points of a CSV file with columns x_m, y_m, z_m and, optionally, speed_m_s; one path point a line.
+    """Read way-points from a CSV file with columns x_m, y_m, z_m and, optionally, speed_m_s.
 
     Raises:
-        WaypointFileError: names file, line and column; nothing is read by half.
+        WaypointFileError: names file, line and column.
     """
     file = Path(path)
     try:
@@ -65,17 +65,13 @@ def read_waypoints(path: str | Path) -> Waypoints:
 
 
 def circle(table: Table, setup: str = "normal", height_m: float = 0.0) -> Waypoints:
-    """Once around the table's circle, from cavity 1 back to it, `height_m` above the board along its
-    normal.
-    """
+    """Once around the table's circle, from cavity 1 back to it, `height_m` above the board."""
     names = tables.circle_names(table)
     return _above_board(table, setup, [*names, *names[:1]], height_m, "circle")
 
 
 def line(table: Table, setup: str = "normal", height_m: float = 0.0) -> Waypoints:
-    """Along the table's line from its first cavity to its last, `height_m` above the board along its
-    normal.
-    """
+    """Along the table's line from its first cavity to its last, `height_m` above the board."""
     return _above_board(table, setup, tables.line_names(table), height_m, "line")
 
 
@@ -90,7 +86,7 @@ def _above_board(table: Table, setup: str, names: Sequence[str], height_m: float
 
 
 def _checked_header(file: Path, number: int, columns: list[str]) -> list[str]:
-    """The columns, or an error about the first that is missing, foreign or doubled."""
+    """Return the columns; WaypointFileError for the first missing, unknown or duplicate one."""
     allowed = (*POSITION_COLUMNS, SPEED_COLUMN)
     for column in columns:
         hint = next(
@@ -110,14 +106,14 @@ def _checked_header(file: Path, number: int, columns: list[str]) -> list[str]:
 
 
 def _numbers(place: str, columns: list[str], row: list[str]) -> dict[str, float]:
-    """One line's numbers by column."""
+    """Parse the numbers of a line by column."""
     if len(row) != len(columns):
         raise WaypointFileError(f"{place}: expected {len(columns)} values, got {len(row)}")
     return {column: _number(place, column, text) for column, text in zip(columns, row, strict=True)}
 
 
 def _number(place: str, column: str, text: str) -> float:
-    """A finite number of plausible size."""
+    """Parse a finite number of plausible size."""
     try:
         value = float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Faults of the arm: what happened, where, what to do about it, and how the arm reacts."""
+"""Faults of the arm: what happened, where, the remedy, and the reaction."""
 
 from dataclasses import dataclass
 from enum import IntEnum

@@ -1,7 +1,7 @@
-"""Limits as pure functions: (wanted, last, measured, limits) -> what is allowed, and why not what was wanted.
+"""Limits as pure functions: (wanted, last, measured, limits) -> allowed, with the reason for each clip.
 
-Every clip carries its reason. These are the last guard before the boards: plans are checked before they
-start, so a clip here says that something upstream is wrong, and the loop treats it so. A number that is not
+These are the last check before the boards: plans are checked before they
+start, so a clip here indicates an error upstream, and the loop treats it as a fault. A number that is not
 finite is never passed on: it raises `NotFinite`, which the loop turns into a fault.
 
 Each comparison is written so that a bound itself is allowed.
@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 from control.errors import ArmError
 
-# Names of the limits in reasons, for whoever decides what a clip means.
+# Names of the limits, by which callers identify a clip.
 ACCELERATION, SPEED, RANGE = "acceleration limit [rad/s]", "speed limit [rad/s]", "joint range [rad/s]"
-# A plan that runs along its limit exceeds it by rounding: 1e-9 rad/s is 2e-12 rad in a cycle of 2 ms.
+# A plan at its limit exceeds it by rounding errors: 1e-9 rad/s is 2e-12 rad in a cycle of 2 ms.
 _ROUNDING_RAD_S = 1e-9
 
 
@@ -25,7 +25,7 @@ class NotFinite(ArmError):
 
 
 class Clip(NamedTuple):
-    """Why a value is not what was wanted: `limit` in words, joint 1-based (0: of no joint), both values."""
+    """Why a value was changed: name of the limit, joint 1-based (0: none), wanted and allowed value."""
 
     limit: str
     joint: int
@@ -46,7 +46,7 @@ class Allowed(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SetPointLimits:
-    """Limits of one joint's position set-point; see `limit_set_point`. All but the range positive."""
+    """Limits of one joint's position set-point; see `limit_set_point`. All but the range must be positive."""
 
     lower_rad: float
     upper_rad: float
@@ -54,7 +54,7 @@ class SetPointLimits:
     acceleration_rad_s2: float
 
     def __post_init__(self) -> None:
-        """Refuse limits that no joint can have: a limit of NaN would let everything pass."""
+        """Refuse invalid limits: a limit of NaN would allow everything."""
         if not -math.inf < self.lower_rad < self.upper_rad < math.inf:
             raise ArmError(
                 f"joint range: expected lower < upper, got {self.lower_rad} to {self.upper_rad} rad"
@@ -66,7 +66,7 @@ class SetPointLimits:
 
 
 class AllowedSetPoint(NamedTuple):
-    """Position and speed set-points of all joints inside their limits, and a `Clip` for each change."""
+    """Limited position and speed set-points of all joints, and a `Clip` for each change."""
 
     q_rad: tuple[float, ...]
     speed_rad_s: tuple[float, ...]
@@ -74,7 +74,7 @@ class AllowedSetPoint(NamedTuple):
 
 
 def clamp(wanted: float, lower: float, upper: float, limit: str, joint: int = 0) -> Allowed:
-    """`wanted` inside lower .. upper; the bounds themselves are allowed.
+    """Clamp `wanted` to lower .. upper; the bounds themselves are allowed.
 
     Raises:
         NotFinite: `wanted` is NaN or infinite, or the bounds are crossed or NaN.
@@ -93,12 +93,10 @@ def clamp(wanted: float, lower: float, upper: float, limit: str, joint: int = 0)
 def voltage_range(
     voltage_limit_V: float, current_limit_A: float, resistance_ohm: float, back_emf_V: float
 ) -> tuple[float, float]:
-    """Motor voltages (lower, upper) that keep the steady current within its limit and stay within
-    +-voltage_limit.
+    """Motor voltages (lower, upper), within +-voltage_limit, that keep the steady current within its limit.
 
-    i = (u - back_emf) / R, inductance left out: within its time constant the current is below this. Where the
-    motor is driven so fast that no voltage in range keeps the limit, the nearest remains, never a crossed
-    range.
+    i = (u - back_emf) / R, neglecting inductance: within its time constant the current is smaller. If the
+    motor turns so fast that no voltage in range keeps the limit, both bounds are the nearest voltage.
     """
     total = voltage_limit_V + current_limit_A + resistance_ohm + back_emf_V
     if total - total != 0.0:
@@ -121,7 +119,7 @@ def limit_set_point(
 ) -> AllowedSetPoint:
     """The set-point of this cycle, one period after the last, for n joints (sequences of n).
 
-    Per joint the step is bounded by acceleration, then speed, then by what can still stop at the end of the
+    Per joint the step is bounded by acceleration, then speed, then by the speed that can still stop at the end of the
     range, and the position by the range itself, which wins over all others. A joint whose last set-point is
     outside its range (put there by hand) may stay or come back but goes no further out.
 
@@ -150,7 +148,7 @@ def limit_set_point(
 
 
 def _is_free(wanted: float, speed: float, last_speed: float, limit: SetPointLimits, period_s: float) -> bool:
-    """Whether certainly no limit is touched: a cycle's fast path, a bit stricter than `stopping_speed`."""
+    """Whether certainly no limit applies: the fast path of a cycle, slightly stricter than `stopping_speed`."""
     acceleration = limit.acceleration_rad_s2
     change = acceleration * period_s
     room = limit.upper_rad - wanted if speed > 0.0 else wanted - limit.lower_rad
@@ -171,7 +169,7 @@ def _limited_speed(
     joint: int,
     reasons: list[Clip],
 ) -> float:
-    """Speed of this step after acceleration, speed and range, in this order: the range has the last word."""
+    """Speed of this step after the limits of acceleration, speed and range, in this order."""
     change = limit.acceleration_rad_s2 * period_s
     upper = stopping_speed(limit.upper_rad - last, limit.acceleration_rad_s2, period_s)
     lower = -stopping_speed(last - limit.lower_rad, limit.acceleration_rad_s2, period_s)
@@ -187,13 +185,12 @@ def _limited_speed(
 
 
 def _inside(position: float, last: float, limit: SetPointLimits) -> float:
-    """`position` in the joint's range, which reaches as far out as the last set-point already is."""
+    """Clamp `position` to the joint's range, extended to the last set-point."""
     return min(max(position, min(limit.lower_rad, last)), max(limit.upper_rad, last))
 
 
 def stopping_speed(distance_rad: float, acceleration_rad_s2: float, period_s: float) -> float:
-    """Highest speed of the coming step after which braking at `acceleration`, cycle by cycle, ends in
-    `distance`.
+    """Highest speed of the next step from which braking at `acceleration`, in cycles, ends in `distance`.
 
     With c = a T the speed change of a cycle, a step at speed (n + f) c and the n slower ones after it cover
     a T^2 (n (n + 1) / 2 + f (n + 1)), n whole, 0 <= f < 1; this is its inverse. Zero where no distance is
@@ -209,19 +206,17 @@ def stopping_speed(distance_rad: float, acceleration_rad_s2: float, period_s: fl
 
 
 def following_error_limit(base_rad: float, per_speed_s: float, speed_rad_s: float) -> float:
-    """Largest |set - measured| in order: base + per_speed * |speed|, a lag of `per_speed` seconds being
-    normal.
-    """
+    """Largest allowed |set - measured|: base + per_speed * |speed|; a lag of `per_speed` seconds is normal."""
     return base_rad + per_speed_s * abs(speed_rad_s)
 
 
 def following_error_excess(
     set_rad: float, measured_rad: float, speed_rad_s: float, base_rad: float, per_speed_s: float
 ) -> float:
-    """How far the following error is beyond its limit [rad]; zero or negative: in order.
+    """Excess of the following error over its limit [rad]; zero or negative: within the limit.
 
     Raises:
-        NotFinite: any number is NaN or infinite (a NaN would compare as in order).
+        NotFinite: any number is NaN or infinite (a NaN would pass the comparison).
     """
     excess = abs(set_rad - measured_rad) - following_error_limit(base_rad, per_speed_s, speed_rad_s)
     if excess - excess != 0.0:
@@ -233,8 +228,7 @@ def following_error_excess(
 
 
 def overrun(measured: float, limit: float) -> float:
-    """How far |measured| is beyond `limit`, in their unit; zero or negative: in order. For speeds and
-    currents.
+    """Excess of |measured| over `limit`; zero or negative: within the limit. For speeds and currents.
 
     Raises:
         NotFinite: either is NaN or infinite.
@@ -246,5 +240,5 @@ def overrun(measured: float, limit: float) -> float:
 
 
 def is_stale(now_s: float, received_at_s: float | None, limit_s: float) -> bool:
-    """Whether the newest value is older than `limit_s`; never received, or not a number, is stale too."""
+    """Whether the latest value is older than `limit_s`; never received, or NaN, is stale too."""
     return received_at_s is None or not now_s - received_at_s <= limit_s

@@ -1,6 +1,4 @@
-"""The arm's mode: follows the table of control/safety/table.py, keeps the faults until a hand acknowledges
-them.
-"""
+"""The arm's mode by the table of control/safety/table.py, and its faults until a person acknowledges them."""
 
 from control.errors import ArmError
 from control.safety.fault import Fault, Reaction
@@ -11,9 +9,7 @@ _ACKNOWLEDGEMENTS = (Event.ACKNOWLEDGE_HELD, Event.ACKNOWLEDGE_BRAKED)
 
 
 class IllegalTransition(ArmError):
-    """An event that the present mode does not take; nothing was changed. Carries mode, event and legal
-    events.
-    """
+    """An event that is illegal in the present mode; nothing was changed. Carries mode and legal events."""
 
     def __init__(self, mode: Mode, event: str, legal: tuple[Event, ...], why: str = "") -> None:
         self.mode = mode
@@ -26,7 +22,7 @@ class IllegalTransition(ArmError):
 
 
 class Monitor:
-    """Mode, faults and homing of one arm. Independent of time and hardware: the loop raises events and obeys."""
+    """Mode, faults and homing of one arm. Independent of time and hardware: the loop raises events and follows the mode."""
 
     __slots__ = ("_faults", "_is_at_rest", "_is_homed", "_mode", "_reaction")
 
@@ -49,17 +45,17 @@ class Monitor:
 
     @property
     def reaction(self) -> Reaction | None:
-        """How the arm reacts to its faults; None while there are none."""
+        """The reaction to the present faults; None if there are none."""
         return self._reaction
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether the stop of a fault has ended: until then it cannot be acknowledged."""
+        """Whether the stop after a fault has ended; before that it cannot be acknowledged."""
         return self._is_at_rest
 
     @property
     def is_homed(self) -> bool:
-        """Whether every joint knows its zero."""
+        """Whether every joint is homed."""
         return self._is_homed
 
     @property
@@ -71,7 +67,7 @@ class Monitor:
         """Take `event` and return the new mode.
 
         Raises:
-            IllegalTransition: no row for it, the arm is not homed, or faults wait; nothing changes.
+            IllegalTransition: no such transition, the arm is not homed, or faults are unacknowledged; nothing changes.
         """
         following = self.require(event)
         self._note(event)
@@ -79,7 +75,7 @@ class Monitor:
         return following
 
     def require(self, event: Event) -> Mode:
-        """The mode that `event` leads to; raises as `on`, and changes nothing."""
+        """Return the mode that `event` leads to; raises as `on` and changes nothing."""
         if event in _FAULT_EVENTS or event in _ACKNOWLEDGEMENTS:
             raise self._refusal(event.name, "use fault() and acknowledge()")
         following = TRANSITIONS.get((self._mode, event))
@@ -92,18 +88,16 @@ class Monitor:
         return following
 
     def require_no_faults(self, event: str) -> None:
-        """Raise IllegalTransition for `event` while faults wait to be acknowledged."""
+        """Raise IllegalTransition for `event` while faults are unacknowledged."""
         if self._faults:
             raise self._refusal(event, "faults are not acknowledged (`armwright acknowledge`)")
 
     def fault(self, fault: Fault) -> Mode:
-        """Go to FAULT, list `fault` (once per code and place) and take the more severe reaction. Always
-        legal.
-        """
+        """Go to FAULT, list `fault` (once per code and place), use the more severe reaction. Always legal."""
         can_control = self._mode in CONTROLLED_MODES or self.is_held_fault
         wanted = fault.reaction if can_control else Reaction.BRAKE
         if self._mode is not Mode.FAULT:
-            # Where nothing was moving there is still a stop to plan: the loop ends it with STOPPED at once.
+            # Even at rest the loop plans a stop, and ends it with STOPPED at once.
             self._is_at_rest = False
         if all((known.code, known.where) != (fault.code, fault.where) for known in self._faults):
             self._faults = (*self._faults, fault)
@@ -113,8 +107,7 @@ class Monitor:
         return self._mode
 
     def acknowledge(self) -> tuple[Fault, ...]:
-        """Clear the faults by hand and return them: to HOLDING where the arm was held, else to BRAKED; OFF
-        stays.
+        """Clear and return the faults. The mode becomes HOLDING if the arm was held, else BRAKED; OFF stays.
 
         Raises:
             IllegalTransition: there is no fault, or the controlled stop has not ended; nothing changes.
@@ -129,7 +122,7 @@ class Monitor:
         return cleared
 
     def forget_home(self) -> None:
-        """A board lost its zero (power, broken wire): MOVE is refused until HOMED."""
+        """Note that a board lost its zero (power, broken wire): MOVE is refused until HOMED."""
         self._is_homed = False
 
     def next_towards_off(self, is_still: bool) -> Event | None:
@@ -137,7 +130,7 @@ class Monitor:
         return next_towards_off(self._mode, is_still, self.is_held_fault)
 
     def _note(self, event: Event) -> None:
-        """What an event means beyond the mode."""
+        """Effects of an event beyond the mode."""
         if event is Event.HOMED:
             self._is_homed = True
         elif event is Event.HOME:

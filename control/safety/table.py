@@ -1,13 +1,11 @@
-"""Modes and events of the arm: one table says what may follow what, and docs/state_machine.md is printed
-from it.
-"""
+"""Modes and events of the arm in one transition table, from which docs/state_machine.md is printed."""
 
 from enum import Enum
 from typing import Final
 
 
 class Mode(Enum):
-    """What the arm does now; the value is what the drives do in it."""
+    """Mode of the arm; the value describes the drives."""
 
     OFF = "drives off: the boards short the windings, so a loaded arm sinks slowly and does not drop"
     BRAKED = "0 V: shorted windings brake; no control"
@@ -46,9 +44,9 @@ class Event(Enum):
 
 # What is missing here is illegal and changes nothing. Why some rows are as they are:
 # - STOP is legal wherever something could move, so that a stop can never be refused for being late.
-# - Every mode has both fault rows; OFF too: a fault found while connecting must be seen before anything
-# moves. - FAULT takes BRAKE (shutdown from a held fault) and SWITCH_OFF; the faults stay listed until
-# acknowledged.
+# - Every mode has both fault rows; OFF too: a fault found while connecting must be seen before any motion.
+# - FAULT accepts BRAKE (shutdown from a held fault) and SWITCH_OFF; the faults stay listed until
+#   acknowledged.
 TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.OFF, Event.CONNECT): Mode.BRAKED,
     (Mode.OFF, Event.SWITCH_OFF): Mode.OFF,
@@ -112,9 +110,9 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.PAUSED, Event.FAULT_BRAKE): Mode.FAULT,
 }
 
-# Modes in which the arm goes somewhere (or waits on the way), for whoever asked for it: a stop ends them.
+# Modes in which the arm executes a request (or is paused); a stop ends them.
 TRAVELLING_MODES: Final = frozenset({Mode.MOVING, Mode.HOMING, Mode.JOGGING, Mode.PAUSED})
-# Modes in which position control runs, so that a controlled stop is possible; elsewhere every fault brakes.
+# Modes with position control, in which a controlled stop is possible; in all others every fault brakes.
 CONTROLLED_MODES: Final = TRAVELLING_MODES | {Mode.HOLDING, Mode.STOPPING}
 
 
@@ -124,10 +122,10 @@ def legal_events(mode: Mode) -> tuple[Event, ...]:
 
 
 def next_towards_off(mode: Mode, is_still: bool, is_held_fault: bool = False) -> Event | None:
-    """The event by which a shutdown gets one mode closer to OFF, or None: wait (or nothing is left to do).
+    """The next event of a shutdown, or None to wait (or if it is complete).
 
-    Called each cycle from Ctrl-C on, it never drops the arm: stop, hold, 0 V when still, off when still at 0
-    V. `is_still`: the measured speed of every joint is zero for long enough. `is_held_fault`: FAULT,
+    Called each cycle from Ctrl-C on. It never drops the arm: stop, hold, 0 V when at rest, off when at rest
+    at 0 V. `is_still`: the measured speed of every joint was zero for long enough. `is_held_fault`: FAULT,
     position held.
     """
     if mode in TRAVELLING_MODES:

@@ -1,1 +1,1 @@
-"""The loop as a service: its process, the requests that it answers, and the client that sends them."""
+"""The loop as a service: its process, its requests, and the client."""

@@ -1,4 +1,4 @@
-"""Puts a runtime together from an arm, its hardware and a recorder. The only place that knows all of the loop's parts."""
+"""Builds a runtime from an arm, its hardware and a recorder. The only place that knows all parts of the loop."""
 
 import dataclasses
 import math
@@ -33,18 +33,18 @@ from control.servo.gravity_compensation import GravityCompensation
 from control.servo.pid import Pid
 from control.servo.servo import Motor, Servo
 
-PAUSE_LIMIT = 0.9  # of the boards' watchdog: a host that pauses longer in one go is not fit to control an arm
-OVERSPEED = 1.5  # of the speed limit: more than any controlled motion overshoots
+PAUSE_LIMIT = 0.9  # of the boards' watchdog: a host with longer pauses is not fit to control an arm
+OVERSPEED = 1.5  # of the speed limit: no controlled motion overshoots as much
 RANGE_MARGIN_rad = 0.05
-SET_POINT_MARGIN = 1.05  # of speed and acceleration: a plan is checked at samples, the guard at every cycle
-SLOPE_MOST = 1.1  # of an encoder's speed over its joint's: no scale, disc or belt is that far off
+SET_POINT_MARGIN = 1.05  # of speed and acceleration: plans are checked at samples, set-points at every cycle
+SLOPE_MOST = 1.1  # of an encoder's speed over its joint's: more than any scale error, disc or belt
 HOMING_TRAVEL = 1.1  # of the joint's range
 HOMING_ACCELERATION = 0.2  # of the joint's limit
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Assembly:
-    """A runtime and who serves its requests."""
+    """A runtime and the server of its requests."""
 
     runtime: Runtime
     requests: Requests
@@ -59,7 +59,7 @@ def assemble(
     stopwatch_s: Callable[[], float] = time.perf_counter,
     about: Mapping[str, object] | None = None,
 ) -> Assembly:
-    """A runtime that is ready for its first cycle. MissingModel when arm.toml lacks what control needs."""
+    """Build a runtime that is ready for its first cycle. MissingModel if arm.toml lacks data for control."""
     limits = JointLimits.of(arm)
     jog_limits = JogLimits.of(arm)
     kinematics, inverse = Kinematics(arm), InverseKinematics(arm)
@@ -92,7 +92,7 @@ def assemble(
 
 
 def _does_counter_span(drive: Drive) -> bool:
-    """Whether every angle of the joint's range has a count of its own."""
+    """Whether every angle of the joint's range has a unique count."""
     mapped, half = JointMap(drive), 1 << (drive.encoder_bits - 1)
     ends = (drive.joint_lower_rad, drive.joint_upper_rad)
     return all(abs(mapped.count(end)) < half for end in ends if math.isfinite(end))
@@ -126,9 +126,9 @@ def _motor(drive: Drive, joint_constant: float) -> Motor:
 
 
 class TorqueModel:
-    """Joint torques that the model expects for a motion; the payload at the tip may change while it runs.
+    """Feed-forward torques of a motion; the payload at the tip may change at run time.
 
-    Torques are linear in the payload's mass, so one kilogram more than nothing, scaled, is any payload.
+    Torques are linear in the payload's mass, so those of 1 kg are scaled.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -146,9 +146,9 @@ class TorqueModel:
         motors: SetPoint | None = None,
         /,
     ) -> Sequence[float]:
-        """Torques in N m: rigid body, rotors, payload, and the effects that the arm's file names.
+        """Torques in N m: rigid body, rotors, payload, and the effects of the arm's file.
 
-        Where `motors` are to go elsewhere than the joints, their rotors alone follow that, and their magnets are met there.
+        `motors` is their own set-point if it differs from the joints': it determines rotor inertia and cogging.
         """
         known: Sequence[float] = self._known(
             q_rad, speed_rad_s, acceleration_rad_s2, None if motors is None else motors.q_rad
@@ -191,7 +191,7 @@ def _set_point_limits(drive: Drive) -> SetPointLimits:
 
 
 def _aim_limits(drive: Drive) -> SetPointLimits:
-    """Of the encoder's set-point, where it is not the joint's: its share of what scale and belt add, and the gear's own."""
+    """Limits of the encoder's set-point if it differs from the joint's: with the shares of scale, belt and gear offset."""
     most = SET_POINT_MARGIN * SLOPE_MOST
     return SetPointLimits(
         drive.joint_lower_rad,
@@ -202,7 +202,7 @@ def _aim_limits(drive: Drive) -> SetPointLimits:
 
 
 def _homes(arm: Arm) -> list[tuple[int, JointHome]]:
-    """How the joints home, in the order of the drives. MissingModel names a drive without [drive.home]."""
+    """Homing parameters in the order of the drives. MissingModel names a drive without [drive.home]."""
     homes = []
     for joint, drive in enumerate(arm.drives):
         if drive.home is None:

@@ -1,7 +1,7 @@
-"""How everything outside the loop talks to it: one request at a time, answered at once; waiting is looking again.
+"""The client of the loop: one request at a time, answered at once; waiting is polling.
 
-A request is a JSON object with the key `do`; the answer is a JSON object with `ok`. The same client runs over the runtime's
-socket (a process of its own) and over a runtime in the same process on a stepped clock: the channel is all that differs.
+A request is a JSON object with the key `do`; the answer is a JSON object with `ok`. The same client works over the runtime's
+socket (another process) and with a runtime in the same process on a stepped clock: only the channel differs.
 docs/socket.md lists every request.
 """
 
@@ -16,25 +16,25 @@ from control.errors import ArmError
 from control.hardware.averaging import Average
 
 Message = dict[str, Any]
-RELAPSE_S = 0.1  # a fault whose cause lasts is found again within some cycles
-SETTLE_LIMIT_S = 2.0  # drives that do not come are a fault after half of it
-POLL_S = 0.02  # how often a waiting client looks; an operator sees no difference, the loop hardly notices
+RELAPSE_S = 0.1  # a fault whose cause persists is detected again within some cycles
+SETTLE_LIMIT_S = 2.0  # drives that do not enable are a fault after half of this time
+POLL_S = 0.02  # polling period of a waiting client; short for an operator, hardly any load for the loop
 
 
 class RequestRefused(ArmError):
-    """The runtime did not take a request; nothing was changed by it."""
+    """The runtime refused a request; nothing was changed."""
 
 
 class ArmFaulted(ArmError):
-    """The arm is in FAULT: it was stopped, and what it says must be acknowledged by hand."""
+    """The arm is in FAULT: it was stopped, and a person must acknowledge the faults."""
 
 
 class MotionStopped(ArmError):
-    """Somebody stopped the motion before its end: what was to follow it must not."""
+    """The motion was stopped before its end; later steps must not run."""
 
 
 class ArmLate(ArmError):
-    """The arm did not get where it was told to within the time that it should take."""
+    """The arm did not reach its goal within the expected time."""
 
 
 class RuntimeGone(ArmError):
@@ -42,7 +42,7 @@ class RuntimeGone(ArmError):
 
 
 class NoRuntime(RuntimeGone):
-    """Nothing listens at the socket."""
+    """No runtime listens at the socket."""
 
 
 class Channel(Protocol):
@@ -76,10 +76,10 @@ class SocketChannel:
         self._asked_count = 0
 
     def request(self, message: Message) -> Message:
-        """Send and wait for the answer. RuntimeGone when the runtime went away or does not answer in time.
+        """Send and wait for the answer. RuntimeGone if the runtime ended or does not answer in time.
 
-        An answer to an earlier request, whose asker was interrupted before it came, is passed over: it must not be taken
-        for this one's.
+        The answer to an earlier request that was interrupted is skipped: it must not be taken
+        for this one.
         """
         self._asked_count += 1
         try:
@@ -105,35 +105,35 @@ class SocketChannel:
         time.sleep(duration_s)
 
     def close(self) -> None:
-        """Hang up. A motion that this connection started is stopped by the runtime."""
+        """Close the connection. The runtime stops a motion that this connection started."""
         self._lines.close()
         self._socket.close()
 
 
 class ArmClient:
-    """The arm, from outside the loop. Methods that move return when the arm has done it or raise what stopped it."""
+    """Client of an arm. Methods that move return when the motion is complete, or raise what stopped it."""
 
     def __init__(self, channel: Channel) -> None:
-        """`on_wait`, set from outside, is called with every look at an arm that is waited for (docs/socket.md, `mode`)."""
+        """`on_wait`, if set, is called with every status while waiting (docs/socket.md, `mode`)."""
         self._channel = channel
         self.on_wait: Callable[[Message], None] | None = None
 
     def ask(self, do: str, **arguments: Any) -> Message:
-        """One request. RequestRefused with the runtime's own words when it says no."""
+        """Send one request. RequestRefused carries the runtime's reason."""
         answer = self._channel.request({"do": do, **arguments})
         if not answer.get("ok"):
             raise RequestRefused(str(answer.get("error", "the runtime refused without a reason")))
         return answer
 
     def status(self) -> Message:
-        """State of the arm: mode, angles, set-points, currents, faults, cycle statistics (docs/socket.md)."""
+        """Return the state of the arm: mode, angles, set-points, currents, faults, cycle statistics (docs/socket.md)."""
         return self.ask("status")
 
     def until(self, modes: Sequence[str], timeout_s: float, is_fault_known: bool = False) -> Message:
         """Wait until the arm is in one of `modes`; returns the status then.
 
-        ArmFaulted when it goes to FAULT instead, unless that `is_fault_known`; ArmLate on time-out. A motion that runs at a
-        slower pace, or is paused, has as much more time.
+        ArmFaulted if it goes to FAULT instead, unless `is_fault_known`; ArmLate on time-out. A motion at a
+        slower pace, or paused, has correspondingly more time.
         """
         waited_s = 0.0
         while (mode := (answer := self.ask("mode"))["mode"]) not in modes:
@@ -151,14 +151,14 @@ class ArmClient:
         return self.status()
 
     def enable(self) -> bool:
-        """Drives on, holding where the arm stands; False where they were on already, and nothing has changed."""
+        """Enable the drives and hold the present position; False if they were already enabled."""
         if self.ask("enable")["was_enabled"]:
             return False
         self.until(["HOLDING"], 3.0)
         return True
 
     def home(self, timeout_s: float = 120.0, again: bool = False) -> bool:
-        """Find every joint's zero; False where all boards knew theirs and nothing moved. `again`: search all the same."""
+        """Home every joint; False if all boards still had their zeros and nothing moved. `again`: home in any case."""
         if not self.ask("home", again=again)["homing"]:
             return False
         self.arrive(timeout_s)
@@ -167,9 +167,9 @@ class ArmClient:
     def move_joints(
         self, q_rad: Sequence[float], speed: float = 1.0, waits: bool = True, as_encoders: bool = False
     ) -> None:
-        """Joint move to `q_rad` at a fraction of the joints' limits; returns at rest, or at once where it does not wait.
+        """Move the joints to `q_rad` at a fraction of their limits; returns at rest, or at once without waiting.
 
-        `as_encoders`: to encoder angles, without what the arm's model knows between encoders and joints.
+        `as_encoders`: `q_rad` are encoder angles, without the modelled effects behind the encoders.
         """
         answer = self.ask("move_joints", q_rad=list(q_rad), speed=speed, as_encoders=as_encoders)
         if waits:
@@ -182,24 +182,24 @@ class ArmClient:
             self.arrive(answer["duration_s"] + 5.0)
 
     def arrive(self, timeout_s: float, modes: Sequence[str] = ("HOLDING",)) -> None:
-        """Wait for a motion's end. MotionStopped where it was not its own."""
+        """Wait for the end of the motion. MotionStopped if it ended early."""
         if self.until(modes, timeout_s)["was_stopped"]:
             raise MotionStopped("the motion was stopped before its end; the arm holds its position")
 
     def run_joints(self, path: Message, as_encoders: bool = False) -> None:
-        """Run a path of the joints (JointPath.to_message()) from where the arm stands. `as_encoders`: as move_joints."""
+        """Run a joint path (JointPath.to_message()) from the present position. `as_encoders`: as move_joints."""
         answer = self.ask("run_joints", path=path, as_encoders=as_encoders)
         self.arrive(answer["duration_s"] + 5.0)
 
     def jog(self, timeout_s: float = 60.0, **step: Any) -> str:
-        """A step: `joint` with `by_rad`, or `axis` with `by_m` (docs/socket.md), renewed until it has ended.
+        """Jog by a step: `joint` with `by_rad`, or `axis` with `by_m` (docs/socket.md), renewed until it has ended.
 
-        Returns what was in the way, in words; empty: nothing.
+        Returns what limited the step, as text; empty if nothing did.
         """
         limited = str(self.ask("jog", **step)["limited"])
         waited_s = 0.0
         while (mode := self.ask("mode")["mode"]) == "JOGGING" and waited_s <= timeout_s:
-            answer = self._channel.request({"do": "jog_on"})  # refused where it has just ended
+            answer = self._channel.request({"do": "jog_on"})  # refused if it has just ended
             limited = str(answer.get("limited") or limited)
             self._channel.wait(POLL_S)
             waited_s += POLL_S
@@ -209,15 +209,15 @@ class ArmClient:
         return limited
 
     def pause(self) -> None:
-        """Slow to rest along the motion and hold on it."""
+        """Slow to rest along the motion's path and hold there."""
         self.ask("pause")
 
     def resume(self) -> None:
-        """Go on along the motion."""
+        """Resume the motion."""
         self.ask("resume")
 
     def override(self, fraction: float) -> None:
-        """Pace of motions, of the one that runs and of those to come."""
+        """Set the pace of the active and of later motions."""
         self.ask("override", fraction=fraction)
 
     def stop(self) -> None:
@@ -226,11 +226,11 @@ class ArmClient:
         self.until(["HOLDING", "BRAKED", "OFF", "GUIDING"], 5.0)
 
     def guide(self, weightless: bool = False) -> None:
-        """Let a hand guide the arm: open circuits, somebody must hold it; or `weightless`, the drives carry its own weight."""
+        """Start hand guiding: open circuits, so somebody must hold the arm; or `weightless`, with gravity compensation."""
         self.ask("guide", weightless=weightless)
 
     def hold(self) -> None:
-        """End hand-guiding: hold where the arm stands."""
+        """End hand guiding: hold the present position."""
         self.ask("hold")
         self.until(["HOLDING"], 3.0)
 
@@ -244,7 +244,7 @@ class ArmClient:
                 return msgspec.convert(result, Average)
 
     def acknowledge(self) -> None:
-        """A human has seen the fault; the arm may be enabled again. ArmFaulted where its cause lasts."""
+        """Acknowledge the fault on a person's request. ArmFaulted if its cause persists."""
         try:
             self.ask("acknowledge")
         except RequestRefused as error:
@@ -261,7 +261,7 @@ class ArmClient:
                 raise ArmFaulted(f"acknowledged, but the cause persists: {fault_text(self.status())}")
 
     def off(self, quit_runtime: bool = False, timeout_s: float = 60.0) -> None:
-        """Stop, hold, brake until the arm has sunk to rest, drives off; then the runtime ends if it shall."""
+        """Stop, hold, brake until the arm has sunk to rest, drives off; optionally end the runtime."""
         self.ask("off", quit=quit_runtime)
         try:
             self.until(["OFF"], timeout_s, is_fault_known=True)
@@ -279,6 +279,6 @@ class ArmClient:
 
 
 def fault_text(status: Message) -> str:
-    """The faults of a status as an operator should read them."""
+    """The faults of a status as text for an operator."""
     lines = [f"{fault['where']}: {fault['message']}; {fault['remedy']}" for fault in status["faults"]]
     return "the arm is in FAULT" + "".join(f"\n  - {line}" for line in lines)

@@ -1,6 +1,6 @@
-"""What happened to the arm, as lines with local times: what `armwright serve` prints.
+"""Events of the arm as lines with local times, printed by `armwright serve`.
 
-Looked for between cycles by comparing a few attributes, so that an uneventful cycle costs a microsecond. Printed by a process
+Detected between cycles by comparing a few attributes, so that a cycle without events costs a microsecond. Printed by a process
 of its own (control.server.printer), so that a terminal that was stopped with Ctrl-S does not stop the loop.
 """
 
@@ -15,7 +15,7 @@ Say = Callable[[str], None]
 REPEAT_S = 5.0  # of the shutdown's present step: a loaded arm sinks for some tens of seconds
 POLLED = frozenset(
     ("status", "mode", "average", "average_result", "fault_cycles", "jog", "jog_on")
-)  # requests that are no events: many a second, or nothing changes
+)  # requests that are not events: frequent, or without effect
 BEGUN = {
     Mode.OFF: "drives off",
     Mode.BRAKED: "windings shorted",
@@ -29,7 +29,7 @@ ENDED = {Mode.JOGGING: "jog ended", Mode.STOPPING: "stopped", Mode.HOMING: "homi
 
 
 class Events:
-    """Compares the runtime with what it was; `say` takes each line, without its time."""
+    """Compares the runtime with its last state; `say` gets each line, without its time."""
 
     def __init__(self, runtime: Runtime, say: Say) -> None:
         self._runtime = runtime
@@ -40,7 +40,7 @@ class Events:
         self._next_step_s = 0.0
 
     def look(self) -> None:
-        """Say what has changed since the last look."""
+        """Report changes since the last call."""
         runtime, monitor = self._runtime, self._runtime.monitor
         if monitor.mode is not self._mode or runtime.run_number != self._run:
             self._say_mode()
@@ -53,12 +53,12 @@ class Events:
             self._say_step()
 
     def requested(self, do: str, client: int) -> None:
-        """A request was taken."""
+        """Report an accepted request."""
         if do not in POLLED:
             self._say(f"client {client}: {do}")
 
     def hung_up(self, client: int) -> None:
-        """The client whose motion runs is gone."""
+        """Report that the client of the active motion has disconnected."""
         self._say(f"client {client} disconnected: its motion is stopped")
 
     def _say_mode(self) -> None:
@@ -97,5 +97,5 @@ class Events:
 
 
 def with_time(text: str) -> str:
-    """A line as it is printed: local time first."""
+    """Format a line for printing, with the local time first."""
     return f"{time.strftime('%H:%M:%S')}  {text}\n"

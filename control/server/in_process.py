@@ -12,9 +12,9 @@ from firmware_iface.clock import Clock
 
 
 class InProcessChannel:
-    """A `control.server.client.Channel` onto a runtime whose clock runs only while somebody waits.
+    """A `control.server.client.Channel` to a runtime whose clock runs only while a client waits.
 
-    Requests go through the same JSON as over the socket, so that what works here works there.
+    Requests go through the same JSON as over the socket, so both behave alike.
     """
 
     def __init__(self, assembly: Assembly, clock: Clock) -> None:
@@ -44,5 +44,5 @@ class InProcessChannel:
             self.cycles += 1
 
     def close(self) -> None:
-        """As a client that hangs up: a motion that it started is stopped."""
+        """Disconnect: a motion that this client started is stopped."""
         self._assembly.requests.on_gone(0)

@@ -1,4 +1,4 @@
-"""What a `jog` request asks for: joint speeds, a tip velocity, or a step of one joint or along one axis."""
+"""Parses `jog` requests: joint speeds, a tip velocity, or a step of one joint or along one axis."""
 
 from typing import Any
 
@@ -9,11 +9,11 @@ from control.server.request_values import number, numbers
 Message = dict[str, Any]
 AXES = ("x", "y", "z")
 KINDS = ("joint_speed_rad_s", "tip_velocity_m_s", "joint", "axis")
-LARGEST_STEP_rad, LARGEST_STEP_m = 7.0, 1.0  # a slip of the unit, not of the hand
+LARGEST_STEP_rad, LARGEST_STEP_m = 7.0, 1.0  # more is a mistake in the unit
 
 
 def jog_request(request: Message, joint_count: int) -> JogRequest:
-    """What is asked for. ArmError says what is wrong with it; whether the arm can is not asked here."""
+    """Parse the request. ArmError says what is wrong with it; whether the arm can follow is not checked here."""
     kinds = [kind for kind in KINDS if kind in request]
     if len(kinds) != 1:
         got = " and ".join(kinds) or "none of them"

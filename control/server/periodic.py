@@ -1,7 +1,7 @@
-"""The beat: calls a cycle at absolute deadlines and counts the ones that were missed.
+"""The cycle timer: absolute deadlines, with a count of those missed.
 
 A deadline is the last one plus the period, never "now plus the period", so lateness does not accumulate; after a pause the
-missed deadlines are skipped, not caught up in a burst, because a burst of old set-points is worse than a gap.
+missed deadlines are skipped, not made up in a burst, because a burst of old set-points is worse than a gap.
 """
 
 from firmware_iface.clock import Clock
@@ -32,5 +32,5 @@ class PeriodicTimer:
         return late_s
 
     def restart(self) -> None:
-        """Begin anew a period from now: somebody waited outside of a cycle, and that is no lateness."""
+        """Restart one period from now, after a wait outside of a cycle that must not count as lateness."""
         self._deadline_s = self._clock.now_s() + self.period_s

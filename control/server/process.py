@@ -1,6 +1,6 @@
-"""The loop in a process of its own, in real time: what `armwright serve` runs.
+"""The loop process in real time, run by `armwright serve`.
 
-SIGINT and SIGTERM ask for the way off: controlled stop, hold, windings shorted until the arm is at rest, drives off. A second
+SIGINT and SIGTERM start the shutdown: controlled stop, hold, windings shorted until the arm is at rest, drives off. A second
 signal during that changes nothing; the emergency stop is a switch, not a signal.
 """
 
@@ -30,12 +30,12 @@ from control.server.sockets import linked
 from firmware_iface.clock import Clock, MonotonicClock
 from firmware_iface.installation import command
 
-PIPE_bytes = 1 << 20  # some seconds of rows: how long a disk may stall
+PIPE_bytes = 1 << 20  # some seconds of rows, in case the disk stalls
 
 
 @dataclass(frozen=True, slots=True)
 class ServeOptions:
-    """How the runtime is served."""
+    """Options of the runtime's server."""
 
     socket_path: Path
     log_folder: Path
@@ -44,11 +44,11 @@ class ServeOptions:
 
 
 def serve(arm: Arm, options: ServeOptions) -> None:
-    """Connect, then run the loop until it is told to end. Raises what connecting raises; nothing has moved then.
+    """Connect, then run the loop until it is told to end. Raises what connecting raises, before anything moves.
 
-    What happens is printed as lines with local times.
+    Events are printed as lines with local times.
     """
-    require_free(options.socket_path)  # before its boards hear anything from a second host
+    require_free(options.socket_path)  # before a second host sends anything to the boards
     clock = MonotonicClock()
     connection = connect(arm, clock, options.period_s, options.camera_port)
     recording = _begun_recording(arm, options)
@@ -100,7 +100,7 @@ def run(assembly: Assembly, server: Server, clock: Clock, period_s: float, event
         is_running = runtime.cycle(clock.now_s(), late_s, beat.skipped, beat.missed_in_row)
         try:
             server.poll()
-        except Exception as error:  # the arm is brought to rest first, then it is said what broke
+        except Exception as error:  # bring the arm to rest first, then report the error
             failure = failure or error
             runtime.go_off(quits=True)
         events.look()
@@ -112,14 +112,14 @@ def run(assembly: Assembly, server: Server, clock: Clock, period_s: float, event
 
 
 def _leave_safely(connection: Connection) -> None:
-    """Whatever ended the loop: if drives are still on, brake; their watchdogs would do it a little later."""
+    """Brake if drives are still on, however the loop ended; their watchdogs would do it a little later."""
     if connection.hardware.is_any_enabled():
         connection.hardware.emergency_stop()
     connection.close()
 
 
 def _begun_recording(arm: Arm, options: ServeOptions) -> Path:
-    """A recording with its header. OSError where there is no place for it: nothing has moved then."""
+    """Create a recording with its header. OSError if there is no room, before anything moves."""
     options.log_folder.mkdir(parents=True, exist_ok=True)
     started_s = time.time()
     name = time.strftime("%Y%m%d-%H%M%S", time.localtime(started_s))
@@ -144,9 +144,9 @@ def _start_writer(arm: Arm, recording: Path) -> tuple["subprocess.Popen[bytes]",
     _enlarge(write_fd)
     reports, of_writer = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     reports.setblocking(False)
-    kept = arm.recording
+    policy = arm.recording
     writer = subprocess.Popen(
-        command("control.recording.writer", str(recording), str(kept.rotate_bytes), str(kept.keep_bytes)),
+        command("control.recording.writer", str(recording), str(policy.rotate_bytes), str(policy.keep_bytes)),
         stdin=read_fd,
         stdout=of_writer.fileno(),
         start_new_session=True,

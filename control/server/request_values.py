@@ -1,4 +1,4 @@
-"""Values of a request: what is wrong with one is said with its key, what was expected and what was got."""
+"""Parses values of a request; errors name the key, the expected and the actual value."""
 
 import math
 from typing import Any
@@ -22,7 +22,7 @@ def is_number(value: object) -> bool:
 
 
 def flag(request: Message, key: str) -> bool:
-    """False where it is not given; nothing but a boolean is one: "no" must not switch anything on."""
+    """A boolean, False if absent. Other types are refused, so that "no" does not switch anything on."""
     value = request.get(key, False)
     if not isinstance(value, bool):
         raise ArmError(f"request {request['do']!r}: expected {key} to be true or false, got {value!r}")

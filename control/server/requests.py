@@ -1,7 +1,7 @@
-"""Requests to the runtime: a JSON object in, a JSON object out, answered at once. docs/socket.md is their list.
+"""Requests to the runtime: a JSON object in, a JSON object out, answered at once. docs/socket.md lists them.
 
-What is wrong with a request is said before anything is changed. Planning has been done by the client; here a motion is only
-rebuilt and checked against where the arm stands.
+An invalid request is refused before anything changes. The client has planned the motion; here it is only
+rebuilt and compared with the arm's position.
 """
 
 import base64
@@ -25,9 +25,9 @@ from control.server.status import status_of, step_of
 from firmware_iface.errors import LinkError
 
 Message = dict[str, Any]
-START_TOLERANCE_rad = 5e-3  # of a path's first point: a joint move ends within a few counts of it
+START_TOLERANCE_rad = 5e-3  # around a path's first point: a joint move ends within a few counts of it
 LONGEST_AVERAGE_S = 60.0
-LEAST_OVERRIDE = 0.01  # slower is a pause
+LEAST_OVERRIDE = 0.01  # slower would be a pause
 ADVICE = {
     Mode.OFF: "switch its drives on first (`armwright enable`)",
     Mode.BRAKED: "switch position control on first (`armwright enable`)",
@@ -43,7 +43,7 @@ ADVICE = {
 
 
 class Listener(Protocol):
-    """Told what clients do."""
+    """Receives events of clients."""
 
     def requested(self, do: str, client: int) -> None: ...
 
@@ -51,7 +51,7 @@ class Listener(Protocol):
 
 
 class Requests:
-    """Serves the requests of all clients on one runtime, and knows whose motion runs."""
+    """Serves the requests of all clients of one runtime, and tracks the owner of the active motion."""
 
     def __init__(self, runtime: Runtime, limits: JointLimits, kinematics: Kinematics, about: Message) -> None:
         self._runtime = runtime
@@ -87,11 +87,11 @@ class Requests:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What `do` of a request may be."""
+        """The allowed values of `do`."""
         return tuple(self._serve)
 
     def handle(self, request: Message, client: int) -> Message:
-        """Serve one request of a client; never raises for what a client sent."""
+        """Serve one request of a client; never raises because of the request."""
         serve = self._serve.get(str(request.get("do")))
         if serve is None:
             known = ", ".join(self.names)
@@ -107,16 +107,16 @@ class Requests:
         except IllegalTransition as error:
             return {
                 "ok": False,
-                "error": f"the arm is {error.mode.name}, so it cannot {request['do']}:"
+                "error": f"the arm is {error.mode.name}, so it cannot {request['do'].replace('_', ' ')}:"
                 f" {error.why or ADVICE[error.mode]}",
             }
         except (ArmError, LinkError) as error:
             return {"ok": False, "error": str(error)}
-        except Exception as error:  # whatever a client sends, the arm must not stop for it
+        except Exception as error:  # no request may stop the loop
             return {"ok": False, "error": f"request {request.get('do')!r}: {type(error).__name__}: {error}"}
 
     def on_gone(self, client: int) -> None:
-        """A client hung up: stop the motion that it started."""
+        """Stop the motion of a client that disconnected."""
         if client == self._owner and self._runtime.monitor.mode in TRAVELLING_MODES:
             self._runtime.stop()
             if self.events is not None:
@@ -171,11 +171,11 @@ class Requests:
         return self._start(path, request, client)
 
     def _seen(self, request: Message) -> SetPoint:
-        """Where a motion begins: at joint angles, or at encoder angles where it is given so."""
+        """Start of a motion, as joint angles or, if the motion uses them, encoder angles."""
         return self._runtime.seen(flag(request, "as_encoders"))
 
     def _require_at(self, first_rad: Sequence[float], request: Message) -> None:
-        """The arm holds at a path's first point; says why not, before where it stands is of any interest."""
+        """Check that the arm holds at a path's first point; the mode is checked first."""
         if self._runtime.monitor.mode is not Mode.HOLDING:
             self._runtime.on(Event.MOVE)
         off_rad = max(abs(a - b) for a, b in zip(first_rad, self._seen(request).q_rad, strict=True))

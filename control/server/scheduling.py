@@ -1,7 +1,7 @@
-"""Asks the operating system for punctuality, and says what was granted.
+"""Requests real-time scheduling from the operating system, and reports what was granted.
 
-The loop's process wants a real-time class, its pages in memory and no garbage collection. None of it is required: without the
-rights the loop runs all the same and reports what it did not get, because an operator decides by that whether to run an arm.
+The loop's process uses a real-time class, locked memory and no garbage collection. None of it is required: without the
+rights the loop still runs and reports what is missing, so that the operator can decide whether to run an arm.
 """
 
 import ctypes
@@ -18,7 +18,7 @@ LIMITS = "in /etc/security/limits.d give the operator 'rtprio 90' and 'memlock u
 def request_punctuality() -> str:
     """Ask for SCHED_FIFO and locked memory, and freeze the garbage collector.
 
-    Returns what to do for what was not granted, empty when all was. Never raises.
+    Returns the remedy for what was not granted; empty if everything was. Never raises.
     """
     is_locked = ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT) == 0
     gc.collect()
@@ -28,7 +28,7 @@ def request_punctuality() -> str:
 
 
 def punctuality_remedy() -> str:
-    """What `request_punctuality` would return, without asking for anything to last."""
+    """The return value of `request_punctuality`, without a lasting change."""
     import resource
 
     is_root = os.geteuid() == 0

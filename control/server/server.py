@@ -1,8 +1,8 @@
-"""The local socket of the loop: polled between cycles, never waited for.
+"""The local socket of the loop: polled between cycles, never blocking.
 
 Newline-separated JSON over a Unix socket that only this user can open. At most one request is served a cycle, whatever clients
-send; a client that stops reading is cut off. A motion belongs to the connection that started it: when that connection
-closes, for whatever reason, the motion is stopped (a dead operator's terminal must not leave a moving arm).
+send; a client that stops reading is disconnected. A motion belongs to the connection that started it: when that connection
+closes, for whatever reason, the motion is stopped (a lost terminal must not leave a moving arm).
 """
 
 import contextlib
@@ -21,7 +21,7 @@ from control.server.sockets import default_path as default_path
 
 Message = dict[str, Any]
 Handle = Callable[[Message, int], Message]
-LINE_LIMIT_bytes = 1 << 20  # a path of thousands of way-points fits; a line without end does not
+LINE_LIMIT_bytes = 1 << 20  # a path of thousands of way-points fits
 QUEUE_LIMIT = (
     64  # requests of one client that may wait; beyond that its bytes stay in the kernel and slow it down
 )
@@ -30,7 +30,7 @@ CLIENT_LIMIT = 32  # connections at a time; more would use up the loop's file de
 
 
 def encoded(message: Message) -> bytes:
-    """JSON in UTF-8, also where a file name in it is no text: its bytes are then U+FFFD."""
+    """Encode as JSON in UTF-8; undecodable bytes of file names become U+FFFD."""
     try:
         return msgspec.json.encode(message)
     except UnicodeEncodeError:
@@ -38,11 +38,11 @@ def encoded(message: Message) -> bytes:
 
 
 class SocketTaken(ArmError):
-    """Something else is at this place: another runtime, or a file that is no socket."""
+    """The socket path is in use by another runtime, or by a file that is not a socket."""
 
 
 class Client:
-    """One connection: bytes of a request so far, and the requests that wait their turn."""
+    """One connection: received bytes, and pending requests."""
 
     def __init__(self, connection: socket.socket, number: int) -> None:
         self.connection = connection
@@ -52,7 +52,7 @@ class Client:
         self.is_over = False
 
     def receive(self) -> None:
-        """Gather what has arrived; `is_over` is set when nothing more will."""
+        """Receive pending bytes; sets `is_over` at the end of the connection."""
         if len(self.lines) >= QUEUE_LIMIT:
             return
         try:
@@ -67,7 +67,7 @@ class Client:
 
 
 class Server:
-    """Serves `handle(request, client_number) -> answer`; `on_gone(client_number)` is called when a client is gone."""
+    """Serves `handle(request, client_number) -> answer`; `on_gone(client_number)` is called when a client disconnects."""
 
     def __init__(self, path: Path, handle: Handle, on_gone: Callable[[int], None]) -> None:
         self.path = path
@@ -94,7 +94,7 @@ class Server:
 
     @property
     def clients(self) -> tuple[Client, ...]:
-        """The connections that are open."""
+        """The number of open connections."""
         return tuple(self._clients)
 
     def close(self) -> None:
@@ -108,7 +108,7 @@ class Server:
     def _accept(self) -> None:
         try:
             connection, _ = self._listener.accept()
-        except OSError:  # it has gone again, or the machine is out of file descriptors
+        except OSError:  # the client has disconnected, or no file descriptors are left
             return
         if len(self._clients) >= CLIENT_LIMIT:
             connection.close()
@@ -134,7 +134,7 @@ class Server:
     def _answer(self, line: bytes, number: int) -> Message:
         try:
             request = msgspec.json.decode(line)
-        except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, nested without end
+        except (ValueError, RecursionError) as error:  # invalid JSON or UTF-8, or nested too deeply
             return {
                 "ok": False,
                 "error": f"request: expected one JSON object per line, got invalid JSON: {error}",
@@ -159,7 +159,7 @@ class Server:
 
 
 def listen(path: Path) -> socket.socket:
-    """A listening socket at `path`, for this user only. SocketTaken says why there can be none."""
+    """Create a listening socket at `path`, for this user only. SocketTaken says why it failed."""
     require_free(path)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
@@ -176,7 +176,7 @@ def listen(path: Path) -> socket.socket:
 
 
 def require_free(path: Path) -> None:
-    """Raise SocketTaken when a runtime answers at `path`, or when what is there is no socket."""
+    """Raise SocketTaken if a runtime answers at `path`, or if it is not a socket."""
     if not path.exists():
         return
     if not path.is_socket():

@@ -1,6 +1,6 @@
-"""Where this user's runtimes listen, so that a stop finds all of them without knowing their arms or files.
+"""Socket paths of this user's runtimes, so that `stop` finds all of them without knowing their arms or files.
 
-A runtime that listens elsewhere (`--socket`) is linked from the folder.
+A runtime that listens elsewhere (`--socket`) gets a link in the folder.
 """
 
 import contextlib
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def socket_folders() -> tuple[Path, ...]:
-    """The user's runtime folder, where there is one, and the private folder under /tmp; new sockets go to the first.
+    """The user's runtime folder, if it exists, and the private folder under /tmp; new sockets go to the first.
 
     Both are searched: a runtime that was started by cron or over ssh may not know the first.
     """
@@ -20,12 +20,12 @@ def socket_folders() -> tuple[Path, ...]:
 
 
 def default_path(arm_name: str) -> Path:
-    """Where the runtime of an arm listens."""
+    """Default socket path of an arm's runtime."""
     return socket_folders()[0] / f"{arm_name}.sock"
 
 
 def find_sockets(arm_name: str = "*") -> list[Path]:
-    """Every socket of this user, or those of an arm; some may be left over from a runtime that was killed."""
+    """All sockets of this user, or those of one arm; some may be left over from a killed runtime."""
     names = (f"{arm_name}.sock", f"{arm_name}--*.sock")
     found = [path for folder in socket_folders() for name in names for path in sorted(folder.glob(name))]
     return list(dict.fromkeys(path.resolve() for path in found if path.is_socket()))
@@ -33,12 +33,12 @@ def find_sockets(arm_name: str = "*") -> list[Path]:
 
 @contextlib.contextmanager
 def linked(path: Path, arm_name: str) -> Iterator[None]:
-    """As long as it is open, `find_sockets` finds a socket that is somewhere else."""
+    """Let `find_sockets` find a socket at another path, within this context."""
     folder = socket_folders()[0]
     link = folder / f"{arm_name}--{os.getpid()}.sock"
     is_linked = False
     if path.absolute().parent != folder:
-        with contextlib.suppress(OSError):  # a runtime without a link runs all the same
+        with contextlib.suppress(OSError):  # the link is not essential
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             link.unlink(missing_ok=True)
             link.symlink_to(path.absolute())

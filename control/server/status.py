@@ -1,4 +1,4 @@
-"""The runtime's state as a JSON object: what `status` answers (docs/socket.md)."""
+"""The runtime's state as a JSON object, the answer of `status` (docs/socket.md)."""
 
 import time
 from collections.abc import Sequence
@@ -20,11 +20,11 @@ SHUTDOWN_STEPS = {
     Mode.FAULT: "in FAULT, waiting for the arm to come to rest",
     Mode.OFF: "waiting for the drives to switch off",
 }
-NEAR = 0.9  # of a limit: worth a warning
+NEAR = 0.9  # of a limit: warn below
 
 
 def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
-    """Everything that an operator or a program wants to know of the arm now."""
+    """The complete state of the arm for operators and programs."""
     monitor = runtime.monitor
     recorder = runtime.parts.recorder.state()
     return {
@@ -54,14 +54,14 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
 
 
 def step_of(runtime: Runtime) -> str:
-    """What homing or the shutdown does now, in words; empty while neither runs."""
+    """The present step of homing or shutdown, as text; empty if neither runs."""
     if runtime.homing is not None:
         return runtime.homing.step_text
     return SHUTDOWN_STEPS.get(runtime.monitor.mode, "") if runtime.is_shutting_down else ""
 
 
 def _angles(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
-    """Where the arm is and where it is to be, at the encoders, the joints and the tip."""
+    """Actual values and set-points of encoders, joints and tip."""
     measured, aim = runtime.parts.measurement, runtime.aim
     joint_rad, joint_set_rad = runtime.joint_rad()
     is_homed = runtime.monitor.is_homed
@@ -81,7 +81,7 @@ def _angles(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
 
 
 def _boards(runtime: Runtime) -> dict[str, Any]:
-    """What the boards said last, and for how long a silent one has said nothing."""
+    """Latest values of the boards, and their age if a board is silent."""
     parts = runtime.parts
     feedback = parts.hardware.feedback
     return {
@@ -98,14 +98,14 @@ def _boards(runtime: Runtime) -> dict[str, Any]:
 
 
 def _stale_s(runtime: Runtime, heard_at_s: Sequence[float]) -> list[float | None]:
-    """Per joint, age of its last values in s where its board is silent; None where they are live."""
+    """Per joint, age [s] of its last values if its board is silent, else None."""
     limit_s = runtime.parts.watch.age_limit_s(runtime.now_s)
     ages_s = [min(runtime.now_s - at_s, NEVER_HEARD_S) for at_s in heard_at_s]
     return [None if age_s <= limit_s else age_s for age_s in ages_s]
 
 
 def _cycles(runtime: Runtime) -> dict[str, Any]:
-    """How punctual the loop is."""
+    """Timing statistics of the loop."""
     punctuality = runtime.punctuality
     return {
         "period_s": runtime.parts.period_s,
@@ -138,7 +138,7 @@ def _warnings(runtime: Runtime) -> list[str]:
 
 
 def _recorder_warnings(recorder: RecorderState) -> list[str]:
-    """Lost rows with the reason, and a disk that will soon be full."""
+    """Warnings about lost rows, with the reason, and about a disk that will soon be full."""
     warnings = []
     if recorder.reason:
         since = time.strftime("%H:%M:%S", time.localtime(recorder.since_unix_s))
@@ -149,7 +149,7 @@ def _recorder_warnings(recorder: RecorderState) -> list[str]:
     elif recorder.lost_rows:
         warnings.append(f"{recorder.lost_rows} cycles were not recorded: the disk was full or too slow")
     if recorder.is_on and recorder.hours_left is not None and recorder.hours_left < FEW_HOURS:
-        warnings.append(f"{recorder.file}: the disk will be full in {60.0 * recorder.hours_left:.0f} min")
+        warnings.append(f"{recorder.file}: the disk will be full in {recorder.time_left()}")
     return warnings
 
 

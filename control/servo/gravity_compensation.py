@@ -1,7 +1,7 @@
-"""Hand-guiding an arm whose drives carry its own weight: gravity's torque as current, some damping, nothing else.
+"""Hand guiding with gravity compensation: gravity torque as current, some damping, nothing else.
 
-No position is controlled, so the arm stays where the hand leaves it only as well as the masses are known; friction helps. What
-is wrong with the masses or the payload shows as drift, which the damping keeps slow and the speed limit ends.
+Position is not controlled, so the arm stays where it is left only as well as the masses are known; friction helps.
+Errors in masses or payload show as drift, which the damping keeps slow and the speed limit ends.
 """
 
 from collections.abc import Sequence
@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from control.safety.fault import Fault, Reaction
 from control.servo.servo import Motor, TorqueModel
 
-CURRENT_FRACTION = 0.5  # of the limit: the weight takes a quarter of it on the reference arm
-DAMPING_Nm_s_rad = 4.0  # a hand at 0.5 m from the axis feels 4 N at 0.5 rad/s
-FASTEST_rad_s = 1.0  # of a joint that a hand guides; faster, something pushes
+CURRENT_FRACTION = 0.5  # of the limit: the reference arm's weight needs a quarter of it
+DAMPING_Nm_s_rad = 4.0  # 4 N at 0.5 m from the axis and 0.5 rad/s
+FASTEST_rad_s = 1.0  # of a hand-guided joint; faster is a fault
 
 
 class GravityCompensation:
-    """Currents of all joints while a hand guides the arm."""
+    """Motor currents of all joints during hand guiding."""
 
     def __init__(
         self, motors: Sequence[Motor], torque_model: TorqueModel, joint_names: Sequence[str]
@@ -27,7 +27,7 @@ class GravityCompensation:
         self.amperes = [0.0] * len(motors)
 
     def update(self, q_rad: Sequence[float], speed_rad_s: Sequence[float]) -> list[float]:
-        """Amperes for joint angles and measured speeds, within half of the limits."""
+        """Return the currents [A] for joint angles and measured speeds, within half of the limits."""
         torque_Nm = self._torque_model(q_rad, self._rest, self._rest)
         for joint, motor in enumerate(self._motors):
             wanted_Nm = torque_Nm[joint] - DAMPING_Nm_s_rad * speed_rad_s[joint]
@@ -36,7 +36,7 @@ class GravityCompensation:
         return self.amperes
 
     def too_fast(self, speed_rad_s: Sequence[float]) -> Fault | None:
-        """The joint that moves faster than a hand should guide it."""
+        """A fault for a joint that moves too fast for hand guiding."""
         for name, speed in zip(self._names, speed_rad_s, strict=True):
             if not abs(speed) <= FASTEST_rad_s:
                 return Fault(

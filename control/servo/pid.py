@@ -3,8 +3,8 @@
     output = feedforward + kp * error + ki * integral(error) + kd * filtered(error rate)
 
 The derivative filter is of first order, discretised by backward Euler (stable for any filter time).
-Anti-windup: the integral stands still while it would push the output further into its limit, and it alone
-never asks for more than the limits allow. So it recovers with the error's sign and follows narrowed limits.
+Anti-windup: the integral is frozen while it would push the output further into its limit, and it alone
+never exceeds the limits. So it recovers with the error's sign and follows narrowed limits.
 """
 
 from control.errors import ArmError
@@ -100,9 +100,9 @@ class Pid:
         return upper if wanted > upper else lower
 
     def _hold_integral(self, step: float, lower: float, upper: float) -> None:
-        """Add what unwinds, then keep the integral inside what the limits leave beside the feed-forward.
+        """Integrate only if it unwinds, then clamp the integral to what the limits leave beside the feed-forward.
 
-        The bounds include zero: feed-forward that is beyond a limit by itself need not be opposed.
+        The bounds include zero: the integral need not oppose feed-forward beyond a limit.
         """
         self.integral = min(max(self.integral + step, min(lower, 0.0)), max(upper, 0.0))
 
@@ -126,7 +126,7 @@ class Pid:
 def _require_sane(
     kp: float, ki: float, kd: float, derivative_filter_s: float, output_limit: float, period_s: float
 ) -> None:
-    """Raise ArmError naming the first number that no controller can have."""
+    """Raise ArmError for the first invalid parameter."""
     named = {
         "kp": kp,
         "ki": ki,
@@ -142,7 +142,7 @@ def _require_sane(
 
 
 def _describe(error: float, error_rate: float, feedforward: float, lower: float, upper: float) -> str:
-    """Message with every input, so that the log shows which one it was."""
+    """Message with every input, so that the log shows the invalid one."""
     return (
         f"PID: expected finite inputs, got error {error}, error rate {error_rate},"
         f" feed-forward {feedforward}, limits {lower} to {upper}; the output was not changed"

@@ -1,4 +1,4 @@
-"""From set-point to output: feed-forward of what the model knows, PID for what it does not.
+"""From set-point to output: model-based feed-forward, and PID for the remaining error.
 
 Voltage of a brushed DC motor: u = R i + k_t N dq/dt (inductance is five times faster than a cycle), with i = tau / (N k_t) for
 the torque tau that the model asks for. The PID acts on the joint's error and adds volts; in CURRENT mode it adds amperes
@@ -13,7 +13,7 @@ from control.hardware.interface import OutputMode
 from control.motion.setpoint import SetPoint
 from control.safety.limits import voltage_range
 
-FADE_S = 2.0  # slow beside the boards' integrals: the arm moves by a tenth of a milliradian meanwhile
+FADE_S = 2.0  # slow compared with the boards' integrals: the arm moves by only a tenth of a milliradian
 
 
 class JointPid(Protocol):
@@ -32,9 +32,9 @@ class JointPid(Protocol):
 
 
 class TorqueModel(Protocol):
-    """Joint torques in N m that the model expects for angles, speeds and accelerations, with a payload at the tip.
+    """Feed-forward joint torques in N m for angles, speeds and accelerations, with a payload at the tip.
 
-    `motors`: the set-point of the encoders, where that is not the joints'.
+    `motors`: the set-point of the encoders, if it differs from the joints'.
     """
 
     payload_kg: float
@@ -51,7 +51,7 @@ class TorqueModel(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Motor:
-    """One joint's motor, seen from the joint: volts and amperes per N m and rad/s."""
+    """One joint's motor, referred to the joint: volts and amperes per N m and rad/s."""
 
     amperes_per_Nm: float
     resistance_ohm: float
@@ -61,7 +61,7 @@ class Motor:
 
 
 class GainShares(Protocol):
-    """What share of its gains each joint takes in a pose; `unknown` where the pose is not known."""
+    """Scale of each joint's gains in a pose; `unknown` if the pose is not known."""
 
     @property
     def unknown(self) -> Sequence[float]: ...
@@ -85,7 +85,7 @@ class Servo:
         period_s: float,
         gain_shares: GainShares | None = None,
     ) -> None:
-        """`gain_shares`: of the PID's gains in CURRENT mode, by pose; all of them where there is none."""
+        """`gain_shares`: scales of the PID gains in CURRENT mode, by pose; full gains if None."""
         self.mode = mode
         self._gain_shares = gain_shares
         self.output = [0.0] * len(motors)
@@ -100,15 +100,15 @@ class Servo:
         self._all = tuple(1.0 for _ in motors)
 
     def reset(self) -> None:
-        """Forget integrals and filters: the next update starts without a bump from the feed-forward alone."""
+        """Reset integrals and filters: the next update starts bump-less from the feed-forward alone."""
         self._share = 1.0
         for pid in self._pids:
             pid.reset()
 
     def learn_pose(self) -> None:
-        """The pose has become known: the feed-forward takes over the weight that the integrals have carried so far.
+        """The pose has become known: the feed-forward takes over the weight from the integrals.
 
-        Integrals of this loop are forgotten at once; those on the boards cannot be, so there the feed-forward fades in.
+        Integrals of this loop are reset at once; those on the boards cannot be, so there the feed-forward fades in.
         """
         if self.mode is OutputMode.POSITION:
             self._share = 0.0
@@ -116,7 +116,7 @@ class Servo:
             self.reset()
 
     def silence(self) -> None:
-        """Zero all outputs, for modes that control nothing."""
+        """Zero all outputs, for modes without control."""
         for joint in range(len(self.output)):
             self.output[joint] = self.feedforward_V[joint] = self.volts[joint] = 0.0
 
@@ -129,10 +129,10 @@ class Servo:
         current_fraction: float = 1.0,
         joints: SetPoint | None = None,
     ) -> None:
-        """One cycle. Without a known pose (before homing) gravity is left to the integral.
+        """Run one cycle. Without a known pose (before homing), the integral compensates gravity.
 
-        `current_fraction` scales the current limit, so that homing runs with little force. `set_point` is the encoders'; `joints`
-        is that of the joints where the model knows that the two are not the same.
+        `current_fraction` scales the current limit, so that homing uses little force. `set_point` is the encoders'; `joints`
+        is that of the joints if the model distinguishes the two.
         """
         torque_Nm = self._torque_Nm(set_point, joints) if knows_pose else self._no_torque
         shares = self._shares(q_rad, knows_pose)
@@ -160,7 +160,7 @@ class Servo:
             )
 
     def _torque_Nm(self, set_point: SetPoint, joints: SetPoint | None) -> Sequence[float]:
-        """What the model asks for, faded in where the integrals on the boards carried the weight before."""
+        """The feed-forward torque, faded in if the boards' integrals carried the weight before."""
         model = self.torque_model
         torque_Nm = model(*set_point) if joints is None else model(*joints, set_point)
         if self._share < 1.0:

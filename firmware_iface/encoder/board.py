@@ -1,4 +1,4 @@
-"""One encoder board on a serial line, as the host sees it. docs/encoder_board.md says what it answers."""
+"""One encoder board on a serial line, seen from the host. docs/encoder_board.md defines the protocol."""
 
 import math
 
@@ -23,15 +23,15 @@ _STEP_s = 0.001
 _REPORT_BITS = wire.REPORT_WIRE_BYTES * 10  # 8N1: 10 bit times a byte
 _STREAM_LOAD = 0.9  # of the line; the rest is for answers and index frames
 _LONGEST_PERIOD_s = 1.0
-_LATCH_REPEAT_s = 0.02  # how long INDEX may trail behind its flag before it is asked for again
+_LATCH_REPEAT_s = 0.02  # INDEX is requested again if it comes later than this after its flag
 _REQUESTS = (wire.Poll, wire.Stream, wire.SetZero, wire.ArmIndex, wire.Identify)
 
 
 class EncoderBoard:
-    """Drains its link when told to, keeps the latest report, and asks what is to be asked.
+    """Drains its link, keeps the latest report, and sends requests.
 
-    `update()` is all that the cycle calls. The requests wait for their answers through the clock, 1 ms
-    at a time, and say so again twice before they raise BoardSilent: they belong before and after a run.
+    The cycle only calls `update()`. Requests poll for their answers through the clock, every
+    1 ms, and are sent three times before they raise BoardSilent. Use them before and after a run only.
     """
 
     def __init__(self, link: ByteLink, clock: Clock, name: str = "enc0") -> None:
@@ -57,7 +57,7 @@ class EncoderBoard:
 
     @property
     def where(self) -> str:
-        """What messages call it: `encoder board "enc0" on /dev/ttyUSB0`."""
+        """Name in messages: `encoder board "enc0" on /dev/ttyUSB0`."""
         return f'encoder board "{self.name}" on {self._link.name}'
 
     @property
@@ -76,9 +76,9 @@ class EncoderBoard:
         return self._time.seconds
 
     def update(self) -> None:
-        """Take in all that has come. Raises LinkLost, and once each: BoardReset, ProtocolViolation.
+        """Process everything received. Raises LinkLost, and once per event BoardReset or ProtocolViolation.
 
-        What had come besides has been taken in all the same.
+        The rest of what was received is processed even if this raises.
         """
         received = self._link.read()
         if received:
@@ -102,7 +102,7 @@ class EncoderBoard:
     def identify(
         self, timeout_s: float = ANSWER_TIMEOUT_s, serial_number: int | None = None
     ) -> wire.Identity:
-        """Ask who it is, check protocol version and, if given, serial number. Raises WrongIdentity."""
+        """Request the identity; check the protocol version and, if given, the serial number. Raises WrongIdentity."""
         self.identity = None
         sequence = self._next_sequence()
         answer = self._ask(wire.Identify(sequence), timeout_s)
@@ -118,7 +118,7 @@ class EncoderBoard:
         return answer
 
     def stream(self, period_s: float) -> None:
-        """Have a report sent every `period_s`; 0 stops. Raises MisuseError if the line is too slow."""
+        """Start a stream of reports every `period_s`; 0 stops it. Raises MisuseError if the line is too slow."""
         shortest_s = _REPORT_BITS / _STREAM_LOAD / self._link.baud if self._link.baud else 0.0
         if period_s and not max(shortest_s, 1e-6) <= period_s <= _LONGEST_PERIOD_s:
             raise MisuseError(
@@ -129,22 +129,22 @@ class EncoderBoard:
         self._request(wire.Stream(self._next_sequence(), round(period_s * 1e6)))
 
     def poll(self) -> None:
-        """Ask for one report and go on; it comes with a later update()."""
+        """Request one report without waiting; a later update() receives it."""
         self._send(wire.Poll(self._next_sequence()))
 
     def set_zero(self, channel: int, count: int = 0) -> None:
-        """Make `count` the count of `channel` at the present position; the joint should be at rest.
+        """Set the count of `channel` at the present position to `count`; the joint should be at rest.
 
-        Returns when the board has done it; the first report behind that has the new count.
+        Returns once the board has confirmed; the next report has the new count.
         """
         self._check_channel(channel)
         frame = wire.SetZero(self._next_sequence(), channel, count)
-        wire.encode(frame)  # raises MisuseError before anything is forgotten
+        wire.encode(frame)  # raises MisuseError before any state is cleared
         self._forget_index(channel)
         self._request(frame)
 
     def arm_index(self, channel: int) -> None:
-        """Have the next index pulse of `channel` latch its count; see `index_latch`."""
+        """Arm the index latch of `channel` for the next pulse; see `index_latch`."""
         self._check_channel(channel)
         self._forget_index(channel)
         frame = wire.ArmIndex(self._next_sequence(), channel, IndexAction.ARM)
@@ -153,13 +153,13 @@ class EncoderBoard:
         self._request(frame)
 
     def disarm_index(self, channel: int) -> None:
-        """Take `arm_index` back and forget the latch."""
+        """Disarm the index latch and discard its count."""
         self._check_channel(channel)
         self._request(wire.ArmIndex(self._next_sequence(), channel, IndexAction.DISARM))
         self._forget_index(channel)
 
     def index_latch(self, channel: int) -> int | None:
-        """The count latched since `arm_index`, None as long as there is none."""
+        """The count latched since `arm_index`, or None."""
         return self._latches.get(channel)
 
     def _check_channel(self, channel: int) -> None:
@@ -179,13 +179,13 @@ class EncoderBoard:
         self._latches.pop(channel, None)
 
     def _next_sequence(self) -> int:
-        self._sequence = self._sequence % 255 + 1  # 0 is the board's "nobody asked"
+        self._sequence = self._sequence % 255 + 1  # 0 marks an unsolicited answer
         return self._sequence
 
     def _send(self, frame: wire.Request) -> None:
         coded = wire.encode(frame)
         if not self._has_sent:
-            coded = cobs.DELIMITER + coded  # ends whatever half frame a host before us has left
+            coded = cobs.DELIMITER + coded  # ends a partial frame of a previous host
             self._has_sent = True
         self._link.write(coded)
 
@@ -212,7 +212,7 @@ class EncoderBoard:
         )
 
     def _answer_to(self, sequence: int) -> wire.Ack | wire.Identity | None:
-        answer = self._answer  # one to an older request has another sequence
+        answer = self._answer  # answers to older requests have another sequence
         return answer if answer is not None and answer.request_sequence == sequence else None
 
     def _noise(self) -> str:
@@ -224,7 +224,7 @@ class EncoderBoard:
         if self._time.advance(report.board_time_us, now_s) and not _has_lost_zero(before, report):
             self._count_lost(report.sequence)
         else:
-            # Its hello was lost with the rest: what is missing is no loss but another run of the board.
+            # Its start-up message was lost too: the gap in the sequence is a restart, not lost frames.
             self._was_reset(report.sequence)
             self._time.advance(report.board_time_us, now_s)
         self.latest = report

@@ -1,14 +1,14 @@
-"""The board's u32 microseconds, which wrap after 71.6 min, as seconds that go on."""
+"""Unwraps the board's u32 microsecond counter, which wraps after 71.6 min, to continuous seconds."""
 
 _WRAP_us = 1 << 32
 _HALF_us = 1 << 31
-# A board's time can lie ahead of what the host has seen so far by the crystals' drift and by how
-# late the earlier reports were read, never by a whole second; late reports lie behind, by any amount.
+# A board's time can lead the host's estimate by the drift of the crystals and by how
+# late earlier reports were read, never by a whole second. Late reports may lag by any amount.
 _AHEAD_LIMIT_us = 1_000_000
 
 
 class BoardTime:
-    """Unwraps the time stamps of one board, and tells a restarted board from a wrapped counter."""
+    """Unwraps the time stamps of one board and distinguishes a restart from a wrap."""
 
     def __init__(self) -> None:
         self._last_us = 0
@@ -18,11 +18,11 @@ class BoardTime:
 
     @property
     def seconds(self) -> float:
-        """Board time of the last report [s], without wrap; starts where the board's counter stood."""
+        """Unwrapped board time of the last report [s]; starts at the board's first counter value."""
         return self._last_us * 1e-6
 
     def advance(self, board_time_us: int, host_s: float) -> bool:
-        """Take the stamp of a report read at `host_s`. False: the board has restarted since."""
+        """Process the time stamp of a report read at `host_s`. Returns False if the board has restarted."""
         host_us = int(host_s * 1e6)
         if not self._has_started:
             self._start(board_time_us, host_us)

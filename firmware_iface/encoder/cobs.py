@@ -9,7 +9,7 @@ _LONGEST_CODE = 0xFF  # 254 bytes follow, and no zero is implied
 
 
 def encode(raw: bytes) -> bytes:
-    """Code `raw`, without the delimiter. len(raw) // 254 + 1 bytes longer at most."""
+    """Encode `raw`, without the delimiter; at most len(raw) // 254 + 1 bytes longer."""
     if len(raw) < _LONGEST_CODE - 1:
         runs = raw.split(DELIMITER)
         return b"".join([part for run in runs for part in (bytes((len(run) + 1,)), run)])
@@ -17,12 +17,12 @@ def encode(raw: bytes) -> bytes:
 
 
 def decode(coded: bytes) -> bytearray | None:
-    """The bytes behind a coded block (without its delimiter); None if it is not a coded block."""
+    """Decode a block (without its delimiter); None if it is invalid."""
     size = len(coded)
     if size >= _LONGEST_CODE:
         return _decode_long(coded)
-    # Below 255 bytes each code stands where the zero was: put the zeros back in place, drop the first.
-    # The appended zero ends the walk where a valid block ends; a code that points past it is no index.
+    # Below 255 bytes each code byte replaces a zero: restore the zeros and drop the first code.
+    # The appended zero ends the loop where a valid block ends; a code that points past it raises IndexError.
     raw = bytearray(coded + DELIMITER)
     at = 0
     try:

@@ -1,4 +1,4 @@
-"""The encoder board's frames: bytes to frozen values and back. docs/encoder_board.md is the definition.
+"""The encoder board's frames: encoding and decoding. docs/encoder_board.md defines them.
 
 Decoded frame, little endian: `type u8 | sequence u8 | body | crc16 u16`, CRC-16/CCITT-FALSE over
 all before it; on the line COBS-coded and ended by 0x00.
@@ -29,7 +29,7 @@ from firmware_iface.errors import MisuseError
 PROTOCOL_VERSION = 1
 CHANNELS = 3
 REPORT_WIRE_BYTES = 25
-LONGEST_CODED = 66  # what a receiver gathers without a 0x00 before it gives up
+LONGEST_CODED = 66  # a receiver discards a longer frame without a 0x00
 CRC_START = 0xFFFF
 _SMALLEST_DECODED = 4  # type, sequence, CRC
 
@@ -46,7 +46,7 @@ class ChannelFlag(IntFlag):
 
 
 class Result(IntEnum):
-    """What an Ack says."""
+    """Result code of an Ack."""
 
     DONE = 0
     UNKNOWN_REQUEST = 1
@@ -55,7 +55,7 @@ class Result(IntEnum):
 
 
 class IndexAction(IntEnum):
-    """What ArmIndex asks for."""
+    """Action of an ArmIndex request."""
 
     DISARM = 0
     ARM = 1
@@ -63,7 +63,7 @@ class IndexAction(IntEnum):
 
 
 class Report(NamedTuple):
-    """Counts, flags and time of all channels. A named tuple: it is made every cycle, 0.5 us faster."""
+    """Counts, flags and time of all channels. A named tuple, because one is created every cycle (0.5 us faster)."""
 
     sequence: int
     board_time_us: int
@@ -73,7 +73,7 @@ class Report(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who the board is; `request_sequence` 0 says that it has just started."""
+    """Identity of the board; `request_sequence` 0 means that it has just started."""
 
     sequence: int
     protocol: int
@@ -87,7 +87,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """The answer to a request that has no other."""
+    """Answer to a request without an answer type of its own."""
 
     sequence: int
     request_sequence: int
@@ -96,7 +96,7 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class IndexLatch:
-    """The count when the index pulse came."""
+    """Count latched by the index pulse."""
 
     sequence: int
     channel: int
@@ -106,14 +106,14 @@ class IndexLatch:
 
 @dataclass(frozen=True, slots=True)
 class Poll:
-    """Asks for one Report."""
+    """Requests one Report."""
 
     sequence: int
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """Asks for a Report every `period_us`; 0 stops."""
+    """Requests a Report every `period_us`; 0 stops the stream."""
 
     sequence: int
     period_us: int
@@ -121,7 +121,7 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class SetZero:
-    """Makes `count` the count at the present position."""
+    """Sets the count at the present position to `count`."""
 
     sequence: int
     channel: int
@@ -130,7 +130,7 @@ class SetZero:
 
 @dataclass(frozen=True, slots=True)
 class ArmIndex:
-    """Arms, disarms, or asks for the latched count again."""
+    """Arms or disarms the index latch, or requests the latched count again."""
 
     sequence: int
     channel: int
@@ -139,7 +139,7 @@ class ArmIndex:
 
 @dataclass(frozen=True, slots=True)
 class Identify:
-    """Asks for Identity."""
+    """Requests the Identity."""
 
     sequence: int
 
@@ -179,7 +179,7 @@ def crc16(raw: bytes) -> int:
 
 
 def encode(frame: Frame) -> bytes:
-    """`frame` as it goes on the line, with its 0x00. Raises MisuseError if a number does not fit."""
+    """Encode `frame` for the line, including its 0x00. Raises MisuseError if a number does not fit."""
     try:
         raw = _pack(frame)
     except struct.error as problem:
@@ -216,13 +216,13 @@ _NO_PARSER: tuple[int, Callable[[bytes], AnyFrame]] = (-1, Foreign)
 
 
 def parse(raw: bytes) -> AnyFrame:
-    """The frame in `raw` (decoded, CRC taken off) unless it is a Report. Foreign if none is defined."""
+    """The frame in `raw` (COBS-decoded, CRC removed) unless it is a Report; Foreign if undefined."""
     size, parser = _PARSERS.get(raw[0], _NO_PARSER)
     return parser(raw) if len(raw) == size else Foreign(raw)
 
 
 class Decoder:
-    """Takes bytes as they come, gives frames as they are complete. Never raises: what is wrong is counted."""
+    """Decodes a byte stream into frames. Never raises; errors are counted."""
 
     def __init__(self) -> None:
         self.crc_errors = 0
@@ -231,9 +231,9 @@ class Decoder:
         self._is_skipping = False
 
     def feed(self, received: bytes) -> list[AnyFrame]:
-        """The frames that `received` completes, oldest first."""
+        """Return the frames that `received` completes, oldest first."""
         if received.find(0) == len(received) - 1 and not self._rest and not self._is_skipping:
-            # What comes in most cycles: one whole frame. (-1 = -1 for b"", which holds none.)
+            # The usual case: exactly one whole frame. (-1 = -1 for b"", which holds none.)
             return [frame] if (frame := self._frame(received[:-1])) is not None else []
         blocks = (self._rest + received).split(cobs.DELIMITER)
         rest = blocks.pop()
@@ -264,7 +264,7 @@ class Decoder:
         return parse(raw)
 
     def _report(self, framed: bytearray) -> Report | None:
-        # The frame of every cycle: one unpack for body and CRC.
+        # Reports come every cycle: one unpack for body and CRC.
         sequence, time_us, f0, f1, f2, count0, count1, count2, crc = _CHECKED_REPORT.unpack(framed)
         if crc_hqx(framed[:-2], CRC_START) != crc:
             self.crc_errors += 1

@@ -1,4 +1,4 @@
-"""One DC-motor board on a CAN bus, as the host sees it. docs/motor_board.md says what it answers."""
+"""One DC-motor board on a CAN bus, seen from the host. docs/motor_board.md defines the protocol."""
 
 import math
 import struct
@@ -22,15 +22,15 @@ from firmware_iface.motor.wire import Mode, Parameter
 __all__ = ["MotorBoard", "MotorBus", "MotorIdentity"]
 
 _STEP_s = 0.001
-_RESEND_s = 0.02  # a COMMAND without REPLY for this long is sent again while walking the states
-_SECOND_REPLIES = 3  # CAN itself doubles a frame now and then, not thrice in a row
+_RESEND_s = 0.02  # a COMMAND without REPLY for this long is sent again during state changes
+_SECOND_REPLIES = 3  # CAN may duplicate a frame now and then, but not three times in a row
 _OFF_STATES = (State.NOT_READY_TO_SWITCH_ON, State.SWITCH_ON_DISABLED)
 _KEEPS_OFF = (DriveCommand.DISABLE_VOLTAGE, DriveCommand.QUICK_STOP, DriveCommand.FAULT_RESET)
 
 
 @dataclass(frozen=True, slots=True)
 class MotorIdentity:
-    """Who a motor board is; `encoder_counts_per_turn` of its motor, after quadrature decoding."""
+    """Identity of a motor board; `encoder_counts_per_turn` of its motor, after quadrature decoding."""
 
     protocol: int
     serial_number: int
@@ -39,10 +39,10 @@ class MotorIdentity:
 
 
 class MotorBoard:
-    """Sends COMMANDs and keeps the latest REPLY. `MotorBus.update()` must be called for it to hear.
+    """Sends COMMANDs and keeps the latest REPLY; `MotorBus.update()` delivers the replies.
 
-    `command…()` sends one frame and returns; the other requests wait for answers through the clock and
-    belong before and after a run.
+    `command…()` sends one frame and returns. The other requests wait for answers through the clock;
+    use them before and after a run only.
     """
 
     def __init__(self, bus: MotorBus, node: int, name: str = "") -> None:
@@ -66,7 +66,7 @@ class MotorBoard:
 
     @property
     def where(self) -> str:
-        """What messages call it: `motor board "motor1" (node 1) on socketcan:can0`."""
+        """Name in messages: `motor board "motor1" (node 1) on socketcan:can0`."""
         return f'motor board "{self.name}" (node {self.node}) on {self._bus.name}'
 
     @property
@@ -76,19 +76,19 @@ class MotorBoard:
 
     @property
     def reply_lag(self) -> int:
-        """COMMANDs sent since the one that the latest reply answers: 0 is the newest."""
+        """Number of COMMANDs sent since the one answered by the latest reply; 0: the newest was answered."""
         return (
             (self._sequence - self.reply.sequence) & wire.SEQUENCE_MASK if self.reply else self._commands_sent
         )
 
     @property
     def lost(self) -> int:
-        """COMMANDs whose REPLY never came."""
+        """Number of COMMANDs without a REPLY."""
         return self._order.lost
 
     @property
     def stale(self) -> int:
-        """REPLYs dropped: late, doubled, or to somebody else's COMMAND."""
+        """Number of REPLYs dropped: late, duplicated, or to another host's COMMAND."""
         return self._order.stale
 
     def require_fresh(self, now_s: float, limit_s: float) -> None:
@@ -97,10 +97,10 @@ class MotorBoard:
             age = f"for {now_s - self.reply_at_s:.3f} s" if self.reply else "yet"
             raise BoardSilent(f"{self.where}: no reply {age} (limit {limit_s:.3f} s)")
 
-    # Set-points: one frame each, for the cycle.
+    # Set-points for the cycle: one frame each.
 
     def command(self, mode: int, setpoint_raw: int = 0, feedforward_mV: int = 0) -> None:
-        """Send one COMMAND with the controlword of the state last gone to. Raises MisuseError, LinkLost."""
+        """Send one COMMAND with the controlword of the current target state. Raises MisuseError, LinkLost."""
         sequence = (self._sequence + 1) & wire.SEQUENCE_MASK
         try:
             payload = wire.pack_raw_command(
@@ -116,19 +116,19 @@ class MotorBoard:
         self._commands_sent += 1
 
     def command_off(self) -> None:
-        """Open circuit: the motor turns freely."""
+        """Command open circuit: the motor turns freely."""
         self.command(0)
 
     def command_voltage(self, voltage_V: float) -> None:
-        """Terminal voltage; 0 shorts the windings and brakes."""
+        """Command a terminal voltage; 0 shorts the windings and brakes."""
         self.command(1, self._milli(voltage_V))
 
     def command_current(self, current_A: float) -> None:
-        """Motor current, held by the board."""
+        """Command a motor current, controlled by the board."""
         self.command(2, self._milli(current_A))
 
     def command_position(self, count: int, feedforward_V: float = 0.0) -> None:
-        """Position in counts of the board's own encoder, and a voltage added to what its PID says."""
+        """Command a position in counts of the board's own encoder, and a voltage added to its PID output."""
         self.command(3, count, self._milli(feedforward_V))
 
     def _milli(self, quantity: float) -> int:
@@ -140,18 +140,18 @@ class MotorBoard:
     # States
 
     def go_to(self, state: State, timeout_s: float = 0.5) -> None:
-        """Walk to `state`; into OPERATION ENABLED with 0 V, so with the brake on.
+        """Change to `state`; OPERATION ENABLED is entered at 0 V, so the motor brakes.
 
-        Raises BoardFaulted from FAULT (see acknowledge_fault), BoardSilent, MisuseError if there is no way.
+        Raises BoardFaulted from FAULT (see acknowledge_fault), BoardSilent, MisuseError if unreachable.
         """
         deadline_s = self._bus.clock.now_s() + timeout_s
         while not self.step_towards(state):
             self._wait_step(deadline_s, f"does not reach {state.value}, stays in {self._state_name()}")
 
     def step_towards(self, state: State) -> bool:
-        """One step of `go_to` without waiting: sends what is due; True once a reply says that it is there.
+        """One step of `go_to` without waiting: send the command that is due; True once a reply confirms the state.
 
-        Several boards are walked together by calling this for each, then `MotorBus.update()`.
+        To change several boards together, call this for each, then `MotorBus.update()`.
         """
         if state in (State.NOT_READY_TO_SWITCH_ON, State.FAULT, State.FAULT_REACTION_ACTIVE):
             raise MisuseError(f"{self.where}: no command leads to {state.value}")
@@ -188,14 +188,14 @@ class MotorBoard:
         return self._bus.clock.now_s() - self._sent_at_s >= _RESEND_s
 
     def acknowledge_fault(self, timeout_s: float = 0.2) -> None:
-        """Reset a fault by an edge of controlword bit 7; ends in SWITCH ON DISABLED and enables nothing.
+        """Reset a fault by a rising edge of controlword bit 7; ends in SWITCH ON DISABLED.
 
-        To be called because a human said so. Without a fault nothing happens.
-        Raises BoardFaulted if the cause lasts.
+        Call this only on a person's request. Does nothing without a fault.
+        Raises BoardFaulted if the cause persists.
         """
         deadline_s = self._bus.clock.now_s() + timeout_s
         while True:
-            # 0 first, so that there is an edge whatever was sent before.
+            # 0 first, so that there is an edge whatever was sent before
             self._send_and_wait(DriveCommand.DISABLE_VOLTAGE, deadline_s)
             if self._last_state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
                 return
@@ -232,7 +232,7 @@ class MotorBoard:
     # Parameters
 
     def identify(self, serial_number: int | None = None) -> MotorIdentity:
-        """Ask who it is. Raises WrongIdentity for another protocol version or (if given) serial number,
+        """Request the identity. Raises WrongIdentity for another protocol version or (if given) serial number,
         ProtocolViolation if two boards answer as this node.
         """
         self.identity = None
@@ -255,14 +255,14 @@ class MotorBoard:
         return self.identity
 
     def read(self, index: int) -> int:
-        """The raw value of parameter `index`. Raises RequestRefused, BoardSilent."""
+        """Read the raw value of parameter `index`. Raises RequestRefused, BoardSilent."""
         return self._parameters.read(index)
 
     def write(self, index: int, value: int) -> None:
         """Set parameter `index` to the raw `value`, not while enabled. Raises RequestRefused, BoardSilent."""
         self._parameters.write(index, value)
 
-    # What the bus hands over
+    # Frames delivered by the bus
 
     def _take_reply(self, payload: bytes, now_s: float) -> None:
         if len(payload) != 8:
@@ -275,7 +275,7 @@ class MotorBoard:
             return
         state = STATE_OF_STATUSWORD[reply.statusword]
         if state is None:
-            self._violation(f"sent a statusword of no known state ({reply.statusword:#04x})", payload)
+            self._violation(f"sent a statusword of an unknown state ({reply.statusword:#04x})", payload)
             return
         self.reply = reply
         self.reply_at_s = now_s
@@ -285,7 +285,7 @@ class MotorBoard:
 
     def _take_state(self, state: State) -> None:
         before, self._last_state = self._last_state, state
-        # It goes there by a command only; one that was not given is a restart whose hello was lost.
+        # Only a command leads to this state; without one, it is a restart whose start-up message was lost.
         if (
             state in _OFF_STATES
             and before not in (None, *_OFF_STATES)

@@ -1,4 +1,4 @@
-"""The CAN bus of the motor boards: drained once a cycle, its frames handed to the boards by id."""
+"""The CAN bus of the motor boards: drained once a cycle; frames are dispatched to the boards by id."""
 
 from collections.abc import Callable
 
@@ -8,13 +8,13 @@ from firmware_iface.link import FrameLink
 from firmware_iface.motor import wire
 
 FrameHandler = Callable[[bytes, float], None]
-"""Takes a payload and when it was read [s]. Appends to `MotorBus.problems`, never raises."""
+"""Takes a payload and the time it was read [s]. Appends to `MotorBus.problems`, never raises."""
 
-_EMERGENCY_REPEATS = 3  # docs/motor_board.md: said three times, so that one lost frame does not matter
+_EMERGENCY_REPEATS = 3  # docs/motor_board.md: sent three times, so that one lost frame does not matter
 
 
 class MotorBus:
-    """One bus with its boards; make the boards with it."""
+    """One bus with its boards; the boards are created on it."""
 
     def __init__(self, link: FrameLink, clock: Clock) -> None:
         self.link = link
@@ -28,19 +28,19 @@ class MotorBus:
         self._handlers: dict[int, FrameHandler] = {}
 
     def add_node(self, node: int, take_reply: FrameHandler, take_answer: FrameHandler) -> None:
-        """Hand the frames of `node` to its board from now on. Raises MisuseError."""
+        """Dispatch the frames of `node` to its board from now on. Raises MisuseError."""
         if node not in wire.NODES:
             raise MisuseError(f"CAN bus {self.name}: node ids are 1 to 15, got {node}")
         if node in self.nodes:
-            raise MisuseError(f"CAN bus {self.name}: node {node} was given to two motor boards")
+            raise MisuseError(f"CAN bus {self.name}: node {node} is assigned to two motor boards")
         self.nodes.append(node)
         self._handlers[wire.REPLY_ID + node] = take_reply
         self._handlers[wire.PARAMETER_ANSWER_ID + node] = take_answer
 
     def update(self) -> None:
-        """Take in all that has come. Raises LinkLost, and once each: BoardReset, ProtocolViolation.
+        """Process everything received. Raises LinkLost, and once per event BoardReset or ProtocolViolation.
 
-        What had come besides has been taken in all the same.
+        The rest of what was received is processed even if this raises.
         """
         frames = self.link.receive()
         if frames:
@@ -55,10 +55,10 @@ class MotorBus:
             raise self.problems.pop(0)
 
     def emergency_stop(self, reason: int = 0) -> None:
-        """Have every board brake and go to FAULT, at once; again, as often as you like.
+        """Make every board brake and go to FAULT immediately; may be repeated.
 
         `reason`: 0 operator, 1 fault of the host, 2 fault of another board.
-        Raises LinkLost if it did not get out.
+        Raises LinkLost if it could not be sent.
         """
         payload = bytes((reason & 0xFF,))
         failure: LinkLost | None = None

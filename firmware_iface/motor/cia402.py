@@ -1,6 +1,6 @@
-"""The drive's states and what moves between them: CiA 402 (IEC 61800-7-201), as docs/motor_board.md has it.
+"""Drive states and transitions of CiA 402 (IEC 61800-7-201), as in docs/motor_board.md.
 
-The table is the host's copy; the boards have their own.
+This table is the host's; the mock boards have their own.
 """
 
 from collections import deque
@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 
 class State(Enum):
-    """States by their CiA 402 names."""
+    """Drive states by their CiA 402 names."""
 
     NOT_READY_TO_SWITCH_ON = "NOT READY TO SWITCH ON"
     SWITCH_ON_DISABLED = "SWITCH ON DISABLED"
@@ -22,7 +22,7 @@ class State(Enum):
 
 
 class DriveCommand(IntEnum):
-    """What a controlword (0x6040, low byte) commands. SWITCH_ON is also "disable operation"."""
+    """Commands of the controlword (0x6040, low byte). SWITCH_ON is also "disable operation"."""
 
     DISABLE_VOLTAGE = 0x00
     QUICK_STOP = 0x02
@@ -58,12 +58,12 @@ TRANSITIONS = MappingProxyType(_transitions())
 
 
 def after(state: State, command: DriveCommand) -> State:
-    """The state after `command`; what the table does not name changes nothing."""
+    """The state after `command`; unchanged if the table has no such transition."""
     return TRANSITIONS.get((state, command), state)
 
 
 def _state_of_statusword(statusword: int) -> State | None:
-    """CiA 402: bits 0-3 and 6, with bit 5 (quick stop) where it matters; None if it is no state."""
+    """CiA 402: bits 0-3 and 6, with bit 5 (quick stop) where it matters; None if invalid."""
     match statusword & 0x4F:
         case 0x00:
             return State.NOT_READY_TO_SWITCH_ON
@@ -81,15 +81,15 @@ def _state_of_statusword(statusword: int) -> State | None:
     }.get(statusword & 0x6F)
 
 
-# By statusword (0x6041, low byte), all 256 of them: read in every cycle.
+# By statusword (0x6041, low byte), all 256 values, because it is read every cycle.
 STATE_OF_STATUSWORD: tuple[State | None, ...] = tuple(map(_state_of_statusword, range(256)))
 
 
 def next_command(state: State, wanted: State) -> DriveCommand | None:
-    """The first command of the shortest way from `state` to `wanted`.
+    """The first command of the shortest path from `state` to `wanted`.
 
-    None if there is no way. No way leads through OPERATION ENABLED or acknowledges a fault: whoever
-    wants that asks for it by name.
+    None if there is no path. No path leads through OPERATION ENABLED or acknowledges a fault:
+    that must be requested explicitly.
     """
     ways: deque[tuple[State, DriveCommand | None]] = deque([(state, None)])
     seen = {state}

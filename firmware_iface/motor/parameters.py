@@ -11,7 +11,7 @@ from firmware_iface.motor.wire import Operation, Parameter, ParameterAnswer, Par
 ANSWER_TIMEOUT_s = 0.05  # the board answers within 5 ms; hosts are late by tens of milliseconds at times
 ATTEMPTS = 3
 _STEP_s = 0.001
-_SECOND_REPLY_WAIT_s = 0.003  # how long a second board with the same node id may trail behind the first
+_SECOND_REPLY_WAIT_s = 0.003  # a second board with the same node id answers at most this much later
 
 
 class ParameterChannel:
@@ -25,21 +25,21 @@ class ParameterChannel:
         self._answer: ParameterAnswer | None = None
 
     def take(self, answer: ParameterAnswer) -> None:
-        """An answer came."""
+        """Process an answer."""
         self._answer = answer
 
     def read(self, index: int) -> int:
-        """The raw value. Raises RequestRefused, BoardSilent."""
+        """Read the raw value. Raises RequestRefused, BoardSilent."""
         return self._ask(Operation.READ, index, 0)
 
     def write(self, index: int, value: int) -> None:
-        """Set the raw value. Raises RequestRefused, BoardSilent, ProtocolViolation if another is kept."""
-        kept = self._ask(Operation.WRITE, index, value)
-        if kept != value and index != Parameter.POSITION_COUNT:  # the count is live: it may have moved on
-            raise ProtocolViolation(f"{self._where()}: {_named(index)} is {kept} after {value} was written")
+        """Set the raw value. Raises RequestRefused, BoardSilent, ProtocolViolation if the board reports another."""
+        stored = self._ask(Operation.WRITE, index, value)
+        if stored != value and index != Parameter.POSITION_COUNT:  # the count is live and may have changed
+            raise ProtocolViolation(f"{self._where()}: {_named(index)} is {stored} after {value} was written")
 
     def require_single_board(self, index: int) -> None:
-        """Raises ProtocolViolation if the request for `index`, answered just now, is answered again."""
+        """Raises ProtocolViolation if the last request for `index` is answered a second time."""
         self._answer = None
         self._bus.clock.wait_until_s(self._bus.clock.now_s() + _SECOND_REPLY_WAIT_s)
         self._bus.update()
@@ -51,7 +51,7 @@ class ParameterChannel:
             )
 
     def _ask(self, operation: Operation, index: int, value: int) -> int:
-        sequence = self._sequence % 255 + 1  # 0 is the board's "nobody asked"
+        sequence = self._sequence % 255 + 1  # 0 marks an unsolicited answer
         try:
             payload = ParameterRequest(operation, index, sequence, value).pack()
         except struct.error as problem:
@@ -83,7 +83,7 @@ class ParameterChannel:
         )
 
     def _answer_of(self, index: int) -> ParameterAnswer | None:
-        answer = self._answer  # one to an older request has another sequence
+        answer = self._answer  # answers to older requests have another sequence
         is_ours = answer is not None and (answer.sequence, answer.index) == (self._sequence, index)
         return answer if is_ours else None
 

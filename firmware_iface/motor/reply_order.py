@@ -1,30 +1,30 @@
-"""Which COMMAND a REPLY belongs to, by its 5-bit echoed sequence."""
+"""Assigns each REPLY to its COMMAND by the 5-bit echoed sequence."""
 
 from firmware_iface.motor.wire import SEQUENCE_MASK
 
-_LATEST_LAG = 16  # half of the 5-bit sequence: beyond, a reply cannot be placed
+_LATEST_LAG = 16  # half of the 5-bit sequence: an older reply is ambiguous
 
 
 class ReplyOrder:
-    """Tells new replies from late, doubled and foreign ones, and counts those that never came."""
+    """Distinguishes new replies from late, duplicated and foreign ones, and counts missing ones."""
 
     def __init__(self) -> None:
         self.lost = 0
         self.stale = 0
         self.doubled = 0
-        """Second replies to COMMANDs, since the last COMMAND that was answered once only."""
+        """Duplicate replies since the last COMMAND that was answered exactly once."""
         self._last: int | None = None
         self._was_doubled = False
 
     def forget(self) -> None:
-        """The board restarted: the next reply is the first."""
+        """Reset after a restart of the board."""
         self._last = None
 
     def is_newer(self, echoed: int, last_sent: int, commands_sent: int) -> bool:
-        """Whether a reply answers a COMMAND of ours that is newer than the latest answered."""
+        """Whether a reply answers a newer COMMAND than the latest one answered."""
         lag = (last_sent - echoed) & SEQUENCE_MASK
         if lag >= commands_sent or lag >= _LATEST_LAG:
-            self.stale += 1  # to a host before us, or of a pause ago
+            self.stale += 1  # to a previous host, or from before a pause
             return False
         step = 1 if self._last is None else (echoed - self._last) & SEQUENCE_MASK
         if step == 0:

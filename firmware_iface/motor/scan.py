@@ -1,4 +1,4 @@
-"""Which motor boards are on a CAN bus: every node is asked who it is. Reading a parameter moves nothing and enables nothing."""
+"""Finds the motor boards on a CAN bus: reads the identity of every node. This neither moves nor enables anything."""
 
 from dataclasses import dataclass, field
 
@@ -9,22 +9,22 @@ from firmware_iface.motor.wire import Operation, Parameter, ParameterAnswer, Par
 
 ANSWER_WAIT_s = 0.06  # a board answers within 5 ms; hosts are late by tens of milliseconds at times
 _STEP_s = 0.001
-_SEQUENCE = 200  # far from where a driver begins to count
+_SEQUENCE = 200  # far from the values where drivers start
 
 
 @dataclass(slots=True)
 class BusScan:
-    """What was heard on a bus. Serial numbers by node; several where boards share a node id."""
+    """Result of a bus scan. Serial numbers by node; several if boards share a node id."""
 
     serial_numbers: dict[int, list[int]] = field(default_factory=dict)
     commanded: set[int] = field(default_factory=set)
-    """Nodes that somebody else sends COMMANDs or requests to."""
+    """Nodes that another host sends COMMANDs or requests to."""
     strangers: int = 0
-    """Frames with ids that no motor board has."""
+    """Number of frames with ids that no motor board uses."""
 
 
 def listen(link: FrameLink, clock: Clock, duration_s: float) -> BusScan:
-    """Only listen: who talks on the bus before we do? Raises LinkLost."""
+    """Listen without sending, to detect other hosts on the bus. Raises LinkLost."""
     scan = BusScan()
     end_s = clock.now_s() + duration_s
     while clock.now_s() < end_s:
@@ -35,7 +35,7 @@ def listen(link: FrameLink, clock: Clock, duration_s: float) -> BusScan:
 
 
 def scan_nodes(link: FrameLink, clock: Clock, wait_s: float = ANSWER_WAIT_s) -> BusScan:
-    """Ask every node for its serial number, and listen. Raises LinkLost."""
+    """Request the serial number of every node and collect the answers. Raises LinkLost."""
     link.receive()
     for node in wire.NODES:
         request = ParameterRequest(Operation.READ, Parameter.BOARD_SERIAL_NUMBER, _SEQUENCE, 0)

@@ -1,6 +1,6 @@
-"""The motor board's frames: payloads to values and back. motor_board.dbc is the definition.
+"""The motor board's frames: encoding and decoding. motor_board.dbc defines them.
 
-Little endian; ids are base + node. The tests hold this file to the DBC.
+Little endian; ids are base + node. Tests compare this file with the DBC.
 
     EMERGENCY_STOP    0x000       reason u8
     COMMAND           0x100+node  controlword u8, mode bits 0-2 | sequence bits 3-7, setpoint i32 (mV, mA,
@@ -33,11 +33,11 @@ _REPLY = Struct("<BBhHbB")
 _PARAMETER = Struct("<BBBxi")
 
 pack_raw_command = _COMMAND.pack
-"""(controlword, mode | sequence << 3, setpoint_raw, feedforward_mV) to bytes; struct.error if it cannot."""
+"""(controlword, mode | sequence << 3, setpoint_raw, feedforward_mV) to bytes; struct.error if a number does not fit."""
 
 
 class Mode(IntEnum):
-    """What the set-point of a COMMAND means."""
+    """Meaning of the set-point of a COMMAND."""
 
     OFF = 0
     VOLTAGE = 1
@@ -46,7 +46,7 @@ class Mode(IntEnum):
 
 
 class Fault(IntFlag):
-    """Why a board is in FAULT."""
+    """Fault bits of a board."""
 
     OVER_CURRENT = 0x01
     OVER_TEMPERATURE = 0x02
@@ -59,14 +59,14 @@ class Fault(IntFlag):
 
 
 class Operation(IntEnum):
-    """What a PARAMETER_REQUEST asks for."""
+    """Operation of a PARAMETER_REQUEST."""
 
     READ = 0
     WRITE = 1
 
 
 class ParameterResult(IntEnum):
-    """What a PARAMETER_ANSWER says."""
+    """Result code of a PARAMETER_ANSWER."""
 
     DONE = 0
     UNKNOWN_INDEX = 1
@@ -76,7 +76,7 @@ class ParameterResult(IntEnum):
 
 
 class Parameter(IntEnum):
-    """Indices of the parameters; units are those of the raw value."""
+    """Parameter indices; units are those of the raw value."""
 
     PROTOCOL_VERSION = 0
     BOARD_SERIAL_NUMBER = 1
@@ -115,20 +115,20 @@ class Command:
     feedforward_mV: int = 0
 
     def pack(self) -> bytes:
-        """The payload; struct.error if a number does not fit its field."""
+        """Pack the payload; struct.error if a number does not fit its field."""
         return pack_raw_command(
             self.controlword, self.mode | self.sequence << 3, self.setpoint_raw, self.feedforward_mV
         )
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
-        """From 8 bytes."""
+        """Unpack 8 bytes."""
         controlword, mixed, setpoint_raw, feedforward_mV = _COMMAND.unpack(payload)
         return cls(controlword, mixed & 7, mixed >> 3, setpoint_raw, feedforward_mV)
 
 
 class Reply(NamedTuple):
-    """One REPLY in SI units. A named tuple: it is made three times a cycle, 0.5 us faster each."""
+    """One REPLY in SI units. A named tuple, because three are created per cycle (0.5 us faster each)."""
 
     statusword: int
     mode: int
@@ -140,7 +140,7 @@ class Reply(NamedTuple):
 
     @property
     def state(self) -> State | None:
-        """The drive's state; None if the statusword is none."""
+        """The drive's state; None if the statusword is invalid."""
         return STATE_OF_STATUSWORD[self.statusword]
 
     @property
@@ -150,18 +150,18 @@ class Reply(NamedTuple):
 
     @property
     def is_limited(self) -> bool:
-        """The board cut the output back to a limit (status bit 7)."""
+        """Whether the board limits the output (status bit 7)."""
         return bool(self.statusword & WARNING_BIT)
 
     def pack(self) -> bytes:
-        """The payload; struct.error if a number does not fit its field."""
+        """Pack the payload; struct.error if a number does not fit its field."""
         current_mA, supply_mV = round(self.current_A * 1e3), round(self.supply_V * 1e3)
         mixed = self.mode | self.sequence << 3
         return _REPLY.pack(self.statusword, mixed, current_mA, supply_mV, self.temperature_degC, self.faults)
 
 
 def unpack_reply(payload: bytes) -> Reply:
-    """From 8 bytes."""
+    """Unpack 8 bytes."""
     statusword, mixed, current_mA, supply_mV, temperature, faults = _REPLY.unpack(payload)
     return Reply(statusword, mixed & 7, mixed >> 3, current_mA * 1e-3, supply_mV * 1e-3, temperature, faults)
 
@@ -176,18 +176,18 @@ class ParameterRequest:
     value: int = 0
 
     def pack(self) -> bytes:
-        """The payload; struct.error if a number does not fit its field."""
+        """Pack the payload; struct.error if a number does not fit its field."""
         return _PARAMETER.pack(self.operation, self.index, self.sequence, self.value)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
-        """From 8 bytes."""
+        """Unpack 8 bytes."""
         return cls(*_PARAMETER.unpack(payload))
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterAnswer:
-    """The value as it now is. `sequence` 0: nobody asked, the board has just started."""
+    """The present value. `sequence` 0: unsolicited, the board has just started."""
 
     result: int
     index: int
@@ -195,10 +195,10 @@ class ParameterAnswer:
     value: int
 
     def pack(self) -> bytes:
-        """The payload; struct.error if a number does not fit its field."""
+        """Pack the payload; struct.error if a number does not fit its field."""
         return _PARAMETER.pack(self.result, self.index, self.sequence, self.value)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
-        """From 8 bytes."""
+        """Unpack 8 bytes."""
         return cls(*_PARAMETER.unpack(payload))

@@ -1,4 +1,4 @@
-"""The camera that sees the tip: own rate, own clock, noise, latency; datagrams of docs/camera.md."""
+"""The mock camera: rate, clock, noise, latency; datagrams of docs/camera.md."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TIP_MARKER = 0
 
 @dataclass(frozen=True, slots=True)
 class CameraSetup:
-    """Rate, noise per axis (standard deviation), latency from picture to datagram, part of frames without the tip."""
+    """Rate, noise per axis (standard deviation), latency from image to datagram, share of frames without the tip."""
 
     rate_Hz: float = 100.0
     noise_m: float = 0.00014
@@ -27,7 +27,7 @@ class CameraSetup:
 
 
 class CameraMock:
-    """Takes a picture at the first tick at or after each multiple of its period, and stamps it with that tick's time."""
+    """Takes an image at the first tick at or after each multiple of its period, stamped with that tick's time."""
 
     def __init__(self, setup: CameraSetup) -> None:
         self.setup = setup
@@ -36,10 +36,10 @@ class CameraMock:
         self._pictures = 0
         self._rate = 1.0 + setup.clock_ppm * 1e-6
         self._on_its_way: deque[tuple[float, bytes]] = deque()
-        self.next_s = 0.0  # before this time a tick has nothing to do
+        self.next_s = 0.0  # nothing to do before this time
 
     def tick(self, now_s: float, tip_m: Callable[[], Point]) -> list[bytes]:
-        """Datagrams that leave now; `tip_m` is asked only when a picture is due."""
+        """Datagrams sent now; `tip_m` is called only when an image is due."""
         due_s = self._pictures / self.setup.rate_Hz
         if now_s >= due_s - 1e-9:
             self._pictures = int((now_s + 1e-9) * self.setup.rate_Hz) + 1

@@ -1,6 +1,6 @@
 """The encoder board: counts, index, home switch, set-zero, streaming; written from docs/encoder_board.md.
 
-A state machine without I/O: `receive` what came, `tick` with what the encoders did, take `outgoing`. All times are those of
+A state machine without I/O: `receive` bytes, `tick` with the encoders' counts, read `outgoing`. All times are those of
 the simulation; the board's own clock drifts against it.
 """
 
@@ -25,7 +25,7 @@ _FRAME_BITS = 250  # a REPORT on the line
 
 @dataclass(frozen=True, slots=True)
 class EncoderBoardSetup:
-    """What the board says of itself, and what its line and clock are like."""
+    """Identity of the board, and properties of its line and clock."""
 
     serial_number: int
     counts_per_turn: tuple[int, ...]
@@ -34,9 +34,7 @@ class EncoderBoardSetup:
     protocol: int = 1
     baud: int = 1_000_000
     clock_ppm: float = 0.0
-    index_spacing_counts: tuple[
-        int, ...
-    ] = ()  # that the encoders really have; empty: as `counts_per_turn` says
+    index_spacing_counts: tuple[int, ...] = ()  # true counts of the encoders; empty: `counts_per_turn`
 
 
 class _Channel:
@@ -53,7 +51,7 @@ class _Channel:
         self.latch: tuple[int, int] | None = None  # (board time, count)
 
     def index_between(self, before: int, raw: int) -> int | None:
-        """The index position that the shaft came onto on its way, in either direction."""
+        """The index position that the shaft passed, in either direction."""
         if raw > before:
             first = before + 1 + (self.index_raw - before - 1) % self.counts_per_turn
             return first if first <= raw else None
@@ -66,7 +64,7 @@ class _Channel:
 class EncoderBoardMock:
     """An encoder board of up to three channels.
 
-    `raw` counts come from the shafts, start anywhere and never wrap; `index_raw` is one at which each index lies.
+    `raw` counts come from the shafts, start anywhere and never wrap; `index_raw` is one index position of each.
     """
 
     def __init__(self, setup: EncoderBoardSetup, index_raw: Sequence[int]) -> None:
@@ -76,12 +74,12 @@ class EncoderBoardMock:
         self._wrap = 1 << setup.encoder_bits
         self._half = self._wrap >> 1
         self.outgoing: list[tuple[float, bytes]] = []  # (when its last byte has left, frame)
-        self.stuck: set[int] = set()  # channels whose counter does not move, set by a fault
+        self.stuck: set[int] = set()  # channels with a stuck counter, set by a fault
         self.lost: set[int] = set()  # channels with a broken wire
         self.power_up(0.0, [0] * len(setup.counts_per_turn))
 
     def power_up(self, now_s: float, raw: Sequence[int]) -> None:
-        """Forget everything: counts 0, no stream; announce itself."""
+        """Reset everything: counts 0, no stream; send the identity."""
         spacing = self.setup.index_spacing_counts or self.setup.counts_per_turn
         self._channels = [_Channel(c, i) for c, i in zip(spacing, self._index_raw, strict=True)]
         self._raw = self._before = raw
@@ -101,18 +99,18 @@ class EncoderBoardMock:
         self._send_identity(0, now_s)
 
     def preset(self, counts: Sequence[int], is_zero_set: bool) -> None:
-        """Counters as a board has them that was powered, and perhaps zeroed, before the simulation began."""
+        """Set the counters of a board that was powered, and perhaps zeroed, before the simulation started."""
         for channel, raw, count in zip(self._channels, self._raw, counts, strict=True):
             channel.offset = count - raw
             channel.flags = ZERO_SET if is_zero_set else 0
 
     def receive(self, received: bytes, now_s: float) -> None:
-        """Bytes from the host, which take effect at once."""
+        """Process bytes from the host, which take effect at once."""
         for content in self._gatherer.feed(received):
             self._request(content, now_s)
 
     def tick(self, now_s: float, raw: Sequence[int], is_home: Sequence[bool]) -> None:
-        """The shafts are now at `raw` counts; make the reports that have fallen due since the last tick."""
+        """Move the shafts to `raw` counts; make the reports that became due since the last tick."""
         self._before, self._raw, self._is_home = self._raw, raw, is_home
         if self._is_watching or self.stuck or self.lost:
             self._watch(now_s)
@@ -123,7 +121,7 @@ class EncoderBoardMock:
         self._tick_s = now_s
 
     def count(self, at: int) -> int:
-        """The count of a channel as the board says it."""
+        """The count of a channel reported by the board."""
         return self._wrapped(self._raw[at] + self._channels[at].offset)
 
     def _report_due(self, now_s: float) -> None:
@@ -134,7 +132,7 @@ class EncoderBoardMock:
         self._due_us += self._period_us
 
     def _send_report(self, time_us: int, part: float, start_s: float) -> None:
-        """One REPORT of the counts at `part` of the way from the last tick to this one."""
+        """Send one REPORT of the counts interpolated at `part` of the time from the last tick to this one."""
         flags, counts, wrap, half = [0, 0, 0], [0, 0, 0], self._wrap, self._half
         for at, channel in enumerate(self._channels):
             raw = self._raw[at]
@@ -158,7 +156,7 @@ class EncoderBoardMock:
         return int((now_s - self._started_s) * self._rate * 1e6 + 1e-3)
 
     def _put(self, content: bytes, start_s: float) -> None:
-        """Queue a frame: the line carries one after the other, 10 bits a byte."""
+        """Queue a frame: the line carries one at a time, 10 bits per byte."""
         self._sequence = (self._sequence + 1) & 0xFF
         coded = frame(content)
         begin_s = start_s if start_s > self._line_free_s else self._line_free_s
@@ -235,7 +233,7 @@ class EncoderBoardMock:
         return DONE
 
     def quadrature_error(self, at: int, counts: int) -> None:
-        """A fault: an illegal transition that cost or gained some counts."""
+        """Inject a fault: an illegal transition that lost or gained some counts."""
         self._channels[at].flags |= QUADRATURE_ERROR
         self._channels[at].offset += counts
 
@@ -255,18 +253,18 @@ class EncoderBoardMock:
         self._answer(content, DONE, now_s)
 
     def _watch(self, now_s: float) -> None:
-        """The slow part of a tick: armed channels, and those whose counter stands."""
+        """The slow part of a tick: armed channels, and those with a stuck counter."""
         for at, channel in enumerate(self._channels):
             if at in self.stuck or at in self.lost:
-                # The counter stands; what the shaft does meanwhile is lost for good.
+                # The counter is stuck; motion of the shaft meanwhile is lost.
                 channel.offset -= self._raw[at] - self._before[at]
             elif channel.armed:
                 self._watch_index(at, channel, now_s)
 
     def _watch_index(self, at: int, channel: _Channel, now_s: float) -> None:
-        """Latch where the shaft came onto the index, at the moment in between when it was there.
+        """Latch the count where the shaft passed the index, at the interpolated time.
 
-        A shaft that stood on its index when armed must leave it first: `index_between` starts one count further.
+        A shaft that was on its index when armed must leave it first: `index_between` starts one count further.
         """
         before, raw = self._before[at], self._raw[at]
         here = channel.index_between(before, raw)

@@ -1,6 +1,6 @@
 """The DC-motor board: states, modes, position PID, watchdog, faults; written from docs/motor_board.md.
 
-A state machine without I/O: `receive` frames, `tick` once a control period with what the board measures, and read `output`.
+A state machine without I/O: `receive` frames, `tick` once per control period with the measurements, and read `output`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _REPLY = struct.Struct("<BBhHbB")
 _REQUEST = struct.Struct("<BBBBi")
 _LOWEST_SUPPLY_V, _HIGHEST_SUPPLY_V = 9.0, 50.0
 _OVER_CURRENT_RATIO = 1.5
-_NOISE_VALUES = 4096  # drawn once: one draw a reply would cost as much as the rest of it
+_NOISE_VALUES = 4096  # drawn in advance: one draw per reply would double its cost
 _WARM_UP_EVERY_S = 0.05
 _VOLTAGE_ENABLED, _WARNING = 0x10, 0x80
 
@@ -32,7 +32,7 @@ Frame = tuple[int, bytes]
 
 
 class Output(NamedTuple):
-    """What the bridge does: `kind` is open, voltage (V; 0 brakes) or current (A)."""
+    """Output of the bridge: `kind` is open, voltage (V; 0 brakes) or current (A)."""
 
     kind: str
     value: float
@@ -43,7 +43,7 @@ OPEN, BRAKE = Output("open", 0.0), Output("voltage", 0.0)
 
 @dataclass(frozen=True, slots=True)
 class MotorBoardSetup:
-    """What the board is: identity, ratings, noise of its measurements, thermal path of its power stage."""
+    """Properties of the board: identity, ratings, measurement noise, thermal path of its power stage."""
 
     node: int
     serial_number: int
@@ -64,7 +64,7 @@ class MotorBoardSetup:
 
 
 class MotorBoardMock:
-    """One board of a joint. `read_shaft` gives the edges that its encoder input has seen, without wrap."""
+    """The board of a joint. `read_shaft` gives the edges counted by its encoder input, without wrap."""
 
     def __init__(self, setup: MotorBoardSetup, read_shaft: Callable[[], int]) -> None:
         self.setup = setup
@@ -73,11 +73,11 @@ class MotorBoardMock:
         source = random.Random(f"motor board {setup.node} {setup.seed}")
         self._noise = [source.gauss(0.0, 1.0) for _ in range(_NOISE_VALUES)]
         self._replies = 0
-        self.forced_faults = 0  # causes that last, set by a fault of the scenario
+        self.forced_faults = 0  # persistent causes, set by a fault of the scenario
         self.power_up()
 
     def power_up(self) -> None:
-        """As after power-up or reset: outputs open, parameters at their defaults, count 0."""
+        """State after power-up or reset: outputs open, parameters at their defaults, count 0."""
         self.state = State.NOT_READY
         self.output = OPEN
         self.faults = 0
@@ -104,7 +104,7 @@ class MotorBoardMock:
         return _wrapped(self._read_shaft() - self._count_offset)
 
     def receive(self, can_id: int, payload: bytes, now_s: float) -> list[Frame]:
-        """A frame from the bus and what the board sends at once."""
+        """Process a frame from the bus; return the immediate replies."""
         if can_id == 0:
             self._fault(EMERGENCY_STOP)
             return []
@@ -117,7 +117,7 @@ class MotorBoardMock:
         return []
 
     def tick(self, now_s: float, current_A: float, supply_V: float, is_limited: bool) -> list[Frame]:
-        """One control period: measure, watch, control. Returns what the board sends unasked."""
+        """Run one control period: measure, monitor, control. Returns unsolicited frames."""
         self._mean_A = 0.5 * (self._current_A + current_A)
         self._current_A, self._supply_V, self._is_limited = current_A, supply_V, is_limited
         step_s = self.setup.period_us * 1e-6 if self._last_tick_s is None else now_s - self._last_tick_s
@@ -151,7 +151,7 @@ class MotorBoardMock:
         return []
 
     def _causes(self) -> int:
-        """Faults whose cause is there now; an over-current needs a period to count."""
+        """Faults with a present cause; an over-current must last a period."""
         causes = self.forced_faults
         if abs(self._current_A) > self._trip_A:
             self._over_current_ticks += 1
@@ -166,9 +166,11 @@ class MotorBoardMock:
         return causes
 
     def _take_values(self) -> None:
-        """What each period needs of the parameters."""
+        """Update the values of each period from the parameters."""
         values = self.values
-        self.current_limit_A = values[parameter.CURRENT_LIMIT_MA] * 1e-3  # kept by the bridge in every mode
+        self.current_limit_A = (
+            values[parameter.CURRENT_LIMIT_MA] * 1e-3
+        )  # enforced by the bridge in every mode
         self._trip_A = _OVER_CURRENT_RATIO * self.current_limit_A
         self._voltage_limit_mV = float(values[parameter.VOLTAGE_LIMIT_MV])
         watchdog_ms = values[parameter.WATCHDOG_MS]
@@ -185,7 +187,7 @@ class MotorBoardMock:
             self._holds, self.output = False, BRAKE
 
     def _expire(self) -> None:
-        """The watchdog: its action, then FAULT that keeps it."""
+        """The watchdog expired: its action, then FAULT, which keeps that output."""
         action = self.values[parameter.WATCHDOG_ACTION]
         self._fault(WATCHDOG)
         if action == 0:
@@ -194,7 +196,7 @@ class MotorBoardMock:
             self._holds = True
             self._setpoint, self._feedforward_mV, self._integral_mV = self.position_count, 0, 0.0
             self._count_before, self._speed = self._read_shaft(), 0.0
-        # else: brake, which every fault begins with
+        # else: brake, as for every fault
 
     def _command(self, payload: bytes, now_s: float) -> bytes:
         controlword, mode_and_sequence, setpoint, feedforward_mV = _COMMAND.unpack(payload)
@@ -235,7 +237,7 @@ class MotorBoardMock:
         self._apply()
 
     def _apply(self) -> None:
-        """The output of the state and mode; position mode gets its own at the next tick, so it computes one now."""
+        """Apply the output of state and mode; position mode computes one now, then at every tick."""
         self._is_cut = False
         if self.state is State.ENABLED:
             if self._mode == 0:
@@ -254,7 +256,7 @@ class MotorBoardMock:
             self.output = BRAKE if self.values[parameter.DISABLED_OUTPUT] else OPEN
 
     def _control(self, step_s: float) -> None:
-        """Position PID on the board's own count; derivative on the measurement, integral clamped (conditional)."""
+        """Position PID on the board's own count; derivative of the measurement, conditional integration."""
         values = self.values
         shaft_count = self._read_shaft()
         error = _wrapped(self._setpoint - shaft_count + self._count_offset)
@@ -286,7 +288,7 @@ class MotorBoardMock:
         return wanted_mV
 
     def _warm_up(self) -> None:
-        """First-order power stage: R_th (R_bridge mean(i^2)) is where its temperature goes."""
+        """First-order power stage with the steady temperature rise R_th (R_bridge mean(i^2))."""
         setup = self.setup
         final_K = setup.thermal_K_W * setup.bridge_ohm * self._heat_A2s / self._heated_s
         self._above_ambient_K += (final_K - self._above_ambient_K) * min(

@@ -22,7 +22,7 @@ class Row:
 
 
 def writable(rating_mA: int) -> dict[int, Row]:
-    """All that can be written; `rating_mA` is the board's."""
+    """All writable parameters; `rating_mA` is the board's."""
     return {
         POSITION_COUNT: Row(*_I32, 0),
         KP: Row(0, _I32[1], 0),

@@ -1,4 +1,4 @@
-"""States and transitions of the motor board (docs/motor_board.md), as one table. Of the mock alone."""
+"""States and transitions of the motor board (docs/motor_board.md), as one table. For the mock only."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class State(Enum):
-    """CiA 402 states; the value is the statusword they show, without warning and voltage-enabled."""
+    """CiA 402 states; the value is the statusword, without warning and voltage-enabled."""
 
     NOT_READY = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -19,7 +19,7 @@ class State(Enum):
 
 
 class Word(Enum):
-    """What a controlword asks for."""
+    """Commands of a controlword."""
 
     SHUTDOWN = 1
     SWITCH_ON = 2

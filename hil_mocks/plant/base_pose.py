@@ -1,7 +1,7 @@
 """Pose of the arm's base in the world of camera, table and hand: the effect `base_frame`.
 
-The world is the frame of table and camera; the effect is its pose in the arm's base frame: an origin, and a turn as a rotation
-vector. The physics runs in the base frame, where gravity is as arm.toml says; what is seen and touched goes through here.
+The world is the frame of table and camera; the effect is its pose in the arm's base frame: an origin and a rotation
+vector. The physics runs in the base frame, with the gravity of arm.toml; camera and hand use this conversion.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ class BasePose:
         return not any((*self.origin_m, *self.turn_rad))
 
     def in_world(self, base_m: Sequence[float]) -> Point:
-        """A point of the base frame as the world sees it."""
+        """Convert a point of the base frame to the world."""
         shifted = np.subtract(base_m, self.origin_m)
         return self._turned(shifted, -1.0)
 
     def in_base(self, world_m: Sequence[float]) -> Point:
-        """A point of the world in the base frame."""
+        """Convert a point of the world to the base frame."""
         return _point(np.add(self._turned(np.asarray(world_m, dtype=float), 1.0), self.origin_m))
 
     def _turned(self, vector: np.ndarray, sense: float) -> Point:

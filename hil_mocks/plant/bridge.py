@@ -1,7 +1,7 @@
-"""The H-bridges: what drives the motors. Voltage with current limiting, current source, or open circuit.
+"""The H-bridges of the motors: voltage with current limiting, current source, or open circuit.
 
 MuJoCo's dcmotor solves L di/dt = u - R i - K w with the current as its state. The three modes are three settings of it:
-voltage as it is; a current source is a huge R with u = I R, so that back-EMF does not count, and a lag of its own; open
+the plain voltage; a current source is a huge R with u = I R, so that back-EMF is negligible, with its own lag; open
 circuit is a huge R with u = 0. One mj_step then does any number of steps in any mode.
 """
 
@@ -29,7 +29,7 @@ class Winding:
 
 
 class Bridges:
-    """All bridges of an arm. Commands are held until the next; `settle` fits them to speed and supply once a tick."""
+    """All bridges of an arm. Commands are held until the next; `settle` applies the limits once a tick."""
 
     def __init__(
         self, model: Any, state: Any, windings: Sequence[Winding], index: Sequence[int], supply_ohm: float
@@ -52,24 +52,24 @@ class Bridges:
             self._settle(j, 0.0)
 
     def command(self, j: int, mode: int, value: float) -> None:
-        """OPEN, VOLTAGE in V or CURRENT in A from now on."""
+        """Command OPEN, VOLTAGE in V or CURRENT in A."""
         self._mode[j], self._command[j] = mode, value
 
     def limit_current(self, j: int, limit_A: float) -> None:
-        """Keep the current within +-limit in every mode."""
+        """Limit the current to +-limit in every mode."""
         self._limit_A[j] = limit_A
 
     def set_supply(self, j: int, supply_V: float | None) -> None:
-        """Another supply voltage at bridge j from now on; None: the nominal one again."""
+        """Set the supply voltage at bridge j; None: the nominal one."""
         self._no_load_V[j] = self.supply_V[j] = self._windings[j].supply_V if supply_V is None else supply_V
 
     def settle(self, speeds_rad_s: Sequence[float]) -> None:
-        """Fit all outputs to the motors' speeds (joint side) and to the supply; before each run of steps."""
+        """Limit all outputs by the motors' speeds (joint side) and the supply; call it before each run of steps."""
         if self._supply_ohm > 0.0:
             self._sag()
         for j, speed in enumerate(speeds_rad_s):
             if self._mode[j] == VOLTAGE and self._set_as[j] == VOLTAGE and self._supply_ohm == 0.0:
-                # The common case, short: the same mode as before and no limit in reach.
+                # Fast path of the common case: same mode and no limit in reach.
                 voltage, (K, resistance_ohm) = self._command[j], self._constants[j]
                 current_A = (voltage - K * speed) / resistance_ohm
                 limit_A, supply_V = self._limit_A[j], self.supply_V[j]
@@ -95,7 +95,7 @@ class Bridges:
         return self._command[j] if self._mode[j] == VOLTAGE else 0.0
 
     def _sag(self) -> None:
-        """Supply less the drop over the shared resistance; a bridge draws duty x motor current."""
+        """Supply minus the drop over the shared resistance; a bridge draws duty x motor current."""
         drawn_A = sum(
             self.voltage_V(j) / w.supply_V * self.current_A(j) for j, w in enumerate(self._windings)
         )
@@ -115,7 +115,7 @@ class Bridges:
         emf_V = winding.K_V_s_rad * speed_rad_s
         limit_A = self._limit_A[j]
         if mode == VOLTAGE:
-            voltage = value * supply_V / winding.supply_V  # duty is what a bridge commands
+            voltage = value * supply_V / winding.supply_V  # duty cycle of the bridge
             voltage = min(max(voltage, -supply_V), supply_V)
             wanted_A = (voltage - emf_V) / winding.resistance_ohm
             if -limit_A <= wanted_A <= limit_A:

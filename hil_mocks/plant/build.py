@@ -1,8 +1,8 @@
-"""The MuJoCo model of an arm: links at their true DH frames, motors behind gears, friction, play, a hand and a payload.
+"""The MuJoCo model of an arm: links at their true DH frames, motors behind gears, friction, backlash, a hand and a payload.
 
-Per joint a link-side hinge and, where something stands between motor and joint (backlash, compliance, a coupled belt), a
-motor-side hinge of inertia N^2 Jr, both in joint angles, held together by a fixed tendon of motor - link + ratio * q2. Where
-nothing stands between them the rotor is the armature of the link's hinge: exactly rigid, and cheaper.
+Per joint a link-side hinge and, with an effect between motor and joint (backlash, compliance, a coupled belt), a
+motor-side hinge of inertia N^2 Jr, both in joint angles, coupled by a fixed tendon of motor - link + ratio * q2. Without
+such an effect the rotor is the armature of the link's hinge: exactly rigid, and cheaper.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from hil_mocks.plant.parts import ArmParts, DriveParts
 _HARD = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 _BRISTLE_RAD = 2e-5  # presliding deflection of a LuGre bristle at breakaway; below any encoder's resolution
 _BRISTLE_DAMPING_RATIO = 0.5
-_LIGHT_LINK = 0.1  # a link without its rotor is taken to be no lighter than this part of the reflected rotor
-_FASTEST = 2.0  # steps a radian of a bending link's vibration: 1000 rad/s at 0.5 ms
-_LEAST_KG = 1e-6  # of half a link that has no mass of its own
-_ROTOR_BODY_KG = 1e-9  # MuJoCo wants a mass; the inertia that counts is the hinge's armature
+_LIGHT_LINK = 0.1  # smallest inertia of a link as a share of the reflected rotor's
+_FASTEST = 2.0  # steps per radian of a bending link's vibration: 1000 rad/s at 0.5 ms
+_LEAST_KG = 1e-6  # of half a link without mass
+_ROTOR_BODY_KG = 1e-9  # MuJoCo requires a mass; the effective inertia is the hinge's armature
 
 
 @dataclass(frozen=True, slots=True)
 class PlantModel:
-    """The compiled model and where things are in it. Per joint: index of the motor's and the link's hinge, its bridge."""
+    """The compiled model and its indices. Per joint: index of the motor's and the link's hinge, its bridge."""
 
     model: Any
     motor_hinge: tuple[int, ...]
@@ -41,7 +41,7 @@ class PlantModel:
     bridge: tuple[int, ...]  # actuator, control and current of a joint all have this index
     friction_dofs: tuple[
         tuple[tuple[int, float], ...], ...
-    ]  # per joint (dof, share) whose friction load may raise
+    ]  # per joint (dof, share) with load-dependent friction
     bristles: tuple[tuple[tuple[int, float], ...], ...]  # per joint (actuator, share) of its LuGre elements
     tip_site: int
     payload_body: int
@@ -51,12 +51,12 @@ class PlantModel:
 def build(
     arm: ArmParts, effects: PlantEffects, timestep_s: float, link_share: float, end_stop_margin_rad: float
 ) -> PlantModel:
-    """Compile the arm. Raises MockError if it has fewer than one drive for each joint that moves."""
+    """Compile the arm. Raises MockError if a moving joint has no drive."""
     return _Builder(arm, effects, timestep_s, link_share, end_stop_margin_rad).run()
 
 
 class _Builder:
-    """One use: gathers the elements of a specification and where they will be."""
+    """Collects the elements of a specification and their indices; for a single use."""
 
     def __init__(
         self,
@@ -92,8 +92,8 @@ class _Builder:
         self._spec.compiler.degree = False
         option = self._spec.option
         option.timestep = self._step_s
-        # Joint damping is implicit here, too. The implicit ones also foresee back-EMF, so that the torque of a step is not that
-        # of the current which is read: K^2 h / R, a tenth of a joint's inertia at 1 ms.
+        # Joint damping is implicit here, too. The implicit integrators also predict back-EMF, so a step's torque is not that
+        # of the current read: K^2 h / R, a tenth of a joint's inertia at 1 ms.
         option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         option.gravity = self._arm.gravity_m_s2
         option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
@@ -129,7 +129,7 @@ class _Builder:
         parent.add_site(name="tip", pos=self._arm.tool_m - shift_m)
         load = parent.add_body(name="payload", pos=self._arm.tool_m - shift_m, explicitinertial=True)
         load.mass, load.inertia = self._effects.payload_kg, [0.0, 0.0, 0.0]
-        load.ipos = [0.0, 0.0, 0.0]  # left alone, it is taken to be the body's own place once more
+        load.ipos = [0.0, 0.0, 0.0]  # if unset, it would add the body's own pose again
 
     def _true_frame(self, i: int) -> Frame:
         deviation = {key: value for (at, key), value in self._effects.dh_deviation.items() if at == i}
@@ -141,7 +141,7 @@ class _Builder:
         body.mass, body.ipos, body.inertia = mass, com_m, inertia
 
     def _mass_of(self, i: int) -> tuple[float, Matrix, Matrix]:
-        """Mass, its centre in the link's frame, and principal inertia of a link with what an effect adds."""
+        """Mass, its centre in the link's frame, and principal inertia of a link, including an effect."""
         link = self._arm.links[i]
         more = self._effects.link_inertia_kg_m2.get(i, 0.0)
         mass = link.mass_kg + self._effects.link_mass_kg.get(i, 0.0)
@@ -153,7 +153,7 @@ class _Builder:
         return beam(*ends, self._effects.link_EI_Nm2[i], f'arm "{self._arm.name}", link {i + 1}')
 
     def _bending(self, near: Any, bent: Beam, i: int) -> Any:
-        """The link's near half is `near`; returns its far half, which hangs on two slides and two hinges."""
+        """Split a bending link: `near` is its near half; returns its far half, on two slides and two hinges."""
         mass, com_m, inertia = self._mass_of(i)
         parts = split_mass(bent, mass, com_m)
         left = remaining_inertia(inertia, com_m, parts)
@@ -168,7 +168,7 @@ class _Builder:
                 name = f"{'s' if kind is kinds.mjJNT_SLIDE else 'h'}{k + 1}_link{i + 1}"
                 joint = far.add_joint(name=name, type=kind, axis=axis)
                 joint.stiffness, joint.damping = [stiffness, 0.0, 0.0], [LOSS_S * stiffness, 0.0, 0.0]
-                # What the far half lacks in inertia for vibrations that the step can follow; it weighs nothing.
+                # Added inertia of the far half, so that the step can follow its vibration; without weight.
                 joint.armature = stiffness * (_FASTEST * self._step_s) ** 2
                 self._bends.append(name)
         return far
@@ -205,7 +205,7 @@ class _Builder:
         self._gear(tendon, effect)
 
     def _gear(self, tendon: Any, effect: JointEffects) -> None:
-        """Spring, with play as its dead band; play with hard flanks; or a hard coupling."""
+        """A spring with backlash as its dead band; backlash with hard flanks; or a rigid coupling."""
         half = 0.5 * effect.backlash_rad
         if math.isfinite(effect.stiffness_Nm_rad):
             tendon.stiffness = [effect.stiffness_Nm_rad, 0.0, 0.0]
@@ -225,14 +225,14 @@ class _Builder:
         return f"q{j + 1}" if self._is_rigid(j, self._effects.joints[j]) else f"m{j + 1}"
 
     def _bridge(self, j: int, drive: DriveParts, effect: JointEffects) -> None:
-        """The motor, seen at the joint: K = N kt in Nm/A and V s/rad; one state, the current."""
+        """The motor, referred to the joint: K = N kt in Nm/A and V s/rad; one state, the current."""
         K = drive.gear_ratio * drive.torque_constant_Nm_A * effect.torque_constant_scale
         actuator = self._add_actuator(f"bridge{j + 1}", self._motor_hinge(j))
         actuator.set_to_dcmotor(
             [K, K],
             drive.resistance_ohm,
             inductance=[drive.inductance_H, 0.0],
-            # The effect is what the motor has to add; the magnets pull the other way.
+            # The effect is what the motor has to add; the magnets act the other way.
             cogging=[-effect.cogging_Nm, effect.cogging_order * drive.gear_ratio, effect.cogging_phase_rad],
         )
         actuator.actearly = True  # torque of the current at the step's end: second order instead of first
@@ -249,7 +249,7 @@ class _Builder:
                 self._bristle(j, hinge, share, effect)
             else:
                 joint.frictionloss = effect.coulomb_Nm * share
-                # The row must exist to be raised later by load.
+                # The row must exist so that load can raise it later.
                 if effect.load_fraction > 0.0 and effect.coulomb_Nm == 0.0:
                     joint.frictionloss = 1e-6
                 joint.solref_friction, joint.solimp_friction = [2.0 * self._step_s, 1.0], _HARD

@@ -1,6 +1,6 @@
-"""Effects of a real arm as numbers of the plant: names and parameters as in the table of effects (docs/mock_robot.md).
+"""Effects of a real arm as plant parameters: names and parameters as in the table of effects (docs/mock_robot.md).
 
-Independent of control.model.effects on purpose: an effect hidden here is no mirror of the model that has to find it.
+Independent of control.model.effects on purpose, so that a hidden effect does not mirror the model that has to find it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from hil_mocks.plant.base_pose import NOMINAL, BasePose
 
 @dataclass(frozen=True, slots=True)
 class EffectEntry:
-    """One `[[effect]]`: its name, the joint or link it is at (1-based, 0: none), its parameters in SI units."""
+    """One `[[effect]]`: its name, its joint or link (1-based, 0: none), its parameters in SI units."""
 
     effect: str
     joint: int
@@ -24,7 +24,7 @@ class EffectEntry:
 
 @dataclass(frozen=True, slots=True)
 class JointEffects:
-    """What one drive and joint has beyond the ideal. Torques at the joint, angles joint angles."""
+    """Effects of one drive and joint. Torques at the joint, angles joint angles."""
 
     backlash_rad: float = 0.0
     stiffness_Nm_rad: float = math.inf
@@ -99,9 +99,9 @@ KNOWN = (*_OF_JOINT, *_OF_ARM, "link_geometry", "link_inertia", "link_flexure", 
 
 
 def gather(entries: Sequence[EffectEntry], joints: int, links: int, where: str) -> PlantEffects:
-    """All entries as numbers of the plant; the later of two entries of the same effect and joint counts.
+    """Convert all entries; the later of two entries of the same effect and joint counts.
 
-    Raises ScenarioError for what cannot be understood; `where` names the file.
+    Raises ScenarioError for invalid entries; `where` names the file.
     """
     found = PlantEffects(joints=(JointEffects(),) * joints)
     for entry in entries:
@@ -138,7 +138,7 @@ def _add(found: PlantEffects, entry: EffectEntry, joints: int, links: int, where
 
 
 def _base_pose(entry: EffectEntry, where: str) -> BasePose:
-    """Where the world is in the base frame; parameters that are not given are 0."""
+    """Pose of the world in the base frame; missing parameters are 0."""
     given = {**dict.fromkeys(_BASE_FRAME, 0.0), **entry.parameters}
     checked = _renamed(EffectEntry(entry.effect, 0, given), {key: key for key in _BASE_FRAME}, where)
     x, y, z, rx, ry, rz = (checked[key] for key in _BASE_FRAME)
@@ -163,7 +163,7 @@ def _check_index(index: int, count: int, what: str, where: str) -> None:
 
 
 def _renamed(entry: EffectEntry, names: Mapping[str, str], where: str) -> dict[str, float]:
-    """The entry's parameters under the plant's field names, checked."""
+    """The checked parameters of an entry by the plant's field names."""
     for key in entry.parameters:
         if key not in names:
             raise ScenarioError(f'{where}: unknown parameter "{key}"; expected {", ".join(names)}.')

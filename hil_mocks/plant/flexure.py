@@ -2,7 +2,7 @@
 
 Euler-Bernoulli cantilever of length L and bending stiffness EI, the same in both planes, with a transverse force F and a
 moment M at its end: it deflects there by F L^3/(3 EI) + M L^2/(2 EI) and turns by F L^2/(2 EI) + M L/(EI). Seen from the middle,
-where the moment is M + F L/2, the two come apart: the far half turns by (M + F L/2) / (EI/L), and its middle gives by
+where the moment is M + F L/2, the two decouple: the far half turns by (M + F L/2) / (EI/L), and its middle deflects by
 F / (12 EI/L^3). So two hinges of EI/L and two slides of 12 EI/L^3, across the beam at its middle, are the cantilever exactly,
 for small deflections. Along and about its axis the beam is rigid.
 
@@ -28,7 +28,7 @@ _LEAST_INERTIA_kg_m2 = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class PointMass:
-    """A part of a link's mass and where it is, in the link's frame."""
+    """A part of a link's mass and its position in the link's frame."""
 
     mass_kg: float
     place_m: Matrix
@@ -36,7 +36,7 @@ class PointMass:
 
 @dataclass(frozen=True, slots=True)
 class Beam:
-    """A bending link in its own frame: its middle, two axes across it, and what its joints give."""
+    """A bending link in its own frame: its middle, two transverse axes, and the stiffness of its joints."""
 
     middle_m: Matrix  # (3,)
     across: tuple[Matrix, Matrix]
@@ -57,7 +57,7 @@ class Beam:
 
 
 def beam(root_m: Matrix, end_m: Matrix, EI_Nm2: float, where: str) -> Beam:
-    """The beam between two points of a link's frame. MockError where there is hardly anything between them."""
+    """The beam between two points of a link's frame. MockError if they are too close."""
     way = end_m - root_m
     length = float(np.linalg.norm(way))
     if length < _SHORTEST_M:
@@ -75,7 +75,7 @@ def beam(root_m: Matrix, end_m: Matrix, EI_Nm2: float, where: str) -> Beam:
 def ends_of(
     i: int, frames: Sequence[Frame], is_revolute: Sequence[bool], is_standard: bool, tool_m: Matrix
 ) -> tuple[Matrix, Matrix]:
-    """Where link i bends, in its own frame: from its joint to the next one, or to the tip, over fixed links between.
+    """Ends of bending link i in its own frame: its joint, and the next one or the tip, including fixed links between.
 
     `frames` of all links in their parents'. By the standard convention a link's joint is at its parent's origin, by the modified
     one at its own.
@@ -108,7 +108,7 @@ def split_mass(of: Beam, mass_kg: float, com_m: Matrix) -> tuple[PointMass, Poin
 
 
 def remaining_inertia(inertia_kg_m2: Matrix, com_m: Matrix, parts: tuple[PointMass, PointMass]) -> Matrix:
-    """What is left of a link's principal inertia (3,) when its mass is two points, which have some of it themselves."""
+    """Remaining principal inertia (3,) of a link after subtracting that of its two mass points."""
     left: Matrix = np.array(inertia_kg_m2, dtype=float)
     for part in parts:
         r = part.place_m - com_m

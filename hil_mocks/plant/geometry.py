@@ -1,7 +1,7 @@
 """Denavit-Hartenberg frames as MuJoCo bodies: pose of a body in its parent at joint angle zero, and its hinge.
 
-Written for the plant alone and independent of control.kinematics.kinematics, so that a test of one against the other is worth
-something. Frames and signs: Siciliano et al., Robotics (2009), section 2.8 (standard); Craig, Introduction to Robotics (2005),
+Written for the plant only and independent of control.kinematics.kinematics, so that testing one against the other is
+meaningful. Frames and signs: Siciliano et al., Robotics (2009), section 2.8 (standard); Craig, Introduction to Robotics (2005),
 section 3.4 (modified).
 """
 
@@ -20,7 +20,7 @@ DH_KEYS = ("d_m", "theta_rad", "L_m", "alpha_rad")
 
 
 class DhLink(Protocol):
-    """What the geometry reads of a link of arm.toml."""
+    """Geometry of a link of arm.toml."""
 
     @property
     def d_m(self) -> float: ...

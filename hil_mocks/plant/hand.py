@@ -1,4 +1,4 @@
-"""The mock hand: takes the tip where it is, drags it to a point with limited speed, holds it there, lets go."""
+"""The mock hand: grips the tip, drags it to a point with limited speed, holds it there, releases it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil_mocks.plant.base_pose import BasePose
 
 Point = tuple[float, float, float]
 HandState = Literal["away", "dragging", "holding", "cannot reach"]
-_SETTLE_S = 0.25  # after which a tip that is still off cannot get there
+_SETTLE_S = 0.25  # after which a tip that is still off cannot reach the point
 _CANNOT_M = 1e-3
 
 
@@ -42,7 +42,7 @@ class Hand:
         self.problem = ""
 
     def seat(self, point_m: Sequence[float]) -> float:
-        """Drag the tip to a point (frame of table and camera), seating noise and all; returns how long it takes, in s."""
+        """Drag the tip to a point (frame of table and camera) with seating noise; returns the duration in s."""
         x, y, z = (float(value) + self._noise() for value in self._base_pose.in_base(point_m))
         if not all(map(math.isfinite, (x, y, z))):
             raise UnreachableError(
@@ -60,17 +60,17 @@ class Hand:
         return self._duration_s
 
     def let_go(self) -> None:
-        """Leave the tip to the arm."""
+        """Release the tip."""
         self._data.eq_active[self._grip()] = 0
         self.state = "away"
 
     def residual_m(self) -> float:
-        """Distance of the tip from where the hand holds it."""
+        """Distance of the tip from the hand."""
         mujoco.mj_kinematics(self._model, self._data)
         return math.dist(self._data.site_xpos[self._tip_site], self._data.mocap_pos[0])
 
     def move(self) -> None:
-        """One tick: nothing while away or holding. Lets go and says why in `problem` if the arm does not get there."""
+        """Advance by a tick; nothing while away or holding. Releases an unreachable tip, with the reason in `problem`."""
         if self.state != "dragging":
             return
         s = (float(self._data.time) - self._begun_s) / self._duration_s

@@ -1,4 +1,4 @@
-"""What the plant needs of an arm, with nothing missing: arm.toml read once, gaps named."""
+"""The data of arm.toml that the plant needs, complete; missing values are errors."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class DriveParts:
 
 @dataclass(frozen=True, slots=True)
 class ArmParts:
-    """The physical arm as the plant builds it; `convention` of its DH parameters."""
+    """The physical arm; `convention` of its DH parameters."""
 
     name: str
     gravity_m_s2: Vector

@@ -18,14 +18,14 @@ from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.plant.parts import ArmParts
 from hil_mocks.plant.shaft import Shaft
 
-_JAMMED_Nm_s_rad = 1e6  # a jammed gear creeps by a microradian a second under all that a motor has
+_JAMMED_Nm_s_rad = 1e6  # a jammed gear creeps by a microradian per second under the full motor torque
 
 _BENDING_ROUNDS = 3  # gravity's torque on a bent link differs from that on a straight one by some 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class PlantOptions:
-    """How the plant is simulated and what stands around it; not what the arm is."""
+    """Options of the simulation, independent of the arm."""
 
     timestep_s: float = (
         5e-4  # a tenth of the motors' mechanical time constant; 0.25 ms moves a path by 3e-6 rad
@@ -93,7 +93,7 @@ class Plant:
         return self._steps * self.timestep_s
 
     def step(self, steps: int) -> None:
-        """Advance by a number of time steps: one call of MuJoCo, more only where a delayed command falls due."""
+        """Advance by a number of time steps: one call of MuJoCo, more only if a delayed command becomes due."""
         self.hand.move()
         end = self._steps + steps
         while self._pending and self._pending[0][0] < end:
@@ -108,7 +108,7 @@ class Plant:
         self._post(j, VOLTAGE, voltage_V)
 
     def drive_current(self, j: int, current_A: float) -> None:
-        """Current source for motor j, as far as the supply and its limit allow."""
+        """Current source for motor j, within the limits of supply and current."""
         self._post(j, CURRENT, current_A)
 
     def drive_open(self, j: int) -> None:
@@ -124,12 +124,12 @@ class Plant:
         return self._v[self._at.motor_hinge[j]]
 
     def encoder_rad(self, j: int) -> float:
-        """What the encoder of motor j says, in joint angles, before it is counted."""
+        """Encoder angle of motor j in joint angles, before quantisation."""
         shaft = self._shafts[j]
         return self.motor_rad(j) if shaft.is_true else shaft.reading_rad(self.motor_rad(j), self.time_s)
 
     def encoder_angles_rad(self) -> list[float]:
-        """What all encoders say, in joint angles."""
+        """All encoder angles in joint angles."""
         q = self._q
         if self._shafts_are_true:
             return [q[k] for k in self._at.motor_hinge]
@@ -157,7 +157,7 @@ class Plant:
         return (x, y, z) if self._is_base_nominal else self.effects.base_pose.in_world((x, y, z))
 
     def set_payload(self, mass_kg: float) -> None:
-        """Hang a point mass at the tip, in place of the one there."""
+        """Replace the point mass at the tip."""
         if not mass_kg >= 0.0:
             raise MockError(f"payload: the mass must not be negative, got {mass_kg} kg.")
         self._model.body_mass[self._at.payload_body] = mass_kg
@@ -172,11 +172,11 @@ class Plant:
         return float(self._data.energy[0]), float(self._data.energy[1])
 
     def push(self, j: int, torque_Nm: float) -> None:
-        """An outside torque on the link side of joint j, until it is changed."""
+        """Apply an external torque on the link side of joint j, until it is changed."""
         self._data.qfrc_applied[self._at.link_hinge[j]] = torque_Nm - self._offset_Nm(self._at.link_hinge[j])
 
     def block(self, j: int, is_blocked: bool, by: str = "jam") -> None:
-        """Jam the gear of joint j, or free it again: it turns when nothing blocks it any more."""
+        """Jam the gear of joint j, or free it again."""
         holders = self._blocked_by.setdefault(j, set())
         (holders.add if is_blocked else holders.discard)(by)
         for dof in {self._at.motor_hinge[j], self._at.link_hinge[j]}:
@@ -198,10 +198,10 @@ class Plant:
         self._read()
 
     def _read(self) -> None:
-        """Angles, speeds and currents of one moment: a step moves the angles with the speeds at its end.
+        """Read angles, speeds and currents of one time: a step moves the angles with the speeds at its end.
 
         MuJoCo's Euler steps are a leapfrog of currents, half a step later speeds, and another half step later angles.
-        Angles one step back are those of the moment at which bridges are switched and currents read, to second order.
+        Angles one step back are those of the time at which bridges are switched and currents read, to second order.
         """
         speed = self._data.qvel
         self._q: list[float] = (self._data.qpos - self.timestep_s * speed).tolist()
@@ -228,7 +228,7 @@ class Plant:
                 self._data.qpos[motor] = start_rad[2] - self.effects.belt_ratio * start_rad[1]
 
     def _bend(self) -> None:
-        """Links that bend begin where gravity holds them, not with a swing."""
+        """Start bending links in static equilibrium, so that they do not oscillate."""
         bends = list(self._at.bends)
         for _ in range(_BENDING_ROUNDS if bends else 0):
             mujoco.mj_forward(self._model, self._data)
@@ -249,7 +249,7 @@ class Plant:
             self._data.qfrc_applied[dof] = -self._offset_Nm(dof)
 
     def _raise_friction(self, j: int) -> None:
-        """Friction with load: Coulomb level plus a fraction of the torque that the gear passes to the link."""
+        """Load-dependent friction: Coulomb level plus a fraction of the torque transmitted to the link."""
         effect, data = self.effects.joints[j], self._data
         link, motor = self._at.link_hinge[j], self._at.motor_hinge[j]
         passed = float(

@@ -1,4 +1,4 @@
-"""What an encoder on the motor's shaft says of the joint: the errors between the motor's angle and its reading."""
+"""Errors between the motor's angle and its encoder's reading."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hil_mocks.plant.effects import JointEffects
 
 
 class Shaft:
-    """Angle of the motor in joint radians -> angle as the encoder turns. Eccentricity and drift: the joint is ahead."""
+    """Motor angle in joint radians -> encoder angle. With eccentricity and drift, the joint leads."""
 
     __slots__ = ("_amplitude_rad", "_drift_rad", "_phase_rad", "_scale", "_time_constant_s", "is_true")
 

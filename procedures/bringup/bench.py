@@ -1,7 +1,7 @@
-"""The boards of an unknown arm: one motor is driven at a time, all encoders are read, every cycle is monitored.
+"""The boards of an unknown arm: one motor is driven at a time, all encoders are read, and every cycle is monitored.
 
-The limits of current and voltage are written into the motor board before it is enabled, so they hold whatever this program
-does; a watchdog in the board brakes when this program stops talking. All other motors stay off, with shorted windings.
+The limits of current and voltage are written to the motor board before it is enabled, so they hold whatever this program
+does; the board's watchdog brakes when this program stops sending. All other motors stay off, with shorted windings.
 """
 
 import contextlib
@@ -25,15 +25,11 @@ from firmware_iface.motor.wire import Output, Parameter
 from procedures.bringup.operator import Operator, Stopped
 
 PERIOD_S = 0.004
-CURRENT_MARGIN = (
-    1.3  # of the limit that the board keeps itself; what is above it means that the board does not
-)
-CURRENT_MARGIN_A = 0.2  # noise of its measurement
-SETTLING_CYCLES = 3  # until speeds are those of now
+CURRENT_MARGIN = 1.3  # of the limit that the board enforces; more means that it does not
+CURRENT_MARGIN_A = 0.2  # noise of the current measurement
+SETTLING_CYCLES = 3  # until the speeds have settled
 SPEED_FILTER_S = 0.004
-JUMP_SHARE = (
-    0.6  # of the allowed speed: a joint that is slower than this in one cycle is not too fast in the next
-)
+JUMP_SHARE = 0.6  # of the allowed speed: a slower joint cannot exceed the limit within one cycle
 Channel = tuple[int, int]
 """Encoder board and channel on it, both from 0."""
 
@@ -54,7 +50,7 @@ class DriveLimits:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One cycle: all channels, and the motor that is driven (board's sign)."""
+    """One cycle: all channels, and the driven motor (board's sign)."""
 
     t_s: float
     counts: dict[Channel, int]
@@ -67,7 +63,7 @@ class Sample:
 
 
 class Bench:
-    """Open boards. `driving` enables one motor; within it, `cycle` sends a voltage and waits for the replies."""
+    """The open boards. `driving` enables one motor; within it, `cycle` sends a voltage and waits for the replies."""
 
     def __init__(self, arm: Arm, clock: Clock, operator: Operator) -> None:
         self.clock = clock
@@ -123,7 +119,7 @@ class Bench:
 
     @contextlib.contextmanager
     def driving(self, node: int, limits: DriveLimits) -> Iterator[None]:
-        """Enable one motor board at 0 V under these limits; whatever happens inside, it is braked and off afterwards."""
+        """Enable one motor board at 0 V under these limits; on every exit, it is braked and switched off."""
         motor = self.motors[node]
         self._set_up(motor, limits)
         try:
@@ -164,7 +160,7 @@ class Bench:
             raise
 
     def cycle(self, volts: float) -> Sample:
-        """Send a voltage (board's sign), wait for the next cycle, read all boards. SafetyTrip or Stopped end the drive."""
+        """Send a voltage (board's sign), wait for the next cycle, read all boards. Raises SafetyTrip or Stopped."""
         motor, limits = self._driven, self._limits
         if motor is None:
             raise MisuseError("bring-up: a voltage was commanded while no motor is driven")
@@ -284,12 +280,12 @@ class Bench:
         return present + ((latch - present + half & 2 * half - 1) - half)
 
     def arm_index(self, at: Channel) -> None:
-        """Let the next index pulse latch."""
+        """Arm the index latch."""
         self.encoders[at[0]].arm_index(at[1])
         self._deadline_s = self.clock.now_s()
 
     def motor_count(self, node: int) -> int:
-        """The motor board's own count of its encoder; counts up with positive voltage where both are wired right."""
+        """The motor board's own count of its encoder; counts up with positive voltage if both are wired correctly."""
         return self.motors[node].read(Parameter.POSITION_COUNT)
 
     def close(self) -> None:

@@ -1,8 +1,8 @@
 """Diagnosis of a joint from its measurements: changed keys of arm.toml, notes, and faults.
 
-Two scales are separate. The index comes once a motor turn, so the spacing of index pulses is the encoder's counts a turn,
-exactly. The operator's readings against counts give counts a joint turn, so the gear ratio. The back-EMF gives the motor
-constant from the motor's own speed, which the gear has no part in.
+Two scales are separate. There is one index per motor turn, so the spacing of index pulses is exactly the counts per turn.
+The operator's readings against counts give counts per joint turn, hence the gear ratio. The back-EMF gives the motor
+constant from the motor's own speed, independent of the gear.
 """
 
 import math
@@ -16,18 +16,18 @@ from procedures.bringup.measuring import ODD_RATIO, Measured
 from procedures.bringup.placing import place_home, place_limits
 from procedures.bringup.wiring import JointWiring
 
-READING_SD_RAD = 0.004  # of a protractor, eye included
+READING_SD_RAD = 0.004  # of a protractor, including the reading error
 SCALE_TOLERANCE = 0.015  # of the gear ratio; a wrong gear is off by more
-EXACT = 0.004  # to which the end stops tell a gear ratio
+EXACT = 0.004  # accuracy of a gear ratio from the end stops
 SPACING_SPREAD_counts = 4
-TOUCH_SPREAD_RAD = 0.0025  # of an end stop that is touched again and again
-SAME_WAY_SPREAD_RAD = 0.003  # of the home switch, passed in the same direction
-EDGE_SPREAD_RAD = 0.015  # of the home switch both ways: play, hysteresis of a switch, half a cycle of motion
-MISREAD_RAD = 0.025  # of a reading, off the line through the others
-FEWEST_READINGS = 3  # of which one that is misread lies off the line of the others
+TOUCH_SPREAD_RAD = 0.0025  # repeatability of an end stop
+SAME_WAY_SPREAD_RAD = 0.003  # repeatability of the home switch in one direction
+EDGE_SPREAD_RAD = 0.015  # of the home switch in both directions: backlash, hysteresis, half a cycle of motion
+MISREAD_RAD = 0.025  # residual of a reading from the line through the others
+FEWEST_READINGS = 3  # readings needed to detect a misread one
 CONSTANT_TOLERANCE = 0.2
-RESISTANCE_TOLERANCE = 0.6  # leads, brushes and heat add to what a data sheet says
-LEAST_CURRENT_A = 0.1  # that says something of a resistance
+RESISTANCE_TOLERANCE = 0.6  # leads, brushes and heat add to the data sheet's value
+LEAST_CURRENT_A = 0.1  # smallest current that determines a resistance
 
 
 def diagnose(draft: Drive, wiring: JointWiring, found: Measured, board_counts: int) -> Diagnosis:
@@ -136,7 +136,7 @@ def _counts(result: Diagnosis, found: Measured, board_counts: int) -> None:
 
 
 def _line(result: Diagnosis, found: Measured, is_slipping: bool) -> tuple[float, float]:
-    """Reading = offset + slope * nominal angle, by least squares; NaN where there are no two places."""
+    """Fit reading = offset + slope * nominal angle by least squares; NaN with fewer than two places."""
     points = found.readings
     name = f"joint {result.drive.joint}"
     if len(points) < 2:
@@ -204,7 +204,7 @@ def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
 
 
 def _motor(result: Diagnosis, found: Measured, draft: Drive) -> None:
-    """Volts = R I + k w over all passes, w the motor's own speed; a check, for data sheets know better."""
+    """Fit volts = R I + k w over all passes, w the motor's own speed; only a check of the data sheet's values."""
     if len(found.passes) < 4:
         return
     per_turn = draft.gear_ratio * draft.encoder_counts_per_rev / result.drive.encoder_counts_per_rev
@@ -213,7 +213,7 @@ def _motor(result: Diagnosis, found: Measured, draft: Drive) -> None:
     av, bv = (math.fsum(r[i] * r[2] for r in rows) for i in (0, 1))
     determinant = aa * bb - ab * ab
     if determinant <= 1e-3 * aa * bb or aa < len(rows) * LEAST_CURRENT_A**2:
-        return  # currents in proportion to speeds, or none, tell resistance and constant not apart
+        return  # with currents proportional to speeds, resistance and constant are not separable
     resistance_ohm, constant = (av * bb - bv * ab) / determinant, (bv * aa - av * ab) / determinant
     result.figures |= {"resistance_ohm": resistance_ohm, "torque_constant_Nm_A": constant}
     drive, name = result.drive, f"joint {result.drive.joint}"
@@ -230,7 +230,7 @@ def _motor(result: Diagnosis, found: Measured, draft: Drive) -> None:
 
 
 def _friction(result: Diagnosis, found: Measured, draft: Drive, scale: float) -> None:
-    """Half the difference of the currents both ways, at each speed: coulomb + viscous * speed; the mean is gravity's."""
+    """Friction from half the difference of the currents in both directions: coulomb + viscous * speed; the mean is gravity."""
     constant = result.drive.torque_constant_Nm_A * result.drive.gear_ratio
     forth = [p for p in found.passes if p.speed_rad_s > 0.0]
     back = [p for p in found.passes if p.speed_rad_s < 0.0]

@@ -1,9 +1,9 @@
-"""One joint that responds to its motor: turned at a speed, by a distance, until it meets a stop.
+"""Drives one joint at a speed over a distance, or until it meets a stop.
 
     volts = K speed_set + integral(gain (speed_set - speed))
 
-A motor on a voltage is a speed source with a lag (J R / K^2, some 20 ms), so an integral alone is enough, and it gives what
-friction and gravity take. Signs: `turned_rad` and speeds count up with the voltage's own sign undone by the caller's wiring.
+A voltage-driven motor is a speed source with a lag (J R / K^2, some 20 ms), so an integral alone is enough, and it compensates
+friction and gravity. Signs: `turned_rad` and speeds are in the joint's sign, corrected by the caller's wiring.
 """
 
 import math
@@ -18,10 +18,10 @@ from procedures.bringup.survey import Caution
 
 INTEGRAL_1_s = 10.0  # crossover of the speed loop, a fifth of the motor's own corner
 STALL_WINDOW_S = 0.15
-STALL_SHARE = 0.1  # of the way that it should have gone in the window
-START_S = 0.35  # before which a joint is only starting
+STALL_SHARE = 0.1  # of the distance expected in the window
+START_S = 0.35  # start-up time of a joint
 REST_S = 0.2
-RUNAWAY = 3.0  # times the speed that is asked for
+RUNAWAY = 3.0  # times the commanded speed
 
 
 class End(Enum):
@@ -40,11 +40,11 @@ class Run:
     rows: list[tuple[float, float, float, float, float]] = field(default_factory=list)
     flags: list[int] = field(default_factory=list)
     limited: list[bool] = field(default_factory=list)
-    """Whether the board cut the voltage back."""
+    """Whether the board limited the voltage."""
 
     @property
     def travelled_rad(self) -> float:
-        """From its first cycle to its last."""
+        """Signed travel from the first cycle to the last."""
         return self.rows[-1][1] - self.rows[0][1] if self.rows else 0.0
 
 
@@ -62,7 +62,7 @@ class JointDriver:
         caution: Caution,
     ) -> None:
         self.bench, self.drive, self.node, self.channel = bench, drive, node, channel
-        self.scale = 1.0  # true joint angle over the draft's; measured on the way
+        self.scale = 1.0  # true joint angle over the draft's; measured meanwhile
         self._motor_sign, self._encoder_sign = motor_sign, encoder_sign
         self._caution = caution
         self._per_count = abs(JointMap(drive).radians_per_count)
@@ -70,7 +70,7 @@ class JointDriver:
 
     @property
     def radians_per_count(self) -> float:
-        """Present estimate, positive."""
+        """Present estimate of the scale, positive."""
         return self._per_count * self.scale
 
     def angle_rad(self, count: float) -> float:
@@ -78,11 +78,11 @@ class JointDriver:
         return self._encoder_sign * (count - self._zero_count) * self.radians_per_count
 
     def where_rad(self) -> float:
-        """Where it is now."""
+        """The present angle."""
         return self.angle_rad(self.bench.observe(0.004).counts[self.channel])
 
     def limits(self, speed_rad_s: float, travel_rad: float) -> DriveLimits:
-        """For a motion at this speed over this distance."""
+        """Limits for a motion at this speed over this distance."""
         current_A = self._caution.current_A
         constant = self.drive.gear_ratio * self.drive.torque_constant_Nm_A
         volts = current_A * self.drive.resistance_ohm + 1.5 * constant * abs(speed_rad_s)
@@ -141,7 +141,7 @@ class JointDriver:
         )
 
     def _brake(self) -> None:
-        """0 V until it is at rest; monitoring continues."""
+        """Command 0 V until the joint is at rest; monitoring continues."""
         end_s = self.bench.clock.now_s() + REST_S
         while self.bench.clock.now_s() < end_s:
             self.bench.cycle(0.0)
@@ -151,9 +151,9 @@ class JointDriver:
         return self.turn(angle_rad - self.where_rad(), speed_rad_s)
 
     def latches(self, wanted: int, direction: int, speed_rad_s: float, longest_rad: float) -> list[int]:
-        """Counts of index pulses that come one after the other; it is at rest while the next one is armed.
+        """Counts of successive index pulses; the joint is at rest while the next one is armed.
 
-        Fewer than wanted where the joint goes `longest_rad` without one, or stalls.
+        Fewer than requested if the joint moves `longest_rad` without one, or stalls.
         """
         found: list[int] = []
         while len(found) < wanted:
@@ -172,7 +172,7 @@ class JointDriver:
 
 
 def _has_stalled(rows: list[tuple[float, float, float, float, float]], speed_rad_s: float) -> bool:
-    """Whether it has hardly moved within the last window."""
+    """Whether the joint has hardly moved within the last window."""
     now_s, now_rad = rows[-1][0], rows[-1][1]
     if now_s - rows[0][0] < START_S:
         return False

@@ -1,4 +1,4 @@
-"""What is known of a joint after bring-up: its drive, figures, and sentences for the operator."""
+"""Result of a joint's bring-up: its drive, figures, and messages for the operator."""
 
 import math
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ from control.model.arm import Drive
 
 @dataclass(slots=True)
 class Diagnosis:
-    """Of one joint. `drive` is the draft's with what was measured in its place; problems prevent a new arm.toml."""
+    """The diagnosis of one joint. `drive` is the draft's with the measured values; problems prevent a new arm.toml."""
 
     drive: Drive
     figures: dict[str, float] = field(default_factory=dict)

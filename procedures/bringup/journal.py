@@ -1,4 +1,4 @@
-"""What bring-up has measured so far, on disk after every joint: an interruption costs one joint."""
+"""Results of bring-up so far, saved after every joint, so that an interruption loses only one joint."""
 
 import hashlib
 import json
@@ -22,10 +22,10 @@ LEAST_FRICTION_Nm = 0.005
 
 
 class Journal:
-    """One file next to the new arm.toml. `joints` are those that passed."""
+    """A journal file next to the new arm.toml. `joints` are those that passed."""
 
     def __init__(self, path: Path, draft: Arm) -> None:
-        """Raises ArmError when a journal is there that belongs to another draft."""
+        """Raises ArmError if an existing journal belongs to another draft."""
         self.path = path
         digest = (
             hashlib.sha256(draft.path.read_bytes()).hexdigest() if draft.path and draft.path.exists() else ""
@@ -58,12 +58,12 @@ class Journal:
         self._content = content
 
     def note_pulses(self, pulses: list[Pulse]) -> None:
-        """The survey."""
+        """Record the survey."""
         self._content["pulses"] = [pulse.as_json() for pulse in pulses]
         self._save()
 
     def note_joint(self, joint: int, wiring: JointWiring, found: Measured, result: Diagnosis) -> None:
-        """One joint; it counts as done if there are no problems."""
+        """Record one joint; it counts as done if there are no problems."""
         self._content["joints"][str(joint)] = {
             "passed": not result.problems,
             "wiring": asdict(wiring),
@@ -92,7 +92,7 @@ class Journal:
 
 
 def _keys(drive: Drive) -> dict[str, Any]:
-    """What bring-up may change of a drive."""
+    """The keys of a drive that bring-up may change."""
     names = (
         "motor_node", "motor_direction", "encoder_board", "encoder_channel", "encoder_direction",
         "encoder_counts_per_rev", "gear_ratio", "joint_lower_rad", "joint_upper_rad",

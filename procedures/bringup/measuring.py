@@ -1,6 +1,6 @@
-"""What is measured at one joint, in this order: a known angle, index spacing, motor and friction, end stops, home switch.
+"""Measurements of one joint, in this order: a known angle, index spacing, motor and friction, end stops, home switch.
 
-Everything is returned as numbers; `procedures.bringup.diagnosis` says what they mean.
+Returns numbers only; `procedures.bringup.diagnosis` interprets them.
 """
 
 import math
@@ -17,15 +17,15 @@ from procedures.bringup.operator import Operator, Stopped
 LATCHES = 5
 INDEX_SPEED_rad_s = 0.12
 SAME_PULSE_counts = 4
-INDEX_TURNS = 2.6  # of the motor by the draft: an encoder with half or twice its counts still shows two
-KNOWN_ANGLE_RAD = 0.3  # the end stops are read, too
-LONG_ANGLE_RAD = 0.6  # where they are not
+INDEX_TURNS = 2.6  # motor turns by the draft: even at half or twice the counts there are two index pulses
+KNOWN_ANGLE_RAD = 0.3  # readings, including those at the end stops
+LONG_ANGLE_RAD = 0.6  # readings without end stops
 PASS_SPEEDS_rad_s = (0.1, 0.2, 0.4)
-PASS_RAD = 0.12  # at least, and longer where it is faster
+PASS_RAD = 0.12  # minimum; longer at higher speed
 PASS_S = 0.8
-FREE_SHARE = 0.8  # of its cycles that no limit of the board was at work in
-MIDDLE = (0.35, 0.65)  # of a pass: settled, and the same place both ways
-ODD_RATIO = 0.06  # of the draft's scale; below it, a slipping encoder and a misread angle are likelier than another gear
+FREE_SHARE = 0.8  # share of cycles without a limit active
+MIDDLE = (0.35, 0.65)  # of a pass: settled, and the same place in both directions
+ODD_RATIO = 0.06  # of the draft's scale; below it, a slipping encoder or a misread angle is more likely than another gear
 TOUCHES = 3
 BACK_OFF_RAD = 0.12
 TOUCH_SPEED_rad_s = 0.15
@@ -33,7 +33,7 @@ TOUCH_SPEED_rad_s = 0.15
 
 @dataclass(frozen=True, slots=True)
 class SteadyPass:
-    """Means of a pass at a steady speed, joint's sign, the speed by the draft's scale."""
+    """Means of a pass at constant speed, in the joint's sign, with the speed by the draft's scale."""
 
     speed_rad_s: float
     volts: float
@@ -51,9 +51,9 @@ class Measured:
     stops_rad: list[list[float]] = field(default_factory=lambda: [[], []])
     """Angles at the lower and the upper stop, one per touch."""
     edges: list[tuple[float, int, bool]] = field(default_factory=list)
-    """Where the home switch changed, the direction of motion, and whether the switch is active behind it."""
+    """Angles where the home switch changed, the direction of motion, and whether the switch is active after it."""
     is_home_active: list[bool] = field(default_factory=list)
-    """All states of the switch that were seen."""
+    """All observed states of the switch."""
     index_rad: float = math.nan
     flags: int = 0
     stalled_early: bool = False
@@ -62,7 +62,7 @@ class Measured:
 def measure(
     driver: JointDriver, operator: Operator, speed_rad_s: float, with_stops: bool, joint: int
 ) -> Measured:
-    """All of it. Raises Stopped, SafetyTrip and the errors of the boards; the drive is off then."""
+    """Take all measurements. Raises Stopped, SafetyTrip and the errors of the boards; the drive is then off."""
     found = Measured()
     operator.support(joint)
     try:
@@ -92,12 +92,12 @@ def _allow(operator: Operator, joint: int, what: str, travel_rad: float | None) 
 def _known_angle(
     driver: JointDriver, operator: Operator, joint: int, found: Measured, angle_rad: float
 ) -> None:
-    """Read, turn by the draft's scale, read: a wrong scale shows before a long motion."""
+    """Read, turn by the draft's scale, read again: this reveals a wrong scale before a long motion."""
     _read(driver, operator, joint, found)
     _allow(operator, joint, "turns in its supposed positive direction", angle_rad)
     start_rad = driver.where_rad()
     if abs(_turned(driver, found, angle_rad)) < 0.8 * angle_rad:
-        _turned(driver, found, -2.0 * angle_rad)  # something stood in the way
+        _turned(driver, found, -2.0 * angle_rad)  # there was an obstacle
     _read(driver, operator, joint, found)
     if _is_odd(found):
         _turned(driver, found, 0.5 * (start_rad - driver.where_rad()))
@@ -123,7 +123,7 @@ def measure_index_spacing(driver: JointDriver, found: Measured) -> None:
     longest_rad = INDEX_TURNS * 2.0 * math.pi / driver.drive.gear_ratio
     for direction in (1, -1):
         latches = driver.latches(LATCHES, direction, INDEX_SPEED_rad_s, longest_rad)
-        # A joint that sinks while its index is armed meets the same pulse again.
+        # A joint that sinks while its index is armed passes the same pulse again.
         spacings = [abs(b - a) for a, b in pairwise(latches) if abs(b - a) > SAME_PULSE_counts]
         if len(spacings) > len(found.spacings_count):
             found.spacings_count = spacings
@@ -133,7 +133,7 @@ def measure_index_spacing(driver: JointDriver, found: Measured) -> None:
 
 
 def _friction(driver: JointDriver, found: Measured) -> None:
-    """Steady passes back and forth over the same place, so that gravity is the same both ways."""
+    """Constant-speed passes over the same place in both directions, so that gravity is the same."""
     for speed_rad_s in PASS_SPEEDS_rad_s:
         length_rad = max(PASS_RAD, PASS_S * speed_rad_s)
         for direction in (1.0, -1.0):
@@ -148,7 +148,7 @@ def _friction(driver: JointDriver, found: Measured) -> None:
 
 
 def _steady(run: Run, scale: float) -> SteadyPass | None:
-    """Means over the middle of the way; None where a limit of the board was at work there."""
+    """Means over the middle of the pass; None if a limit of the board was active there."""
     begin_rad = run.rows[0][1]
     lower, upper = (part * abs(run.travelled_rad) for part in MIDDLE)
     middle = [k for k, row in enumerate(run.rows) if lower <= abs(row[1] - begin_rad) <= upper]
@@ -168,7 +168,7 @@ def _read(driver: JointDriver, operator: Operator, joint: int, found: Measured) 
 
 
 def _is_odd(found: Measured) -> bool:
-    """Whether two readings give another scale than the draft: a third reading then reveals a misread one."""
+    """Whether two readings give another scale than the draft; then a third reading reveals a misread one."""
     if len(found.readings) < 2:
         return False
     (x0, q0), (x1, q1) = found.readings[0], found.readings[-1]
@@ -176,7 +176,7 @@ def _is_odd(found: Measured) -> bool:
 
 
 def _take_scale(driver: JointDriver, found: Measured) -> None:
-    """A joint that turns by another factor than the draft's must not be driven by it over its whole range."""
+    """Use the measured scale: with a wrong scale the joint must not be driven over its whole range."""
     if len(found.readings) >= 2:
         (x0, q0), (x1, q1) = found.readings[0], found.readings[-1]
         if abs(x1 - x0) > 0.1 and abs(q1 - q0) > 0.02:
@@ -199,20 +199,18 @@ def _stops(driver: JointDriver, operator: Operator, joint: int, found: Measured,
                     is End.STALLED
                 ):
                     found.stops_rad[at].append(driver.where_rad() / driver.scale)
-            _creep(
-                driver, found, -direction * 0.02, TOUCH_SPEED_rad_s
-            )  # an inclinometer reads a joint that is free
+            _creep(driver, found, -direction * 0.02, TOUCH_SPEED_rad_s)  # the joint is read free of the stop
             _read(driver, operator, joint, found)
-    # Once more over the whole way: what slips a little each turn shows here.
+    # Once more over the whole range: this reveals a small slip per turn.
     if all(found.stops_rad) and _creep(driver, found, -longest_rad, speed_rad_s).end is End.STALLED:
         found.stops_rad[0].append(driver.where_rad() / driver.scale)
     _creep(driver, found, start_rad - driver.where_rad(), speed_rad_s)
 
 
 def _creep(driver: JointDriver, found: Measured, distance_rad: float, speed_rad_s: float) -> Run:
-    """A motion on which the home switch and, in its direction of search, the index behind it are noted.
+    """A slow motion that records the home switch and, in the search direction, the index behind it.
 
-    At the switch the joint stops for a moment, because arming the index needs a conversation with the board.
+    The joint stops at the switch, because arming the index requires an answer of the board.
     """
     direction = 1 if distance_rad > 0.0 else -1
     left_rad = abs(distance_rad)
@@ -244,12 +242,12 @@ def _switch_changes(found: Measured, direction: int) -> Callable[[Run, object], 
 
 
 def _edge(run: Run) -> float:
-    """Between the two cycles around the change; the brake's way after it does not count."""
+    """Angle of the switch edge, between the two cycles around it; the braking distance does not count."""
     return 0.5 * (run.rows[-1][1] + run.rows[-2][1])
 
 
 def _index_behind(driver: JointDriver, found: Measured, direction: int) -> float:
-    """The first index pulse after the switch; returns how far the joint has gone for it."""
+    """Find the first index pulse after the switch; return the distance."""
     before_rad = driver.where_rad()
     longest_rad = 2.2 * 2.0 * math.pi / driver.drive.gear_ratio * max(1.0, driver.scale)
     latches = driver.latches(1, direction, INDEX_SPEED_rad_s, longest_rad)

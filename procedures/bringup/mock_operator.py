@@ -6,11 +6,11 @@ import sys
 from hil_mocks.rig import SteppedRig
 
 READING_SD_RAD = 0.002  # a tenth of a degree, an inclinometer's
-SEEN_RAD = 0.01  # the smallest turn that an eye makes out
+SEEN_RAD = 0.01  # the smallest visible turn
 
 
 class MockOperator:
-    """`procedures.bringup.operator.Operator` at a stepped rig. Answers are written out, as a person's would be."""
+    """`procedures.bringup.operator.Operator` for a stepped rig. Its answers are printed."""
 
     def __init__(self, rig: SteppedRig, seed: int = 0, is_silent: bool = False) -> None:
         self._rig = rig
@@ -24,7 +24,7 @@ class MockOperator:
             sys.stdout.write(f"{text}\n")
 
     def allow(self, what: str) -> bool:
-        """Always; the joint angles are noted before the motion begins."""
+        """Always True; notes the joint angles before the motion."""
         self.say(f"  {what}  [mock operator: go]")
         self._look()
         return True
@@ -52,7 +52,7 @@ class MockOperator:
         return answer
 
     def angle_rad(self, joint: int) -> float | None:
-        """The true angle, misread a little."""
+        """The true angle with a small reading error."""
         return self._rig.joint_rad()[joint - 1] + self._random.gauss(0.0, READING_SD_RAD)
 
     def support(self, joint: int) -> None:

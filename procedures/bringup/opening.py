@@ -1,4 +1,4 @@
-"""The arm that a command is given: its links on its own ports, or those of a mock arm, with the clock that goes with them."""
+"""Opens the arm of a command: on its own ports or as a mock arm, with the matching clock."""
 
 import argparse
 from collections.abc import Iterator
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """An arm with ports, whose clock it is, and the mock behind the ports, for a mock operator to see; None on a bench."""
+    """An arm with its ports, the clock, and the mock behind the ports (None with real boards)."""
 
     draft: Arm
-    """As in its file."""
+    """The arm as in its file."""
     arm: Arm
-    """With the links of the command line, or of the mock."""
+    """The arm with the links of the command line or the mock."""
     clock: Clock
     rig: "SteppedRig | None" = None
 
 
 @contextmanager
 def opened(given: argparse.Namespace) -> Iterator[Setting]:
-    """The arm of the command line. ArmError where options contradict each other."""
+    """Open the arm of the command line. ArmError if options contradict each other."""
     draft = load_arm(given.arm)
     if not given.mock:
         for name in ("scenario", "mock_arm"):

@@ -1,4 +1,4 @@
-"""The person beside the arm, as bring-up sees them: who confirms a motion, stops it, and reports what the joint did."""
+"""The operator in bring-up, who confirms and stops motions and reports what the joint did."""
 
 from typing import Protocol
 
@@ -15,15 +15,15 @@ class Operator(Protocol):
         ...
 
     def allow(self, what: str) -> bool:
-        """Announce a motion; True when it may begin."""
+        """Announce a motion; True if it may begin."""
         ...
 
     def wants_stop(self) -> bool:
-        """Asked in every cycle while a motor is driven."""
+        """Whether to stop; polled every cycle while a motor is driven."""
         ...
 
     def what_moved(self, joint_count: int) -> tuple[int, int] | None:
-        """Which joint (1-based) has just moved, and its sign by the drawing; None when nothing did."""
+        """The joint (1-based) that has just moved, and its sign by the drawing; None if nothing did."""
         ...
 
     def angle_rad(self, joint: int) -> float | None:
@@ -31,9 +31,9 @@ class Operator(Protocol):
         ...
 
     def support(self, joint: int) -> None:
-        """Joint (1-based) will move now; the links of the others are to stay where they are."""
+        """Ask to support the links of all joints but the one (1-based) that will move."""
         ...
 
     def let_go(self) -> None:
-        """No link needs support any more."""
+        """Links need no more support."""
         ...

@@ -10,7 +10,7 @@ from procedures.bringup.measuring import Measured
 
 TURN_TOLERANCE = 0.3  # of a motor turn, between the index by the readings and by the draft
 SWITCH_TOLERANCE = 0.15  # of a motor turn, of the switch
-STOP_CLEARANCE_RAD = 0.02  # from a stop to the limit that is set in front of it
+STOP_CLEARANCE_RAD = 0.02  # distance of a limit from its stop
 LEAST_CLEARANCE_RAD = 0.01
 SHORT_RANGE = 0.9  # of the draft's range
 
@@ -87,7 +87,7 @@ def _warn_of_far_index(result: Diagnosis, turn_rad: float, behind_rad: float) ->
 
 
 def place_limits(result: Diagnosis, found: Measured, offset_rad: float, scale: float) -> None:
-    """Limits must lie in front of the stops."""
+    """Place the limits in front of the stops."""
     if math.isnan(offset_rad):
         return
     drive, name = result.drive, f"joint {result.drive.joint}"

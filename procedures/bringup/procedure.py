@@ -1,4 +1,4 @@
-"""Bring-up from end to end: pulses on every motor board, then joint by joint; what passed is in the journal."""
+"""The whole bring-up: pulses on every motor board, then joint by joint; the journal lists the joints that passed."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -21,14 +21,14 @@ from procedures.bringup.wiring import JointWiring, WiringFound, wiring_of
 
 SURVEY_SPEED_rad_s = 0.3
 PASS_SPEED_rad_s = 0.45  # of the fastest friction pass
-CURRENT_SHARE = 0.15  # of the current limit, where gravity does not ask for more
-LIFTING = 1.6  # times what gravity takes at most: friction of a gear, and a model that is a draft
+CURRENT_SHARE = 0.15  # of the current limit, unless gravity needs more
+LIFTING = 1.6  # times the largest gravity load: margin for friction and for errors of the draft
 LOAD_SHARE = 0.6  # of the current limit, at most
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the operator chose."""
+    """Options of the operator."""
 
     joints: tuple[int, ...]
     current_A: float | None
@@ -38,7 +38,7 @@ class Options:
 
 @dataclass(slots=True)
 class Outcome:
-    """What came out of a run."""
+    """Result of a run."""
 
     diagnoses: dict[int, Diagnosis] = field(default_factory=dict)
     wiring: WiringFound = field(default_factory=WiringFound)
@@ -48,7 +48,7 @@ class Outcome:
 def bring_up(
     arm: Arm, bench: Bench, operator: Operator, journal: Journal, options: Options, say: Callable[[str], None]
 ) -> Outcome:
-    """Pulse, then measure the joints that have not passed yet. Raises Stopped and board errors; all drives are off then."""
+    """Pulse, then measure the joints that have not passed yet. Raises Stopped and board errors; all drives are then off."""
     outcome = Outcome()
     currents = {drive.joint: caution_of(arm, drive, options) for drive in arm.drives}
     say("Motor survey: a short pulse on each motor board.")
@@ -65,9 +65,7 @@ def bring_up(
     for joint in options.joints:
         wiring = outcome.wiring.joints.get(joint)
         if wiring is None:
-            outcome.problems.append(
-                f"joint {joint}: no motor board was seen to move it, so it was not measured"
-            )
+            outcome.problems.append(f"joint {joint}: no motor board moved it, so it was not measured")
             continue
         measure_joint(arm, bench, operator, journal, options, outcome, wiring, currents[joint], say)
     return outcome
@@ -105,7 +103,7 @@ def _say_all(say: Callable[[str], None], problems: Sequence[str], others: Sequen
 
 
 def caution_of(arm: Arm, drive: Drive, options: Options) -> Caution:
-    """The current that just moves the joint: the gravity load by the draft's masses, with a margin for friction."""
+    """Limits for a current that just moves the joint: the gravity load by the draft's masses, with a margin for friction."""
     speed_rad_s = min(SURVEY_SPEED_rad_s, drive.joint_speed_limit_rad_s)
     if options.current_A is not None:
         return Caution(options.current_A, speed_rad_s)

@@ -1,4 +1,4 @@
-"""Which motor moves which joint, and which encoder counts it: short pulses, one motor board after the other.
+"""Survey: short pulses on one motor board after the other show which joint moves and which encoder counts.
 
 Only the rough motor constants of the draft (resistance, constant, gear) are trusted; they limit a pulse.
 """
@@ -12,14 +12,14 @@ from control.model.joint_map import JointMap
 from procedures.bringup.bench import Bench, Channel, DriveLimits, Sample
 from procedures.bringup.operator import Operator, Stopped
 
-PULSE_RAD = 0.05  # what a pulse is to move a joint: an eye sees it, no wall is hit
-BLIND_RAD = 0.12  # what a pulse may move it if nothing is counted, by voltage over back-EMF
-TRAVEL = 4.0  # times the pulse: what runs on by more is switched off
-RAMP_S = 1.5  # from 0 V to the limit: breakaway happens on the way
+PULSE_RAD = 0.05  # joint travel of a pulse: visible, but harmless
+BLIND_RAD = 0.12  # largest travel of a pulse if nothing is counted, by voltage over back-EMF
+TRAVEL = 4.0  # times the pulse: travel limit
+RAMP_S = 1.5  # from 0 V to the limit
 HOLD_S = 0.3  # at the limit
 SETTLE_S = 0.15
-MOVED_RAD = 0.005  # by the draft's scale: below it, an encoder has not moved
-ANSWERING_SHARE = 0.3  # of the largest: a second channel that moves by more than this moves, too
+MOVED_RAD = 0.005  # by the draft's scale: less does not count as motion
+ANSWERING_SHARE = 0.3  # of the largest: a second channel with more travel also moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Caution:
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """One motor board, pulsed with positive voltage. `joint` and `direction` are what the operator saw, 0 for nothing."""
+    """A pulse of positive voltage on one motor board. `joint` and `direction` are the operator's answer, 0 for none."""
 
     node: int
     joint: int
@@ -51,7 +51,7 @@ class Pulse:
     peak_volts: float
     peak_current_A: float
     stall_ohm: float
-    """Voltage over current before anything moved; NaN where no current flowed."""
+    """Voltage over current before anything moved; NaN if no current flowed."""
     breakaway_A: float
     motor_board_count: int
     """Travel of the motor board's own counter."""
@@ -64,9 +64,9 @@ class Pulse:
 
 
 def pulse(bench: Bench, operator: Operator, drive: Drive, caution: Caution, joint_count: int) -> Pulse:
-    """Ramp the voltage of the motor board that the draft gives to `drive` until something moves; ask what did; go back.
+    """Ramp the voltage of the draft's motor board for `drive` until something moves, ask what moved, and go back.
 
-    Raises Stopped, SafetyTrip and the errors of the boards; the drive is off then.
+    Raises Stopped, SafetyTrip and the errors of the boards; the drive is then off.
     """
     volts = caution.voltage_V(drive)
     per_rad = abs(JointMap(drive).counts_per_radian)
@@ -108,7 +108,7 @@ def _ramp(
             samples.append(bench.cycle(sign * volts))
             span_s = samples[-1].t_s - samples[-2].t_s
             time_s += span_s
-            # What the current does not drop over the windings is back-EMF, so speed.
+            # Voltage minus the resistive drop is back-EMF, hence speed.
             emf = max(0.0, volts - drive.resistance_ohm * abs(samples[-1].current_A))
             blind_rad += emf / constant * span_s
             if any(abs(samples[-1].counts[at] - first.counts[at]) >= goal for at in first.counts):
@@ -117,7 +117,7 @@ def _ramp(
 
 
 def _drift(bench: Bench) -> dict[Channel, float]:
-    """Counts per second of joints that sink on their shorted windings, before anything is driven."""
+    """Counts per second of joints that sink with shorted windings, before anything is driven."""
     first = bench.observe(0.02)
     last = bench.observe(SETTLE_S)
     span_s = max(last.t_s - first.t_s, 1e-3)

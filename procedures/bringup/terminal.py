@@ -98,6 +98,7 @@ class TerminalOperator:
         sys.stdout.flush()
         line = sys.stdin.readline()
         if not line:
+            sys.stdout.write("\n")  # what is said next has a line of its own
             raise Stopped("the operator's input has ended")
         return line
 

@@ -1,4 +1,4 @@
-"""The wiring that the pulses reveal: which motor board and which encoder channel belong to which joint, with which signs."""
+"""Wiring from the pulses: the motor board and encoder channel of each joint, and their signs."""
 
 import math
 from collections.abc import Sequence
@@ -8,14 +8,14 @@ from control.model.arm import Drive
 from procedures.bringup.bench import Channel
 from procedures.bringup.survey import Pulse
 
-NO_CURRENT = 0.1  # of what the voltage would drive through the windings at rest
-NO_CURRENT_A = 0.06  # more is no noise; friction of a small gear takes it
-SAME_COUNT = 0.5  # by which the motor board's count may differ: a joint sinks from one reading to the next
+NO_CURRENT = 0.1  # of the current that the voltage would drive through the windings at rest
+NO_CURRENT_A = 0.06  # more is not noise; friction of a small gear needs it
+SAME_COUNT = 0.5  # tolerance of the motor board's count: a joint sinks between readings
 
 
 @dataclass(frozen=True, slots=True)
 class JointWiring:
-    """As measured. Directions as in arm.toml."""
+    """Measured wiring of a joint. Directions as in arm.toml."""
 
     joint: int
     node: int
@@ -26,7 +26,7 @@ class JointWiring:
 
 @dataclass(slots=True)
 class WiringFound:
-    """The identified joints, and the problems of the others: each a sentence with a remedy."""
+    """The identified joints, and the problems of the others with remedies."""
 
     joints: dict[int, JointWiring] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
@@ -34,7 +34,7 @@ class WiringFound:
 
 
 def wiring_of(pulses: Sequence[Pulse], drives: Sequence[Drive]) -> WiringFound:
-    """Put the pulses of all motor boards together."""
+    """Combine the pulses of all motor boards."""
     found = WiringFound()
     draft = {drive.motor_node: drive for drive in drives}
     for pulse in pulses:
@@ -51,12 +51,12 @@ def wiring_of(pulses: Sequence[Pulse], drives: Sequence[Drive]) -> WiringFound:
 
 
 def _problem_of(pulse: Pulse, drive: Drive) -> str:
-    """Why a pulse does not identify a joint, or an empty text."""
+    """Why a pulse does not identify a joint, or ""."""
     name = f"motor board {pulse.node} (joint {drive.joint} in the draft)"
     is_counted, is_seen = pulse.channel is not None, pulse.joint > 0
     wanted_A = pulse.peak_volts / drive.resistance_ohm
     flowed = f"{pulse.peak_current_A:.2f} A at {pulse.peak_volts:.2f} V"
-    # A gear without friction takes hardly a current either, but it goes where the voltage sends it, both ways.
+    # A gear without friction hardly needs current either, but it follows the voltage in both directions.
     follows = pulse.moved_count * pulse.returned_count < 0
     if (
         pulse.peak_current_A < min(NO_CURRENT * wanted_A, NO_CURRENT_A)

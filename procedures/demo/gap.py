@@ -1,7 +1,7 @@
 """`armwright demo gap`: an effect is hidden in a mock arm; recorded, named, added to the model, and corrected on the arm.
 
-What records, looks and drives is given the nominal arm and the wires. The scenario that hides the effect is read again only at
-the end, to see whether the name is right.
+Recording, analysis and motion get only the nominal arm and its links. The scenario with the hidden effect is read only at
+the end, to check the name.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from procedures.verify.survey import Programme, Survey, compared, paired
 from procedures.verify.tracks import recorded
 
 PLACES = 10
-TURN_rad = 1.2  # of joint 1 to either side: places that the camera could see
-FROM_AXIS_m = 0.15  # of joint 1: nearer to it the nominal arm reaches what the identified one may not
-INSIDE_rad = 0.15  # of the room: the runtime keeps a joint that gives way so far off its ends
+TURN_rad = 1.2  # of joint 1 to either side: places visible to the camera
+FROM_AXIS_m = 0.15  # from axis 1: closer to it the identified arm may not reach the places
+INSIDE_rad = 0.15  # of the range: the runtime keeps a compliant joint this far from its ends
 PAYLOAD_kg = 0.5
 NO_NAMES = ("link_geometry", "base_frame")
 
@@ -69,7 +69,7 @@ class Circle:
 
     @property
     def named(self) -> tuple[NamedEffect, ...]:
-        """What the run named, the geometry apart."""
+        """The effects that the run named, without geometry."""
         return named_in(self.outcome.finding)
 
     @property
@@ -79,7 +79,7 @@ class Circle:
 
 
 def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> Circle:
-    """Do it all on the bench's arm; `arm` is the nominal one. Results in `out`."""
+    """Run the demo on the bench's arm; `arm` is the nominal one. Results in `out`."""
     plans = _plans(arm, bench.speed)
     programme = programme_of(arm)
     advance("homing", 0.0)
@@ -121,12 +121,12 @@ def _plans(arm: Arm, speed: float) -> tuple[RecordingPlan, RecordingPlan]:
 def _recorded(
     bench: RecordingBench, plans: tuple[RecordingPlan, RecordingPlan], out: Path, advance: Advance
 ) -> tuple[Recordings, GapOutcome]:
-    """The poses and what they tell; the motions too where the poses name nothing."""
+    """Record the poses and analyse them; if they name nothing, also the motions."""
     poses, motions = plans
     record(bench, poses, out / "poses", lambda what, done: advance(what, 0.02 + 0.38 * done))
     recordings = read_recordings(bench.arm, [out / "poses" / "points.csv"], [])
     outcome = find_gap_in(bench.arm, recordings, (), lambda what, done: advance(what, 0.4 + 0.02 * done))
-    if not named_in(outcome.finding):  # what poses do not show can still show in motion
+    if not named_in(outcome.finding):  # effects that poses do not show may show in motion
         record(bench, motions, out / "motions", lambda what, done: advance(what, 0.42 + 0.18 * done))
         recordings = read_recordings(bench.arm, recordings.point_files, [out / "motions" / "log.csv"])
     return recordings, outcome
@@ -135,7 +135,7 @@ def _recorded(
 def _driven_off_and_on(
     arm: Arm, model: Arm, programme: Programme, bench: Bench, out: Path, advance: Advance
 ) -> tuple[Drive, Drive]:
-    """On a runtime that believes in `model`: by its geometry without the effects that were added, and by all of it."""
+    """On a runtime that uses `model`: by its geometry without the added effects, and by the whole model."""
     advance("moving with the correction off", 0.8)
     client = bench.start(model)
     client.enable()
@@ -151,7 +151,7 @@ def _driven_off_and_on(
 
 
 def named_in(found: GapFinding) -> tuple[NamedEffect, ...]:
-    """What a finding names, the geometry apart."""
+    """The effects that a finding names, without geometry."""
     return tuple(one for one in found.effects if one.name.effect not in NO_NAMES)
 
 
@@ -178,17 +178,17 @@ def programme_of(arm: Arm) -> Programme:
 def _driven(
     name: str,
     arm: Arm,
-    believed: Arm,
+    runtime_model: Arm,
     programme: Programme,
     client: ArmClient,
     recording: Path,
     bench: Bench,
     out: Path,
 ) -> Drive:
-    """Every place and every path once, by the model `arm` on a runtime that uses the model `believed`."""
+    """Run every place and every path once by the model `arm`, on a runtime that uses the model `runtime_model`."""
     near = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
     model = Model(arm)
-    runtime = model if arm is believed else Model(believed)
+    runtime = model if arm is runtime_model else Model(runtime_model)
     survey = Survey(model, programme, near, out / f"driven_{name}.csv")
     for _ in survey.tour(1, runtime, client, bench.speed):
         pass
@@ -201,7 +201,7 @@ def _driven(
 
 
 def _following_rad(recording: Path, first: int, last: int, joints: int) -> float:
-    """Root mean square of set-points less angles in the runs first to last."""
+    """Root mean square of set-points minus angles in the runs first to last."""
     rows = recorded(recording)
     rows = rows[(rows["run"] >= first) & (rows["run"] <= last)]
     errors = [rows[f"q{j}_set_rad"] - rows[f"q{j}_rad"] for j in range(1, joints + 1)]
@@ -215,8 +215,8 @@ def _shut_down(arm: Arm, client: ArmClient, bench: Bench) -> None:
 
 
 def _newest(out: Path) -> Path:
-    """The recording that the runtime writes now."""
+    """The recording in progress."""
     found: Sequence[Path] = sorted((out / "log").glob("*.armlog"), key=lambda path: path.stat().st_mtime_ns)
     if not found:
-        raise ArmError(f"{out / 'log'}: the runtime records nothing")
+        raise ArmError(f"{out / 'log'}: the runtime writes no recording")
     return found[-1]

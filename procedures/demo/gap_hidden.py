@@ -1,4 +1,4 @@
-"""What `armwright demo gap` hides in its mock arm: an effect, a joint and a size, drawn by a seed or asked for."""
+"""The effect hidden by `armwright demo gap`: effect, joint and size, drawn by a seed or chosen."""
 
 from __future__ import annotations
 
@@ -11,8 +11,13 @@ from calib.errors import CalibrationError
 from control.model.arm import Arm, Effect
 
 Range = tuple[float, float]
-GEOMETRY = {"d_m": 0.002, "theta_rad": 0.01, "L_m": 0.002, "alpha_rad": 0.01}  # hidden besides, within these
-# Sizes that a careful builder would want to know of. Joint 1 stands upright: nothing loads its spring at rest.
+GEOMETRY = {
+    "d_m": 0.002,
+    "theta_rad": 0.01,
+    "L_m": 0.002,
+    "alpha_rad": 0.01,
+}  # also hidden, within these bounds
+# Sizes that matter in practice. Joint 1 is vertical: nothing loads its spring at rest.
 SIZES: Mapping[str, tuple[tuple[int, ...], Mapping[str, Range]]] = {
     "backlash": ((1, 2, 3), {"width_rad": (0.003, 0.008)}),
     "joint_compliance": ((2, 3), {"stiffness_Nm_rad": (250.0, 600.0)}),
@@ -32,8 +37,8 @@ SIZES: Mapping[str, tuple[tuple[int, ...], Mapping[str, Range]]] = {
     "command_delay": ((), {"delay_s": (0.002, 0.004)}),
     "supply_sag": ((), {"resistance_ohm": (0.05, 0.12)}),
 }  # fmt: skip
-WHOLE = ("order",)  # parameters that are whole numbers
-# What the demo draws from by itself: effects that the loop corrects or feeds forward, so that the circle closes on the arm.
+WHOLE = ("order",)  # integer parameters
+# The demo draws from these by default: effects that the loop corrects or feeds forward, so the result shows on the arm.
 DRAWN = (
     "backlash", "joint_compliance", "encoder_scale", "encoder_eccentricity", "belt_coupling", "viscous_friction",
     "coulomb_friction", "load_friction",
@@ -50,12 +55,12 @@ KNOWN = (
     (1.0, 1.2),
     (1.2, 1.5),
     (0.7, 0.8),
-)  # Coulomb [N m] and viscous [N m s/rad] friction that the arm's file knows
+)  # Coulomb [N m] and viscous [N m s/rad] friction in the arm's file
 
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """The effect in the mock arm that is unknown to the run."""
+    """The effect in the mock arm, unknown to the run."""
 
     effect: str
     joint: int | None
@@ -70,7 +75,7 @@ class Hidden:
         return f"{self.effect}{where} ({values})"
 
     def as_scenario(self, name: str, seed: int) -> str:
-        """TOML of a scenario that hides this, and a modestly wrong geometry."""
+        """TOML of a scenario with this effect and small geometric errors."""
         joint = f"joint = {self.joint}\n" if self.joint else ""
         values = ", ".join(f"{key} = {value!r}" for key, value in self.parameters.items())
         geometry = "".join(f"{key} = {value}\n" for key, value in GEOMETRY.items())
@@ -81,7 +86,7 @@ class Hidden:
 
 
 def drawn(seed: int, effect: str | None, joint: int | None) -> Hidden:
-    """What is hidden: as asked for, the rest by the seed. CalibrationError where there is no such effect on such a joint."""
+    """Draw the effect: as chosen, the rest by the seed. CalibrationError if the effect cannot act on the joint."""
     draw = random.Random(f"gap {seed}")
     name = effect or draw.choice(DRAWN)
     if name not in SIZES:
@@ -99,7 +104,7 @@ def drawn(seed: int, effect: str | None, joint: int | None) -> Hidden:
 
 
 def with_known_friction(arm: Arm) -> Arm:
-    """The arm with the frictions that any gear has, known: what is hidden comes on top."""
+    """The arm with known friction, as any gear has; the hidden effect is added to it."""
     has = {effect.effect for effect in arm.effects}
     added = [
         Effect(name, j + 1, {key: KNOWN[min(j, len(KNOWN) - 1)][k]})
@@ -113,7 +118,7 @@ def with_known_friction(arm: Arm) -> Arm:
 
 
 def beyond_known(hidden: Hidden, arm: Arm) -> Hidden:
-    """What the plant has: of an effect that the file knows a part of, the sum."""
+    """The plant's effect: if the file has a part of it, the sum."""
     for known in arm.effects:
         if (known.effect, known.joint) == (hidden.effect, hidden.joint):
             total = {key: value + known.parameters.get(key, 0.0) for key, value in hidden.parameters.items()}

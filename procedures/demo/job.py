@@ -49,7 +49,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Calibrated:
-    """The points of the session and what was made of them."""
+    """The points of the session and the calibration from them."""
 
     arm: Arm
     file: Path
@@ -66,7 +66,7 @@ class Calibrated:
 
 
 def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
-    """Do the whole job on the bench's arm and leave the results in the folder `out`."""
+    """Run the whole job on the bench's arm; results are in the folder `out`."""
     table = tables.table_of(arm)
     programme = programme_of(table)
     before = _survey(arm, programme, out / "verification_before.csv")
@@ -158,7 +158,7 @@ def _report(
 
 
 def _shut_down(arm: Arm, bench: Bench, client: ArmClient) -> Path:
-    """To the rest pose, if the arm has one, where it sinks little when the drives turn off; returns the recording."""
+    """Move to the rest pose, if there is one, where the arm sinks little when the drives turn off; return the recording."""
     if arm.rest is not None:
         client.move_joints(arm.rest.q_rad, bench.speed)
     return bench.stop()
@@ -167,7 +167,7 @@ def _shut_down(arm: Arm, bench: Bench, client: ArmClient) -> Path:
 def _session(
     arm: Arm, table: Table, bench: Bench, client: ArmClient, file: Path
 ) -> Iterator[tuple[float, str]]:
-    """Step through every cavity on every tilt; yields the share that is done and what it is at."""
+    """Step through every cavity on every tilt; yields the share done and the present step."""
     targets = [point for setup in SETUPS for point in board_points(setup, tables.cavities(table, setup))]
     port, seat = RuntimePort(client, bench.speed), HandPort(bench.rig.hand, bench.wait)
     with PointsWriter(file, arm.joint_count) as writer:
@@ -193,7 +193,7 @@ def _steps(points_count: int, verified_count: int) -> tuple[str, ...]:
             " encoders."
         ),
         "Identified DH deviations within 5 mm and 2 degrees: sum of Euclidean distances (SpringerPlus 5:1771, eq. 4).",
-        "Restarted with the calibrated arm, without homing: the boards still knew their zeros.",
+        "Restarted with the calibrated arm, without homing: the boards still had their zeros.",
         "Moved to the same verification points and ran the same paths with the calibrated model; the camera measured.",
     )
 

@@ -1,8 +1,8 @@
-"""`armwright demo paper`: the experiment of SpringerPlus 5:1771 on the mock arm, and the gain of two more steps.
+"""`armwright demo paper`: the experiment of SpringerPlus 5:1771 on the mock arm, with two further steps.
 
 As there: 33 cavities on the level, rolled and pitched board, the tip seated by hand; DH deviations within 5 mm and 2 degrees by
-the sum of distances, from each tilt alone; the arm then sent to points that were not used, and seen by the camera. Past it:
-all tilts together, free poses that the camera sees, and backlash in the model and in the commands.
+the sum of distances, from each tilt alone; verification at unused points, measured by the camera. Beyond it:
+all tilts together, free poses measured by the camera, and backlash in the model and in the commands.
 """
 
 import datetime
@@ -32,7 +32,7 @@ from procedures.demo.paper_poses import SETUPS, Target, free_poses, other_trajec
 from procedures.demo.paper_result import Replay, document
 from procedures.mock.bench import Bench
 
-BEFORE_SHARE, TABLE_SHARE, FREE_SHARE = 0.1, 0.42, 0.54  # of the whole time, at the end of each part
+BEFORE_SHARE, TABLE_SHARE, FREE_SHARE = 0.1, 0.42, 0.54  # share of the total time at the end of each part
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Outcome:
 
 
 def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
-    """Do the whole experiment on the bench's arm and leave the results in the folder `out`."""
+    """Run the whole experiment on the bench's arm; results are in the folder `out`."""
     table = tables.table_of(arm)
     targets = (*verification_targets(table), *other_trajectory(table))
     advance("homing", 0.0)

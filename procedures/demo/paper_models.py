@@ -1,4 +1,4 @@
-"""The arm as each identification of the replay sees it, and the encoder angles that take its tip somewhere."""
+"""The identified models of the replay, and the encoder angles that move their tips to targets."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ TILTS, FREE, BACKLASH = "all tilts", "tilts and free", "with backlash"
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """An identification: the arm that it gives, from which points, and its remarks."""
+    """An identification: the resulting arm, the points used, and remarks."""
 
     name: str
     what: str
@@ -59,7 +59,7 @@ def models_of(arm: Arm, points: Points) -> tuple[Model, ...]:
 def _identified(
     arm: Arm, points: Points, rows: Sequence[int], name: str, what: str, has_backlash: bool = False
 ) -> Model:
-    """Sum of distances within 5 mm and 2 degrees, as the paper has it."""
+    """Identify by the sum of distances within 5 mm and 2 degrees, as in the paper."""
     used = points.chosen(rows)
     wanted = [f"backlash:{joint}" for joint in range(1, arm.joint_count + 1)] if has_backlash else []
     found = identify(problem_of(arm, used, Choice(effects=tuple(wanted))))
@@ -68,14 +68,14 @@ def _identified(
 
 
 def table_says(arm: Arm, points: Points) -> tuple[str, ...]:
-    """Findings of the tilts alone on backlash: sentences on flanks that never change."""
+    """Remarks on backlash from the tilts alone: flanks that never change."""
     tilts = points.chosen([k for k, setup in enumerate(points.setup) if setup in SETUPS])
     wanted = [f"backlash:{joint}" for joint in range(1, arm.joint_count + 1)]
     return unclear_flanks(arm, tilts, wanted)
 
 
 def with_friction(model: Model, arm: Arm, points: Points) -> Arm:
-    """The model's arm with the dry friction that its motors showed, which tells flanks before anything moves."""
+    """The model's arm with the dry friction shown by its motors, from which flanks are predicted before motion."""
     gravity = gravity_Nm(arm, points.q_rad)
     level, _ = friction_Nm(arm, points.current_A * torque_per_A(arm) - gravity, gravity)
     shown = tuple(
@@ -88,8 +88,8 @@ def with_friction(model: Model, arm: Arm, points: Points) -> Arm:
 def commands(arm: Arm, targets: Sequence[Target], start_rad: Sequence[float]) -> tuple[Pose, ...]:
     """Encoder angles for tips, by the arm's own model; each joint comes from where it was.
 
-    Where the arm knows its play, the angles are corrected for the flank that the gear will lie on; a joint whose flank nobody
-    could tell is approached from the side where gravity and friction agree.
+    If the model has backlash, the angles are corrected for the predicted flank; a joint whose flank is
+    ambiguous is approached from the side where gravity and friction agree.
     """
     inverse, way = InverseKinematics(arm), [np.array(start_rad)]
     for _, _, tip_m in targets:
@@ -113,7 +113,7 @@ def _clear(arm: Arm, joint_rad: Array, direction: Array) -> Array:
 
 
 def _ahead(arm: Arm, joint_rad: Array, direction: Array) -> Array:
-    """How far the joints (m, n) will be ahead of their encoders, by the arm's own static effects."""
+    """Joint minus encoder angles (m, n) by the arm's static effects."""
     m = len(joint_rad)
     there = make_points(
         [""] * m, [str(k) for k in range(m)], [1] * m, joint_rad, np.full((m, 3), np.nan), direction

@@ -1,4 +1,4 @@
-"""How the replay moves and records: poses that are approached gently from a given side, cavities where a hand seats the tip."""
+"""Motions and recording of the replay: poses approached gently from a given side, and cavities with the tip seated by hand."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,19 +16,19 @@ from control.server.client import ArmClient
 from procedures.mock.bench import Bench
 from procedures.ports import HandPort, RuntimePort
 
-APPROACH_rad: Final = 0.06  # every joint's last way: several times the play
-# Of the joints' limits, for that way. At full speed the links' inertia throws the gears onto the other flank when the arm
-# brakes, and neither currents nor directions tell; at 0.3 link friction brakes harder than the motors do.
+APPROACH_rad: Final = 0.06  # last approach of every joint: several times the backlash
+# Of the joints' limits, for the approach. At full speed the links' inertia throws the gears onto the other flank when the arm
+# brakes, which neither currents nor directions show; at 0.3, link friction brakes harder than the motors.
 GENTLE: Final = 0.3
 ABOVE_m: Final = 0.06  # an uncalibrated arm is some 3 cm off
 AVERAGE_s: Final = 0.1
-DIP_m: Final = 0.02  # below both ends of a way: one that dips lower is taken over the rest pose
+DIP_m: Final = 0.02  # below both ends: a path that dips lower goes over the rest pose
 STILL_rad, STILL_s, PATIENCE_s, WINDOW_s = 1e-4, 0.1, 10.0, 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Encoder angles to go to, and the sign of each joint's last motion on the way there."""
+    """Target encoder angles, and the sign of each joint's last motion."""
 
     setup: str
     point: str
@@ -53,7 +53,7 @@ class Mover:
         return tuple(self._client.status()["q_rad"])
 
     def visit(self, poses: Sequence[Pose], writer: PointsWriter) -> Iterator[Record]:
-        """Each pose, approached gently, with the readings of encoders, motors and camera."""
+        """Approach each pose gently; read encoders, motors and camera."""
         for pose in poses:
             start = inside(self._arm, np.array(pose.q_rad) - APPROACH_rad * np.array(pose.direction))
             self._go(start)
@@ -61,7 +61,7 @@ class Mover:
             yield self._recorded(pose.setup, pose.point, pose.repeat, None, writer)
 
     def seat(self, points: Sequence[BoardPoint], writer: PointsWriter) -> Iterator[Record]:
-        """Each cavity: above it by the nominal model, then by hand with the drives off, as the authors did."""
+        """Each cavity: move above it by the nominal model, then by hand with the drives off, as the authors did."""
         for point in points:
             x, y, z = (p + ABOVE_m * n for p, n in zip(point.tip_m, point.normal, strict=True))
             above = self._inverse.nearest((x, y, z), self.q_rad)
@@ -78,7 +78,7 @@ class Mover:
             yield record
 
     def _go(self, q_rad: Array) -> None:
-        """Quickly; over the rest pose where the straight way in joint angles dips towards the table."""
+        """Move quickly; over the rest pose if the straight path in joint angles dips towards the table."""
         here = np.array(self.q_rad)
         way = here + np.linspace(0.0, 1.0, 30)[:, None] * (q_rad - here)
         height_m = self._inverse.kinematics.tips(way)[:, 2]
@@ -108,7 +108,7 @@ def inside(arm: Arm, q_rad: Array) -> Array:
 def approached(
     poses: Sequence[tuple[str, str, tuple[float, ...]]], start_rad: Sequence[float]
 ) -> tuple[Pose, ...]:
-    """Poses (setup, point, angles) one after the other, each joint's last motion the way it comes from."""
+    """Poses from (setup, point, angles) in order; each joint's last motion is the direction it comes from."""
     found, before = [], np.array(start_rad)
     for setup, point, q_rad in poses:
         way = np.where(np.array(q_rad) >= before, 1, -1)

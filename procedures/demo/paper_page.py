@@ -1,4 +1,4 @@
-"""report.html of the replay: what was measured beside what the paper reports, and how the two experiments differ."""
+"""report.html of the replay: measured and published results, and the differences between the experiments."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -65,7 +65,7 @@ def paper_page(replay: Replay, arm: str, about: str, inputs: Mapping[str, str]) 
 
 
 def findings(replay: Replay) -> tuple[str, ...]:
-    """The results in sentences."""
+    """The results as sentences."""
     own = [f"{entry.percent:.1f} % ({s}; paper {theirs:.1f} %)" for s, entry, theirs in own_tilt(replay)]
     tilts, free, play = (_overall(replay, name) for name in (TILTS, FREE, BACKLASH))
     before = replay.of(replay.models[0].name, SETUPS[0]).before_m
@@ -153,7 +153,7 @@ def _trajectory_section(replay: Replay) -> Section:
         + svg((10.4, 3.6), lambda figure: _draw_planes(figure, replay, shown))
         + svg((10.4, 3.2), lambda figure: _draw_errors(figure.subplots(), replay, shown))
         + paragraph(
-            "Errors after calibration are drawn 20 times larger than they are.",
+            "Errors after calibration are magnified 20 times.",
             "soft small",
         ),
     )
@@ -199,7 +199,7 @@ def _named(replay: Replay, name: str) -> Model:
 
 
 def _draw_remaining(figure: "Figure", replay: Replay) -> None:
-    """Mean error by place, before and after every identification, and the published figures; logarithmic."""
+    """Plot the mean error by place before and after each identification, with the published figures; logarithmic."""
     axes = figure.add_axes((0.07, 0.1, 0.72, 0.82))
     at = np.arange(len(PLACES), dtype=float)
     before = [replay.of(replay.models[0].name, place) for place in PLACES]
@@ -231,7 +231,7 @@ def _draw_means(
 
 
 def _draw_planes(figure: "Figure", replay: Replay, names: Sequence[str] | None) -> None:
-    """Ideal and actual stops in three planes: before, or after with errors drawn larger."""
+    """Plot ideal and actual stops in three planes: before, or after with magnified errors."""
     planes = figure.subplots(1, 3)
     figure.subplots_adjust(left=0.065, right=0.985, top=0.8, bottom=0.14, wspace=0.3)
     rows = replay.rows(OTHER)

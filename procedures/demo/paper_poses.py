@@ -1,4 +1,4 @@
-"""Where the replay goes: verification points on the three tilts, another trajectory, and free poses for naming play."""
+"""Targets of the replay: verification points on the three tilts, another trajectory, and free poses that show backlash."""
 
 from typing import Final
 
@@ -20,10 +20,8 @@ FREE: Final = 12
 CANDIDATES: Final = 2000
 FREE_HEIGHT_m: Final = 0.2  # of the tip above the base
 SHARE_OF_RANGE: Final = 0.85
-YAW_rad: Final = 1.2  # before the arm, where a camera sees it
-TURNING: Final = (
-    0.25  # of a joint's largest gravity torque: beyond this, friction does not turn the gear round
-)
+YAW_rad: Final = 1.2  # in front of the arm, visible to the camera
+TURNING: Final = 0.25  # of a joint's largest gravity torque: above this, friction does not change the flank
 
 Target = tuple[str, str, Vector3]  # setup, point, tip in the base frame
 
@@ -50,9 +48,9 @@ def other_trajectory(table: Table) -> tuple[Target, ...]:
 
 
 def free_poses(arm: Arm, seed: int = 0) -> Array:
-    """Joint angles (FREE, n) all over the workspace and where gravity turns round, far from one another.
+    """Joint angles (FREE, n) spread over the workspace, including poses where gravity changes sign.
 
-    Each next one is the candidate that is farthest from those taken, in joint angles and in gravity torques, where only
+    Each next pose is the candidate farthest from those chosen, in joint angles and in gravity torques, where only
     those near 0 differ.
     """
     lower, upper = np.clip(np.array(arm.limits_rad), -np.pi, np.pi).T

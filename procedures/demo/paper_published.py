@@ -1,4 +1,4 @@
-"""What the paper reports: Li, Yang, Chan and Lin, SpringerPlus 5:1771 (2016), its text on Tables 4 and 6.
+"""Published results: Li, Yang, Chan and Lin, SpringerPlus 5:1771 (2016), its text on Tables 4 and 6.
 
 Camera noise there: 0.28 mm at 95 %. Means over the points, in m; improvements in %.
 """

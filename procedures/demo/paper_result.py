@@ -1,4 +1,4 @@
-"""What the replay measured, as figures: mean errors before and after, and improvements with their 95 % intervals."""
+"""Results of the replay: mean errors before and after, and improvements with 95 % intervals."""
 
 import math
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ PLACES = (*SETUPS, OTHER)
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
-    """Mean errors [m] over the same points before and after, and how much smaller the mean became [%].
+    """Mean errors [m] over the same points before and after, and the improvement of the mean [%].
 
     Half widths of 95 % intervals; that of the improvement is the ratio estimator's, from errors at the same points.
     """
@@ -54,7 +54,7 @@ def improvement(before_m: Array, after_m: Array) -> Improvement:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """The whole result: the models, and what each reached at the same targets; `before` by the nominal arm."""
+    """The whole result: the models, and their results at the same targets; `before` by the nominal arm."""
 
     targets: tuple[Target, ...]
     before_m: Array
@@ -64,7 +64,7 @@ class Replay:
     table_says: tuple[str, ...]
 
     def rows(self, place: str) -> list[int]:
-        """Which targets belong to a tilt, or to the other trajectory."""
+        """Indices of the targets of a tilt, or of the other trajectory."""
         return [k for k, (setup, _, _) in enumerate(self.targets) if setup == place]
 
     @property
@@ -77,13 +77,13 @@ class Replay:
         return np.asarray((self.before_m if model is None else self.reached_m[model]) - self.wanted_m)
 
     def of(self, model: str, place: str) -> Improvement:
-        """What a model gained in one place."""
+        """The improvement by a model at one place."""
         rows = self.rows(place)
         return improvement(norms(self.error_m(None)[rows]), norms(self.error_m(model)[rows]))
 
 
 def table_rows(replay: Replay) -> list[tuple[str, ...]]:
-    """Identification set by place: mean error in mm and improvement; then what the paper reports."""
+    """Identification by place: mean error in mm and improvement; then the published figures."""
     rows: list[tuple[str, ...]] = [("identified from", "points", *PLACES)]
     names = [model.name for model in replay.models]
     before = [replay.of(names[0], place) for place in PLACES]
@@ -109,7 +109,7 @@ def table_text(replay: Replay) -> str:
 
 
 def own_tilt(replay: Replay) -> list[tuple[str, Improvement, float]]:
-    """Each tilt's identification verified on the same tilt, beside what the paper has."""
+    """Each tilt's identification verified on the same tilt, with the published figures."""
     return [(s, replay.of(s, s), published.IMPROVED_percent[s]) for s in SETUPS]
 
 

@@ -1,4 +1,4 @@
-"""The boards that arm.toml names: opened, identified, compared. Each failure is a finding; the other boards are still checked."""
+"""Opens, identifies and checks the boards in arm.toml. Each failure is a finding; the other boards are still checked."""
 
 import contextlib
 from collections.abc import Callable
@@ -33,7 +33,7 @@ class CountedLink:
         self._link.send(can_id, payload)
 
     def receive(self) -> list[tuple[int, bytes]]:
-        """All frames that are there."""
+        """Return all frames received."""
         frames = self._link.receive()
         self.frames += len(frames)
         return frames
@@ -45,7 +45,7 @@ class CountedLink:
 
 @dataclass(slots=True)
 class Boards:
-    """Those that answered: encoder boards by their place in arm.toml, motor boards by joint."""
+    """The boards that answered: encoder boards by their index in arm.toml, motor boards by joint."""
 
     encoders: dict[int, EncoderBoard] = field(default_factory=dict)
     motors: dict[int, MotorBoard] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class Boards:
             close()
 
     def note(self, level: Level, what: str, measured: str, expected: str = "", remedy: str = "") -> None:
-        """One more finding about boards."""
+        """Add a finding about boards."""
         self.findings.append(Finding(level, GROUP, what, measured, expected, remedy))
 
 

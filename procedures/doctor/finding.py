@@ -6,15 +6,15 @@ from dataclasses import asdict, dataclass
 from enum import IntEnum
 
 FORMAT = "doctor/1"
-MEASURED_WIDTH = 60  # of the column; what is longer pushes the rest aside
+MEASURED_WIDTH = 60  # of the column
 
 
 class Level(IntEnum):
-    """How bad it is; a larger number is worse."""
+    """Severity; a larger number is worse."""
 
     OK = 0
-    WARN = 1  # an arm runs with it, not as well as it could
-    BAD = 2  # to be mended before an arm moves
+    WARN = 1  # the arm works, but not as well as it could
+    BAD = 2  # fix before the arm moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +32,13 @@ class Finding:
 def graded(
     group: str, what: str, value: float, limits: tuple[float, float], words: tuple[str, str, str]
 ) -> Finding:
-    """A finding by a number: a warning above the first limit, bad above the second, or if it is NaN.
+    """Grade a number: a warning above the first limit, bad above the second or if it is NaN.
 
     `words` are measured, expected and remedy.
     """
     warn_above, bad_above = limits
     level = Level.OK
-    if not value <= bad_above:  # also a NaN
+    if not value <= bad_above:  # also NaN
         level = Level.BAD
     elif value > warn_above:
         level = Level.WARN
@@ -52,7 +52,7 @@ def worst(findings: Sequence[Finding]) -> Level:
 
 
 def as_text(findings: Sequence[Finding]) -> str:
-    """A line for each, and a second one with the remedy where something is to be done."""
+    """A line for each finding, and a second one with the remedy if there is one."""
     width = max((len(finding.what) for finding in findings), default=0)
     lines = []
     group = ""
@@ -93,7 +93,7 @@ def as_json(arm: str, findings: Sequence[Finding]) -> dict[str, object]:
 
 
 def percentile(values: Sequence[float], share: float) -> float:
-    """The value that a share of all do not exceed; NaN of nothing."""
+    """Quantile of the values; NaN if there are none."""
     if not values:
         return math.nan
     ordered = sorted(values)

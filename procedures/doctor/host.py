@@ -1,4 +1,4 @@
-"""This machine: rights, timer lateness, disk speed for recordings, which ports and buses it has."""
+"""Checks of this machine: rights, timer lateness, disk speed for recordings, ports and buses."""
 
 import os
 import shutil
@@ -23,7 +23,7 @@ GROUP = "host"
 
 
 def look_at_host(period_s: float, watchdog_s: float, joints: int, log_folder: Path) -> list[Finding]:
-    """Rights, pauses and the disk."""
+    """Check rights, pauses and the disk."""
     remedy = punctuality_remedy()
     level = Level.WARN if remedy else Level.OK
     rights = Finding(
@@ -40,7 +40,7 @@ def look_at_host(period_s: float, watchdog_s: float, joints: int, log_folder: Pa
 
 
 def lateness(clock: Clock, duration_s: float) -> list[float]:
-    """How late this process is at each of many short deadlines, in s."""
+    """Lateness of this process at many short deadlines [s]."""
     late_s: list[float] = []
     deadline_s = clock.now_s() + TICK_S
     end_s = deadline_s + duration_s
@@ -53,7 +53,7 @@ def lateness(clock: Clock, duration_s: float) -> list[float]:
 
 
 def judge_lateness(late_s: list[float], period_s: float, watchdog_s: float) -> list[Finding]:
-    """Typical lateness against the period, the longest pause against the boards' watchdog."""
+    """Compare typical lateness with the period, and the longest pause with the boards' watchdog."""
     p99, longest = percentile(late_s, 0.99), max(late_s, default=float("nan"))
     remedy = "end other programs, grant the rights above, turn power saving off (`powerprofilesctl set performance`)"
     return [
@@ -73,7 +73,7 @@ def judge_lateness(late_s: list[float], period_s: float, watchdog_s: float) -> l
 
 
 def look_at_disk(folder: Path, rate_bytes_s: float) -> list[Finding]:
-    """Whether recordings can be written there as fast as they come, and for how long there is room."""
+    """Check whether the disk is fast enough for recordings, and for how long there is room."""
     place = _existing(folder)
     try:
         speed_bytes_s, stall_s = _written(place, time.perf_counter)
@@ -111,7 +111,7 @@ def _existing(folder: Path) -> Path:
 
 
 def _written(folder: Path, now_s: Callable[[], float]) -> tuple[float, float]:
-    """Bytes a second that reach the disk, and the longest that a block took."""
+    """Bytes per second written to the disk, and the longest time for a block."""
     block = os.urandom(BLOCK_bytes)
     longest_s = 0.0
     with tempfile.TemporaryFile(dir=folder, prefix=".armwright-doctor-") as file:
@@ -128,7 +128,7 @@ def _written(folder: Path, now_s: Callable[[], float]) -> tuple[float, float]:
 
 
 def look_at_ports() -> list[Finding]:
-    """Ports and buses of this host; nothing is opened."""
+    """List ports and buses of this host; nothing is opened."""
     ports = [
         f"{port.path} ({port.description})" if port.description else port.path for port in serial_ports()
     ]

@@ -1,4 +1,4 @@
-"""Judges the samples: each quantity against the needs of control. Pure functions of `Samples` and the arm."""
+"""Evaluates the samples against the requirements of control. Pure functions of `Samples` and the arm."""
 
 import math
 from collections.abc import Iterator
@@ -15,16 +15,16 @@ REPLY_S = 0.0005  # within which a board replies
 CLOCK_LIMITS_ppm = (500.0, 5000.0)  # speeds are computed by board time: half a percent off is bad
 MOVED_counts = 20  # more than the dither of an encoder at rest
 NOISE_LIMITS_counts = (1.0, 3.0)
-OFFSET_LIMITS = (0.02, 0.1)  # of the current limit; it becomes a torque that nobody asked for
+OFFSET_LIMITS = (0.02, 0.1)  # of the current limit; it causes an unwanted torque
 NOISE_LIMITS = (0.02, 0.1)
 SUPPLY_LIMITS = (0.1, 0.25)  # of the nominal
 TEMPERATURE_LIMITS_degC = (60.0, 80.0)
 LOST_LIMITS = (0.0, 0.01)  # of the frames
-MOST_NAMED = 3  # complaints of boards that are quoted
+MOST_NAMED = 3  # number of board messages shown
 
 
 def judge(samples: Samples, arm: Arm) -> Iterator[Finding]:
-    """All findings, boards before buses before signals."""
+    """Return all findings: boards, then buses, then signals."""
     for index, encoder in samples.encoders.items():
         yield from _encoder_timing(
             f'encoder board "{arm.encoder_boards[index].name}"', encoder, samples, arm, index
@@ -38,7 +38,7 @@ def judge(samples: Samples, arm: Arm) -> Iterator[Finding]:
             yield from _channel(drive, channel)
         seen = samples.motors.get(drive.joint)
         if seen is not None and seen.current_A:
-            if not _has_moved(drive, channel):  # a motor that is turned makes a current of its own
+            if not _has_moved(drive, channel):  # a motor that turns generates a current
                 yield _current(drive, seen)
             yield from _power(drive, seen)
     for problem in samples.problems[:MOST_NAMED]:
@@ -57,7 +57,7 @@ def _encoder_timing(
     spans = [b - a for a, b in zip(found.latched_s, found.latched_s[1:], strict=False)]
     period_s = min(median(spans), samples.period_s)
     wanted = samples.duration_s / (0.5 * samples.period_s)
-    if found.reports < 0.75 * wanted:  # a slow line takes one report a cycle instead of two
+    if found.reports < 0.75 * wanted:  # a slow line carries one report per cycle instead of two
         wanted = samples.duration_s / samples.period_s
     rate_Hz = found.reports / samples.duration_s
     missing = abs(1.0 - found.reports / wanted)
@@ -110,9 +110,9 @@ def _lost(what: str, found: EncoderSamples) -> Iterator[Finding]:
 
 
 def clock_drift(latched_s: list[float], arrived_s: list[float]) -> tuple[float, float, list[float]]:
-    """How much a board's clock is fast [ppm], its standard deviation, and how much later each report came than the earliest [s].
+    """Drift of a board's clock [ppm], its standard deviation, and the delay of each report over the earliest [s].
 
-    A straight line through arrivals over board time; a delay makes a report only later, so residuals count from the lowest.
+    Fits a straight line to arrivals over board time. Delays are never negative, so residuals count from the smallest.
     """
     n = len(latched_s)
     x0, y0 = fmean(latched_s), fmean(arrived_s)
@@ -130,7 +130,7 @@ def _reply_timing(what: str, found: MotorSamples, samples: Samples) -> Iterator[
     if not found.commands:
         return
     missing = 1.0 - found.replies / found.commands
-    # The last command's reply may still be on its way.
+    # The reply to the last command may still be pending.
     yield graded(
         "timing", f"{what}: replies", max(0.0, missing - 1.0 / found.commands), LOST_LIMITS,
         (f"{found.replies} to {found.commands} commands", "one for each", "check CAN cable and termination"),
@@ -208,7 +208,7 @@ def _current(drive: Drive, found: MotorSamples) -> Finding:
     joint = f"joint {drive.joint}"
     limit_A = drive.current_limit_A if math.isfinite(drive.current_limit_A) else 10.0
     offset_A, noise_A = fmean(found.current_A), pstdev(found.current_A)
-    # Offsets are warned of by the larger of the two: either is a current that nobody asked for.
+    # The larger of the two is graded: either is an unwanted current.
     return graded(
         "signals", f"{joint}: current with the drive off", max(abs(offset_A), noise_A) / limit_A, OFFSET_LIMITS,
         (

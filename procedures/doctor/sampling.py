@@ -1,6 +1,6 @@
-"""Some seconds of the loop's traffic with the drives off: reports, replies and their times.
+"""Samples some seconds of the loop's traffic with the drives off: reports, replies and their times.
 
-The motor boards get the COMMAND that keeps them off, as often as the loop would send one; they answer it as any other.
+The motor boards get the COMMAND that keeps them off at the loop's rate; they answer it like any other.
 """
 
 from collections.abc import Callable
@@ -12,19 +12,19 @@ from firmware_iface.errors import LinkError
 from firmware_iface.motor.board import MotorBoard
 from procedures.doctor.boards import Boards
 
-POLLS = 8  # looks at the links in each cycle: what is seen to come is late by an eighth of one at most
+POLLS = 8  # polls per cycle: arrival times are late by at most an eighth of a cycle
 
 
 @dataclass(slots=True)
 class EncoderSamples:
-    """Of one encoder board; counts and flags by channel."""
+    """Samples of one encoder board; counts and flags by channel."""
 
     arrived_s: list[float] = field(default_factory=list)
     latched_s: list[float] = field(default_factory=list)
     """Times by the board's own clock."""
     counts: list[tuple[int, ...]] = field(default_factory=list)
     flags: list[int] = field(default_factory=lambda: [0, 0, 0])
-    """Those that were ever set."""
+    """All flags that were ever set."""
     zero_set: list[bool] = field(default_factory=lambda: [False, False, False])
     reports: int = 0
     lost: int = 0
@@ -33,7 +33,7 @@ class EncoderSamples:
 
 @dataclass(slots=True)
 class MotorSamples:
-    """Of one motor board."""
+    """Samples of one motor board."""
 
     latency_s: list[float] = field(default_factory=list)
     current_A: list[float] = field(default_factory=list)
@@ -55,7 +55,7 @@ class Samples:
     motors: dict[int, MotorSamples] = field(default_factory=dict)
     can_frames: int = 0
     resolution_s: float = 0.0
-    """From one look to the next: nothing is seen to come more exactly."""
+    """Polling interval, which limits the accuracy of arrival times."""
     problems: list[str] = field(default_factory=list)
 
 
@@ -89,7 +89,7 @@ def sample(boards: Boards, clock: Clock, period_s: float, duration_s: float) -> 
 
 
 def _command(boards: Boards, found: Samples) -> bool:
-    """One COMMAND to each motor board; False when the bus is gone."""
+    """Send one COMMAND to each motor board; False if the bus is lost."""
     if not boards.may_command:
         return True
     for joint, motor in boards.motors.items():
@@ -123,7 +123,7 @@ def _hear(boards: Boards, found: Samples, now_s: float, sent_s: list[float]) -> 
 
 
 def _take_reply(seen: MotorSamples, motor: MotorBoard, now_s: float, sent_s: list[float]) -> None:
-    """A reply may be to a COMMAND of some cycles ago: its echoed sequence number identifies it."""
+    """Match a reply with its COMMAND by the echoed sequence number."""
     if motor.reply is None:
         return
     if motor.reply_lag < len(sent_s):
@@ -143,7 +143,7 @@ def _noting(found: Samples, update: Callable[[], None]) -> None:
 
 
 def _count(boards: Boards, found: Samples, sign: int) -> None:
-    """Take the boards' counters off at the beginning, and add them at the end."""
+    """Add the change of the boards' counters: called with -1 at the beginning and +1 at the end."""
     for index, encoder in boards.encoders.items():
         samples = found.encoders[index]
         samples.reports += sign * encoder.reports

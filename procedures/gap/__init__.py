@@ -1,1 +1,1 @@
-"""Recording what the gap workflow needs, on an arm or its mock."""
+"""Recording for the gap workflow, on an arm or its mock."""

@@ -1,7 +1,7 @@
-"""Takes the steps of a recording plan, one after the other, and saves each to disk before the arm continues.
+"""Executes the steps of a recording plan, and saves each to disk before the arm continues.
 
-points.csv grows by a line a pose; runs/NAME.csv holds a run as the runtime recorded it. log.csv is made of all runs so far
-when the recording ends, however it ends. A recording that was interrupted goes on where it was.
+points.csv gets a line per pose; runs/NAME.csv holds a run as recorded by the runtime. log.csv is made of all runs so far
+when the recording ends, however it ends. An interrupted recording can be resumed.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from procedures.iso9283.run_rows import RunRows
 from procedures.ports import RuntimePort
 
 REST_s = 0.1  # of a run after its motion
-CAMERA_PATIENCE = 10  # averages: a marker may be hidden for a moment
-FLUSH_s = 0.3  # after a run, until its rows are on the disk: two writes of the recorder
+CAMERA_PATIENCE = 10  # in averages: a marker may be hidden for a moment
+FLUSH_s = 0.3  # after a run, until its rows are on the disk: two write intervals of the recorder
 
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """An arm that holds and is homed: its client, the file that its runtime records, whether a camera sees the tip.
+    """A homed and holding arm: its client, the runtime's recording, whether there is a camera.
 
-    `hang` hangs a mass at the tip, or asks somebody to; `speed` is that of moves between poses.
+    `hang` attaches a mass to the tip, or asks the operator to; `speed` is that of moves between poses.
     """
 
     arm: Arm
@@ -69,7 +69,7 @@ def plan_document(plan: RecordingPlan, arm: Arm) -> dict[str, object]:
 
 
 def record(bench: Bench, plan: RecordingPlan, out: Path, advance: Advance) -> None:
-    """Take every step that is not taken yet. log.csv is written from the recorded runs on every exit."""
+    """Execute every step that is not done yet. log.csv is written from the recorded runs on every exit."""
     note_plan(out, plan, bench.arm)
     recorder = _Recorder(bench, out)
     try:
@@ -92,10 +92,10 @@ class _Recorder:
         self._port = RuntimePort(bench.client, bench.speed, as_encoders=True)
         self._gentle = RuntimePort(bench.client, GENTLE * bench.speed, as_encoders=True)
         self._load_kg = 0.0
-        self._stands_out_of: tuple[float, ...] | None = None  # where to go back to before anywhere else
+        self._stands_out_of: tuple[float, ...] | None = None  # where to return before any other motion
 
     def take(self, step: Step) -> None:
-        """Do it, unless it was done before."""
+        """Execute a step, unless it was done before."""
         if isinstance(step, Run):
             file = RunFile.of(self._out, step.name)
             if not file.exists():
@@ -104,7 +104,7 @@ class _Recorder:
             self._visit(step)
 
     def take_off_load(self) -> None:
-        """The load is removed, and the arm is at a pose from which every path is clear."""
+        """Remove the load, at a pose from which every path is clear."""
         self._come_back(None)
         self._hang(0.0)
 
@@ -124,7 +124,7 @@ class _Recorder:
         self._port.move_to_q(step.start_rad)
         self._gentle.move_to_q(step.q_rad)
         client.wait(SETTLE_s)
-        mean = client.average(AVERAGE_s)  # angles and tip of the same moments: an integral may still creep
+        mean = client.average(AVERAGE_s)  # angles and tip from the same time: an integral may still creep
         tip_m = mean.tip_m
         if tip_m is None and self._bench.has_camera:
             mean = self._seen()
@@ -137,7 +137,7 @@ class _Recorder:
         )  # fmt: skip
 
     def _seen(self) -> Average:
-        """An average in which the camera saw the tip; ArmError where it does not for a while."""
+        """An average with camera frames of the tip; ArmError if there are none for a while."""
         for _ in range(CAMERA_PATIENCE):
             mean = self._bench.client.average(AVERAGE_s)
             if mean.tip_m is not None:
@@ -149,7 +149,7 @@ class _Recorder:
     _last: tuple[float, ...] | None = None
 
     def _come_back(self, stay_rad: tuple[float, ...] | None) -> None:
-        """From a pose outside the workspace to its middle, before any other motion."""
+        """Return from a pose outside the workspace to its middle, before any other motion."""
         if self._stands_out_of is not None and stay_rad is None:
             self._port.move_to_q(self._stands_out_of)
             self._stands_out_of = None

@@ -1,6 +1,6 @@
-"""Runs as the runtime recorded them, one file each, and log.csv made of them on one clock.
+"""Recorded runs, one file each, and log.csv made from them on one clock.
 
-A run file holds rows as they were written, cycle by cycle; what of a row belongs to which moment is `procedures.gap.timing`'s.
+A run file holds unaligned rows, one per cycle; `procedures.gap.timing` aligns them.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ class RunFile:
 
     @staticmethod
     def of(out: Path, name: str) -> Path:
-        """Its path."""
+        """The file of a run."""
         return out / "runs" / f"{name}.csv"
 
     @staticmethod
     def write(path: Path, rows: npt.NDArray[np.void], joint_count: int, payload_kg: float) -> None:
-        """The rows of a run, whole or not at all."""
+        """Write the rows of a run atomically."""
         names = [
             "t_s",
             *_joint_names(joint_count),
@@ -44,7 +44,7 @@ class RunFile:
 
     @staticmethod
     def read(path: Path, joint_count: int) -> Raw:
-        """A run as it was recorded."""
+        """Read a run."""
         with path.open(encoding="utf-8", newline="") as file:
             reader = csv.reader(file)
             header = next(reader)
@@ -61,7 +61,7 @@ class RunFile:
 
 
 def write_log(out: Path, arm: Arm, names: Sequence[str]) -> tuple[str, ...]:
-    """log.csv of all runs that are there, on one clock; returns sentences about the delays that were taken out."""
+    """Write log.csv from all runs, on one clock; returns messages about the delays removed."""
     n = arm.joint_count
     there = [(name, RunFile.of(out, name)) for name in names]
     runs = [(name, RunFile.read(path, n)) for name, path in there if path.exists()]
@@ -83,7 +83,7 @@ def _lines(name: str, run: Aligned, payload_kg: float) -> list[str]:
 
 
 def _joint_names(n: int) -> list[str]:
-    """Grouped by what they hold."""
+    """Column names by quantity."""
     return [form.format(j) for form in ("q{}_rad", "q{}_set_rad", "i{}_A", "u{}_V") for j in range(1, n + 1)]
 
 

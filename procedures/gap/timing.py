@@ -1,11 +1,11 @@
 """Time alignment of a recording: angles, currents, voltages and tips of log.csv share one clock.
 
-A row holds the newest that had arrived: the current of the last cycle (a board answers a command with the mean of the last
-millisecond before it, docs/motor_board.md), an encoder report that is up to a cycle old, a camera frame that is older. While a
-voltage u is held, the winding's current follows R i(t) = u - k_t N dq/dt(t - L/R): it falls by k_t N a / R a second, by which the
-mean is brought to the command's moment, and angles that are d late leave k_t N a d in the balance, which tells d. Resistance,
-motor constant and a delay of the commands are fitted beside it, so that none of them is taken for age. The camera's age is that
-under which its tips follow those of the encoders, beside everything that is a smooth function of the pose, a play or a spring.
+A row holds the latest values received: the current of the last cycle (a board answers a command with the mean of the last
+millisecond before it, docs/motor_board.md), an encoder report up to a cycle old, and an older camera frame. While a
+voltage u is held, the winding current follows R i(t) = u - k_t N dq/dt(t - L/R). It falls by k_t N a / R per second, which
+shifts the mean to the time of the command. Angles that are late by d leave k_t N a d in the balance, which gives d. Resistance,
+motor constant and a command delay are fitted as well, so that none of them is mistaken for age. The camera's age is that
+for which its tips follow those of the encoders, apart from smooth functions of the pose, backlash and compliance.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from calib.arrays import Array, Mask
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Drive
 
-MEAN_s = 1e-3  # that a board averages a current over, before the command that it answers
-SMOOTH = 4  # cycles: of the filter that all channels pass alike
+MEAN_s = 1e-3  # over which a board averages a current, before the command that it answers
+SMOOTH = 4  # cycles: width of the filter applied to all channels
 ROUNDS = 3
-OLDEST_ENCODER = 3.0  # cycles; beyond it, what was estimated is no age
+OLDEST_ENCODER = 3.0  # cycles; a larger estimate is not an age
 OLDEST_CAMERA_s = 0.2
 MOVING_rad_s = 0.01
 LEAST_ROWS = 200
@@ -48,13 +48,13 @@ class Raw:
 
     @property
     def period_s(self) -> float:
-        """Of the cycle."""
+        """Period of the cycle."""
         return float(np.median(np.diff(self.t_s)))
 
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """The same on one clock, t_s from 0: what was true at each moment, the voltage that began there."""
+    """A run on one clock, t_s from 0: the values at each time, and the voltage that starts there."""
 
     t_s: Array
     q_rad: Array
@@ -73,20 +73,20 @@ class Clock:
     rate: float = 0.0
 
     def loop_s(self, board_s: Array) -> Array:
-        """The loop's time of moments of the board."""
+        """Convert board times to loop times."""
         return self.since_s + self.offset_s + (1.0 + self.rate) * (board_s - self.since_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """The clock of every joint's encoder board, and the age of a camera's frame when a row holds it (NaN: no camera)."""
+    """The clock of every joint's encoder board, and the age of camera frames in their rows (NaN: no camera)."""
 
     encoder: tuple[Clock, ...]
     camera_s: float
     angle_age_s: float
 
     def in_words(self) -> tuple[str, ...]:
-        """What was taken out."""
+        """Describe the delays removed."""
         camera = "" if math.isnan(self.camera_s) else f", camera frames {1e3 * self.camera_s:.1f} ms"
         return (
             (
@@ -97,7 +97,7 @@ class Clocks:
 
 
 def clocks_of(arm: Arm, runs: Sequence[Raw]) -> Clocks:
-    """Estimated from all runs together; angles half a cycle old on average where voltages or currents are absent."""
+    """Estimate the clocks from all runs; without voltages or currents, angles are taken to be half a cycle old on average."""
     joints = range(arm.joint_count)
     boards: dict[int, list[int]] = {}
     for j in joints:
@@ -111,7 +111,7 @@ def clocks_of(arm: Arm, runs: Sequence[Raw]) -> Clocks:
 
 
 def aligned(arm: Arm, raw: Raw, clocks: Clocks) -> Aligned:
-    """Rows k = 1 ... m - 2: what stood in row k + 1 was measured when row k's voltage began."""
+    """Rows k = 1 ... m - 2: values in row k + 1 were measured when row k's voltage started."""
     at = raw.t_s[1:-1]
     q = np.column_stack([_angle(raw, j, clock, at) for j, clock in enumerate(clocks.encoder)])
     current = raw.current_A[2:] + 0.5 * MEAN_s * _current_slope_A_s(arm, q, raw.period_s)
@@ -120,7 +120,7 @@ def aligned(arm: Arm, raw: Raw, clocks: Clocks) -> Aligned:
 
 
 def _tips(arm: Arm, raw: Raw, clocks: Clocks, at: Array) -> Array:
-    """Frames in the rows nearest to when they were taken, brought there by the speed of the tip: by half a cycle at most."""
+    """Assign frames to the rows nearest to their time, extrapolated by the tip's speed by at most half a cycle."""
     tips = np.full((len(at), 3), np.nan)
     if math.isnan(clocks.camera_s):
         return tips
@@ -136,7 +136,7 @@ def _tips(arm: Arm, raw: Raw, clocks: Clocks, at: Array) -> Array:
 
 
 def _current_slope_A_s(arm: Arm, q: Array, period_s: float) -> Array:
-    """Of the motors' currents while a voltage is held, (m, n): the back-EMF grows with the acceleration."""
+    """Slope of the motor currents while a voltage is held, (m, n): the back-EMF grows with the acceleration."""
     slopes = np.zeros_like(q)
     for j in range(q.shape[1]):
         drive = arm.drive(j + 1)
@@ -146,7 +146,7 @@ def _current_slope_A_s(arm: Arm, q: Array, period_s: float) -> Array:
 
 
 def _board_clock(arm: Arm, runs: Sequence[Raw], joints: Sequence[int]) -> Clock:
-    """Of the board of these joints (0-based)."""
+    """The clock of the board of these joints (0-based)."""
     period = runs[0].period_s
     ahead = np.concatenate([raw.t_s - raw.counted_s[:, joints[0]] for raw in runs])
     since = float(runs[0].counted_s[0, joints[0]])
@@ -167,7 +167,7 @@ def _board_clock(arm: Arm, runs: Sequence[Raw], joints: Sequence[int]) -> Clock:
 
 
 def _later(drive: Drive, runs: Sequence[Raw], j: int, clock: Clock) -> tuple[Array, Array]:
-    """Normal equations (2, 2), (2,): by how much the clock is late and fast, as the angles of joint j (0-based) show it."""
+    """Normal equations (2, 2), (2,) of the clock's offset and rate from the angles of joint j (0-based)."""
     constant = drive.torque_constant_Nm_A * drive.gear_ratio
     values, columns = [], []
     for raw in runs:
@@ -176,7 +176,7 @@ def _later(drive: Drive, runs: Sequence[Raw], j: int, clock: Clock) -> tuple[Arr
             continue
         behind_s = (
             drive.inductance_H / drive.resistance_ohm + 0.5 * MEAN_s
-        )  # of the current, against the speed
+        )  # delay of the current with respect to the speed
         q = _angle(raw, j, clock, raw.t_s[1:-1] - behind_s)
         speed, bend = (_filtered(q, order, raw.period_s) for order in (1, 2))
         i, u, rise = (
@@ -200,13 +200,13 @@ def _later(drive: Drive, runs: Sequence[Raw], j: int, clock: Clock) -> tuple[Arr
 
 
 def _angle(raw: Raw, j: int, clock: Clock, at_s: Array) -> Array:
-    """The angle of joint j (0-based) at moments of the loop's clock."""
+    """The angle of joint j (0-based) at times of the loop's clock."""
     latched, first = np.unique(raw.counted_s[:, j], return_index=True)  # a report may have been in two rows
     return _cubic(at_s, clock.loop_s(latched), raw.q_rad[first, j])
 
 
 def _camera_age_s(arm: Arm, runs: Sequence[Raw], clocks: Sequence[Clock]) -> float:
-    """Of the frames; NaN where there are too few."""
+    """Age of the camera frames; NaN if there are too few."""
     if sum(int(_sees(raw).sum()) for raw in runs) < LEAST_ROWS:
         return math.nan
     kinematics, age = Kinematics(arm), 0.0
@@ -220,7 +220,7 @@ def _camera_age_s(arm: Arm, runs: Sequence[Raw], clocks: Sequence[Clock]) -> flo
 def _camera_rows(
     kinematics: Kinematics, runs: Sequence[Raw], clocks: Sequence[Clock], age_s: float
 ) -> tuple[Array, Array]:
-    """Measured minus modelled tips, and what may explain them: more age first."""
+    """Measured minus modelled tips, and the regressors, additional age first."""
     values, columns = [], []
     for raw in runs:
         sees = _sees(raw)
@@ -242,7 +242,7 @@ def _camera_rows(
 
 
 def _motion(raw: Raw, clocks: Sequence[Clock], at_s: Array) -> tuple[Array, Array, Array]:
-    """Angles, speeds and accelerations (k, n) at moments."""
+    """Angles, speeds and accelerations (k, n) at given times."""
     parts = [np.column_stack([_angle(raw, j, clock, at_s) for j, clock in enumerate(clocks)])]
     even = [_angle(raw, j, clock, raw.t_s) for j, clock in enumerate(clocks)]
     for order in (1, 2):
@@ -252,7 +252,7 @@ def _motion(raw: Raw, clocks: Sequence[Clock], at_s: Array) -> tuple[Array, Arra
 
 
 def _shapes(q: Array) -> Array:
-    """Everything smooth: 1, q and its products (m, k)."""
+    """Smooth regressors: 1, q and its products (m, k)."""
     n = q.shape[1]
     products = [q[:, a] * q[:, b] for a in range(n) for b in range(a, n)]
     return np.column_stack((np.ones(len(q)), q, *products))
@@ -263,20 +263,20 @@ def _sees(raw: Raw) -> Mask:
 
 
 def _filtered(values: Array, order: int, period_s: float, keep: bool = False) -> Array:
-    """Smoothed by a Gaussian, or its first or second derivative; `keep`: as long as it was, its ends as they are."""
+    """Filter by a Gaussian or its first or second derivative; `keep`: same length, ends unfiltered."""
     half = 4 * SMOOTH
     s = np.arange(-half, half + 1) / SMOOTH
     bell = np.exp(-0.5 * s * s)
     bell /= bell.sum()
     kernel = (bell, -s * bell / SMOOTH, (s * s - 1.0) * bell / SMOOTH**2)[order]
-    if order == 2:  # a constant has no curvature, cut off as the bell is
+    if order == 2:  # zero curvature for a constant, although the kernel is truncated
         kernel = kernel - kernel.mean()
     padded = np.concatenate((np.full(half, values[0]), values, np.full(half, values[-1]))) if keep else values
     return np.asarray(np.convolve(padded, kernel, mode="valid") / period_s**order)
 
 
 def _cubic(at: Array, times: Array, values: Array) -> Array:
-    """Values at moments, by the cubic through the four samples around each (Lagrange); beyond the ends the last value."""
+    """Interpolate by the cubic through the four nearest samples (Lagrange); beyond the ends, the last value."""
     k = np.clip(np.searchsorted(times, at) - 1, 1, len(times) - 3)
     x = np.clip(at, times[0], times[-1])
     places = [times[k + shift] for shift in (-1, 0, 1, 2)]

@@ -1,1 +1,1 @@
-"""`armwright iso9283`: puts arm, camera, loads and the test programmes of calib.iso9283 together."""
+"""`armwright iso9283`: runs the test programmes of calib.iso9283 on an arm with camera and loads."""

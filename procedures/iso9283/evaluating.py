@@ -1,4 +1,4 @@
-"""Recorded files to iso9283.json and iso9283.html."""
+"""Evaluates recorded files to iso9283.json and iso9283.html."""
 
 import datetime
 from collections.abc import Sequence

@@ -11,7 +11,7 @@ from procedures.mock.saved_mock import saved_mock
 def record_on_mock(
     arm: Arm, scenario: str, seed: int | None, planned: Planned, out: Path, speed: float, advance: Advance
 ) -> None:
-    """Home a mock of `arm` and run what was planned; its scenario is saved in `out`, its recordings in `out`/log."""
+    """Home a mock of `arm` and run the plan; its scenario is saved in `out`, its recordings in `out`/log."""
     advance("homing", 0.0)
     with saved_mock(arm, scenario, seed, out, speed) as (bench, client, recording):
         record(Bench(arm, client, recording, bench.rig.set_payload, speed), planned, out, advance)

@@ -1,7 +1,7 @@
 """Runs the test programmes on an arm and saves the measurements: points.csv, log.csv, programme.json.
 
-Each visit and each run is on the disk before the arm goes on, and a recording that was interrupted goes on where it was
-when it is started again with the same folder and programme.
+Each visit and each run is saved before the arm continues, and an interrupted recording is resumed
+if it is started again with the same folder and programme.
 """
 
 import json
@@ -38,7 +38,7 @@ _BOX = 4  # samples along each joint between two poses
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """An arm that holds and is homed: its client, the file that its runtime records, and who attaches loads."""
+    """A homed and holding arm: its client, the runtime's recording, and who attaches loads."""
 
     arm: Arm
     client: ArmClient
@@ -49,7 +49,7 @@ class Bench:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """Everything that will be done, checked: steps with the joint angles of their poses."""
+    """The checked plan: steps with the joint angles of their poses."""
 
     document: dict[str, object]
     steps: tuple[Step, ...]
@@ -58,7 +58,7 @@ class Planned:
 
 
 def rated_speed_m_s(arm: Arm, cube: TestCube) -> float:
-    """The greatest speed on the test's straight line that the planner need not slow, at most the tip's limit."""
+    """The largest speed on the test's straight line that needs no slowing, at most the tip's limit."""
     speed = arm.limits.tip_speed_m_s
     line = next(path_programme(cube, 1, (1.0,), 1.0))
     near = _solved(solver_of(arm, cube), line.points_m[0])
@@ -90,7 +90,7 @@ def plan(arm: Arm, cube: TestCube, extent: Extent, rated_m_s: float) -> Planned:
 
 
 def record(bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
-    """Run what was planned; records go to `out`. Resumes an earlier recording of the same programme."""
+    """Run the plan; records go to `out`. Resumes an earlier recording of the same programme."""
     out.mkdir(parents=True, exist_ok=True)
     _note_programme(out / "programme.json", planned.document)
     n = bench.arm.joint_count
@@ -109,7 +109,7 @@ def record(bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
 
 
 class _Recorder:
-    """Takes one step after the other."""
+    """Executes the steps in order."""
 
     def __init__(self, bench: Bench, planned: Planned, points: RecordFile, log: RecordFile) -> None:
         self._bench, self._planned, self._points, self._log = bench, planned, points, log
@@ -158,7 +158,7 @@ class _Recorder:
         self._keep(step.programme, str(step.cycle), text(step.speed_m_s, 6), 0.0, every=KEEP_EVERY)
 
     def _keep(self, programme: str, cycle: str, speed: str, payload_kg: float, every: int) -> None:
-        """The last run's rows into log.csv: those with a camera frame, or every `every`-th."""
+        """Write the last run's rows to log.csv: those with a camera frame, or every `every`-th."""
         client, n = self._bench.client, self._bench.arm.joint_count
         client.wait(FLUSH_S)
         rows = self._rows.of_run(int(client.status()["run"]))
@@ -171,7 +171,7 @@ class _Recorder:
         self._run += 1
         of_encoders = [f.format(j) for f in ("q{}_rad", "q{}_set_rad") for j in range(1, n + 1)]
         of_joints = [name.replace("q", "joint", 1) for name in of_encoders]
-        # without gears or encoders that err, the joints are where their encoders are, and only those are recorded
+        # without gear or encoder effects, joint angles equal encoder angles, and only those are recorded
         names = of_encoders + (of_joints if of_joints[0] in (rows.dtype.names or ()) else of_encoders)
         start_s = float(rows["t_s"][0])
         self._log.append(
@@ -192,7 +192,7 @@ class _Recorder:
         self._load_kg = mass_kg
 
     def _wait_until(self, step: Visit) -> None:
-        """Let time pass until the step is due, counted from the first of its programme."""
+        """Wait until the step is due, counted from the first of its programme."""
         if not step.setup.startswith("drift_"):
             return
         now_s = float(self._bench.client.status()["t_s"])
@@ -221,9 +221,9 @@ def _solved(solver: Solver, tip: Point) -> tuple[float, ...]:
 
 
 def _require_clear(arm: Arm, poses: Sequence[Sequence[float]]) -> None:
-    """Iso9283Error where a joint move between any two of the poses might take the tip to the floor.
+    """Iso9283Error if a joint move between any two of the poses might take the tip to the floor.
 
-    Joints move at their own pace, so every mixture of the two poses' angles is looked at.
+    Joints move at different speeds, so every combination of the two poses' angles is checked.
     """
     floor_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m
     kinematics, shares = Kinematics(arm), np.linspace(0.0, 1.0, _BOX)

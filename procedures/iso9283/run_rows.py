@@ -18,11 +18,11 @@ class RunRows:
         self._row = np.dtype([(n, codes[c]) for n, c in zip(opened.layout.names, packing, strict=True)])
 
     def skip(self) -> None:
-        """Pass over all that is there."""
+        """Skip all rows so far."""
         self._read()
 
     def of_run(self, number: int) -> npt.NDArray[np.void]:
-        """New rows of a run, as a structured array with the recording's names; a torn last row is left."""
+        """New rows of a run, as a structured array with the recording's names; an incomplete last row is left."""
         rows = np.frombuffer(self._read(), dtype=self._row)
         return np.asarray(rows[rows["run"] == number])
 
@@ -32,7 +32,7 @@ class RunRows:
         return opened
 
     def _read(self) -> bytes:
-        """Whole rows that were not read yet; a part is finished once there is a next one."""
+        """Complete rows not read yet; a part is finished once there is a next one."""
         read = b""
         while True:
             is_finished = has_part(next_part(self._path))

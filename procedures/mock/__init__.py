@@ -1,1 +1,1 @@
-"""A mock arm with its runtime, stepped in this process or in real time in others, for any procedure to run on."""
+"""A mock arm with its runtime for any procedure, stepped in this process or in real time in others."""

@@ -1,12 +1,12 @@
-"""An arm.toml for a mock arm: the arm's own, with the mock's ports in place of its own."""
+"""An arm.toml for a mock arm: the arm's own, with the mock's ports."""
 
 from dataclasses import replace
 
 from control.model.arm import Arm, Camera, CanBus, EncoderBoardPort
 from hil_mocks.rig import MockArm
 
-# The mock's boards and the loop share this machine with everything else, and a virtual machine may keep either waiting for some
-# tenths of a second. Real boards do not wait, and 20 ms of their silence mean something; a mock arm hurts nobody.
+# The mock's boards and the loop share this machine with other programs, and a virtual machine may stall either for some
+# tenths of a second. Real boards are not stalled, so 20 ms of silence matter there; a mock arm is harmless.
 SHARED_MACHINE_STALE_S = 0.3
 SHARED_MACHINE_WATCHDOG_S = 0.5
 SHARED_MACHINE_LAG_S = 0.5

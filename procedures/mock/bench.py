@@ -24,7 +24,7 @@ from procedures.child_process import ends_with_parent
 from procedures.mock.arm import wired_to
 
 PERIOD_S = 0.002
-START_LIMIT_S = 60.0  # on a busy machine; a runtime that ends is noticed at once
+START_LIMIT_S = 60.0  # on a busy machine; a runtime that ends is detected at once
 
 
 class Bench(Protocol):
@@ -56,7 +56,7 @@ class Bench(Protocol):
 
 
 class SteppedBench:
-    """Everything in this process; time passes only during waits, much faster than real time."""
+    """A bench in this process; time passes only during waits, much faster than real time."""
 
     speed = 1.0
 
@@ -115,10 +115,10 @@ class SteppedBench:
 
 
 class RealTimeBench:
-    """The mock arm in one process, the runtime in another, as it would be with a real arm.
+    """The mock arm in one process and the runtime in another, as with a real arm.
 
-    Joint moves are slower: a desktop pauses its programs for a tenth of a second now and then, and an arm that goes on at
-    its last voltage meanwhile must not get far.
+    Joint moves are slower: a desktop sometimes pauses programs for a tenth of a second, and an arm that continues at
+    its last voltage must not move far meanwhile.
     """
 
     speed = 0.4
@@ -142,7 +142,7 @@ class RealTimeBench:
                 "console.main", "serve", "--arm", str(arm_file), "--socket", str(self.socket_path), "--log", str(self._log_folder)
             ),
             stdout=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for the demo, which then ends the runtime in its own way
+            start_new_session=True,  # Ctrl-C goes to the demo, which then ends the runtime
             preexec_fn=ends_with_parent(signal.SIGTERM),  # noqa: PLW1509  it makes system calls only, so threads do no harm
         )  # fmt: skip
         self._client = ArmClient(self._connected())
@@ -151,7 +151,7 @@ class RealTimeBench:
 
     @property
     def socket_path(self) -> Path:
-        """Where the runtime that was started last listens."""
+        """Socket path of the last runtime started."""
         return Path(self._folder.name) / f"{self._starts}.sock"
 
     def _connected(self) -> SocketChannel:

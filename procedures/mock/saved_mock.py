@@ -17,9 +17,9 @@ from procedures.mock.scenario_file import seeded_scenario
 def saved_mock(
     arm: Arm, scenario: str, seed: int | None, out: Path, speed: float = 1.0
 ) -> Iterator[tuple[SteppedBench, ArmClient, Path]]:
-    """A mock of `arm`, homed and holding: its bench, its client, the file that its runtime records. Shut down at the end.
+    """A mock of `arm`, homed and holding: its bench, its client, the runtime's recording. Shut down on exit.
 
-    `out` keeps scenario.toml, and the recordings in log. CalibrationError where it holds another scenario; nothing has moved.
+    scenario.toml and the recordings in log are saved in `out`. CalibrationError if it holds another scenario.
     """
     can_home = all(drive.home is not None for drive in arm.drives)
     drawn = seeded_scenario(scenario, seed, was_homed=not can_home)

@@ -4,7 +4,7 @@
 def seeded_scenario(name: str, seed: int | None, was_homed: bool) -> bytes:
     """The scenario with its seed as the text of a file, saved beside the results so that the run can be repeated.
 
-    An arm whose file does not say how it homes begins with boards that know their zero (`was_homed`).
+    If the arm's file has no homing parameters, the boards start with their zeros set (`was_homed`).
     """
     import msgspec
 

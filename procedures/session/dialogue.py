@@ -10,7 +10,7 @@ from enum import Enum
 from calib.session.dialogue import GO, Command, Do, Jog
 
 HELP = """\
-  Enter                      confirm and go on
+  Enter                      confirm and continue
   skip [[SETUP] POINT [N]]   skip a point (without a name: this one)
   redo [[SETUP] POINT [N]]   measure a point again (without a name: the last); the journal keeps the withdrawn record
   bad  [[SETUP] POINT [N]]   withdraw a record; N is the repeat (default: all repeats)
@@ -25,7 +25,7 @@ MM, DEGREE = 1e-3, math.pi / 180.0
 
 
 class View(Enum):
-    """What an operator wants to see; it changes nothing."""
+    """A view requested by the operator; it changes nothing."""
 
     HELP = "help"
     STATUS = "status"

@@ -61,7 +61,7 @@ def _short(keys: Iterable[tuple[str, str, int]]) -> list[str]:
 
 
 def _sign(state: SessionState, setup: str, name: str, current: Target | None) -> str:
-    """The character of a cavity; empty where the session does not take it."""
+    """The character of a cavity; empty if the session does not use it."""
     if current is not None and (current.setup, current.point) == (setup, name):
         return CURRENT
     marks = {state.marks[key] for key in state.targets if key[:2] == (setup, name)}

@@ -1,4 +1,4 @@
-"""The true place of the board in a mock session whose operator does not know it."""
+"""The true board pose in a mock session with an unknown board."""
 
 from __future__ import annotations
 
@@ -14,14 +14,12 @@ from calib.session.plan import Target
 from control.model import table as tables
 from control.model.arm import Table
 
-ORIGIN_m = (0.5, 0.0, 0.0)  # of a board whose file says nothing: where the reference arm has its own
+ORIGIN_m = (0.5, 0.0, 0.0)  # if the file gives none: that of the reference arm
 SHIFT_m, TURN_rad = 0.02, 0.03
 
 
 def hidden_place(table: Table, seed: int) -> Callable[[Target], Vector]:
-    """Cavities in the base frame of a board some centimetres and degrees off its nominal place, in each
-    setup elsewhere.
-    """
+    """Cavities in the base frame of a board some centimetres and degrees off nominal, different by setup."""
     known = replace(table, known_pose=True, origin_m=table.origin_m or ORIGIN_m)
     cavities = tables.board_cavities(known)
 

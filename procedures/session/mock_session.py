@@ -26,7 +26,7 @@ DEFAULT_SCENARIO = "demo"
 
 @dataclass(frozen=True, slots=True)
 class MockSession:
-    """A mock arm that is homed and holds, and the hand that seats its tip."""
+    """A homed and holding mock arm, and the hand that seats its tip."""
 
     client: ArmClient
     hand: Hand
@@ -36,7 +36,7 @@ class MockSession:
 @contextmanager
 def mock_session(arm: Arm, folder: SessionFolder, boards: Boards, name: str | None) -> Iterator[MockSession]:
     """Start the mock arm of a session's folder; the scenario is saved there, so that a resumed session has the
-    same arm. SessionError where it is resumed with another scenario, or was one with a real arm.
+    same arm. SessionError if it is resumed with another scenario, or belongs to a real arm.
     """
     scenario = _saved_scenario(arm, folder, name)
     bench = SteppedBench(arm, scenario, _free_log(folder.path))

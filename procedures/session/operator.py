@@ -34,7 +34,7 @@ class Operator:
         """`may_auto`: a mock hand seats the tip, so questions may be answered automatically."""
         self._folder, self._boards, self._lines, self._say = folder, boards, lines, say
         self._table, self._may_auto = table, may_auto
-        self._auto: int | None = 0  # questions still to be answered by itself, None: all
+        self._auto: int | None = 0  # questions still to be answered automatically, None: all
 
     def run(self, talk: Talk) -> None:
         """Conduct the dialogue to its end."""
@@ -85,7 +85,7 @@ class Operator:
 
     def _start_auto(self, command: Auto) -> None:
         if not self._may_auto:
-            raise BadCommand("auto: only a session with a mock arm can answer by itself")
+            raise BadCommand("auto: only a session with a mock arm can answer automatically")
         self._auto = command.count
 
     def _show(self, view: View, ask: Ask) -> None:

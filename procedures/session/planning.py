@@ -104,7 +104,7 @@ def _from_file(path: Path, given: argparse.Namespace, arm: Arm) -> tuple[Target,
 
 
 def _posture(where: str, arm: Arm, texts: Sequence[str]) -> tuple[float, ...] | None:
-    """Joint angles within the arm's limits, None where the cells are empty."""
+    """Joint angles within the arm's limits, None if the cells are empty."""
     if not any(text.strip() for text in texts):
         return None
     try:

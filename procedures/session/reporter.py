@@ -2,8 +2,8 @@
 
 {"ask": "SEATED", "prompt": "...", "setup": "normal", "point": "13", "done": 12, "left": 87,
  "board": [{"name": "13", "x_m": 0.02, "y_m": 0.0, "mark": "now"}, ...]}
-{"kept": "normal 13", "text": "...", "error_mm": 20.77, "off_mm": 1.22, "surprise": 0.8, "is_suspect": false}
-{"told": "...", "is_warning": false}
+{"recorded": "normal 13", "text": "...", "error_mm": 20.77, "deviation_mm": 1.22, "deviation_sd": 0.8, "is_suspect": false}
+{"message": "...", "is_warning": false}
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from procedures.session.operator import Operator
 
 
 def report(message: Mapping[str, object]) -> None:
-    """One line, at once."""
+    """Print a message as one line, flushed."""
     sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()
 
 
 def tell(text: str) -> None:
-    """Plain words of the session as a message."""
+    """Report a text of the session as a message."""
     is_warning = text.startswith("! ")
-    report({"told": text.removeprefix("! ").rstrip("\n"), "is_warning": is_warning})
+    report({"message": text.removeprefix("! ").rstrip("\n"), "is_warning": is_warning})
 
 
 class Reporter(Operator):
@@ -42,12 +42,12 @@ class Reporter(Operator):
         verdict = saying.verdict
         report(
             {
-                "kept": self._folder.state.targets[saying.record.key].name,
+                "recorded": self._folder.state.targets[saying.record.key].name,
                 "point": saying.record.point,
                 "text": self._recorded(saying).removeprefix("! "),
                 "error_mm": _mm(float(np.linalg.norm(verdict.error_m))),
-                "off_mm": _mm(verdict.off_m),
-                "surprise": _finite(verdict.off_sd),
+                "deviation_mm": _mm(verdict.off_m),
+                "deviation_sd": _finite(verdict.off_sd),
                 "is_suspect": verdict.is_suspect,
             }
         )
@@ -77,7 +77,7 @@ class Reporter(Operator):
 def board(
     state: SessionState, cavities_m: Mapping[str, Vector], setup: str, now: str
 ) -> list[dict[str, object]]:
-    """Each cavity that the session takes in a setup: its place on the board and whether it is done."""
+    """Each cavity of a setup that the session uses: its place on the board and whether it is done."""
     found: list[dict[str, object]] = []
     for name, (x, y, _) in cavities_m.items():
         marks = {state.marks[key] for key in state.targets if key[:2] == (setup, name)}

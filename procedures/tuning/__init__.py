@@ -1,1 +1,1 @@
-"""`armwright tune`: a joint's response is measured, gains are designed on it, and both are tried on the arm, before and after."""
+"""`armwright tune`: measures a joint's response, designs gains from it, and tests old and new gains on the arm."""

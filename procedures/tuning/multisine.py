@@ -1,10 +1,10 @@
-"""A signal of many sines at once, and the response that is read from it.
+"""Multisine excitation, and the frequency response from it.
 
-It is given while the joint moves steadily, to and fro: then friction only pushes one way, and is no part of the response.
-Odd harmonics of one period with random phases, some odd ones left out: what a linear joint cannot put there, friction and play
-do, so the lines that were left out tell how much of the response is not linear. Periods are averaged coherently (the signal is
-the same in each); what differs between them is noise. Pintelon and Schoukens, System Identification: A Frequency Domain
-Approach, have the method.
+It is applied while the joint moves at constant speed, back and forth: then friction is constant and not part of the response.
+The signal has odd harmonics of one period with random phases; some odd ones are omitted. A linear joint has no output there,
+but friction and backlash do, so these lines measure the nonlinear share. Periods are averaged coherently (the signal is
+the same in each); differences between them are noise. See Pintelon and Schoukens, System Identification: A Frequency Domain
+Approach.
 """
 
 import math
@@ -19,12 +19,12 @@ from control.errors import ArmError
 Real = NDArray[np.float64]
 PERIOD_S = 2.0
 PASSES = 4
-BEYOND = 50  # samples of the next period that are kept, to tell steady motion from the response
-LOWEST_Hz, HIGHEST_Hz = 2.0, 80.0  # below, the loop holds the joint, and the mean motion is in the way
+BEYOND = 50  # samples of the next period, to separate steady motion from the response
+LOWEST_Hz, HIGHEST_Hz = 2.0, 80.0  # below, the loop holds the joint, and the mean motion interferes
 LINES = 48
-LOW_Hz, HIGH_Hz = 2.0, 20.0  # where the loops of arms cross over
-LEAST_SHARE = 0.7  # of the frequencies there that must be good
-_TRIALS = 60  # of phases, for a signal without a high peak
+LOW_Hz, HIGH_Hz = 2.0, 20.0  # range of usual crossover frequencies
+LEAST_SHARE = 0.7  # share of the frequencies there that must be good
+_TRIALS = 60  # trials of random phases, for a low crest factor
 
 
 class PoorResponse(ArmError):
@@ -42,7 +42,7 @@ class Multisine:
 
 
 def multisine(period_s: float, rate_Hz: float, seed: int = 0) -> Multisine:
-    """About as many lines in every octave, odd ones, up to a fifth of the sampling rate."""
+    """A signal with odd lines, about as many in every octave, up to a fifth of the sampling rate."""
     count = round(period_s * rate_Hz)
     highest = min(HIGHEST_Hz, 0.2 * rate_Hz) * period_s
     wanted = np.geomspace(max(1.0, LOWEST_Hz * period_s), highest, LINES)
@@ -64,7 +64,7 @@ def multisine(period_s: float, rate_Hz: float, seed: int = 0) -> Multisine:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A response, the loop that it was measured in (L = added / output - 1, by the loop's own output), and its shortcomings."""
+    """A response, the loop in which it was measured (L = added / output - 1, by the loop's own output), and its quality."""
 
     response: Response
     loop: NDArray[np.complex128]
@@ -76,14 +76,14 @@ class Measured:
 
 
 def evaluate(wave: Multisine, angle_rad: Real, output: Real, added: Real) -> Measured:
-    """From arrays (periods, samples), each row a period and the begin of the next. A joint may move steadily meanwhile."""
+    """Evaluate arrays (periods, samples); each row is a period and the start of the next. The joint may be in motion."""
     count = len(wave.samples)
     y, u, d = (np.fft.rfft(_level(rows, count), axis=1) for rows in (angle_rad, output, added))
     at = wave.lines
     y_mean, u_mean, d_mean = (spectrum.mean(axis=0) for spectrum in (y, u, d))
     plant = y_mean[at] / u_mean[at]
     omega = 2.0 * np.pi * at * wave.rate_Hz / count
-    # What this period's output does not explain of this period's angle.
+    # The part of this period's angle that its output does not explain.
     unexplained = y[:, at] - plant * u[:, at]
     noise = np.sqrt((np.abs(unexplained) ** 2).mean(axis=0)) / np.abs(y_mean[at])
     odd = wave.silent
@@ -101,9 +101,9 @@ def evaluate(wave: Multisine, angle_rad: Real, output: Real, added: Real) -> Mea
 
 
 def _level(rows: Real, count: int) -> Real:
-    """Each period without its mean and its steady motion, which is what differs between a sample and the same one a period on.
+    """Remove mean and steady motion from each period, the latter by the difference to the same sample one period later.
 
-    A straight line by least squares would take a part of the response with it, and leave a saw-tooth in its place.
+    A straight line by least squares would remove part of the response and leave a saw-tooth.
     """
     beyond = rows.shape[1] - count
     slope = (rows[:, count:].mean(axis=1) - rows[:, :beyond].mean(axis=1)) / count
@@ -119,7 +119,7 @@ def _interpolated(omega: Real, plant: NDArray[np.complex128], wanted: Real) -> N
 
 
 def usable(measured: Measured, least_coherence: float) -> Measured:
-    """The measurement without frequencies of poor coherence. Raises PoorResponse when too few are left around the loop's own."""
+    """The measurement without frequencies of poor coherence. Raises PoorResponse if too few remain around crossover."""
     keep = measured.response.coherence >= least_coherence
     response = measured.response
     low, high = 2.0 * math.pi * LOW_Hz, 2.0 * math.pi * HIGH_Hz

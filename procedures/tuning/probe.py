@@ -1,4 +1,4 @@
-"""Between the loop and the boards: adds a known signal to one joint's output, records commands and counts."""
+"""A probe between loop and boards: adds a known signal to one joint's output, and records commands and counts."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from firmware_iface.clock import Clock
 
 @dataclass(slots=True)
 class Trace:
-    """One joint, a value a cycle: time, count, output as commanded (V or A), what was added to it."""
+    """One joint, a value per cycle: time, count, commanded output (V or A), added signal."""
 
     t_s: list[float] = field(default_factory=list)
     count: list[int] = field(default_factory=list)
@@ -18,7 +18,7 @@ class Trace:
 
 
 class Probe:
-    """`control.hardware.interface.Hardware` that passes everything on, and the signal with it."""
+    """`control.hardware.interface.Hardware` that forwards all calls and adds the signal."""
 
     def __init__(self, hardware: Hardware, clock: Clock) -> None:
         self.feedback: Feedback = hardware.feedback
@@ -32,7 +32,7 @@ class Probe:
     def watch(
         self, joint: int, signal: Sequence[float], limit: float, on_cycle: Callable[[int], None]
     ) -> None:
-        """Begin a trace of a joint (0-based): a signal, once, that never takes the output beyond the limit.
+        """Start a trace of a joint (0-based), with a signal applied once, clamped to the output limit.
 
         `on_cycle` is called at the end of each cycle with its number, from 0.
         """
@@ -40,7 +40,7 @@ class Probe:
         self._joint, self._signal, self._limit, self._on_cycle = joint, signal, limit, on_cycle
 
     def rest(self) -> Trace:
-        """End it."""
+        """End the trace."""
         self._joint = None
         return self.trace
 
@@ -49,7 +49,7 @@ class Probe:
         return self._hardware.read()
 
     def write(self, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float]) -> None:
-        """The same, with the signal added to one joint while the loop controls it."""
+        """As the hardware, with the signal added to one joint while the loop controls it."""
         joint = self._joint
         if joint is None:
             self._hardware.write(mode, output, feedforward_V)

@@ -1,4 +1,4 @@
-"""Tuning from end to end: measure each joint, design, try the old gains and the new ones on the arm."""
+"""The whole tuning: measure each joint, design gains, test old and new gains on the arm."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,12 +17,10 @@ from procedures.tuning.multisine import PERIOD_S, Measured, PoorResponse, multis
 from procedures.tuning.session import CYCLE_S, MoveResponse, PASS_SPEED_rad_s, Session, StepResponse
 
 LEAST_GAIN_dB, LEAST_PHASE_deg = 6.0, 45.0
-RESERVE_dB, RESERVE_deg = 2.0, 10.0  # kept where no bandwidth is asked for: an arm ages
-SHYNESS = (
-    0.7  # of the poles, where the response is not that of a stiff, linear joint: play is no part of a margin
-)
+RESERVE_dB, RESERVE_deg = 2.0, 10.0  # margin if no bandwidth is requested: an arm ages
+SHYNESS = 0.7  # factor on the poles for a compliant or nonlinear joint: margins do not cover backlash
 NOT_LINEAR = 0.08
-MISFIT = 0.25  # of the response against a stiff motor's: something gives between motor and joint
+MISFIT = 0.25  # fit residual above which the drive train is compliant
 LEAST_COHERENCE = 0.9
 STEP_RAD = 0.005
 MOVE_RAD = 0.2
@@ -36,7 +34,7 @@ class NotTuned(ArmError):
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the operator chose; None is for the product to choose."""
+    """Options of the operator; None: chosen automatically."""
 
     joints: tuple[int, ...]
     bandwidth_Hz: float | None = None
@@ -46,7 +44,7 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """Some gains on the arm: margins by the loop's own output, a step and a move."""
+    """A test of gains on the arm: margins by the loop's own output, a step and a move."""
 
     gains: Gains
     margins: Margins
@@ -77,9 +75,9 @@ class Result:
 
 
 def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
-    """Measure, design, try. Raises NotTuned, ArmFaulted, and the errors of connecting; the drives are off then.
+    """Measure, design and test. Raises NotTuned, ArmFaulted, and the errors of connecting; the drives are then off.
 
-    The gains belong to the runtimes that are started here: whatever ends them, the arm's own file is as it was.
+    Gains are set only in the runtimes started here; the arm's own file never changes.
     """
     pose = _pose(arm, options)
     measuring = in_voltage_mode(arm)
@@ -135,7 +133,7 @@ def _pose(arm: Arm, options: Options) -> tuple[float, ...]:
 
 
 def _try(session: Session, arm: Arm, joint: int, options: Options) -> tuple[Trial, Measured]:
-    """Measure with the gains that the session's runtime has."""
+    """Measure with the gains of the session's runtime."""
     drive = arm.drive(joint)
     unit = 1.0 if drive.pid.mode == "current" else drive.resistance_ohm
     current_A = (

@@ -1,4 +1,4 @@
-"""The report of tuning: margins and steps before and after, Bode's and Nyquist's plots of what was measured."""
+"""The tuning report: margins and steps before and after, Bode and Nyquist plots of the measurements."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _summary(result: Result) -> Section:
 
 
 def worst_pose(tuned: Tuned) -> str:
-    """Margins where the joint's inertia is least favourable."""
+    """Margins at the joint's least favourable inertia."""
     worst = tuned.design.worst
     return (
         f"joint {tuned.joint}: {_dB(worst.gain_dB)} and {worst.phase_deg:.0f} deg at the least favourable inertia"

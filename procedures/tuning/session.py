@@ -1,4 +1,4 @@
-"""Tuning's own runtime in this process, with a probe between it and the boards, and the motions of a joint."""
+"""A runtime in this process for tuning, with a probe between it and the boards, and the test motions of a joint."""
 
 import contextlib
 from collections.abc import Sequence
@@ -23,17 +23,17 @@ from procedures.tuning.multisine import BEYOND, PASSES, PERIOD_S, Measured, Mult
 from procedures.tuning.probe import Probe, Trace
 
 CYCLE_S = 0.002
-PASS_SPEED_rad_s = 0.22  # faster than the signal shakes the joint, so that it never turns round
+PASS_SPEED_rad_s = 0.22  # faster than the signal's motion, so that the joint never reverses
 RAMP_S = 0.3
-LEAD_S = 0.5  # from the begin of a pass until the response is that of the signal alone
+LEAD_S = 0.5  # from the start of a pass until transients have decayed
 REST_S = 0.4
 STEP_S = 0.6
-LATE = 0.5  # of a cycle: a pass with a cycle that was missed is not evaluated
+LATE = 0.5  # of a cycle: a pass with a missed cycle is not evaluated
 
 
 @dataclass(frozen=True, slots=True)
 class StepResponse:
-    """A step of the set-point, small enough for no limit: t_s from the step, angle over step height, what became of it."""
+    """A set-point step below all limits: t_s from the step, angle over step height, and its figures."""
 
     t_s: tuple[float, ...]
     share: tuple[float, ...]
@@ -58,7 +58,7 @@ class MoveResponse:
 
 
 class Session:
-    """Connected, enabled and homed when entered; off when left, whatever happens."""
+    """A tuning session: connected, enabled and homed on entry; off on every exit."""
 
     def __init__(self, arm: Arm, clock: Clock) -> None:
         self.arm, self.clock = arm, clock
@@ -96,11 +96,11 @@ class Session:
             self._connection.close()
 
     def angles_rad(self) -> tuple[float, ...]:
-        """Measured."""
+        """The measured angles."""
         return tuple(self.client.status()["q_rad"])
 
     def _run(self, joint: int, points: Sequence[SetPoint], signal: Sequence[float]) -> Trace:
-        """Give set-points to a loop that holds, one a cycle, and a signal to a joint (1-based). ArmError if the arm faults."""
+        """Send set-points to the holding loop, one per cycle, and a signal to a joint (1-based). ArmError if the arm faults."""
         runtime = self._assembly.runtime
         drive = self.arm.drive(joint)
         limit = drive.current_limit_A if drive.pid.mode == "current" else drive.supply_V
@@ -125,7 +125,7 @@ class Session:
         mapped = JointMap(self.arm.drive(joint))
         lead, count = round(LEAD_S / CYCLE_S), len(wave.samples)
         signal = [0.0] * lead + (amplitude * np.append(wave.samples, wave.samples[:BEYOND])).tolist()
-        # The signal begins before its period is evaluated, so that the response is periodic by then.
+        # The signal starts before the evaluated period, so that the response is periodic by then.
         early = round((LEAD_S - RAMP_S) / CYCLE_S)
         signal[lead - early : lead] = (amplitude * wave.samples[-early:]).tolist()
         rows: list[tuple[list[float], list[float], list[float]]] = []
@@ -144,7 +144,7 @@ class Session:
         return evaluate(wave, angle_rad, output, added)
 
     def step(self, joint: int, height_rad: float) -> StepResponse:
-        """A step forth and one back, averaged."""
+        """A step forward and one back, averaged."""
         here = at_rest(self.angles_rad())
         there = SetPoint(_with(here.q_rad, joint - 1, height_rad), here.speed_rad_s, here.acceleration_rad_s2)
         hold, steps = round(REST_S / CYCLE_S), round(STEP_S / CYCLE_S)
@@ -159,7 +159,7 @@ class Session:
         return _judged_step(share, abs(2.0 * mapped.radians_per_count / height_rad))
 
     def move(self, joint: int, distance_rad: float) -> MoveResponse:
-        """A move forth; the arm is brought back after it."""
+        """A move forward; then the arm returns."""
         runtime, drive = self._assembly.runtime, self.arm.drive(joint)
         home = self.angles_rad()
         mapped = JointMap(drive)
@@ -202,7 +202,7 @@ def _pass(centre: SetPoint, j: int) -> list[SetPoint]:
 
 
 def _reversed(points: Sequence[SetPoint]) -> list[SetPoint]:
-    """The same pass from its end to its begin; the rest comes last again."""
+    """The same pass in reverse; the rest comes last again."""
     rest = round(REST_S / CYCLE_S)
     moving = list(reversed(points[: len(points) - rest]))
     back = [SetPoint(p.q_rad, tuple(-v for v in p.speed_rad_s), p.acceleration_rad_s2) for p in moving]

@@ -1,11 +1,11 @@
-"""Drives an arm by either model, whichever the runtime uses, and measures with the camera.
+"""Moves an arm by either model, whichever the runtime uses, and measures with the camera.
 
-Points are joint moves to what the model's inverse kinematics says: the loop needs no geometry for these. A path goes to the
-runtime in Cartesian space and through the runtime's own inverse kinematics, so it is handed over as the path that takes the
-joints where the model wants them: q(t) by the model, x'(t) = f(q(t)) by the runtime's forward kinematics.
+Points are joint moves to the angles of the model's inverse kinematics, which need no geometry in the loop. A path goes to the
+runtime in Cartesian space and through the runtime's own inverse kinematics, so it is converted to one that takes the
+joints to the model's angles: q(t) by the model, x'(t) = f(q(t)) by the runtime's forward kinematics.
 
-What is between joints and encoders (play, springs, belt, encoder errors) only the runtime can correct. For a model that has the
-same of it as the runtime's, motions are given in joint angles; for one that has none, in encoder angles.
+Only the runtime can correct effects between joints and encoders (backlash, springs, belt, encoder errors). For a model with the
+same effects as the runtime's, motions are given in joint angles; for one without any, in encoder angles.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,13 +25,13 @@ from procedures.verify.models import Model
 from procedures.verify.places import Place, Way
 
 AVERAGE_S = 0.2  # 20 camera frames
-# Sections of a path that is handed over: a cubic of 10 mm follows its original within a few nanometres.
+# Section length of a converted path: a cubic of 10 mm follows the original within a few nanometres.
 SECTION_m = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A path as it was run: the number of the run in the recording; `path` where the recorded set-points are not the joints'."""
+    """A path that was run: its run number in the recording; `path` if the recorded set-points are not the joints'."""
 
     number: int
     path: PlannedPath | None = None
@@ -39,7 +39,7 @@ class Run:
 
 
 def poses_at(places: Sequence[Place], model: Model, q_near_rad: Sequence[float]) -> tuple[FreePose, ...]:
-    """Joint angles at the places, each on the branch of the one before; ArmError names the first out of reach."""
+    """Joint angles at the places, each on the branch of the previous one; ArmError names the first out of reach."""
     poses = []
     for place in places:
         try:
@@ -60,14 +60,14 @@ def visit(
     writer: PointsWriter,
     as_encoders: bool = False,
 ) -> Iterator[Progress]:
-    """One tour of the poses; the camera measures at each, and each is on the disk before the next."""
+    """Visit all poses once; the camera measures at each, and each is saved before the next."""
     port = RuntimePort(client, speed, as_encoders)
     tour = [replace(pose, repeat=repeat) for pose in poses]
     return take_free_poses(tour, port, port, writer, SessionSettings(average_s=AVERAGE_S))
 
 
 def planned(way: Way, model: Model, speed_m_s: float, q_near_rad: Sequence[float]) -> PlannedPath:
-    """The way by the model; ArmError where the arm cannot run it. Nothing moves."""
+    """Plan the path by the model; ArmError if the arm cannot run it. Nothing moves."""
     points = tuple(model.in_base(point) for point in way.waypoints.points)
     try:
         return plan_path(
@@ -83,26 +83,26 @@ def planned(way: Way, model: Model, speed_m_s: float, q_near_rad: Sequence[float
         raise ArmError(f"{way.name} above the board's setup {way.setup}: {error}") from error
 
 
-def run(path: PlannedPath, model: Model, believed: Model, client: ArmClient, speed: float) -> Run:
-    """Go to the path's start and run it as `model` has planned it."""
-    as_encoders = not model.has_gears_of(believed)
+def run(path: PlannedPath, model: Model, runtime_model: Model, client: ArmClient, speed: float) -> Run:
+    """Go to the path's start and run it as planned by `model`."""
+    as_encoders = not model.has_gears_of(runtime_model)
     client.move_joints(path.q_start_rad, speed, as_encoders=as_encoders)
-    client.run_path(handed_over(path, model, believed).to_message(), as_encoders=as_encoders)
+    client.run_path(handed_over(path, model, runtime_model).to_message(), as_encoders=as_encoders)
     status = client.status()
-    in_joints = path if believed.gears and not as_encoders else None
+    in_joints = path if runtime_model.gears and not as_encoders else None
     return Run(int(status["run"]), in_joints, float(status["override"]))
 
 
-def handed_over(path: PlannedPath, model: Model, believed: Model) -> PlannedPath:
+def handed_over(path: PlannedPath, model: Model, runtime_model: Model) -> PlannedPath:
     """The path in the base frame of the runtime's model: the same joint angles at the same times."""
-    if believed is model:
+    if runtime_model is model:
         return path
     motion = path.motion(model.inverse, model.kinematics)
     points, velocities, poses = [], [], []
     times_s = _times_s(path)
     for time_s in times_s:
         wanted = motion.at(time_s)
-        tip_m, rows = believed.kinematics.tip_jacobian(*wanted.q_rad)
+        tip_m, rows = runtime_model.kinematics.tip_jacobian(*wanted.q_rad)
         x, y, z = (
             sum(slope * speed for slope, speed in zip(row, wanted.speed_rad_s, strict=True)) for row in rows
         )
@@ -114,7 +114,7 @@ def handed_over(path: PlannedPath, model: Model, believed: Model) -> PlannedPath
 
 
 def _times_s(path: PlannedPath) -> list[float]:
-    """The path's own times, its sections cut into short ones."""
+    """The path's own times, with its sections divided into short ones."""
     times_s = [0.0]
     for start, end in pairwise(path.spline.times_s):
         way_m = max(abs(b - a) for a, b in zip(path.spline.at(start)[0], path.spline.at(end)[0], strict=True))

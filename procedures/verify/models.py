@@ -1,4 +1,4 @@
-"""The nominal and the calibrated model of one arm: which file is which, and how each is driven over one runtime."""
+"""The nominal and the calibrated model of one arm, and how each is used with one runtime."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ SAME_TIP_m = 1e-6
 
 
 class Model:
-    """One model of the arm: everything needed to move the tip in the frame of table and camera."""
+    """One model of the arm, and what is needed to move the tip in the frame of table and camera."""
 
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
@@ -29,12 +29,12 @@ class Model:
 
     @cached_property
     def kinematics(self) -> Kinematics:
-        """Of this model."""
+        """Forward kinematics of this model."""
         return self.inverse.kinematics
 
     @cached_property
     def inverse(self) -> InverseKinematics:
-        """Of this model."""
+        """Inverse kinematics of this model."""
         return InverseKinematics(self.arm)
 
     @cached_property
@@ -46,9 +46,9 @@ class Model:
             if e.effect in SIDE_EFFECTS
         )
 
-    def has_gears_of(self, believed: "Model") -> bool:
+    def has_gears_of(self, runtime_model: "Model") -> bool:
         """Whether a runtime with the other model corrects exactly this model's gear effects."""
-        return self.gears == believed.gears
+        return self.gears == runtime_model.gears
 
     def in_base(self, point_m: Sequence[float]) -> Vector3:
         """A point of the frame of table and camera, in the model's base frame."""
@@ -73,9 +73,9 @@ class Pair:
 
 
 def nominal_of(calibrated: Arm, against: str | None) -> Arm:
-    """The arm that a calibrated one is compared with: as given, or the one it was calibrated from by its file.
+    """The arm that a calibrated one is compared with: the given one, or the one that it was calibrated from.
 
-    ArmError where it says nothing, where the file is not to be found, or where the two are not the same arm.
+    ArmError if its file does not name one, the file is missing, or the two are not the same arm.
     """
     nominal = load_arm(against or _source_of(calibrated))
     shapes = [(a.joint_count, len(a.links), a.dh_convention) for a in (nominal, calibrated)]

@@ -1,6 +1,6 @@
 """Places of a verification: points between the cavities and paths above every tilt of the board, 5 cm up.
 
-Calibration seats the tip in the cavities; no pose here is one of those. The board itself need not be there.
+No pose here is one of calibration's, which are in the cavities. The board need not be present.
 """
 
 import math
@@ -40,7 +40,7 @@ class Way:
 
 
 def places(table: Table, setups: Sequence[str], height_m: float = HEIGHT_m) -> tuple[Place, ...]:
-    """Six points on a circle above each tilt, between the cavities. MissingModel where the board's pose is not known."""
+    """Six points on a circle above each tilt, between the cavities. MissingModel if the board's pose is unknown."""
     radius = POINTS_RADIUS * _radius_m(table)
     return tuple(
         Place(setup, f"v{number + 1}", _above(table, setup, radius, (number + 0.5) / POINTS, height_m))

@@ -1,4 +1,4 @@
-"""A verification from end to end, on an arm over its runtime or on recorded points."""
+"""A whole verification, on an arm through its runtime or on recorded points."""
 
 import datetime
 from collections.abc import Iterator, Sequence
@@ -31,7 +31,7 @@ from procedures.verify.survey import Programme, Survey, compared, paired, raw_po
 
 @dataclass(slots=True)
 class Drive:
-    """Both models' surveys of one arm, planned; nothing has moved yet."""
+    """The planned surveys of one arm by both models."""
 
     programme: Programme
     before: Survey
@@ -39,38 +39,38 @@ class Drive:
 
     @classmethod
     def planned(cls, pair: Pair, programme: Programme, q_near_rad: Sequence[float], out: Path) -> "Drive":
-        """ArmError where something is out of reach by either model."""
+        """Plan both surveys; ArmError if something is out of reach by either model."""
         return cls(
             programme,
             Survey(pair.nominal, programme, q_near_rad, out / "before.csv"),
             Survey(pair.calibrated, programme, q_near_rad, out / "after.csv"),
         )
 
-    def run(self, believed: Model, client: ArmClient, speed: float, advance: Advance) -> None:
+    def run(self, runtime_model: Model, client: ArmClient, speed: float, advance: Advance) -> None:
         """Tours by the nominal and the calibrated model in turn, so that drift affects both equally; then the paths."""
         places, ways = len(self.programme.places), len(self.programme.ways)
         total, done = 2 * (places * self.programme.repeats + 2 * ways), 0
-        for what in self._steps(believed, client, speed):
+        for what in self._steps(runtime_model, client, speed):
             done += 2 if what.startswith("path") else 1
             advance(what, done / total)
         rest = self.after.model.arm.rest
         if rest is not None:
             client.move_joints(rest.q_rad, speed)
 
-    def _steps(self, believed: Model, client: ArmClient, speed: float) -> Iterator[str]:
+    def _steps(self, runtime_model: Model, client: ArmClient, speed: float) -> Iterator[str]:
         for repeat in range(1, self.programme.repeats + 1):
             for survey, name in self._named():
-                for step in survey.tour(repeat, believed, client, speed):
+                for step in survey.tour(repeat, runtime_model, client, speed):
                     yield f"{name}: {step.setup} {step.point}, visit {repeat}"
         for survey, name in self._named():
-            for way in survey.run_ways(believed, client, speed):
+            for way in survey.run_ways(runtime_model, client, speed):
                 yield f"path, {name}: {way.setup} {way.name}"
 
     def _named(self) -> tuple[tuple[Survey, str], tuple[Survey, str]]:
         return (self.before, "nominal"), (self.after, "calibrated")
 
     def results(self, recording: Path | None, out: Path) -> tuple[Comparison, tuple[TrackPair, ...]]:
-        """What was measured; writes points.csv."""
+        """Return the measurements; writes points.csv."""
         before, after = self.before.points(), self.after.points()
         write_points(out / "points.csv", raw_points(self.programme, before, after))
         paths: tuple[TrackPair, ...] = ()
@@ -86,7 +86,7 @@ def driven(
     paths: tuple[TrackPair, ...],
     notes: tuple[str, ...],
 ) -> Verification:
-    """The verification of an arm that was driven."""
+    """The verification of an arm that was moved."""
     programme = drive.programme
     how = [
         f"Moved the tip to {len(programme.places)} points that calibration did not use, {programme.repeats} times"
@@ -102,7 +102,7 @@ def driven(
 
 
 def on_recorded(pair: Pair, file: Path) -> Verification:
-    """The verification on static poses with measured tips: what either model predicts from the encoders."""
+    """The verification on static poses with measured tips: each model's prediction from the encoders."""
     nominal, calibrated = pair.nominal.arm, pair.calibrated.arm
     points, warnings = points_for(calibrated, [file])
     comparison = compare_arms(nominal, calibrated, _with_tips(calibrated, points))
@@ -116,7 +116,7 @@ def on_recorded(pair: Pair, file: Path) -> Verification:
 
 
 def _with_tips(arm: Arm, points: Points) -> Points:
-    """Tips that were not measured are the cavities of a table whose pose is known."""
+    """Replace missing tips by the cavities of a table whose pose is known."""
     if np.isfinite(points.tip_m).all() or arm.table is None or not arm.table.known_pose:
         return points
     table = arm.table

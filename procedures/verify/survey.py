@@ -1,4 +1,4 @@
-"""One model's part of a verification: planned before anything moves, then tours of the points and runs of the paths."""
+"""One model's part of a verification: planned before anything moves, then visits of the points and runs of the paths."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class Programme:
 
 
 class Survey:
-    """The arm driven by one model. ArmError where a place or a way is out of reach; nothing has moved then."""
+    """The arm moved by one model. ArmError if a place or a path is out of reach, before anything moves."""
 
     def __init__(self, model: Model, programme: Programme, q_near_rad: Sequence[float], file: Path) -> None:
         self.model = model
@@ -44,32 +44,32 @@ class Survey:
 
     @property
     def q_rad(self) -> np.ndarray:
-        """The poses that it goes to, (m, n)."""
+        """The poses of the places, (m, n)."""
         return np.array([pose.q_rad for pose in self._poses])
 
-    def tour(self, repeat: int, believed: Model, client: ArmClient, speed: float) -> Iterator[Progress]:
-        """Every place once."""
-        as_encoders = not self.model.has_gears_of(believed)
+    def tour(self, repeat: int, runtime_model: Model, client: ArmClient, speed: float) -> Iterator[Progress]:
+        """Visit every place once."""
+        as_encoders = not self.model.has_gears_of(runtime_model)
         with PointsWriter(self._file, self.model.arm.joint_count) as writer:
             yield from visit(self._poses, repeat, client, speed, writer, as_encoders)
 
-    def run_ways(self, believed: Model, client: ArmClient, speed: float) -> Iterator[Way]:
-        """Every way once; yields what it has run."""
+    def run_ways(self, runtime_model: Model, client: ArmClient, speed: float) -> Iterator[Way]:
+        """Run every path once; yields each run."""
         for way, path in zip(self._programme.ways, self._paths, strict=True):
-            self._runs.append((way, run(path, self.model, believed, client, speed)))
+            self._runs.append((way, run(path, self.model, runtime_model, client, speed)))
             yield way
 
     def points(self) -> Points:
-        """What was measured at the places, from the file."""
+        """The measurements at the places, from the file."""
         return read_points(self._file, self.model.arm.joint_count)[0]
 
     def tracks(self, recording: Path) -> list[Track]:
-        """The ways as they were run."""
+        """The measured tracks of the paths."""
         return [track_of(recording, self.model, ran, way.name) for way, ran in self._runs]
 
 
 def compared(programme: Programme, before: Points, after: Points) -> Comparison:
-    """Measured minus wanted at every place, by both models."""
+    """Errors (measured minus target) at every place, by both models."""
     wanted = {(place.setup, place.point): place.tip_m for place in programme.places}
     found = [_by_key(points) for points in (before, after)]
     keys = [key for key in found[0] if key in found[1]]
@@ -86,7 +86,7 @@ def _by_key(points: Points) -> dict[tuple[str, str, int], np.ndarray]:
 
 
 def paired(programme: Programme, before: Sequence[Track], after: Sequence[Track]) -> tuple[TrackPair, ...]:
-    """The ways by both models."""
+    """The tracks by both models."""
     return tuple(
         TrackPair(way.name, way.setup, first, second)
         for way, first, second in zip(programme.ways, before, after, strict=True)

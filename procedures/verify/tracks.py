@@ -13,19 +13,19 @@ from control.safety.table import Mode
 from procedures.verify.driving import Run
 from procedures.verify.models import Model
 
-LONGEST_DELAY_S = 0.1  # of a camera that is worth using
+LONGEST_DELAY_S = 0.1  # for a usable camera
 DELAY_STEP_S = 0.001
 MOVING = list(Mode).index(Mode.MOVING)
-PATIENCE_S = 5.0  # of a recording's writer, which is another process
+PATIENCE_S = 5.0  # for the recording's writer process
 _NUMPY = {"d": "f8", "f": "f4", "I": "u4", "i": "i4", "B": "u1"}
 
 
 def track_of(recording: Path, model: Model, ran: Run, name: str) -> Track:
     """The tip along a run: planned by the model, measured by the camera.
 
-    Planned is where the recorded set-points take the tip; where those are of encoders that are not the joints', where the path
-    was at that time of the run. In the frame of table and camera. A camera's frames arrive late by a constant delay. It is
-    estimated as the one under which the measured path follows the planned one best, and taken out, so that the error is that of
+    Planned is the tip at the recorded set-points; if those are encoder angles that differ from the joints', the tip of the path
+    at that time of the run. In the frame of table and camera. Camera frames arrive with a constant delay. It is
+    estimated as the one for which the measured path best follows the planned one, and removed, so that the error is that of
     the arm.
     """
     rows = recorded(recording)
@@ -74,13 +74,13 @@ def _row_count(recording: Path, opened: Recording) -> int:
 
 
 def _dtype(layout: Layout) -> np.dtype[np.void]:
-    """The packing of a row, little endian and without gaps, as numpy has it."""
+    """The numpy dtype of a row, little endian and unaligned."""
     codes = layout.packing.format.removeprefix("<")
     return np.dtype([(name, "<" + _NUMPY[code]) for name, code in zip(layout.names, codes, strict=True)])
 
 
 def wait_until_recorded(recording: Path, t_s: float, wait: Callable[[float], None]) -> None:
-    """Return when the recording has come to the loop's time `t_s`; ArmError where it does not."""
+    """Return when the recording has reached the loop's time `t_s`; ArmError if it does not."""
     for _ in range(int(PATIENCE_S / 0.1)):
         newest = _rows(parts_from(recording)[-1])
         if len(newest) and newest["t_s"][-1] >= t_s:
@@ -97,7 +97,7 @@ def _at(time_s: np.ndarray, times_s: np.ndarray, points_m: np.ndarray) -> np.nda
 def _camera_delay_s(
     time_s: np.ndarray, planned_m: np.ndarray, seen_s: np.ndarray, seen_m: np.ndarray
 ) -> float:
-    """The delay that leaves the least scatter of measured minus planned; a constant offset is no delay."""
+    """The delay with the least scatter of measured minus planned; a constant offset is not a delay."""
     delays_s = np.arange(0.0, LONGEST_DELAY_S, DELAY_STEP_S)
     scatter = []
     for delay_s in delays_s:

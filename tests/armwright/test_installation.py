@@ -129,6 +129,20 @@ def test_beside_python_control_every_package_ends_in_one_sentence(
     assert said.endswith("install armwright in a separate virtual environment")
 
 
+def test_beside_python_control_the_command_ends_in_one_sentence(shared: Path, tmp_path: Path) -> None:
+    script = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]["armwright"]
+    module, function = script.split(":")
+    program = f"import sys; from {module} import {function}; sys.exit({function}())"
+    ended = python("-c", program, "--version", cwd=tmp_path, path=shared)
+    assert ended.returncode == 2
+    assert ended.stderr.count("\n") == 1
+    assert ended.stderr.startswith(
+        "armwright: armwright and the package control (python-control) both install"
+    )
+    well = python("-c", program, "--version", cwd=tmp_path)
+    assert (well.returncode, well.stdout.split()[0]) == (0, "armwright")
+
+
 @pytest.mark.parametrize("order", ["ours last", "theirs last"])
 @pytest.mark.parametrize("module", ["control.model.arm", "control.motion.plan", "calib", "armwright"])
 def test_in_one_folder_with_python_control_the_order_of_installation_does_not_matter(
@@ -147,6 +161,7 @@ def test_in_one_folder_with_python_control_the_order_of_installation_does_not_ma
 def test_a_package_whose_init_was_taken_away_is_said_to_be_damaged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    installation.claim()  # as every import of ours has done, if there was one
     (tmp_path / "control").mkdir()
     monkeypatch.setattr(installation, "ROOT", tmp_path)
     finder = next(

@@ -122,7 +122,7 @@ class TestSetPoints:
 
     def test_a_node_given_twice_is_our_misuse(self) -> None:
         _, bus, _, _ = make()
-        with pytest.raises(MisuseError, match="node 1 was given to two"):
+        with pytest.raises(MisuseError, match="node 1 is assigned to two"):
             MotorBoard(bus, 1)
 
 
@@ -340,7 +340,7 @@ class TestReplies:
         board, bus, link, _ = enabled()
         board.command_voltage(0.0)
         link.push(0x181, Reply(0x11, 1, 5, 0.0, 24.0, 30, 0).pack())
-        with pytest.raises(ProtocolViolation, match=r"no known state \(0x11\) \(received: 11 29"):
+        with pytest.raises(ProtocolViolation, match=r"an unknown state \(0x11\) \(received: 11 29"):
             bus.update()
 
     @pytest.mark.parametrize("can_id", [0x101, 0x201])

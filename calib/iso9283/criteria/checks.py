@@ -1,4 +1,4 @@
-"""What every criterion asks of its arrays, and the error that says what is wrong with them."""
+"""Input checks of the criteria, and their error."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from calib.errors import CalibrationError
 
 
 class Iso9283Error(CalibrationError):
-    """A criterion cannot be had from what was given; the message says what it needs."""
+    """A criterion cannot be evaluated from the input; the message says what it needs."""
 
 
 def positions(values: npt.ArrayLike, what: str, least: int = 1) -> Array:
-    """`values` as finite positions (n, 3); Iso9283Error for another shape, fewer than `least`, or no numbers."""
+    """`values` as finite positions (n, 3); Iso9283Error for another shape, fewer than `least`, or non-finite numbers."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise Iso9283Error(f"{what}: expected positions (n, 3), got an array {array.shape}")
@@ -57,7 +57,7 @@ def above_zero(value: float, what: str) -> float:
 
 
 def direction(values: npt.ArrayLike, what: str) -> Array:
-    """A vector (3,) scaled to length one; Iso9283Error for one of no length."""
+    """A vector (3,) scaled to length one; Iso9283Error for a zero vector."""
     vector = position(values, what)
     if not np.linalg.norm(vector) > 0.0:
         raise Iso9283Error(f"{what}: expected a direction, got a vector of length zero")

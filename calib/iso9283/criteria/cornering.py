@@ -1,4 +1,4 @@
-"""Cornering deviations, ISO 9283:1998 clause 8.5: what becomes of a sharp corner that is run without a stop."""
+"""Cornering deviations, ISO 9283:1998 clause 8.5: rounding and overshoot at a sharp corner without a stop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Static compliance, ISO 9283:1998 clause 10: how far the tip gives way under a load, with the drives holding."""
+"""Static compliance, ISO 9283:1998 clause 10: displacement of the tip under a load, with the drives holding."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from calib.iso9283.criteria.checks import Iso9283Error, positions
 class Compliance:
     """Displacement per unit load (3, 3) [m/N]: column k is the tip's displacement by one newton along axis k.
 
-    `sd_m_N` (3, 3): standard deviation of each, from what the straight line leaves; NaN where nothing is left to tell.
-    Columns of axes along which no load was put are NaN.
+    `sd_m_N` (3, 3): standard deviation of each, from the residuals of the fit; NaN without residuals.
+    Columns of axes without loads are NaN.
     """
 
     m_N: Array

@@ -1,7 +1,7 @@
-"""Path characteristics, ISO 9283:1998 clauses 8.2 to 8.4: how near the attained path is to the commanded one.
+"""Path characteristics, ISO 9283:1998 clauses 8.2 to 8.4: deviation of the attained path from the commanded one.
 
 A commanded path is m calculation points (m, 3); attained paths are n recordings, each (k, 3) in the order of time,
-k differing. Attained point (i, j) is where attained path j crosses the plane that stands normal on the commanded path
+k differing. Attained point (i, j) is where attained path j crosses the normal plane of the commanded path
 at its point i.
 """
 
@@ -21,8 +21,8 @@ from calib.iso9283.criteria.pose import SIGMAS
 class PathDeviation:
     """`total_m`, the largest of the deviations along the path (used points,) in m, and where they are.
 
-    `point_m` (used, 3) commanded points; `skipped` calculation points that an attained path does not pass, such as
-    those at the ends of a path that lies beside.
+    `point_m` (used, 3) commanded points; `skipped`: number of calculation points that an attained path does not cross, such as
+    those at the ends.
     """
 
     total_m: float
@@ -34,7 +34,7 @@ class PathDeviation:
 def calculation_points(commanded_m: npt.ArrayLike, count: int, margin: float = 0.0) -> tuple[Array, Array]:
     """`count` points (count, 3) at equal distances along a commanded polyline, and its unit tangents there.
 
-    `margin`: the share of the length that is left out at either end.
+    `margin`: the share of the length omitted at either end.
     """
     line = positions(commanded_m, "commanded path", least=2)
     steps = norms(np.diff(line, axis=0))
@@ -59,7 +59,7 @@ def calculation_points(commanded_m: npt.ArrayLike, count: int, margin: float = 0
 def crossings(points_m: npt.ArrayLike, tangents: npt.ArrayLike, attained_m: npt.ArrayLike) -> Array:
     """Where one attained path (k, 3) crosses the normal planes of points (m, 3): (m, 3), NaN where it does not.
 
-    Of several crossings the one nearest to the point counts.
+    Of several crossings, the one nearest to the point counts.
     """
     points, directions = positions(points_m, "calculation points"), positions(tangents, "tangents")
     attained = positions(attained_m, "attained path", least=2)
@@ -100,7 +100,7 @@ def orientation_path_accuracy(commanded_rad: npt.ArrayLike, attained_rad: npt.Ar
     """AT_a, AT_b, AT_c (clause 8.2): max_i |a_bar_i - a_ci| about each axis, (3,).
 
     commanded_rad (m, 3), attained_rad (n, m, 3). Path accuracy on reorientation (clause 8.4) is AT_p by
-    `path_accuracy` on a straight path along which the orientation is turned to and fro.
+    `path_accuracy` on a straight path with alternating orientation.
     """
     wanted, attained = positions(commanded_rad, "orientation along the path"), np.asarray(attained_rad)
     if attained.ndim != 3 or attained.shape[1:] != wanted.shape or not np.isfinite(attained).all():
@@ -114,7 +114,7 @@ def orientation_path_accuracy(commanded_rad: npt.ArrayLike, attained_rad: npt.Ar
 def _sections(
     points_m: npt.ArrayLike, attained_m: npt.ArrayLike, what: str, least: int
 ) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Points and attained crossings where every attained path has one; at least half of the points must."""
+    """Points and attained crossings with one on every attained path; required for at least half of the points."""
     points, attained = positions(points_m, what), np.asarray(attained_m, dtype=np.float64)
     if attained.ndim != 3 or attained.shape[1:] != points.shape:
         raise Iso9283Error(f"{what}: expected attained paths (n, {len(points)}, 3), got {attained.shape}")
@@ -130,7 +130,7 @@ def _sections(
 
 
 def _along(line: Array, length: Array, at_m: Array) -> Array:
-    """Points of a polyline at distances from its start; beyond its ends along its first and last pieces."""
+    """Points of a polyline at distances from its start; extrapolated beyond its ends."""
     inside = np.column_stack([np.interp(at_m, length, line[:, axis]) for axis in range(3)])
     first, last = line[1] - line[0], line[-1] - line[-2]
     before, after = np.minimum(at_m, 0.0), np.maximum(at_m - length[-1], 0.0)

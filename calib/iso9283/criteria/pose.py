@@ -1,4 +1,4 @@
-"""Pose characteristics, ISO 9283:1998 clause 7: what the arm attains when it is sent to the same pose again and again.
+"""Pose characteristics, ISO 9283:1998 clause 7: attained poses for repeated commands of the same pose.
 
 Symbols: (x_c, y_c, z_c) the commanded position, (x_j, y_j, z_j) the j-th attained one of n, and
 x_bar = 1/n sum x_j the barycentre of the attained. All positions are (n, 3) in one frame, in m; angles in rad.
@@ -38,7 +38,7 @@ class Repeatability:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Change of pose accuracy and repeatability over a time, and how far the barycentre went, in m.
+    """Change of pose accuracy and repeatability over a time, and motion of the barycentre, in m.
 
     `accuracy_m` is the standard's dAP, the change of a distance: a barycentre that moves around the commanded
     pose at constant distance leaves it at zero. `barycentre_m` (no figure of the standard) shows that too.

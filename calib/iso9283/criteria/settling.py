@@ -1,8 +1,8 @@
-"""How an arm comes to rest at a pose: ISO 9283:1998 clauses 7.4 (stabilization), 7.5 (overshoot) and 9 (posing time).
+"""Settling at a pose: ISO 9283:1998 clauses 7.4 (stabilization), 7.5 (overshoot) and 9 (posing time).
 
 A recording is times (k,) [s] and positions (k, 3) [m] of one approach, long enough that its end is at rest. The limit
-band is a sphere of radius `band_m` about the attained pose: the pose repeatability in the standard, or what the user
-says.
+band is a sphere of radius `band_m` about the attained pose: the pose repeatability in the standard, or the user's
+value.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def stabilization_time(
 def overshoot(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, attained_m: npt.ArrayLike, band_m: float) -> float:
     """OV (clause 7.5): the largest distance from the attained pose after the first crossing into the limit band.
 
-    OV = max_i |p_i - p|, i after the crossing; 0 where the arm does not leave the band again. Of several
+    OV = max_i |p_i - p|, i after the crossing; 0 if the arm does not leave the band again. Of several
     cycles (three in the standard) the largest counts.
     """
     _, distance = _distances(time_s, tip_m, attained_m, band_m, "overshoot")
@@ -91,7 +91,7 @@ def _last_entry(times: Array, distance: Array, band_m: float) -> float:
 
 
 def _crossed_at(times: Array, distance: Array, k: int, band_m: float) -> float:
-    """When the band is crossed before sample k, which is inside."""
+    """Time of the crossing into the band before sample k, which is inside."""
     if k == 0:
         return float(times[0])
     share = (distance[k - 1] - band_m) / (distance[k - 1] - distance[k])

@@ -24,7 +24,7 @@ class PathVelocity:
 
 
 def path_velocity(commanded_m_s: float, speeds_m_s: Sequence[npt.ArrayLike]) -> PathVelocity:
-    """AV, RV and FV (clause 8.6) from the speeds of n cycles, each (m_j,) on the part run at constant speed.
+    """AV, RV and FV (clause 8.6) from the speeds of n cycles, each (m_j,) at constant commanded speed.
 
     v_bar_j = 1/m sum_i v_ij, v_bar = 1/n sum_j v_bar_j; AV = 100 (v_bar - v_c) / v_c;
     RV = +-100 . 3 S_v / v_c, S_v = sqrt(sum_j (v_bar_j - v_bar)^2 / (n - 1)); FV = max_j (max_i v_ij - min_i v_ij).

@@ -14,7 +14,7 @@ from calib.iso9283.criteria.checks import Iso9283Error, above_zero, direction, t
 
 @dataclass(frozen=True, slots=True)
 class Weave:
-    """A weave as it was run: `stroke_m` from crest to crest across the line, `frequency_Hz`."""
+    """A recorded weave: `stroke_m` from crest to crest across the line, `frequency_Hz`."""
 
     stroke_m: float
     frequency_Hz: float
@@ -42,12 +42,12 @@ def weave_of(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, across: npt.ArrayLike)
     """
     times, tips = track(time_s, tip_m, "weaving")
     swing = (tips - tips.mean(axis=0)) @ direction(across, "direction across the weave")
-    y = swing - np.polyval(np.polyfit(times - times[0], swing, 1), times - times[0])  # a line that lies askew
+    y = swing - np.polyval(np.polyfit(times - times[0], swing, 1), times - times[0])  # tilt of the line
     y = y - 0.5 * (y.max() + y.min())
     at = _crossings(y, 0.1 * float(y.max() - y.min()))
     if len(at) < 4:
         raise Iso9283Error(f"weaving: needs at least four crossings of the middle line, got {len(at)}")
-    # From crest to crest on what was measured: what a line askew adds on the way up it takes on the way down.
+    # Crest to crest on the measured values: the tilt of the line cancels between up and down.
     crests = np.array(
         [swing[a + 1 + int(np.argmax(np.abs(y[a + 1 : b + 1])))] for a, b in itertools.pairwise(at)]
     )
@@ -63,7 +63,7 @@ def weave_of(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, across: npt.ArrayLike)
 
 
 def _crossings(y: Array, least: float) -> npt.NDArray[np.intp]:
-    """Sample before each crossing of zero that goes on to at least `least`: noise about zero is no crossing."""
+    """Sample before each zero crossing that reaches at least `least`, to ignore noise."""
     found: list[int] = []
     side = 0.0
     last = 0

@@ -1,7 +1,7 @@
-"""From which side a point is approached, so that play in the joints shows.
+"""Approach directions to a point that reveal backlash in the joints.
 
-With two approaches a point is reached by two straight ways that turn as many joints as possible in opposite directions.
-Every way ends downwards (a tip cannot come up through the board), so that two of three joints is what geometry allows on
+With two approaches, a point is reached by two straight paths that turn as many joints as possible in opposite directions.
+Every path ends downwards (a tip cannot come up through the board), so geometry allows two of three joints on
 most of a board.
 """
 
@@ -17,16 +17,16 @@ from control.errors import ArmError
 SLANTS_RAD = (
     0.6,
     0.95,
-)  # of a slanting way against the normal: beyond 1 rad the tip would brush neighbouring cavities
+)  # of a slanted path against the normal: beyond 1 rad the tip would touch neighbouring cavities
 SIDES = 8
 
 
 def above_points(
     geometry: Geometry, tip_m: Vector, normal: Vector, height_m: float, q_near: Sequence[float], count: int
 ) -> tuple[Vector, ...]:
-    """Where to start `count` (1 or 2) approaches to tip_m, each height_m above the board (base frame).
+    """Start points of `count` (1 or 2) approaches to tip_m, each height_m above the board (base frame).
 
-    One approach comes straight down. ArmError where the arm cannot reach the point.
+    A single approach comes straight down. ArmError if the arm cannot reach the point.
     """
     straight = _start(tip_m, normal, (0.0, 0.0, 0.0), height_m)
     if count == 1:
@@ -45,7 +45,7 @@ def above_points(
 
 
 def _across(normal: Vector) -> list[Vector]:
-    """Ways across the board per unit of height: every side, little and much slanted."""
+    """Horizontal offsets per unit of height: all sides, slightly and strongly slanted."""
     nx, ny, nz = normal
     norm = math.hypot(nx, nz)
     u = (nz / norm, 0.0, -nx / norm)
@@ -65,11 +65,11 @@ def _start(tip_m: Vector, normal: Vector, across: Vector, height_m: float) -> Ve
 
 
 def _turns(geometry: Geometry, start: Vector, at_point: Sequence[float]) -> tuple[float, ...]:
-    """How far each joint turns on the way from start to the point [rad]."""
+    """Travel of each joint from start to the point [rad]."""
     return tuple(b - a for a, b in zip(geometry.nearest(start, at_point), at_point, strict=True))
 
 
 def _opposition(first: Sequence[float], second: Sequence[float]) -> tuple[int, float]:
-    """How many joints turn oppositely, and the least of their turns [rad]: more is better."""
+    """Number of joints that turn in opposite directions, and their smallest travel [rad]: more is better."""
     opposite = [min(abs(a), abs(b)) for a, b in zip(first, second, strict=True) if a * b < 0.0]
     return len(opposite), min(opposite, default=0.0)

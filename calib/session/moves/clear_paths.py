@@ -1,6 +1,6 @@
-"""Ways between poses that keep clear of floor and board: straight if that is clear, else over a higher place or the rest pose.
+"""Collision-free paths between poses: straight if possible, else over a raised pose or the rest pose.
 
-Clear by the arm's own model, which may be centimetres off: ways keep a margin.
+Checked with the arm's own model, which may be centimetres off, so paths keep a margin.
 """
 
 from __future__ import annotations
@@ -16,21 +16,19 @@ from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.table import board_cavities
 
-MARGIN_m = (
-    0.03  # above the board: an arm that is not calibrated is so far off; poses above cavities are at 60 mm
-)
+MARGIN_m = 0.03  # above the board: possible error of an uncalibrated arm; poses above cavities are at 60 mm
 EDGE_m = 0.03  # the board reaches this far beyond its outermost cavity
-STEP_RAD = 0.05  # of the joint that turns farthest, between looks
+STEP_RAD = 0.05  # of the joint with the longest travel, between checks
 HIGHER_m = (0.05, 0.1, 0.2)
 Pose = tuple[float, ...]
 
 
 class NoClearPath(ArmError):
-    """Every way that was tried comes too near to the board or the floor."""
+    """All candidate paths come too close to the board or the floor."""
 
 
 class ClearPaths:
-    """Finds ways for one arm."""
+    """Finds collision-free paths for one arm."""
 
     def __init__(self, arm: Arm, geometry: Geometry) -> None:
         self._arm, self._geometry = arm, geometry
@@ -40,9 +38,9 @@ class ClearPaths:
     def stops(
         self, start_rad: Sequence[float], end_rad: Sequence[float], board: BoardPose | None
     ) -> list[Pose]:
-        """Poses to go to one after the other, the last of them end_rad. NoClearWay where there is no such way.
+        """Poses to visit in order, the last of them end_rad. NoClearPath if there is no such path.
 
-        `board`: where it stands now; None where that is not known, or there is none.
+        `board`: its present pose; None if unknown, or without a board.
         """
         start, end = tuple(start_rad), tuple(end_rad)
         for way in self._candidates(start, end):
@@ -77,7 +75,7 @@ class ClearPaths:
             return None
 
     def _is_clear(self, start: Pose, end: Pose, board: BoardPose | None) -> bool:
-        """Whether a straight joint move keeps clear; where it begins and ends lower, it may rise from and sink there."""
+        """Whether a straight joint move keeps clear; start and end may be lower."""
         first, last = np.array(start), np.array(end)
         count = 2 + int(np.abs(last - first).max() / STEP_RAD)
         q_rad = first + np.linspace(0.0, 1.0, count)[:, None] * (last - first)

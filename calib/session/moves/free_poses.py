@@ -1,5 +1,4 @@
-"""Free poses to take with a camera: spread over the joints' ranges, well above the board, and so that the ways between them
-are, too.
+"""Free poses to record with a camera: spread over the joints' ranges, with them and the paths between well above the board.
 
 The choice is the same for the same arm and count.
 """
@@ -21,13 +20,13 @@ from control.model.arm import Arm
 CANDIDATES = 4000
 MARGIN = 0.1  # of each joint's range, kept free at either end
 CLEARANCE_m = 0.12  # of tip and elbow above the floor and the board: an uncalibrated arm is some 3 cm off
-REACH = 0.95  # of the arm's longest reach among the candidates: a camera sees a stretched arm badly
+REACH = 0.95  # of the longest reach among the candidates: a stretched arm is hard to see
 WAY_STEPS = 25
 UNLIMITED_rad = math.pi / 2  # range taken for a joint without limits
 
 
 def chosen_free_poses(arm: Arm, count: int) -> dict[str, tuple[float, ...]]:
-    """`count` poses by name f1, f2, ..., in an order with short ways; SessionError where the arm has no room."""
+    """`count` poses by name f1, f2, ..., in an order with short paths; SessionError if there is no room."""
     lower, upper = _ranges(arm)
     unit = np.random.default_rng(count).uniform(0.0, 1.0, (CANDIDATES, arm.joint_count))
     kinematics = Kinematics(arm)
@@ -46,7 +45,7 @@ def chosen_free_poses(arm: Arm, count: int) -> dict[str, tuple[float, ...]]:
 
 
 def read_free_poses(path: Path, joint_count: int) -> dict[str, tuple[float, ...]]:
-    """Poses of a file with the columns q1_rad ... and, if wanted, point. SessionError names file and line."""
+    """Poses of a file with the columns q1_rad ... and, optionally, point. SessionError names file and line."""
     wanted = [f"q{j}_rad" for j in range(1, joint_count + 1)]
     poses: dict[str, tuple[float, ...]] = {}
     with opened_text(path) as file:
@@ -80,7 +79,7 @@ def _ranges(arm: Arm) -> tuple[Array, Array]:
 
 
 def _clearance_m(arm: Arm, kinematics: Kinematics, q_rad: Array) -> Array:
-    """How far the lowest of tip and joints beyond the second frame is above floor and board, less what is wanted."""
+    """Height of the lowest of tip and joints beyond the second frame above floor and board, minus the required one."""
     floor_m = max(arm.limits.floor_z_m, _board_top_m(arm))
     links = kinematics.link_transforms(q_rad)[:, 2:, 2, 3]
     lowest = np.minimum(links.min(axis=1), kinematics.tips(q_rad)[:, 2])
@@ -93,7 +92,7 @@ def _board_top_m(arm: Arm) -> float:
 
 
 def _spread(unit: Array, count: int) -> list[int]:
-    """Rows far from each other: each next one is the farthest from those that are chosen."""
+    """Rows far from each other: each next one is the farthest from those chosen."""
     rows = [int(np.argmin(np.linalg.norm(unit - unit.mean(axis=0), axis=1)))]
     distance = np.linalg.norm(unit - unit[rows[0]], axis=1)
     while len(rows) < count:
@@ -103,7 +102,7 @@ def _spread(unit: Array, count: int) -> list[int]:
 
 
 def _ordered(arm: Arm, kinematics: Kinematics, q_rad: Array) -> list[Array]:
-    """From each pose to the nearest one that a clear way leads to."""
+    """Order the poses: each next one is the nearest with a clear path."""
     left, ordered = list(q_rad), list[Array]()
     here = left[0]
     while left:

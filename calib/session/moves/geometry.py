@@ -1,4 +1,4 @@
-"""The nominal arm as a session needs it: where the tip is, and which joint angles take it somewhere."""
+"""Forward and inverse kinematics of the nominal arm for a session."""
 
 from __future__ import annotations
 
@@ -20,5 +20,5 @@ class ArmGeometry:
         return self._inverse.kinematics.tip(*q_rad)
 
     def nearest(self, point: Vector, q_near: Sequence[float]) -> Sequence[float]:
-        """Joint angles within the limits for a tip position; ArmError where there are none."""
+        """Joint angles within the limits for a tip position; ArmError if there are none."""
         return self._inverse.nearest(point, q_near)

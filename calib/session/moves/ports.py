@@ -1,4 +1,4 @@
-"""What a session needs of the arm, of whoever seats the tip, and of the camera. The runtime implements it."""
+"""Interfaces of a session to the arm, the hand that seats the tip, and the camera. The runtime implements them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """Encoders and motor currents averaged over a while, one value a joint.
+    """Averaged encoders and motor currents, one value per joint.
 
     q_rad and its scatter q_sd_rad; current_A of the motors; direction: sign of each joint's last motion, 0
-    unknown; temperature_C of the drives, empty where nothing measures it.
+    unknown; temperature_C of the drives, empty if not measured.
     """
 
     q_rad: tuple[float, ...]
@@ -25,16 +25,16 @@ class Sample:
 
 
 class ArmPort(Protocol):
-    """The arm, as far as a session moves and reads it. Every call returns when what it says has happened."""
+    """The arm, as moved and read by a session. Every call returns when it is complete."""
 
     def now_s(self) -> float:
         """Time of the session's clock."""
 
     def move_to_q(self, q_rad: Sequence[float]) -> None:
-        """Go to joint angles and stop there."""
+        """Move to joint angles and stop there."""
 
     def release(self) -> None:
-        """Let the operator guide the arm: drives off, in a way that does not drop it."""
+        """Release the arm for hand guiding: drives off, without dropping it."""
 
     def hold(self) -> None:
         """Hold the present position by the drives."""
@@ -44,37 +44,37 @@ class ArmPort(Protocol):
 
 
 class JogPort(ArmPort, Protocol):
-    """An arm that an operator may also jog."""
+    """An arm that can also be jogged."""
 
     def creep_to_q(self, q_rad: Sequence[float]) -> None:
-        """Go slowly to joint angles near by and stop there."""
+        """Move slowly to nearby joint angles and stop there."""
 
 
 class TipSeat(Protocol):
-    """The hand that seats the tip: an operator who is asked to, or the mock hand."""
+    """The hand that seats the tip: the operator's, or the mock hand."""
 
     def grip(self) -> None:
         """Return when the hand has the arm, so that the drives may let it go."""
 
     def seat(self, point_m: Vector) -> None:
-        """Return when the tip sits in the cavity at point_m (base frame)."""
+        """Return when the tip is seated in the cavity at point_m (base frame)."""
 
     def let_go(self) -> None:
         """The hand is off the arm."""
 
 
 class Camera(Protocol):
-    """Something that measures the tip in the base frame."""
+    """A device that measures the tip in the base frame."""
 
     def measure(self, duration_s: float) -> tuple[Vector, Vector]:
         """Mean tip position [m] over duration_s, and its standard deviation per axis [m]."""
 
 
 class Geometry(Protocol):
-    """The arm's geometry as its file says; `calib.session.moves.geometry` has it of an arm.toml."""
+    """The arm's nominal geometry; implemented by `calib.session.moves.geometry`."""
 
     def tip(self, q_rad: Sequence[float]) -> Vector:
         """Tip [m] in the base frame."""
 
     def nearest(self, point: Vector, q_near: Sequence[float]) -> Sequence[float]:
-        """Joint angles for a tip position, on the branch nearest to q_near; ArmError where there are none."""
+        """Joint angles for a tip position, on the branch nearest to q_near; ArmError if there are none."""

@@ -9,14 +9,12 @@ from calib.session.moves.approach import above_points
 from calib.session.moves.clear_paths import ClearPaths
 from calib.session.moves.ports import ArmPort, Geometry, Vector
 
-FIRST_LIFT_m = (
-    0.01  # out of the cavity first: over a short way a joint move is straight to a tenth of a millimetre
-)
-NEAR = 0.9  # of the height above: lower than this the arm lifts before it goes anywhere
+FIRST_LIFT_m = 0.01  # out of the cavity first: a short joint move is straight to a tenth of a millimetre
+NEAR = 0.9  # of the height above: below this, the arm lifts before any move
 
 
 class Transfers:
-    """Takes the arm from above one point to above the next."""
+    """Moves the arm from above one point to above the next."""
 
     def __init__(
         self,
@@ -26,23 +24,23 @@ class Transfers:
         window_s: float,
         ways: ClearPaths | None = None,
     ) -> None:
-        """`ways`: finds ways round the board; without it every way is taken to be clear."""
+        """`ways`: finds paths around the board; without it, every path is assumed to be clear."""
         self._geometry, self._arm, self._ways = geometry, arm, ways
         self._approach_m, self._window_s = approach_m, window_s
         self._q_rad = tuple(arm.average(window_s).q_rad)
-        self._normal: Vector | None = None  # of the board at which the arm stands, None where it stands free
+        self._normal: Vector | None = None  # of the board at which the arm is, None if it is free
 
     @property
     def is_at_point(self) -> bool:
-        """Whether the tip is, or may be, at a point: the arm lifts before it goes anywhere."""
+        """Whether the tip is, or may be, at a point; then the arm lifts before any move."""
         return self._normal is not None
 
     def stands_at(self, normal: Vector) -> None:
-        """The tip is at a point of a board with this normal."""
+        """Note that the tip is at a point of a board with this normal."""
         self._normal = normal
 
     def stands_over(self, origin_m: Vector, normal: Vector) -> None:
-        """If the tip is lower over this board than the points above its cavities, it may be at a point."""
+        """Note that the tip may be at a point, if it is lower than the points above this board's cavities."""
         height_m = sum(
             n * (a - b) for n, a, b in zip(normal, self._geometry.tip(self._q_rad), origin_m, strict=True)
         )
@@ -67,9 +65,9 @@ class Transfers:
         return above
 
     def lift(self) -> bool:
-        """Straight up from the point where the arm is, if it is at one; whether it was.
+        """Move straight up from the present point, if at one; return whether it was.
 
-        From where the arm says that it is: an arm that is not calibrated has its cavities elsewhere than the board.
+        Starts from the arm's own pose, because an uncalibrated arm's cavities are off.
         """
         if self._normal is None:
             return False
@@ -83,7 +81,7 @@ class Transfers:
         return True
 
     def go(self, q_rad: Sequence[float], board: BoardPose | None = None) -> None:
-        """Up, and across to these angles, clear of the board. ArmError, after the lift, where there is no clear way."""
+        """Move up, and across to these angles, clear of the board. ArmError, after the lift, if there is no clear path."""
         self.lift()
         stops = [tuple(q_rad)] if self._ways is None else self._ways.stops(self._q_rad, q_rad, board)
         for stop in stops:

@@ -24,6 +24,15 @@ PREFACE = """Bring-up of arm {name}. One motor at a time gets a low current; all
 Keep the emergency stop in hand and the range of every joint clear. Put the arm near an upright pose and support its links.
 """
 
+SHOWN = (  # figures of a joint, what they are called, and the factor from SI
+    (("index_spacing_counts",), "{:.0f} counts per turn", 1.0),
+    (("gear_ratio",), "gear {:.2f}", 1.0),
+    (("coulomb_Nm", "viscous_Nm_s_rad"), "friction {:.2f} Nm + {:.2f} Nm s/rad", 1.0),
+    (("lower_stop_rad", "upper_stop_rad"), "stops {:+.1f} to {:+.1f} deg", math.degrees(1.0)),
+    (("torque_constant_Nm_A",), "k {:.4f} Nm/A", 1.0),
+    (("resistance_ohm",), "{:.3f} ohm", 1.0),
+)
+
 
 def run(given: argparse.Namespace) -> int:
     """Measure, then write the new arm.toml."""
@@ -86,7 +95,7 @@ def _bring_up(setting: Setting, operator: Operator, journal: Journal, options: O
         )
         return 1
     for joint, result in sorted(outcome.diagnoses.items()):
-        operator.say(_figures(joint, result))
+        operator.say(figures_in_words(joint, result))
     if outcome.problems:
         _say_problems(outcome, journal, out)
         return 1
@@ -106,23 +115,15 @@ def _say_problems(outcome: Outcome, journal: Journal, out: Path) -> None:
     )
 
 
-def _figures(joint: int, result: Diagnosis) -> str:
-    """One line of what was measured."""
+def figures_in_words(joint: int, result: Diagnosis) -> str:
+    """One line of measured values."""
     figures, drive = result.figures, result.drive
     parts = [
         f"joint {joint}: node {drive.motor_node} ({drive.motor_direction:+d}), channel {drive.encoder_channel}"
         f" ({drive.encoder_direction:+d})"
     ]
-    for key, text in (
-        ("index_spacing_counts", "{:.0f} counts per turn"),
-        ("gear_ratio", "gear {:.2f}"),
-        ("coulomb_Nm", "friction {:.2f} Nm"),
-        ("viscous_Nm_s_rad", "+ {:.2f} Nm s/rad"),
-        ("lower_stop_rad", "stops {:+.1f}"),
-        ("upper_stop_rad", "to {:+.1f} deg"),
-        ("torque_constant_Nm_A", "k {:.4f} Nm/A"),
-        ("resistance_ohm", "{:.3f} ohm"),
-    ):
-        if math.isfinite(figures.get(key, math.nan)):
-            parts.append(text.format(math.degrees(figures[key]) if key.endswith("_rad") else figures[key]))
+    for keys, text, scale in SHOWN:
+        values = [scale * figures.get(key, math.nan) for key in keys]
+        if all(map(math.isfinite, values)):
+            parts.append(text.format(*values))
     return ", ".join(parts)

@@ -34,7 +34,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def examine(arm: Arm, clock: Clock, period_s: float, duration_s: float, log_folder: Path) -> list[Finding]:
-    """This machine first, then ports, boards, timing and signals; all of them, even if one fails."""
+    """Check this machine, then ports, boards, timing and signals; all of them, even if one fails."""
     findings = look_at_host(period_s, arm.limits.watchdog_s, arm.joint_count, log_folder) + look_at_ports()
     boards = open_boards(arm, clock)
     try:

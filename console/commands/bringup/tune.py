@@ -1,4 +1,4 @@
-"""`armwright tune`: gains from a measured response, with stated margins; before and after, on the arm."""
+"""`armwright tune`: gains from a measured response with stability margins, tested on the arm before and after."""
 
 import argparse
 import sys
@@ -17,7 +17,7 @@ LOWEST_Hz, HIGHEST_Hz = 2.0, 40.0
 
 
 def run(given: argparse.Namespace) -> int:
-    """Measure, design, try, write."""
+    """Measure, design, test and write."""
     out = Path(given.out)
     page = out.with_name(f"{out.stem}_report.html")
     for path in (out, page):

@@ -33,7 +33,7 @@ RESULTS = ("arm.toml", "calibration.json", "report.html")
 
 
 def run(given: argparse.Namespace) -> int:
-    """Read, identify, judge, write. Nothing is written before everything is read and found usable."""
+    """Read, identify, validate, write. Nothing is written before all input has been read and checked."""
     arm, out, forms = load_arm(given.arm), Path(given.out), _forms(given.export or [])
     _require_no_results(out, forms)
     require_writable(out)
@@ -62,14 +62,14 @@ def _forms(texts: list[str]) -> list[str]:
 
 
 def _require_no_results(out: Path, forms: list[str]) -> None:
-    """A result is never overwritten: the old one may be the only record of how an arm was calibrated."""
+    """CalibrationError if a result exists: it may be the only record of a calibration, so it is never overwritten."""
     for name in (*RESULTS, *(f"arm.{ENDINGS[form]}" for form in forms)):
         if (out / name).exists():
             raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
 
 
 def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, tuple[str, ...]]:
-    """The points of every file, without those that the operator leaves out."""
+    """The points of all files, without those that the operator omits."""
     points, warnings = points_for(arm, [Path(name) for name in given.points])
     left_out = _rows_of(points, given.without or [])
     return points.chosen([k for k in range(len(points)) if k not in left_out]), warnings
@@ -95,7 +95,7 @@ def _rows_of(points: Points, names: list[str]) -> set[int]:
 
 
 def _plan(given: argparse.Namespace) -> CalibrationPlan:
-    """The settings of the options."""
+    """The calibration plan of the options."""
     threshold_m = quantity(given.huber_threshold, "m", "--huber-threshold") if given.huber_threshold else None
     accuracy_m = quantity(given.accuracy, "m", "--accuracy") if given.accuracy else None
     if accuracy_m is not None and accuracy_m <= 0.0:
@@ -142,7 +142,7 @@ def _bounds(texts: list[str]) -> Bounds:
 
 
 def _boards(file: str | None) -> dict[str, Frame]:
-    """Boards as `armwright register` measured them."""
+    """Board poses measured by `armwright register`."""
     if file is None:
         return {}
     return {
@@ -164,7 +164,7 @@ def _leave_out(text: str | None) -> LeaveOut:
 
 
 def _write(given: argparse.Namespace, made: Calibrated, out: Path, forms: list[str]) -> dict[str, Path]:
-    """The calibrated arm, calibration.json, report.html and the exports; returns what was written, by kind."""
+    """Write the calibrated arm, calibration.json, report.html and the exports; return the files by kind."""
     date = datetime.datetime.now(datetime.UTC).date().isoformat()
     program = f"armwright {version('armwright')}"
     inputs = _inputs(given, made.nominal)
@@ -195,5 +195,5 @@ def _inputs(given: argparse.Namespace, arm: Arm) -> tuple[InputFile, ...]:
     if arm.path is not None:
         found.append(input_file(arm.path, "the nominal arm"))
     if given.boards is not None:
-        found.append(input_file(Path(given.boards), "where the boards stood, as measured"))
+        found.append(input_file(Path(given.boards), "measured board poses"))
     return tuple(found)

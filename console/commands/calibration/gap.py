@@ -1,4 +1,4 @@
-"""`armwright gap`: where model and measurement disagree, which effect is missing, and the corrected model."""
+"""`armwright gap`: finds the effects that the model lacks, and writes the corrected model."""
 
 import argparse
 import contextlib
@@ -35,7 +35,7 @@ MINUTES_MOST = 600.0
 
 
 def run(given: argparse.Namespace) -> int:
-    """Record if requested, analyse, name, write. Nothing is written before everything is read and found usable."""
+    """Record if requested, analyse, write. Nothing is written before all input has been read and checked."""
     arm, out = load_arm(given.arm), Path(given.out)
     without = tuple(given.without or ())
     require_effects(without)
@@ -139,7 +139,7 @@ def _require_recording_options(given: argparse.Namespace) -> None:
 
 
 def _record_real(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path) -> None:
-    """On the connected arm, which is homed and holds."""
+    """Record on the connected arm, which must be homed and holding."""
     from procedures.gap.recording import Bench, note_plan, record
 
     with contextlib.closing(connected(given)) as client:

@@ -106,7 +106,7 @@ def _holds_records(out: Path) -> bool:
 
 
 def _is_only_header(log: Path) -> bool:
-    """Whether our own log.csv holds no run yet, because no programme with runs was wanted."""
+    """Whether our own log.csv holds no run, because no programme with runs was requested."""
     if log.suffix == ".gz":
         return False
     with log.open("rb") as file:
@@ -114,7 +114,7 @@ def _is_only_header(log: Path) -> bool:
 
 
 def _programme(given: argparse.Namespace, points: Path) -> Path | None:
-    """Programme.json that was named, or that lies beside the points."""
+    """The given programme.json, or the one beside the points."""
     if given.programme:
         return Path(given.programme)
     beside = points.with_name("programme.json")
@@ -148,7 +148,7 @@ def _cube(given: argparse.Namespace, arm: Arm) -> TestCube:
 
 
 def _record_mock(given: argparse.Namespace, arm: Arm, planned: recording.Planned, out: Path) -> None:
-    """On a mock arm in this process; only this needs the simulation."""
+    """Record on a mock arm in this process; only this needs the simulation."""
     from procedures.iso9283.mock import record_on_mock
 
     with Bar("iso9283") as bar:
@@ -159,7 +159,7 @@ def _record_mock(given: argparse.Namespace, arm: Arm, planned: recording.Planned
 def _record_real(
     given: argparse.Namespace, arm: Arm, client: ArmClient, planned: recording.Planned, out: Path
 ) -> None:
-    """On the connected arm, which is homed and holds, and whose tip a camera sees."""
+    """Record on the connected arm, which must be homed and holding, with a camera that sees the tip."""
     status = client.status()
     if status["mode"] != "HOLDING" or not status["is_homed"]:
         raise ArmError(

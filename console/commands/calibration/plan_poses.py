@@ -1,4 +1,4 @@
-"""`armwright plan-poses`: which points, tilts and free poses to take next, and the information of each."""
+"""`armwright plan-poses`: chooses the next points, tilts and free poses by their information."""
 
 import argparse
 import json
@@ -96,7 +96,7 @@ def _boards(given: argparse.Namespace) -> dict[str, Frame]:
 
 
 def described(plan: Plan, arm: str) -> str:
-    """The plan for people: candidates, what each pose brings, alternatives, sentences."""
+    """The plan as text: candidates, gain of each pose, alternatives, remarks."""
     candidates = ", ".join(f"{count} {setup}" for setup, count in plan.candidates.items())
     lines = [
         f"arm {arm}: {plan.before.points_count} points recorded; candidates: {candidates}; noise"

@@ -1,4 +1,4 @@
-"""`armwright register`: where the calibration board stands, from the markers that a camera saw."""
+"""`armwright register`: locates the calibration board from markers measured by a camera."""
 
 import argparse
 import datetime

@@ -35,7 +35,7 @@ SPEED = 0.5  # of the joints' limits, for moves near people
 
 
 def run(given: argparse.Namespace) -> int:
-    """Begin or resume, and conduct it until the operator or the points end."""
+    """Start or resume a session, and run it until the operator ends it or all points are done."""
     arm = load_arm(given.arm)
     say, operator = (tell, Reporter) if given.json else (_say, Operator)
     lines = _replayed(Path(given.replay), say) if given.replay else _typed()
@@ -121,7 +121,7 @@ def _station(
 
 
 def _mock_station(arm: Arm, folder: SessionFolder, boards: Boards, mock: MockSession) -> Station:
-    """Times go on after the last record: a mock arm's clock restarts."""
+    """Times continue after the last record, because a mock arm's clock restarts."""
     points = folder.points()
     last_s = float(points.t_s.max()) if points is not None else 0.0
     hand = mock.hand if folder.plan.seat == "hand" else None
@@ -129,7 +129,7 @@ def _mock_station(arm: Arm, folder: SessionFolder, boards: Boards, mock: MockSes
 
 
 def _ready(client: ArmClient) -> Message:
-    """Status of an arm that holds and knows its joint angles. ArmFaulted or ArmError say what is missing."""
+    """Status of the homed and holding arm. ArmFaulted or ArmError say what is missing."""
     status = client.status()
     if status["mode"] == "FAULT":
         raise ArmFaulted(fault_text(status))
@@ -137,7 +137,7 @@ def _ready(client: ArmClient) -> Message:
         raise ArmError(
             "the arm is not homed, so its joint angles are unknown: run `armwright enable`, then `armwright home`"
         )
-    if status["mode"] in ("GUIDING", "BRAKED"):  # a session that was killed while the hand had the arm
+    if status["mode"] in ("GUIDING", "BRAKED"):  # a session was killed during hand guiding
         client.hold()
     elif status["mode"] != "HOLDING":
         raise ArmError(f"the arm is {status['mode']}, expected HOLDING: run `armwright enable`")
@@ -147,7 +147,7 @@ def _ready(client: ArmClient) -> Message:
 def _real_station(
     arm: Arm, folder: SessionFolder, boards: Boards, client: ArmClient, status: Message
 ) -> Station:
-    """Times count from when the session was begun, by the host's calendar."""
+    """Times count from the start of the session, by the host's clock."""
     elapsed_s = time.time() - datetime.fromisoformat(folder.started).timestamp()
     return _station(arm, folder, boards, client, SPEED, elapsed_s - float(status["t_s"]), None)
 
@@ -164,7 +164,7 @@ def _introduce(folder: SessionFolder, interface: Interface) -> None:
 
 
 def _require_same_arm(folder: SessionFolder, arm: Arm) -> None:
-    """Also where no other option was given."""
+    """SessionError if the session belongs to another arm file."""
     if folder.plan.arm_sha256 != fingerprint(arm):
         raise SessionError(
             f"{folder.path}: this session was started with arm {folder.plan.arm!r} and another version of its file:"
@@ -173,13 +173,13 @@ def _require_same_arm(folder: SessionFolder, arm: Arm) -> None:
 
 
 def _typed() -> Iterator[str]:
-    """Lines of the terminal or of a pipe."""
+    """Lines from a terminal or a pipe."""
     while line := sys.stdin.readline():
         yield line
 
 
 def _replayed(script: Path, say: Callable[[str], None]) -> Iterator[str]:
-    """Lines of a script, echoed when they are answered; `#` begins a comment."""
+    """Lines of a script, echoed as they are used; `#` starts a comment."""
     try:
         text = script.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:

@@ -30,16 +30,16 @@ REAL_SPEED = 0.5  # of a real arm's joint limits
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """An arm that holds and is homed: the model of its runtime, and the function that ends its use (returns the recording)."""
+    """A homed and holding arm: the model of its runtime, and the function that ends its use (returns the recording)."""
 
     client: ArmClient
-    believed: Model
+    runtime_model: Model
     speed: float
     end: Callable[[], Path]
 
 
 def run(given: argparse.Namespace) -> int:
-    """Verify; exit status 1 where the calibrated arm is significantly worse, or the arm could not continue."""
+    """Verify; exit status 1 if the calibrated arm is significantly worse, or the arm could not continue."""
     calibrated = load_arm(given.arm)
     pair = Pair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
     require_writable(Path(given.out))
@@ -53,7 +53,7 @@ def run(given: argparse.Namespace) -> int:
         out.mkdir(parents=True, exist_ok=True)
         try:
             with Bar("verify") as bar:
-                drive.run(bench.believed, bench.client, bench.speed, bar.advance)
+                drive.run(bench.runtime_model, bench.client, bench.speed, bar.advance)
             recording = bench.end()
             verification = driven(pair, drive, *drive.results(recording, out), notes)
         except (
@@ -78,18 +78,18 @@ def _programme(given: argparse.Namespace, arm: Arm) -> tuple[Programme, tuple[st
 
 
 def _near(arm: Arm) -> tuple[float, ...]:
-    """Where to look for joint angles first: the branch of the rest pose."""
+    """Seed of the inverse kinematics: the branch of the rest pose."""
     return arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
 
 
 def _real(given: argparse.Namespace, pair: Pair) -> Bench:
-    """The runtime of the arm that serves, holding and homed. ArmError where it is not ready; nothing moves."""
+    """The bench of a running runtime. ArmError if it is not homed and holding; nothing moves."""
     client = connected(given)
     status = client.status()
     if status["mode"] != "HOLDING":
         raise ArmError(f"the arm is {status['mode']}: run `armwright enable` and `armwright home` first")
-    believed = active_model(status, pair)
-    if not pair.calibrated.has_gears_of(believed):
+    runtime_model = active_model(status, pair)
+    if not pair.calibrated.has_gears_of(runtime_model):
         raise ArmError(
             f"{pair.calibrated.arm.path} contains effects between encoders and joints that the runtime does not"
             f" correct: start `armwright serve --arm {pair.calibrated.arm.path}`"
@@ -106,12 +106,12 @@ def _real(given: argparse.Namespace, pair: Pair) -> Bench:
         wait_until_recorded(recording, float(client.status()["t_s"]), client.wait)
         return recording
 
-    return Bench(client, believed, REAL_SPEED, end)
+    return Bench(client, runtime_model, REAL_SPEED, end)
 
 
 def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) -> Bench:
-    """A stepped mock of the nominal arm with what the scenario hides, homed, its runtime using the calibrated one."""
-    from procedures.mock.bench import SteppedBench  # brings MuJoCo, which takes a second
+    """A homed, stepped mock of the nominal arm with the scenario's hidden errors; its runtime uses the calibrated arm."""
+    from procedures.mock.bench import SteppedBench  # imports MuJoCo, which takes a second
     from procedures.mock.scenario_file import seeded_scenario
 
     nominal = pair.nominal.arm

@@ -33,7 +33,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _series(given: argparse.Namespace) -> tuple[Series, Sequence[int]]:
-    """The part of the file that is asked for, and its joints (1-based)."""
+    """The requested part of the file, and its joints (1-based)."""
     arm = load_arm(given.arm) if given.arm else None
     with Bar("read") as bar:
         series = read_series(Path(given.log), arm, lambda done: bar.advance("read", done))
@@ -45,7 +45,7 @@ def _series(given: argparse.Namespace) -> tuple[Series, Sequence[int]]:
 
 
 def _joints(text: str | None, count: int) -> Sequence[int]:
-    """Numbers with commas, each once and in order."""
+    """Joint numbers separated by commas, each once and in order."""
     if text is None:
         return range(1, count + 1)
     parts = [part.strip() for part in text.split(",") if part.strip()]
@@ -56,7 +56,7 @@ def _joints(text: str | None, count: int) -> Sequence[int]:
 
 
 def _pictures(text: str | None, series: Series) -> Sequence[Picture]:
-    """Those that are asked for; by default each that the recording has something for."""
+    """The requested pictures; by default all that the recording has data for."""
     if text is None:
         return [picture for picture in PICTURES if picture.has(series)]
     by_name = {picture.name: picture for picture in PICTURES}
@@ -73,7 +73,7 @@ def _pictures(text: str | None, series: Series) -> Sequence[Picture]:
 def _written(
     out: str | None, pictures: Sequence[Picture], series: Series, joints: Sequence[int]
 ) -> list[Path]:
-    """Files in a folder, or one file if `out` names one."""
+    """Write files into a folder, or one file if `out` names one."""
     if out is None:
         return _drawn(free_folder(USUAL_OUT), pictures, series, joints)
     path = Path(out)

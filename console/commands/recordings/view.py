@@ -1,4 +1,4 @@
-"""`armwright view [LOG]`: the arm in MuJoCo's viewer, as recorded or as it moves now; as pictures; or in Rerun."""
+"""`armwright view [LOG]`: shows a recording or the live arm in MuJoCo's viewer, as pictures, or in Rerun."""
 
 import argparse
 import sys
@@ -19,12 +19,12 @@ from control.model.description import load_arm
 from control.server.client import RuntimeGone
 from firmware_iface.clock import MonotonicClock
 
-LIVE_PERIOD_s = 1.0 / 30.0  # the loop serves a request a cycle at most, and hardly notices these
+LIVE_PERIOD_s = 1.0 / 30.0  # the loop serves at most one request per cycle; this is negligible
 RERUN_PERIOD_s = 0.02
 
 
 def run(given: argparse.Namespace) -> int:
-    """Recorded with a LOG, else live."""
+    """Show the recording LOG, or else the live arm."""
     if not 0.0 < given.speed < 1e3:
         raise ArmError(f"--speed: expected a factor above 0 and below 1000, got {given.speed:g}")
     if not 0.0 < given.fps <= 100.0:
@@ -80,7 +80,7 @@ def _rows(series: Series, period_s: float) -> Sequence[int]:
 
 
 def _render(given: argparse.Namespace, arm: Arm, series: Series) -> int:
-    """One picture of the last sample, or one each `--speed`/`--fps` seconds of the recording."""
+    """Render the last sample, or a picture every `--speed`/`--fps` seconds of the recording."""
     out = _picture_path(given.render)
     rows = _rows(series, given.speed / given.fps)
     if out.suffix == ".png":
@@ -143,7 +143,7 @@ def _live(given: argparse.Namespace) -> int:
 
 
 def _snapshot(given: argparse.Namespace, arm: Arm, snapshot: Snapshot) -> int:
-    """Where the arm is now, as one picture."""
+    """Render the present pose as one picture."""
     out = _picture_path(given.render)
     if out.suffix != ".png":
         raise ArmError("--render without a LOG draws the present pose: give a FILE.png")

@@ -1,1 +1,1 @@
-"""How the screen draws: rows of styled text, panels, plots and pictures in Braille dots."""
+"""Drawing on the screen: rows of styled text, panels, plots and pictures in Braille dots."""

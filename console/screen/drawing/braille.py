@@ -1,6 +1,6 @@
 """Lines, marks and letters in characters: each braille character is two dots wide and four high.
 
-A character has one look: that of the last stroke through it. A letter stands before all strokes.
+A character has the style of the last stroke through it. Letters are in front of all strokes.
 """
 
 from itertools import groupby
@@ -12,7 +12,7 @@ _EMPTY = 0x2800
 
 
 class Canvas:
-    """A picture of `columns` by `rows` characters. Points are in dots, x to the right, y downwards; outside is nothing."""
+    """A picture of `columns` by `rows` characters. Points are in dots, x to the right, y downwards; others are ignored."""
 
     def __init__(self, columns: int, rows: int) -> None:
         self.columns, self.rows = columns, rows
@@ -28,7 +28,7 @@ class Canvas:
             self._looks[y // 4][x // 2] = look
 
     def line(self, x0: int, y0: int, x1: int, y1: int, look: str = "plain", every: int = 1) -> None:
-        """A straight line, dotted where `every` is more than 1."""
+        """Draw a straight line, dotted if `every` is more than 1."""
         steps = max(abs(x1 - x0), abs(y1 - y0), 1)
         if steps > 4 * (self.width + self.height):
             return
@@ -36,24 +36,24 @@ class Canvas:
             self.dot(round(x0 + (x1 - x0) * step / steps), round(y0 + (y1 - y0) * step / steps), look)
 
     def stroke(self, x0: int, y0: int, x1: int, y1: int, look: str = "plain", half: int = 1) -> None:
-        """A line 2 `half` + 1 dots thick, whatever its direction."""
+        """Draw a line of thickness 2 `half` + 1 dots."""
         is_steep = abs(y1 - y0) > abs(x1 - x0)
         for offset in range(-half, half + 1):
             dx, dy = (offset, 0) if is_steep else (0, offset)
             self.line(x0 + dx, y0 + dy, x1 + dx, y1 + dy, look)
 
     def letters(self, column: int, row: int, text: str, look: str = "plain") -> None:
-        """Letters from a character on; `column` and `row` count characters."""
+        """Draw letters from a character on; `column`, `row` count characters."""
         for n, letter in enumerate(text):
             if 0 <= column + n < self.columns and 0 <= row < self.rows:
                 self._letters[row, column + n] = (letter, look)
 
     def mark(self, x: int, y: int, sign: str, look: str = "plain") -> None:
-        """A sign on the character that holds a dot."""
+        """Draw a sign on the character that contains a dot."""
         self.letters(x // 2, y // 4, sign, look)
 
     def lines(self) -> list[Row]:
-        """The picture, a row of characters each."""
+        """The rows of the picture."""
         return [self._row(number) for number in range(self.rows)]
 
     def _row(self, number: int) -> Row:

@@ -1,4 +1,4 @@
-"""A log that scrolls: lines with the local time, wrapped to the panel's width, again when it changes."""
+"""A scrolling log: lines with the local time, wrapped to the panel's width."""
 
 import time
 from collections import deque
@@ -13,12 +13,12 @@ LONGEST = 500  # entries; older ones are dropped
 
 
 def clock(now_s: float | None = None) -> str:
-    """Local time of day, of now or of seconds since 1970."""
+    """Local time of day, now or at a Unix time."""
     return time.strftime("%H:%M:%S", time.localtime(now_s))
 
 
 class EventLog(RichLog, can_focus=False):
-    """Entries with an optional time. It follows the newest until somebody scrolls up."""
+    """Entries with an optional time. It follows the latest entry until it is scrolled up."""
 
     COMPONENT_CLASSES = {f"look--{look}" for look in LOOKS}  # noqa: RUF012 - as Textual declares it
 
@@ -30,11 +30,11 @@ class EventLog(RichLog, can_focus=False):
 
     @property
     def text(self) -> str:
-        """Its entries, however they are wrapped."""
+        """The entries, without wrapping."""
         return "\n".join(f"{at} {text}".strip() for at, text, _ in self._entries)
 
     def add(self, text: str, look: str = "plain", at: str = "") -> None:
-        """An entry; `at` stands before it."""
+        """Add an entry, with the time `at` before it."""
         for one in text.splitlines() or [""]:
             self._entries.append((at, one, look))
             if self._width:

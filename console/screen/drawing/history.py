@@ -1,4 +1,4 @@
-"""The last half minute of what the plots show, in bins of time: a bin keeps of each value the one furthest from zero."""
+"""The last half minute of plotted values in bins of time; a bin holds the value furthest from zero."""
 
 import math
 from collections import deque
@@ -9,21 +9,21 @@ BIN_s = 0.25
 BINS = 120
 SPAN_s = BIN_s * BINS
 Message = dict[str, Any]
-Bin = list[float] | None  # None: nothing was heard
+Bin = list[float] | None  # None: no data
 
 
 class Series:
-    """Values over time, one list a bin, the newest last."""
+    """Values over time, one list per bin, the latest last."""
 
     def __init__(self) -> None:
         self.bins: deque[Bin] = deque(maxlen=BINS)
 
     def begin(self, bins_later: int) -> None:
-        """A new bin, `bins_later` after the last."""
+        """Start a new bin, `bins_later` after the last."""
         self.bins.extend([None] * min(bins_later, BINS))
 
     def add(self, values: Sequence[float]) -> None:
-        """More values for the newest bin."""
+        """Add values to the latest bin."""
         last = self.bins[-1]
         known = [value if math.isfinite(value) else 0.0 for value in values]
         self.bins[-1] = (
@@ -31,7 +31,7 @@ class Series:
         )
 
     def newest(self) -> list[float]:
-        """The newest bin that is not empty."""
+        """The latest bin that is not empty."""
         return next((values for values in reversed(self.bins) if values is not None), [])
 
 
@@ -45,7 +45,7 @@ class History:
         self._tip: tuple[float, Sequence[float]] | None = None
 
     def add(self, status: Message) -> None:
-        """One more status; a clock that went back is another runtime's."""
+        """Add a status; if its clock went back, it is from another runtime."""
         number = int(status["t_s"] / BIN_s)
         later = BINS if self._bin is None or number < self._bin else number - self._bin
         self._bin = number

@@ -1,4 +1,4 @@
-"""A panel of rows on the screen, of which only those that have changed are drawn."""
+"""A panel of rows; only changed rows are redrawn."""
 
 from collections.abc import Sequence
 from typing import ClassVar
@@ -22,10 +22,12 @@ class Panel(Widget):
         super().__init__(id=id)
         self.border_title = title
         self._shown: Sequence[Row] = ()
+        # Textual works them out anew for each line, from all the widgets around this one.
+        self._styles: dict[str, Style] = {}
 
     @property
     def text(self) -> str:
-        """What it shows, without looks."""
+        """The contents, without styles."""
         return text_of(self._shown)
 
     def show(self, rows: Sequence[Row]) -> None:
@@ -46,11 +48,20 @@ class Panel(Widget):
     def render_line(self, y: int) -> Strip:
         """One row."""
         width = self.size.width
-        base = self.rich_style
+        base = self._style("")
         if y >= len(self._shown):
             return Strip.blank(width, base)
-        segments = [Segment(text, self._look(look)) for text, look in self._shown[y]]
+        segments = [Segment(text, self._style(look)) for text, look in self._shown[y]]
         return Strip(segments).adjust_cell_length(width, base)
 
-    def _look(self, look: str) -> Style:
-        return self.get_component_rich_style(f"look--{look}")
+    def notify_style_update(self) -> None:
+        """The style sheet has changed what this panel looks like."""
+        self._styles.clear()
+        super().notify_style_update()
+
+    def _style(self, look: str) -> Style:
+        """Of a look; of the panel itself where the look has no name."""
+        if look not in self._styles:
+            found = self.get_component_rich_style(f"look--{look}") if look else self.rich_style
+            self._styles[look] = found
+        return self._styles[look]

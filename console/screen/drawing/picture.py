@@ -1,4 +1,4 @@
-"""The arm in characters, from the side and from above: thick links, numbered joints, the base frame's axes, the board."""
+"""Draws the arm in characters, from the side and from above: links, numbered joints, the base frame's axes, the board."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,22 +13,22 @@ from control.model.arm import Arm
 from control.motion.jog_limits import reaches_m
 
 Point = tuple[float, float, float]
-GRID = 4  # of the reach: how finely a picture's edges follow the arm
+GRID = 4  # of the reach: step of a picture's edges
 SIDE, TOP = (0, 2), (0, 1)  # the axes to the right and up
 TIP = "◆"
 NOT_HOMED = "not homed: the pose is not known"
 _MARGIN_dots = 4  # for marks and letters at the edges
 _TICKS_m = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
-_TALL_dots = 64  # from here on links are five dots thick, not three
-_NUMBER_dots = 14  # the least room of a tick that has a number
+_TALL_dots = 64  # from this scale on, links are five dots thick instead of three
+_NUMBER_dots = 14  # smallest distance of numbered ticks
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What is seen, in the base frame [m]: the arm's corners from base to tip, its joints and their signs, the board's edge."""
+    """What is drawn, in the base frame [m]: the arm's corners from base to tip, its joints and their labels, the board's edge."""
 
     arm: Sequence[Point]
-    joints: Sequence[tuple[Point, str, str]]  # where, sign, look
+    joints: Sequence[tuple[Point, str, str]]  # position, sign, style
     board: Sequence[Point]
 
 
@@ -37,14 +37,14 @@ class Skeleton:
 
     def __init__(self, arm: Arm) -> None:
         self._kinematics = Kinematics(arm)
-        # The frame whose z axis a joint turns about: the one before its link, or its own (Craig's convention).
+        # The frame whose z axis a joint turns about: the previous link's, or its own (Craig's convention).
         own = 1 if arm.dh_convention == "modified" else 0
         self._frames = [number + own for number, turns in enumerate(arm.joints) if turns]
         self.reach_m = reaches_m(arm)[0]
         self.board = _outline(arm)
 
     def scene(self, q_rad: Sequence[float], selected: int | None, is_stale: Sequence[bool]) -> Scene:
-        """The arm at joint angles; the selected joint (0-based) stands out, a stale one has a question mark."""
+        """The arm at joint angles; the selected joint (0-based) is highlighted, a stale one has a question mark."""
         frames = self._kinematics.link_transforms([q_rad])[0]
         corners: list[Point] = [(float(f[0, 3]), float(f[1, 3]), float(f[2, 3])) for f in frames]
         joints = [
@@ -55,12 +55,12 @@ class Skeleton:
 
 
 def side_view(scene: Scene, columns: int, rows: int, reach_m: float) -> list[Row]:
-    """Seen along the y axis: x to the right, z up; the ground is a line."""
+    """View along the y axis: x to the right, z up; the ground is a line."""
     return _view(scene, columns, rows, reach_m, SIDE)
 
 
 def top_view(scene: Scene, columns: int, rows: int, reach_m: float) -> list[Row]:
-    """Seen from above: x to the right, y up, as on a map."""
+    """View from above: x to the right, y up."""
     return _view(scene, columns, rows, reach_m, TOP)
 
 
@@ -77,9 +77,9 @@ def _view(scene: Scene, columns: int, rows: int, reach_m: float, axes: tuple[int
 def _placed(
     canvas: Canvas, scene: Scene, axes: tuple[int, int], reach_m: float
 ) -> tuple[Callable[[Point], tuple[int, int]], float]:
-    """From metres to dots, and dots a metre, the same for both axes: what there is fills the picture.
+    """Map metres to dots, and dots per metre, with equal scales, so that the scene fills the picture.
 
-    Its edges are at whole quarters of the reach, so that the picture stands still while the arm moves a little.
+    The edges are at whole quarters of the reach, so that small motions do not shift the picture.
     """
     points = [(0.0, 0.0, 0.0), *scene.arm, *scene.board]
     grid_m = reach_m / GRID
@@ -117,8 +117,9 @@ def _draw_axes(
             number = f"{sign * n * step_m:g}"
             for dy in (1, 2):
                 canvas.dot(x0 + at, y0 + dy, "muted")
-            if (x0 + at) // 2 + len(number) < canvas.columns - 1 and x0 + at >= 0:
-                canvas.letters((x0 + at) // 2 - len(number) // 2, number_row, number, "muted")
+            first = (x0 + at) // 2 - len(number) // 2
+            if 0 <= first < canvas.columns - 1 - len(number):
+                canvas.letters(first, number_row, number, "muted")
     canvas.letters(canvas.columns - 1, y0 // 4, "x", "strong")
     canvas.letters(x0 // 2, 0, "z" if is_side else "y", "strong")
 
@@ -135,7 +136,7 @@ def _draw_arm(canvas: Canvas, scene: Scene, place: Callable[[Point], tuple[int, 
 
 
 def _outline(arm: Arm) -> list[Point]:
-    """The board's edge about its cavities, level; nothing where it is not known."""
+    """The board's edge around its cavities, level; empty if unknown."""
     if arm.table is None or not arm.table.known_pose or arm.table.origin_m is None:
         return []
     cavities = tables.board_cavities(arm.table)

@@ -1,4 +1,4 @@
-"""What is drawn, in ASCII: for a terminal that cannot show more."""
+"""Converts drawings to ASCII for terminals that show nothing else."""
 
 import sys
 from collections.abc import Mapping
@@ -18,20 +18,20 @@ _TABLE = str.maketrans(_SIGNS | {chr(0x2800 + cell): _BY_DOTS[cell.bit_count()] 
 
 
 def ascii_of(text: str) -> str:
-    """The text with a likeness for each sign that ASCII lacks."""
+    """The text with an ASCII substitute for each other character."""
     return text.translate(_TABLE).encode("ascii", "replace").decode("ascii")
 
 
 def is_plain(environment: Mapping[str, str]) -> bool:
-    """Whether the terminal shows ASCII only: by its encoding, or by its kind."""
+    """Whether the terminal shows only ASCII, by its encoding or its type."""
     encoding = getattr(sys.__stderr__, "encoding", None) or "ascii"  # Textual draws on stderr
     is_utf = encoding.lower().replace("-", "").startswith("utf")
     return not is_utf or environment.get("TERM", "") in _PLAIN_TERMS
 
 
 class AsciiFilter(LineFilter):
-    """Turns every line that is drawn into ASCII."""
+    """Converts every drawn line to ASCII."""
 
     def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
-        """The segments, each as long as before."""
+        """Convert the segments, keeping their lengths."""
         return [Segment(ascii_of(text), style, control) for text, style, control in segments]

@@ -1,4 +1,4 @@
-"""Values over time, drawn in characters with axes and numbers; several are told apart by the sign on their lines."""
+"""Plots over time in characters, with axes and numbers; lines are distinguished by their signs."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ _APART = 4  # columns between the signs of two lines
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """What is drawn: bins of time, the sign of each line, which one is chosen, and the axis' smallest end."""
+    """A plot: bins of time, the sign of each line, the selected line, and the smallest axis end."""
 
     bins: Sequence[Bin]
     signs: Sequence[str]
@@ -24,7 +24,7 @@ class Plot:
 
 
 def plot_rows(plot: Plot, columns: int, rows: int) -> list[Row]:
-    """The plot with its value axis at the left and its time axis below; empty where there is no room."""
+    """The plot with its value axis at the left and its time axis below; empty if there is no room."""
     if columns < GUTTER + 12 or rows < 4:
         return []
     canvas = Canvas(columns - GUTTER, rows - 1)
@@ -39,7 +39,7 @@ def plot_rows(plot: Plot, columns: int, rows: int) -> list[Row]:
 
 
 def axis_end(plot: Plot) -> float:
-    """The least of 1, 2, 5 and their decades that holds every value."""
+    """The smallest of 1, 2, 5 and their decades that covers all values."""
     largest = max((abs(value) for values in plot.bins if values for value in values), default=0.0)
     wanted = max(largest, plot.least)
     decade = 10.0 ** math.floor(math.log10(wanted))
@@ -53,7 +53,7 @@ def _draw_lines(canvas: Canvas, plot: Plot, bottom: float, top: float) -> None:
     canvas.line(0, y(0.0), canvas.width - 1, y(0.0), "muted", every=4)
     first = BINS - len(plot.bins)
     xs = [round((first + n) * (canvas.width - 1) / (BINS - 1)) for n in range(len(plot.bins))]
-    for j in sorted(range(len(plot.signs)), key=lambda j: j == plot.chosen):  # the chosen one over the others
+    for j in sorted(range(len(plot.signs)), key=lambda j: j == plot.chosen):  # the selected line in front
         look = "accent" if j == plot.chosen else "muted"
         dots = [(x, y(values[j])) if values else None for x, values in zip(xs, plot.bins, strict=True)]
         for dot, following in zip(dots, dots[1:] or dots, strict=False):
@@ -66,7 +66,7 @@ def _draw_lines(canvas: Canvas, plot: Plot, bottom: float, top: float) -> None:
 def _draw_signs(
     canvas: Canvas, dots: Sequence[tuple[int, int]], sign: str, j: int, count: int, look: str
 ) -> None:
-    """A line's sign every few columns, each line's in columns of its own: lines that lie on one another still show theirs."""
+    """Draw a line's sign every few columns, in different columns for each line, so that coincident lines show theirs."""
     by_column = {x // 2: y // 4 for x, y in dots}
     for column, at_row in by_column.items():
         if (canvas.columns - 2 - column - _APART * (count - 1 - j)) % (_APART * max(count, 3)) == 0:

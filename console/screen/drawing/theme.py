@@ -1,4 +1,4 @@
-"""The console's colours: one accent, and two that warn. Everything drawn takes them from here by way of style.tcss."""
+"""The console's colours: one accent and two for warnings. Everything uses them through style.tcss."""
 
 from textual.theme import Theme
 

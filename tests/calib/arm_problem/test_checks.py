@@ -8,6 +8,7 @@ from calib.errors import CalibrationError, UnusablePointsError
 from calib.identify import ArmModel, ArmProblem, Choice, LeastSquares, Observations, identify, problem_of
 from calib.points.points import make_points
 from control.model.arm import Arm, Link, Table, Tool
+from control.model.description import load_arm
 from tests.calib.simulated import RIGHT, board_points, seated, true_dh, with_rows
 
 POINTS = board_points(np.random.default_rng(1), true_dh(np.random.default_rng(1), size=0.9))
@@ -77,6 +78,15 @@ def test_points_of_another_arm_are_refused() -> None:
     q = np.random.default_rng(0).uniform(-1, 1, (99, 3))
     with pytest.raises(UnusablePointsError, match="check that the points are of this arm"):
         checked(with_rows(POINTS, q_rad=q))
+
+
+@pytest.mark.parametrize("seed", [1, 3, 5])
+def test_points_that_fit_another_arm_better_are_told_of(seed) -> None:
+    rng = np.random.default_rng(seed)
+    points = board_points(rng, true_dh(rng, size=1.0))
+    (said,) = checked(points, load_arm("left"))
+    assert said.startswith("these points fit the arm right better than arm left")
+    assert checked(points) == ()
 
 
 def test_what_a_new_arm_looks_like_passes_without_a_word() -> None:

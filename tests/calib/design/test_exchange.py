@@ -77,5 +77,5 @@ def test_what_is_taken_counts():
 
 
 def test_more_than_there_are_is_one_error_that_says_how_many_there_are():
-    with pytest.raises(CalibrationError, match="5 free poses are wanted and there are 3 to choose from"):
+    with pytest.raises(CalibrationError, match="5 free poses were requested, but only 3 are available"):
         select(EXPERIMENT, criterion_of("D"), NOTHING, [Group("free poses", np.arange(3), 5)])

@@ -197,7 +197,7 @@ def test_files_are_read_back_as_they_were_meant(tmp_path):
         (ARM, Request(criterion="best"), "criterion: expected one of D, O1"),
         (ARM, Request(setups=("yaw",)), 'setup: expected some of normal.*got "yaw"'),
         (ARM, Request(count=0), "number of poses: expected one or more, got 0"),
-        (ARM, Request(count=200, only="table"), "200 poses are wanted and there are 99 to choose from"),
+        (ARM, Request(count=200, only="table"), "200 poses were requested, but only 99 are available"),
         (ARM, Request(count=10, free_count=12), "free poses: expected 0 to 10"),
         (ARM, Request(noise_m=-1.0), "noise of a measured coordinate.*got -1"),
         (dataclasses.replace(ARM, camera=None), Request(), "give --noise"),

@@ -217,7 +217,7 @@ def test_settling_is_judged_in_a_band_that_is_no_finer_than_the_measurement(arm:
     assert "scatter" in figures["t"].remark
     assert "repeatability RP_l of P1" in figures["t (encoders)"].remark
     wide = found(arm, points, coarse, band_m=0.01)
-    assert all("10.000 mm (what was asked for)" in f.remark for f in wide[4].figures)
+    assert all("10.000 mm (the given limit band)" in f.remark for f in wide[4].figures)
     assert [f.value for f in wide[5].figures] == [0.0, 0.0]
 
 

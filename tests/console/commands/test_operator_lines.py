@@ -101,7 +101,7 @@ def test_a_script_jogs_moves_pauses_goes_on_and_marks(tmp_path: Path) -> None:
             f"go here --places {places} --speed 1",
         )
         assert [outcome.status for outcome in outcomes] == [0] * 11
-        assert "PAUSED" in outcomes[7].said
+        assert "PAUSED" in outcomes[7].transcript
         assert cell.rig.joint_rad()[0] == pytest.approx(STRETCHED[0] + 0.05, abs=3e-3)
         assert cell.mode is Mode.HOLDING
 
@@ -111,7 +111,7 @@ def test_a_script_ends_at_the_first_line_that_fails() -> None:
         before = cell.rig.joint_rad()
         outcomes = played(cell, "move --joints 9 9 9", "move --joints 0.3 -0.5 0.3")
         assert [outcome.status for outcome in outcomes] == [2]
-        assert "outside of its range" in outcomes[0].said
+        assert "outside of its range" in outcomes[0].transcript
         assert cell.rig.joint_rad() == pytest.approx(before, abs=1e-3)
 
 
@@ -126,7 +126,7 @@ def test_nothing_follows_a_motion_that_somebody_stopped() -> None:
         cell.watchers.append(stop_in_between)
         outcomes = played(cell, "move --joints 0.9 -0.3 0.6 --speed 1", "move --joints 0 -0.6 0.2")
         assert [outcome.status for outcome in outcomes] == [1]
-        assert "stopped before its end" in outcomes[0].said
+        assert "stopped before its end" in outcomes[0].transcript
 
 
 def test_a_jog_against_the_end_of_a_range_fails_in_words() -> None:
@@ -135,7 +135,7 @@ def test_a_jog_against_the_end_of_a_range_fails_in_words() -> None:
         assert outcomes[0].status == 2
         outcomes = played(cell, "jog --axis x --by 0.16")
         assert outcomes[0].status in (1, 2)
-        assert "range" in outcomes[0].said or "singular" in outcomes[0].said
+        assert "range" in outcomes[0].transcript or "singular" in outcomes[0].transcript
 
 
 def test_way_points_taught_by_hand_make_a_path_that_runs(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_way_points_taught_by_hand_make_a_path_that_runs(tmp_path: Path) -> None
             f"teach {file}",
         )
         assert [outcome.status for outcome in outcomes] == [0, 2]  # twice the same point
-        assert "has not moved" in outcomes[1].said
+        assert "has not moved" in outcomes[1].transcript
         outcomes = played(
             cell,
             "move --joints 0.3 -0.6 0.2",
@@ -177,8 +177,8 @@ def test_a_place_that_is_marked_is_where_the_joints_are_and_not_their_encoders(t
         )
         assert [outcome.status for outcome in outcomes] == [0] * 5
         assert cell.rig.joint_rad() == pytest.approx((0.2, -1.2, 0.3), abs=2e-3)
-        assert "replacing another" in outcomes[4].said
-        assert "replacing another" not in outcomes[1].said
+        assert "replacing another" in outcomes[4].transcript
+        assert "replacing another" not in outcomes[1].transcript
 
 
 def test_an_error_is_seen_when_it_comes_and_not_again_with_the_output(
@@ -187,7 +187,7 @@ def test_an_error_is_seen_when_it_comes_and_not_again_with_the_output(
     with holding_cell() as cell:
         outcomes = played(cell, "move --joints 9 9 9")
     assert capsys.readouterr().err.count("outside of its range") == 1
-    assert "outside of its range" in outcomes[0].said
+    assert "outside of its range" in outcomes[0].transcript
     assert not outcomes[0].output
 
 
@@ -228,16 +228,32 @@ def test_json_carries_status_and_words_of_every_line(
     told = json.loads(capsys.readouterr().out)
     assert told["status"] == 2
     assert [(line["number"], line["status"]) for line in told["lines"]] == [(1, 0), (2, 2)]
-    assert "HOLDING" in told["lines"][0]["said"]
+    assert "HOLDING" in told["lines"][0]["transcript"]
 
 
+QUICK = """
+name = "quick"
+[start]
+homed = true
+[plant]
+timestep_s = 0.001
+[hand]
+speed_m_s = 1.0
+seating_noise_m = 0.00005
+"""
+
+
+@pytest.mark.usefixtures("nobody_below")
 def test_a_script_runs_a_whole_small_calibration(tmp_path: Path) -> None:
     """Session with a mock arm, calibration, and what the result says: three lines of a file."""
     answers = tmp_path / "answers.txt"
     answers.write_text("auto\n")
+    quick = tmp_path / "quick.toml"
+    quick.write_text(QUICK)
     out = tmp_path / "s"
     lines = [
-        f"session --mock --out {out} --setups normal,roll --points 1,5,9,13,17,21,25,33 --replay {answers}",
+        f"session --mock --scenario {quick} --out {out} --setups normal,roll --points 1,9,17,25,33"
+        f" --replay {answers}",
         f"calibrate --points {out / 'points.csv'} --out {tmp_path / 'c'}",
         f"arm {tmp_path / 'c' / 'arm.toml'}",
     ]
@@ -247,9 +263,9 @@ def test_a_script_runs_a_whole_small_calibration(tmp_path: Path) -> None:
         raise AssertionError("no line needs a runtime")
 
     replay(parse_lines(lines, GRAMMAR), none, outcomes.append)  # type: ignore[arg-type]
-    assert [outcome.status for outcome in outcomes] == [0, 0, 0], outcomes[-1].said
+    assert [outcome.status for outcome in outcomes] == [0, 0, 0], outcomes[-1].transcript
     assert (tmp_path / "c" / "calibration.json").exists()
-    assert "16 points recorded" in outcomes[0].said
+    assert "10 points recorded" in outcomes[0].transcript
 
 
 # ---- places

@@ -80,7 +80,7 @@ def test_measured_boards_are_taken_from_boards_json(capsys, tmp_path):
         (["--setups", "yaw"], 'got "yaw"'),
         (["--setups", ","], "--setups: expected names"),
         (["--count", "0"], "number of poses: expected one or more, got 0"),
-        (["--count", "500", "--only", "table"], "500 poses are wanted and there are 99 to choose from"),
+        (["--count", "500", "--only", "table"], "500 poses were requested, but only 99 are available"),
         (["--free", "3", "--only", "table"], "contradict each other"),
         (["--count", "3", "--free", "4"], "free poses: expected 0 to 3"),
         (["--noise", "0"], "expected a positive number of m, got 0"),

@@ -18,6 +18,7 @@ from console.screen.drawing.picture import Skeleton, side_view, top_view
 from console.screen.drawing.plain import ascii_of, is_plain
 from console.screen.drawing.plot import Plot, axis_end, plot_rows
 from console.screen.drawing.rows import text_of, width_of
+from console.screen.drawing.theme import THEME
 from console.screen.events import events_between
 from console.screen.texts import joint_rows, status_rows, tip_row
 from control.model.arm import Arm
@@ -139,6 +140,14 @@ def test_a_view_fills_its_room_and_names_axes_joints_and_tip(view: Any, columns:
     assert all(sign in text for sign in ("x", "z" if view is side_view else "y", "1", "3", "◆"))
 
 
+@pytest.mark.parametrize("columns", range(14, 60))
+def test_the_numbers_of_an_axis_are_whole_and_have_their_sign(columns: int) -> None:
+    scene = Skeleton(RIGHT).scene([0.0, 0.0, math.pi], 0, [False] * 3)  # folded back over the base
+    words = text_of(side_view(scene, columns, 16, 0.9)).split()
+    numbers = [float(word) for word in words if "." in word]
+    assert numbers == sorted(set(numbers))
+
+
 def test_every_sign_of_the_console_has_a_likeness_in_ascii() -> None:
     status = status_of(encoder_stale_s=[None, 2.0, None])
     scene = Skeleton(RIGHT).scene([0.3, -0.5, 0.4], 0, [False] * 3)
@@ -192,6 +201,26 @@ def test_nothing_is_clipped_at_any_size(size: tuple[int, int], joint_count: int)
     assert len(shown["joints"][1].splitlines()) == joint_count + 2
     is_large = size[0] >= 120 and size[1] >= 40
     assert ("error" in shown) == (is_large or size[1] >= 50)
+
+
+def test_a_panel_follows_a_change_of_its_style_sheet() -> None:
+    async def colours() -> list[Any]:
+        app = ConsoleApp(RIGHT, Path("/nowhere"), Files(Path("p.toml"), Path("t.csv")), {})
+        app.link.run = lambda: asyncio.sleep(0)  # type: ignore[method-assign] # no runtime
+        async with app.run_test(size=(80, 24)) as pilot:
+            found = []
+            app.register_theme(
+                dataclasses.replace(THEME, name="other", foreground="#102030", background="#ffffff")
+            )
+            for app.theme in (THEME.name, "other"):
+                app.operating.show(status_of())
+                await pilot.pause()
+                strip = app.operating.query_one("#joints", Panel).render_line(1)
+                found.append([segment.style for segment in strip])
+            return found
+
+    before, after = asyncio.run(colours())
+    assert before != after
 
 
 def test_the_table_of_joints_fits_80_columns_with_the_longest_values() -> None:

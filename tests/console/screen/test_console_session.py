@@ -117,13 +117,17 @@ def test_the_legend_is_whole_on_any_width() -> None:
 
 
 def test_a_record_tells_how_it_fits_and_one_that_does_not_is_an_error() -> None:
-    record = {"kept": "normal 3", "text": "normal 3 recorded; look", "error_mm": 20.0}
-    record |= {"off_mm": 0.4, "surprise": 2.6, "is_suspect": False}
+    record = {"recorded": "normal 3", "text": "normal 3 recorded; look", "error_mm": 20.0}
+    record |= {"deviation_mm": 0.4, "deviation_sd": 2.6, "is_suspect": False}
     text, look = record_text(record)
     assert (text.split(), look) == (["normal", "3", "20.00", "0.40", "2.6"], "plain")
-    text, look = record_text({**record, "surprise": 3.1})
+    text, look = record_text({**record, "deviation_sd": 3.1})
     assert (text.split()[-2:], look) == (["3.1", "~"], "warning")
     assert record_text({**record, "is_suspect": True}) == ("normal 3 recorded; look", "error")
-    assert record_text({**record, "surprise": None, "off_mm": None})[0].split() == ["normal", "3", "20.00"]
-    unknown = {**record, "surprise": None, "off_mm": None, "error_mm": None}
+    assert record_text({**record, "deviation_sd": None, "deviation_mm": None})[0].split() == [
+        "normal",
+        "3",
+        "20.00",
+    ]
+    unknown = {**record, "deviation_sd": None, "deviation_mm": None, "error_mm": None}
     assert record_text(unknown)[0].split() == ["normal", "3", "-"]

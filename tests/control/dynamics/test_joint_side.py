@@ -224,5 +224,5 @@ def test_the_range_of_joints_keeps_their_encoders_within_theirs() -> None:
 
 
 def test_effects_that_leave_no_range_are_refused() -> None:
-    with pytest.raises(ArmError, match="leave joint 2 no range"):
+    with pytest.raises(ArmError, match="joint 2 has no range left"):
         usable_range_rad(knowing(Effect("backlash", 2, {"width_rad": 3.0})))

@@ -273,7 +273,7 @@ def test_a_joint_that_does_not_find_its_switch_stops_all_and_is_named() -> None:
     lost = replace(RIGHT.drives[0].home or Home(0.0, 0.0), switch_rad=-0.05)
     with open_cell(scenario(NEAR_HOME, homed=False), RIGHT, believed=with_drive(RIGHT, 1, home=lost)) as cell:
         cell.client.enable()
-        with pytest.raises(ArmFaulted, match=r"joint 1: its index came .* the motor turn is ambiguous"):
+        with pytest.raises(ArmFaulted, match=r"joint 1: its index was .* the motor turn is ambiguous"):
             cell.client.home()
         cell.run(0.5)
         assert cell.runtime.monitor.is_held_fault

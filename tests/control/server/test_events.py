@@ -85,6 +85,20 @@ def test_what_is_said_is_printed_before_the_printer_ends() -> None:
     assert ended.stdout == "one\ntwo\n"
 
 
+def test_a_plain_ascii_terminal_gets_what_is_printed_in_ascii() -> None:
+    program = (
+        "from control.server.printer import Printer; p = Printer(); p.say('größe 5 °C → off\\n'); p.close()"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        check=True,
+        timeout=60,
+    )
+    assert ended.stdout == b"gr\\xf6\\xdfe 5 degC -> off\n"
+
+
 def test_a_terminal_that_nobody_reads_keeps_neither_the_loop_nor_its_end_waiting() -> None:
     screen, terminal = pty.openpty()
     kept = os.dup(1)

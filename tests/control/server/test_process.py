@@ -15,7 +15,7 @@ import pytest
 
 from control.model.arm import Arm
 from control.model.description import save_arm
-from control.recording.record import Recording
+from control.recording.record import Recording, has_part, next_part
 from control.safety.table import Mode
 from control.server.client import ArmClient, RuntimeGone, SocketChannel
 from hil_mocks.realtime import RealTimeRig
@@ -154,15 +154,43 @@ def test_a_loop_that_is_killed_leaves_an_arm_that_its_boards_brake_and_a_recordi
     )
 
 
-def test_without_its_writer_the_loop_goes_on_and_says_that_rows_are_lost(served: Served) -> None:
-    served.begin_to_move()
-    children = Path(f"/proc/{served.process.pid}/task/{served.process.pid}/children").read_text().split()
-    (writer,) = (
+def children_of(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def writers_of(served: Served) -> tuple[int, int]:
+    """The supervisor of the writer, and the writer."""
+    (supervisor,) = (
         child
-        for child in children
+        for child in children_of(served.process.pid)
         if b"control.recording.writer" in Path(f"/proc/{child}/cmdline").read_bytes()
     )
-    os.kill(int(writer), signal.SIGKILL)
+    served.until(lambda: bool(children_of(supervisor)))
+    return supervisor, children_of(supervisor)[0]
+
+
+def test_a_killed_writer_is_replaced_by_one_that_continues_in_a_new_file(served: Served) -> None:
+    served.begin_to_move()
+    served.until(lambda: Recording.open(served.recording).row_count > 0)
+    _, writer = writers_of(served)
+    os.kill(writer, signal.SIGKILL)
+    second = next_part(served.recording)
+    served.until(lambda: has_part(second) and Recording.open(second).row_count > 100)
+    assert served.client.status()["recorder"]["file"] == str(second)
+    assert served.client.status()["lost_rows"] == 0
+    served.client.off(quit_runtime=True)
+    _, error = served.process.communicate(timeout=LIMIT_s)
+    assert served.process.returncode == 0
+    assert "the writer was killed (signal 9); recording continues in" in error
+    before, after = rows_of(served.recording), rows_of(second)
+    assert 0 < after[0]["cycle"] - before[-1]["cycle"] < 200  # at most a chunk that the first one had read
+    assert [row["cycle"] for row in after] == [after[0]["cycle"] + k for k in range(len(after))]
+
+
+def test_without_its_writer_the_loop_goes_on_and_says_that_rows_are_lost(served: Served) -> None:
+    served.begin_to_move()
+    for pid in writers_of(served):  # the supervisor first, which would replace the writer
+        os.kill(pid, signal.SIGKILL)
     served.until(lambda: served.client.status()["lost_rows"] > 10)
     status = served.client.status()
     assert status["mode"] in ("MOVING", "HOLDING")

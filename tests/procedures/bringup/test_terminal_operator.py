@@ -50,9 +50,10 @@ def test_angles_are_read_in_degrees(
     assert found is None if degrees is None else found == pytest.approx(math.radians(degrees))
 
 
-def test_an_end_of_input_stops(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_end_of_input_stops(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(Stopped, match="input has ended"):
         answering(monkeypatch, "").allow("a motion")
+    assert capsys.readouterr().out.endswith("\n")
 
 
 def test_a_key_stops_and_the_terminal_is_left_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,13 +12,24 @@ from calib.arrays import norms
 from console.commands import demo as demo_command
 from console.main import main
 from control.kinematics.kinematics import Kinematics
-from control.loop import standstill as stillness
 from control.model.arm import Arm, Table
 from control.model.description import load_arm
 from procedures.demo.job import Outcome, run
 from procedures.verify.places import places, ways
 from procedures.verify.survey import Programme
-from tests.places import RIGHT_TOML
+from tests.places import RIGHT_TOML, ROOT
+
+DEMO = ROOT / "hil_mocks" / "scenarios" / "demo.toml"
+
+
+@pytest.fixture(scope="module")
+def quick_hand(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The demo's scenario with a hand that is quick at the table."""
+    path = tmp_path_factory.mktemp("scenario") / "quick.toml"
+    text = DEMO.read_text("utf-8")
+    assert "[hand]" in text
+    path.write_text(text.replace("[hand]", "[hand]\nspeed_m_s = 1.0"), encoding="utf-8")
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -44,8 +55,8 @@ def small_programme(table: Table, has_paths: bool) -> Programme:
 
 
 @pytest.fixture
-def outcomes(monkeypatch: pytest.MonkeyPatch) -> list[Outcome]:
-    """What demos come to; each measures two tilts, and tunes on a mock that nobody stands below."""
+def outcomes(monkeypatch: pytest.MonkeyPatch, nobody_below: None) -> list[Outcome]:
+    """What demos come to; each measures two tilts, and tunes."""
     seen: list[Outcome] = []
 
     def kept(*arguments: object) -> Outcome:
@@ -54,7 +65,6 @@ def outcomes(monkeypatch: pytest.MonkeyPatch) -> list[Outcome]:
 
     monkeypatch.setattr(demo_command.job, "run", kept)
     monkeypatch.setattr(demo_command.job, "SETUPS", ("normal", "roll"))
-    monkeypatch.setattr(stillness, "SINK_LIMIT_S", 0.6)
     return seen
 
 
@@ -67,6 +77,7 @@ def is_corrected(outcome: Outcome) -> bool:
 @pytest.mark.parametrize(("seed", "is_drawn"), [(1, True), (12, False)])
 def test_what_is_hidden_is_found_and_corrected(
     arm_file: Path,
+    quick_hand: Path,
     tmp_path: Path,
     seed: int,
     is_drawn: bool,
@@ -75,12 +86,13 @@ def test_what_is_hidden_is_found_and_corrected(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(demo_command.job, "programme_of", lambda table: small_programme(table, is_drawn))
+    scenario = [] if is_drawn else ["--scenario", str(quick_hand)]
     if not is_drawn:  # paths and pictures take seconds, and the first seed has had them
         monkeypatch.setattr(
             demo_command.job, "write_report", lambda path, shown: path.write_text("", "utf-8")
         )
     out = tmp_path / "demo"
-    assert main(["demo", "--arm", str(arm_file), "--seed", str(seed), "--out", str(out)]) == 0
+    assert main(["demo", "--arm", str(arm_file), "--seed", str(seed), "--out", str(out), *scenario]) == 0
     assert str(out / "report.html") in capsys.readouterr().out
     assert is_corrected(outcomes[0])
     assert_results_are_complete(out, load_arm(arm_file))

@@ -159,7 +159,7 @@ def test_what_the_recording_did_not_hold_is_said(criteria: dict[str, Criterion])
 
 def test_a_band_that_is_given_is_used(recorded: Recorded, capsys: pytest.CaptureFixture[str]) -> None:
     figures = evaluated(recorded, "--band-m", "0.005")["Position overshoot"]["figures"]
-    assert all("5.000 mm (what was asked for)" in figure["remark"] for figure in figures)
+    assert all("5.000 mm (the given limit band)" in figure["remark"] for figure in figures)
     assert capsys.readouterr().err == ""  # our own columns are no surprise
 
 

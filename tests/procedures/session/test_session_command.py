@@ -13,7 +13,6 @@ from calib.identify.identification import identify
 from calib.points.points import read_points
 from console.main import main
 from control.kinematics.kinematics import Kinematics
-from control.loop import standstill as stillness
 from control.model.description import load_arm
 from hil_mocks.scenario import load_scenario
 from tests.places import RIGHT_TOML
@@ -42,9 +41,8 @@ seating_noise_m = 0.00005
 
 
 @pytest.fixture
-def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def files(tmp_path: Path, nobody_below: None) -> Path:
     """A folder with the reference arm with six of its cavities, the scenario, and the operator's scripts."""
-    monkeypatch.setattr(stillness, "SINK_LIMIT_S", 0.6)  # nobody stands below the mock
     text = RIGHT_TOML.read_text("utf-8").replace("circle_points = 24", "circle_points = 4")
     (tmp_path / "arm.toml").write_text(text.replace("line_points = 9", "line_points = 2"), encoding="utf-8")
     (tmp_path / "quick.toml").write_text(SCENARIO, encoding="utf-8")

@@ -171,7 +171,7 @@ def test_the_operator_is_asked_told_and_obeyed(tmp_path: Path) -> None:
     assert [command.do for command in answers] == [Do.GO, Do.REDO, Do.NOTE, Do.QUIT]
     assert said[0] == "[1/3] normal 1: hands off; Enter moves the arm to above the cavity >"
     assert said[1] == "! unknown command: 'what'; `help` lists the commands"
-    assert said[2] == "! auto: only a session with a mock arm can answer by itself"
+    assert said[2] == "! auto: only a session with a mock arm can answer automatically"
     assert said[3] == HELP
     assert (
         "normal 1 recorded; model error 17.32 mm, 4.00 mm from the prediction of the earlier points" in said

@@ -16,7 +16,6 @@ from console.commands.calibration import verify as verify_command
 from console.main import main
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
-from control.loop import standstill as stillness
 from control.model import table as tables
 from control.model.arm import Arm, Calibration, Effect, Tool
 from control.model.description import load_arm, save_arm
@@ -155,7 +154,7 @@ def test_the_wrong_input_is_named_and_nothing_is_written(
         assert not list(tmp_path.glob("out*")), arguments
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "nobody_below")
 def test_on_the_mock_arm_both_models_are_driven_and_measured(
     calibrated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -170,7 +169,6 @@ def test_on_the_mock_arm_both_models_are_driven_and_measured(
     monkeypatch.setattr(
         verify_command, "ways", lambda *where: ways(*where)[1:]
     )  # the line alone: the circle takes seconds
-    monkeypatch.setattr(stillness, "SINK_LIMIT_S", 0.6)  # nobody stands below the mock
     out = tmp_path / "out"
     arguments = ["--arm", str(calibrated), "--mock", "--scenario", str(scenario), "--setups", "roll"]
     assert main(["verify", *arguments, "--repeats", "2", "--path-speed", "0.4", "--out", str(out)]) == 0

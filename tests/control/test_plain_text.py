@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from console.plain_text import HANDLER, IN_ASCII, prepare_streams
+from control.plain_text import HANDLER, IN_ASCII, prepare_streams
 
 PLAIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 SOURCES = [

@@ -1,6 +1,6 @@
-"""Output on any terminal: symbols that its encoding lacks are written in ASCII, and file names byte by byte.
+"""Output on any terminal: symbols missing from its encoding are replaced by ASCII, and file names are written byte by byte.
 
-One error handler for all of the program's streams, so that no print has to think of it.
+One error handler for all streams of the program, so that callers of print need not care.
 """
 
 import codecs
@@ -13,19 +13,19 @@ IN_ASCII: Final = {
     "²": "^2", "³": "^3", "→": "->", "←": "<-", "↑": "^", "↓": "v", "≤": "<=", "≥": ">=", "≈": "~", "σ": "sigma", "■": "#",
     "█": "#", "▇": "#", "▆": "=", "▅": "=", "▄": "=", "▃": "-", "▂": "_", "▁": "_", "─": "-", "│": "|",
 }  # fmt: skip
-ESCAPED_BYTES: Final = range(0xDC80, 0xDD00)  # how Python carries bytes of a file name that are no text
+ESCAPED_BYTES: Final = range(0xDC80, 0xDD00)  # how Python represents undecodable bytes of file names
 
 
 def prepare_streams() -> None:
-    """From here on no output raises for its characters, and no input for its bytes."""
+    """Prevent encoding errors on output and decoding errors on input from now on."""
     codecs.register_error(HANDLER, ascii_fallback)
     for stream, errors in ((sys.stdin, "replace"), (sys.stdout, HANDLER), (sys.stderr, HANDLER)):
         _reconfigure(stream, errors)
 
 
 def ascii_fallback(error: UnicodeError) -> tuple[str | bytes, int]:
-    """The substitute for the first character that cannot be encoded, and the position after it: a handler for `codecs`."""
-    if isinstance(error, UnicodeDecodeError):  # of a stream that is read as well
+    """Error handler for `codecs`: the substitute for a character that cannot be encoded, and the next position."""
+    if isinstance(error, UnicodeDecodeError):  # on decoding
         return "\ufffd", error.end
     if not isinstance(error, UnicodeEncodeError):
         raise error
@@ -36,8 +36,6 @@ def ascii_fallback(error: UnicodeError) -> tuple[str | bytes, int]:
 
 
 def _reconfigure(stream: TextIO | None, errors: str) -> None:
-    reconfigure = getattr(
-        stream, "reconfigure", None
-    )  # a stream that a test or a caller put there may have none
+    reconfigure = getattr(stream, "reconfigure", None)  # a replaced stream may have no `reconfigure`
     if reconfigure is not None:
         reconfigure(errors=errors)
