@@ -1,1 +1,1 @@
-"""Every cycle on disk, and what other programs read of it: CSV and MCAP."""
+"""Recording of every cycle, and its export to CSV and MCAP."""

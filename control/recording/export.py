@@ -1,6 +1,6 @@
-"""Turns a recording into what other programs read: log.csv.gz (docs/visualisation.md) and MCAP (control.recording.mcap_file).
+"""Exports a recording to log.csv.gz (docs/visualisation.md) and MCAP (control.recording.mcap_file).
 
-Runs after the fact, in the command's own process. The recording itself is never changed.
+Runs after the recording, in the command's own process, and never changes the recording.
 """
 
 import csv
@@ -38,8 +38,8 @@ def to_csv(
 ) -> int:
     """Write `path` (.csv or .csv.gz) with every k-th row of each run; returns the number of rows.
 
-    Only runs are written, `t_s` from the start of each: what happened before the first motion is in the MCAP file. Cells are
-    empty where nothing was measured. `report` is told each thousandth row.
+    Only runs are written, with `t_s` from the start of each; cycles before the first motion are in the MCAP file only. Cells are
+    empty where nothing was measured. `report` is called every thousand rows.
     """
     names = _csv_columns(recording.layout)
     with _open_text(path) as file:
@@ -105,7 +105,7 @@ def export(
 ) -> dict[str, int]:
     """Write log.csv.gz and log.mcap of a recording into the folder `out`; returns file name -> rows. Refuses to overwrite.
 
-    `arm` is drawn in Foxglove's 3-D panel: by default the one of the recording's header. `report` is told the share done.
+    `arm` is drawn in Foxglove's 3-D panel; by default that of the recording's header. `report` gets the share done.
     """
     if every < 1:
         raise RecordError(f"every: expected a cycle count of 1 or more, got {every}")

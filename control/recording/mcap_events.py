@@ -1,4 +1,4 @@
-"""What happened in a recording, in words: modes, runs, missed deadlines, faults of drives."""
+"""Events of a recording as text: modes, runs, missed deadlines, drive faults."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 INFORMATION, WARNING, ERROR = 2, 3, 4  # Foxglove's levels
-SAID_EVERY_s: Final = 1.0  # deadlines are missed in swarms: one sentence a second is enough
+SAID_EVERY_s: Final = 1.0  # missed deadlines come in bursts: one message per second is enough
 
 
 class Events:
-    """Looks at one cycle after the other and says what changed."""
+    """Compares each cycle with the last and describes the changes."""
 
     def __init__(self, modes: Sequence[str]) -> None:
         self._modes = tuple(modes)
@@ -22,7 +22,7 @@ class Events:
     def look(
         self, t_s: float, mode: int, run: int, missed: int, faults: tuple[float, ...]
     ) -> Iterator[tuple[int, str]]:
-        """Level and sentence of everything that is new in this cycle."""
+        """Level and text of every new event in this cycle."""
         if mode != self._mode:
             name = mode_name(self._modes, mode)
             yield ERROR if name == "FAULT" else INFORMATION, f"mode {name}"
@@ -39,5 +39,5 @@ class Events:
 
 
 def mode_name(modes: Sequence[str], number: float) -> str:
-    """The name of a recorded mode; one that is not known is its number."""
+    """The name of a recorded mode; its number if unknown."""
     return modes[int(number)] if 0 <= number < len(modes) else f"mode {int(number)}"

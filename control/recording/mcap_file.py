@@ -1,7 +1,7 @@
-"""A recording as an MCAP file that Foxglove opens: plots with units, the arm in the 3-D panel, what happened as a log.
+"""Exports a recording as an MCAP file for Foxglove: plots with units, the arm in the 3-D panel, events as a log.
 
-Times are those of the day: the recording's start plus what the loop's clock has run since its first row. Topics and schemas are
-those of control.recording.mcap_schemas; the arm.toml is attached, metadata say what the file was made from.
+Times are absolute: the recording's start plus the loop's clock since its first row. Topics and schemas are
+those of control.recording.mcap_schemas; the arm.toml is attached, and the metadata name the source.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from control.recording.record import Recording
 
 Row = tuple[float, ...]
 Point = tuple[float, float, float]
-SCENE_PERIOD_s: Final = 0.02  # as often as a screen shows it
-PATH_POINTS_MOST: Final = 4000  # of one run, so that a long one stays a line that can be drawn
+SCENE_PERIOD_s: Final = 0.02  # the refresh rate of a screen
+PATH_POINTS_MOST: Final = 4000  # points per run, so that a long path can still be drawn
 WELL_KNOWN: Final = {
     "/tf": "foxglove.FrameTransforms",
     "/scene": "foxglove.SceneUpdate",
@@ -49,7 +49,7 @@ def to_mcap(
     arm: Arm | None = None,
     report: Callable[[int], None] = lambda row: None,
 ) -> int:
-    """Write every k-th cycle; returns how many. Without an `arm` there is no 3-D. `report` is told each thousandth row."""
+    """Write every k-th cycle; return the count. Without `arm` there is no 3-D scene. `report` is called every thousand rows."""
     from mcap.writer import Writer
 
     with path.open("wb") as file:
@@ -69,7 +69,7 @@ def to_mcap(
 
 @dataclass(slots=True)
 class _Columns:
-    """Where the columns of one recording stand in its rows; joint groups as tuples."""
+    """Column indices of one recording; joint groups as tuples."""
 
     place: dict[str, int]
     joint_count: int
@@ -82,7 +82,7 @@ class _Columns:
         }
 
     def joints(self, form: str, encoders: str) -> tuple[int, ...]:
-        """The joints' angles; their encoders' where those are the same and not recorded beside them."""
+        """The joint angles; the encoder angles if joint angles were not recorded separately."""
         return self.group(form if form.format(1) in self.place else encoders)
 
     def group(self, form: str) -> tuple[int, ...]:
@@ -90,7 +90,7 @@ class _Columns:
 
 
 class _Export:
-    """Writes row after row into an MCAP file that is open."""
+    """Writes rows into an open MCAP file."""
 
     def __init__(self, recording: Recording, writer: Any, arm: Arm | None) -> None:
         self._recording, self._writer, self._arm = recording, writer, arm
@@ -147,7 +147,7 @@ class _Export:
         )
 
     def _own(self, row: Row, time_ns: int) -> None:
-        """The recording's columns; JSON has no NaN, so what was not measured is left out."""
+        """The recording's columns; missing values are omitted, because JSON has no NaN."""
         for topic, columns in self._columns.own.items():
             message: dict[str, Any] = {name: row[k] for name, k in columns if math.isfinite(row[k])}
             if topic == LOOP:
@@ -166,7 +166,7 @@ class _Export:
             self._write("/tip/camera", scene.pose_in_base((tip[0], tip[1], tip[2]), time_ns), time_ns)
 
     def _happened(self, row: Row, time_ns: int) -> None:
-        """What happened in words, and the path that a run was told to take."""
+        """Events as text, and the commanded path of a run."""
         at = self._columns.place
         run = int(row[at["run"]])
         faults = tuple(row[k] for k in self._faults)
@@ -179,7 +179,7 @@ class _Export:
             self._write("/scene", scene.path(points, time_ns), time_ns)
 
     def _scene(self, row: Row, time_ns: int) -> None:
-        """Frames, tips and joint states, as often as a screen shows them."""
+        """Frames, tips and joint states, at the refresh rate of a screen."""
         joint_rad, wanted_rad = [row[k] for k in self._joint], [row[k] for k in self._joint_set]
         states = scene.joint_states(joint_rad, [row[k] for k in self._speed], time_ns)
         self._write("/joint_states", states, time_ns)
@@ -197,7 +197,7 @@ class _Export:
             self._write("/tf", {"transforms": frames}, time_ns)
 
     def finish(self, written: int, every: int) -> None:
-        """Attach the arm, say where the file comes from, close."""
+        """Attach the arm, write the metadata and close."""
         recording = self._recording
         if self._arm is not None and (text := _arm_text(recording, self._arm)):
             self._writer.add_attachment(
@@ -243,14 +243,14 @@ def _tips(kinematics: Kinematics, angles: array[float]) -> Sequence[Point]:
 
 
 def _arm_text(recording: Recording, arm: Arm) -> str:
-    """The arm.toml as it was recorded, else as its file is now."""
+    """The recorded arm.toml, else the present file."""
     if isinstance(text := recording.header.get("arm_toml"), str):
         return text
     return arm.path.read_text(encoding="utf-8") if arm.path is not None and arm.path.is_file() else ""
 
 
 def attached_arm(path: Path) -> Arm | None:
-    """The arm.toml that is attached to an MCAP file; None where there is none that can be read."""
+    """The arm attached to an MCAP file; None if there is no readable one."""
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
 

@@ -1,7 +1,7 @@
-"""The arm in Foxglove's 3-D panel: frames of the links, shapes that hang on them, the tip, joint states.
+"""The arm in Foxglove's 3-D panel: link frames and shapes, the tip, joint states.
 
 Two arms stand in `base`: `measured/...` and `set_point/...`, each with its DH frames `link1` ... and `tip`. A link frame lies in
-the one before it by Tz(d) Rz(theta + q) Tx(L) Rx(alpha) (standard) or Rx(alpha) Tx(L) Rz(theta + q) Tz(d) (modified).
+the previous one by Tz(d) Rz(theta + q) Tx(L) Rx(alpha) (standard) or Rx(alpha) Tx(L) Rz(theta + q) Tz(d) (modified).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ COLOURS: Final = {MEASURED: (0.0, 0.447, 0.698, 1.0), SET_POINT: (0.835, 0.369, 
 NO_TURN: Final[Turn] = (0.0, 0.0, 0.0, 1.0)
 TIP_RADIUS_m: Final = 0.008
 PATH_PIXELS: Final = 2.0
-THICKNESS, THICKEST_m = 0.1, 0.02  # of a link's length, and at most
+THICKNESS, THICKEST_m = 0.1, 0.02  # of a link's length; upper bound
 
 
 def stamp(time_ns: int) -> Message:
@@ -31,7 +31,7 @@ def stamp(time_ns: int) -> Message:
 
 
 def placement(link: Link, q_rad: float, is_standard: bool) -> tuple[Point, Turn]:
-    """Where a link's DH frame is in the one before it, at a joint angle (0 where nothing turns): position [m], quaternion."""
+    """Pose of a link's DH frame in the previous one at a joint angle (0 if fixed): position [m], quaternion."""
     theta, alpha, d, length = link.theta_rad + q_rad, link.alpha_rad, link.d_m, link.L_m
     ct, st = math.cos(0.5 * theta), math.sin(0.5 * theta)
     ca, sa = math.cos(0.5 * alpha), math.sin(0.5 * alpha)
@@ -75,12 +75,12 @@ def pose(position_m: Point, turn: Turn = NO_TURN) -> Message:
 
 
 def pose_in_base(position_m: Point, time_ns: int) -> Message:
-    """Foxglove's PoseInFrame of a point in the base frame; what is not known of its orientation is none."""
+    """Foxglove's PoseInFrame of a point in the base frame; with the identity as orientation."""
     return {"timestamp": stamp(time_ns), "frame_id": BASE, "pose": pose(position_m)}
 
 
 def joint_states(q_rad: Sequence[float], speed_rad_s: Sequence[float], time_ns: int) -> Message:
-    """Foxglove's JointStates; joints are named as in the exported URDF. What was not measured is left out."""
+    """Foxglove's JointStates; joints are named as in the exported URDF. Missing values are omitted."""
     joints = []
     for number, (angle, speed) in enumerate(zip(q_rad, speed_rad_s, strict=True), start=1):
         known = {"position": angle, "velocity": speed}
@@ -89,7 +89,7 @@ def joint_states(q_rad: Sequence[float], speed_rad_s: Sequence[float], time_ns: 
 
 
 def shapes(arm: Arm, time_ns: int) -> Message:
-    """SceneUpdate with the links of both arms, which follow their frames from then on."""
+    """SceneUpdate with the links of both arms, attached to their frames."""
     entities = []
     for which, colour in COLOURS.items():
         for number, (frame, end_m) in enumerate(_link_ends(arm), start=1):
@@ -118,7 +118,7 @@ def _link_ends(arm: Arm) -> list[tuple[str, Point]]:
 
 
 def _link_entity(name: str, frame: str, end_m: Point, colour: Turn, time_ns: int) -> Message:
-    """A cylinder from the frame's origin to the other end, round at both; nothing where both are one point."""
+    """A cylinder from the frame's origin to the other end, round at both; None if both coincide."""
     length_m = math.hypot(*end_m)
     if length_m == 0.0:
         return _entity(name, frame, time_ns)

@@ -1,7 +1,7 @@
 """JSON schemas of an exported MCAP file: our own columns with unit and meaning, and Foxglove's well-known messages.
 
-Our own topics carry the columns of the recording by their names, `q1_rad` and not `position[0]`: the unit is seen in every
-plot, and a value that was not measured is left out alone. Foxglove knows its own messages by the schemas' titles
+Our own topics use the column names of the recording, `q1_rad` and not `position[0]`, so that every plot shows the unit
+and a single missing value can be omitted. Foxglove recognises its own messages by the schemas' titles
 (docs.foxglove.dev, SDK schemas); of these only the fields that are written here are described.
 """
 
@@ -30,12 +30,12 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("q{}_rad", "rad", "angle by its encoder"),
         Field("speed{}_rad_s", "rad/s", "speed by its encoder and the board's clock"),
         Field("count{}", "1", "encoder count"),
-        Field("joint{}_rad", "rad", "angle of the joint, as the model knows it; absent: that by its encoder"),
+        Field("joint{}_rad", "rad", "angle of the joint by the model; absent: same as by its encoder"),
     ),
     SET_POINT: (
         Field("q{}_set_rad", "rad", "set-point of the angle"),
         Field("speed{}_set_rad_s", "rad/s", "set-point of the speed"),
-        Field("joint{}_set_rad", "rad", "set-point of the joint; absent: that of its encoder"),
+        Field("joint{}_set_rad", "rad", "set-point of the joint; absent: same as of its encoder"),
     ),
     DRIVES: (
         Field("u{}_V", "V", "commanded motor voltage in the joint's sign; absent: open circuit"),
@@ -47,9 +47,9 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("flags{}", "1", "flags of the encoder channel (docs/encoder_board.md)"),
         Field("counted{}_s", "s", "when the count was latched, by the clock of its encoder board"),
     ),
-    CAMERA: tuple(Field(f"{axis}_m", "m", f"{axis} of the tip in the base frame, as the camera saw it") for axis in "xyz"),
+    CAMERA: tuple(Field(f"{axis}_m", "m", f"{axis} of the tip in the base frame, measured by the camera") for axis in "xyz"),
     LOOP: (
-        Field("t_s", "s", "the loop's own clock"),
+        Field("t_s", "s", "clock of the loop"),
         Field("cycle", "1", "number of the cycle"),
         Field("run", "1", "number of the motion; 0 before the first"),
         Field("mode", "1", "number of the mode, by control.safety.table.Mode; its name is in mode_name"),
@@ -59,12 +59,12 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("payload_kg", "kg", "mass at the tip, as stated"),
     ),
 }  # fmt: skip
-MODE_NAME: Final = Field("mode_name", "1", "what the arm does: OFF, BRAKED, HOLDING, MOVING, ...")
+MODE_NAME: Final = Field("mode_name", "1", "mode of the arm: OFF, BRAKED, HOLDING, MOVING, ...")
 FOLLOWING_ERROR: Final = Field("following_error{}_rad", "rad", "set-point minus angle")
 
 
 def own_schemas(joint_count: int) -> dict[str, Schema]:
-    """Topic -> JSON schema of our own messages, for an arm of so many joints."""
+    """Topic -> JSON schema of our own messages, for this number of joints."""
     fields = {**TOPICS, ERROR: (FOLLOWING_ERROR,)}
     found = {topic: _own(topic, topic_fields, joint_count) for topic, topic_fields in fields.items()}
     found[LOOP]["properties"]["mode_name"] = {"type": "string", "description": MODE_NAME.meaning}
@@ -83,7 +83,7 @@ def _own(topic: str, fields: tuple[Field, ...], joint_count: int) -> Schema:
         for name, meaning in _each(field, joint_count)
     }
     title = "armwright." + "_".join(topic.strip("/").split("/"))
-    about = f"what {topic} carries, in SI units and radians"
+    about = f"columns of {topic}, in SI units and radians"
     return {"title": title, "description": about, "type": "object", "properties": properties}
 
 
@@ -120,7 +120,7 @@ _POSE: Final = _message("foxglove.Pose", "a pose", position=_VECTOR, orientation
 _COLOUR: Final = _message("foxglove.Color", "[1], 0 to 1", **{part: _number(f"{part} [1]") for part in "rgba"})  # fmt: skip
 _TRANSFORM: Final = _message(
     "foxglove.FrameTransform",
-    "where a frame is in its parent",
+    "pose of a frame in its parent",
     timestamp=_TIME,
     parent_frame_id=_text("parent"),
     child_frame_id=_text("child"),
@@ -171,7 +171,7 @@ _ENTITY: Final = _message(
 )
 _DELETION: Final = _message(
     "foxglove.SceneEntityDeletion",
-    "what to take away",
+    "entities to remove",
     timestamp=_TIME,
     type={"type": "integer"},
     id=_text("name"),
@@ -186,7 +186,7 @@ _JOINT: Final = _message(
 FOXGLOVE: Final[dict[str, Schema]] = {
     schema["title"]: schema
     for schema in (
-        _message("foxglove.FrameTransforms", "where the arm's frames are", transforms=_many(_TRANSFORM)),
+        _message("foxglove.FrameTransforms", "the frames of the arm", transforms=_many(_TRANSFORM)),
         _message("foxglove.SceneUpdate", "the arm as shapes", deletions=_many(_DELETION), entities=_many(_ENTITY)),
         _message("foxglove.PoseInFrame", "a pose in a frame", timestamp=_TIME, frame_id=_text("frame"), pose=_POSE),
         _message("foxglove.JointStates", "the joints", timestamp=_TIME, joints=_many(_JOINT)),

@@ -1,11 +1,11 @@
-r"""Every cycle on record: fixed-size binary rows behind a JSON header, safe against a killed process.
+r"""Recording format: a JSON header and one fixed-size binary row per cycle, robust against a killed process.
 
 File: `ARMLOG1\n`, u32 header length, JSON header (fields, joint count, arm, start time), then one packed row a cycle;
 little endian.
-Rows are only ever appended, so a killed writer can tear nothing but the last row, and the reader drops that one.
-In real time the rows go through a pipe to a writer process of their own (`control.recording.writer`): the loop never waits for a
-disk, and when the loop dies the writer still drains what was sent. It goes on in another file where one has grown large
-(`next_part`). Stepped, the same rows go straight to the file.
+Rows are only ever appended, so a killed writer can truncate only the last row, which the reader drops.
+In real time the rows go through a pipe to a writer process (`control.recording.writer`): the loop never waits for a
+disk, and when the loop dies the writer still drains the pipe. It continues in another file when one has grown large
+(`next_part`). On the stepped clock, the rows go directly to the file.
 """
 
 import json
@@ -25,7 +25,7 @@ from control.safety.table import Mode
 
 MAGIC = b"ARMLOG1\n"
 SUFFIX = ".armlog"
-ROWS_A_REPORT = 256  # reports are listened to once in so many rows
+ROWS_A_REPORT = 256  # reports are read once in this many rows
 REPORT_bytes = 1 << 14
 MODES_BEFORE_THEY_WERE_RECORDED = (
     "OFF", "BRAKED", "HOLDING", "MOVING", "HOMING", "GUIDING", "STOPPING", "FAULT",
@@ -56,7 +56,7 @@ class Layout:
 
     @classmethod
     def of(cls, joint_count: int, has_joint_side: bool = False) -> "Layout":
-        """The layout that this version writes; joints' angles beside their encoders' for an arm that tells them apart."""
+        """The layout that this version writes; with joint angles beside encoder angles if the arm distinguishes them."""
         fields, of_joint = (
             list(SCALAR_FIELDS),
             (*JOINT_FIELDS, *(JOINT_SIDE_FIELDS if has_joint_side else ())),
@@ -68,7 +68,7 @@ class Layout:
         )
 
     def header(self, about: dict[str, Any]) -> bytes:
-        """What stands before the rows."""
+        """The header, as it precedes the rows."""
         return header_bytes(self.about(**about))
 
     def about(self, **more: Any) -> dict[str, Any]:
@@ -83,13 +83,13 @@ class Layout:
 
 
 def header_bytes(header: Mapping[str, Any]) -> bytes:
-    """A header as it stands before the rows."""
+    """Encode a header as it precedes the rows."""
     text = json.dumps(header).encode()
     return MAGIC + struct.pack("<I", len(text)) + text
 
 
 def next_part(path: Path) -> Path:
-    """The file in which the recording `path` goes on: NAME.armlog, NAME.part2.armlog, NAME.part3.armlog, ..."""
+    """The file in which the recording `path` continues: NAME.armlog, NAME.part2.armlog, NAME.part3.armlog, ..."""
     stem = path.name.removesuffix(SUFFIX)
     if found := re.fullmatch(r"(.+)\.part(\d+)", stem):
         return path.with_name(f"{found[1]}.part{int(found[2]) + 1}{SUFFIX}")
@@ -97,20 +97,29 @@ def next_part(path: Path) -> Path:
 
 
 def parts_from(path: Path) -> list[Path]:
-    """A recording and the files in which it went on, in order."""
+    """A recording and its continuation files, in order."""
     parts = [path]
     while has_part(following := next_part(parts[-1])):
         parts.append(following)
     return parts
 
 
+def last_part(path: Path) -> Path:
+    """The latest file of a recording, of which earlier ones may have been removed."""
+    part = re.compile(re.escape(path.name.removesuffix(SUFFIX)) + r"\.part(\d+)" + re.escape(SUFFIX))
+    found = [
+        (int(named[1]), other) for other in path.parent.iterdir() if (named := part.fullmatch(other.name))
+    ]
+    return max(found, default=(1, path))[1]
+
+
 def has_part(path: Path) -> bool:
-    """Whether there is a file with a header: a part that is just being begun is empty."""
+    """Whether the file exists and has a header; a part that is being created is empty."""
     return path.exists() and path.stat().st_size > 0
 
 
 class RowSink(Protocol):
-    """Where packed rows go. `write` must not wait; it returns False when the row could not be taken."""
+    """Destination of packed rows. `write` must not block; it returns False if the row was not accepted."""
 
     def write(self, row: bytes) -> bool: ...
 
@@ -120,7 +129,7 @@ class RowSink(Protocol):
 
 
 class FileSink:
-    """Rows straight into a file, through the C library's buffer: for the stepped clock, where nobody waits."""
+    """Writes rows directly to a buffered file: for the stepped clock, where blocking does not matter."""
 
     def __init__(self, path: Path, header: bytes) -> None:
         self._file: BinaryIO = path.open("xb")
@@ -133,7 +142,7 @@ class FileSink:
         return True
 
     def state(self) -> RecorderState:
-        """Rows are kept for as long as nothing raises."""
+        """The state of the recording; rows are recorded as long as nothing raises."""
         return self._state
 
     def close(self) -> None:
@@ -142,9 +151,9 @@ class FileSink:
 
 
 class PipeSink:
-    """Rows into the non-blocking end of a pipe; a full or broken pipe loses the row and says so, the loop goes on.
+    """Writes rows to a non-blocking pipe; a full or broken pipe loses the row and reports it, and the loop continues.
 
-    `reports` is where the writer tells how the recording stands: a non-blocking datagram socket.
+    `reports` is the non-blocking datagram socket on which the writer reports its state.
     """
 
     def __init__(self, fd: int, reports: socket.socket | None = None, first: str = "") -> None:
@@ -170,7 +179,7 @@ class PipeSink:
         return True
 
     def state(self) -> RecorderState:
-        """What the writer told last."""
+        """The last state that the writer reported."""
         self._listen()
         return self._state
 
@@ -181,11 +190,11 @@ class PipeSink:
             self._reports.close()
 
     def _listen(self) -> None:
-        """Take all reports that wait, so that there is always room for the next; the last one counts."""
+        """Read all pending reports, so that there is always room for the next; the last one is used."""
         while self._reports is not None:
             try:
                 message = self._reports.recv(REPORT_bytes)
-            except OSError:  # none waits
+            except OSError:  # none pending
                 return
             if not message:
                 return
@@ -193,10 +202,10 @@ class PipeSink:
 
 
 class NoSink:
-    """Keeps nothing on disk."""
+    """Discards rows."""
 
     def write(self, row: bytes) -> bool:
-        """Take the row and forget it."""
+        """Discard the row."""
         return True
 
     def state(self) -> RecorderState:
@@ -208,7 +217,7 @@ class NoSink:
 
 
 class Recorder:
-    """Packs rows, keeps the last ones for fault reports, and counts the rows that a sink could not take."""
+    """Packs rows, keeps the last ones for fault reports, and counts the rows that the sink did not accept."""
 
     def __init__(self, layout: Layout, sink: RowSink, saved_rows: int = 250) -> None:
         self.layout = layout
@@ -227,16 +236,16 @@ class Recorder:
             self._refused += 1
 
     def state(self) -> RecorderState:
-        """How the recording stands, with the rows that never came to the writer among the lost ones."""
+        """The state of the recording; lost rows include those that never reached the writer."""
         return self._sink.state().plus_lost(self._refused)
 
     @property
     def lost_rows(self) -> int:
-        """Rows that are in no file."""
+        """Number of rows that are not in any file."""
         return self.state().lost_rows
 
     def last_rows(self) -> tuple[bytes, ...]:
-        """The kept rows, oldest first."""
+        """The latest rows, oldest first."""
         return tuple(row for row in self._kept[self._next :] + self._kept[: self._next] if row)
 
     def close(self) -> None:
@@ -249,7 +258,7 @@ class RecordError(ArmError):
 
 
 def _require_columns(layout: Layout) -> None:
-    """ValueError where the columns do not match the joint count. Columns of later versions may be missing."""
+    """ValueError if the columns do not match the joint count. Columns of later versions may be missing."""
     if type(layout.joint_count) is not int or not 1 <= layout.joint_count <= len(layout.names):
         raise ValueError(f"joint_count {layout.joint_count!r} does not match {len(layout.names)} columns")
     later = {f"counted{joint}_s" for joint in range(1, layout.joint_count + 1)}
@@ -266,7 +275,7 @@ def _require_numbers(header: dict[str, Any]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A recording on disk: its header and where its rows begin."""
+    """A recording on disk: its header and the offset of its rows."""
 
     path: Path
     header: dict[str, Any]
@@ -275,7 +284,7 @@ class Recording:
 
     @classmethod
     def open(cls, path: Path) -> "Recording":
-        """Read the header. RecordError when the file is not a recording."""
+        """Read the header. RecordError if the file is not a recording."""
         with path.open("rb") as file:
             start = file.read(len(MAGIC) + 4)
             if len(start) < len(MAGIC) + 4 or not start.startswith(MAGIC):
@@ -297,16 +306,16 @@ class Recording:
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """Names of the modes by their recorded numbers, of the version that recorded."""
+        """Names of the modes by number, in the version that recorded."""
         return tuple(self.header.get("modes") or MODES_BEFORE_THEY_WERE_RECORDED)
 
     @property
     def row_count(self) -> int:
-        """How many whole rows the file holds."""
+        """Number of complete rows in the file."""
         return max(0, self.path.stat().st_size - self.offset) // self.layout.packing.size
 
     def rows(self) -> Iterator[tuple[float, ...]]:
-        """Rows as tuples in the order of `layout.names`; a torn last row is dropped."""
+        """Rows as tuples in the order of `layout.names`; an incomplete last row is dropped."""
         size = self.layout.packing.size
         with self.path.open("rb") as file:
             file.seek(self.offset)

@@ -1,4 +1,4 @@
-"""Which arm a recording is of: what its header says, as far as it can still be read."""
+"""The arm of a recording, from its header."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from control.recording.record import Recording
 
 
 def recorded_arm(recording: Recording) -> Arm | None:
-    """The arm as it was recorded, else the file that the header names, else the arm that ships under its name.
+    """The recorded arm, else the file named in the header, else the supplied arm of that name.
 
-    None where there is none of these, or only one with another number of joints.
+    None if there is none of these, or only one with another number of joints.
     """
     for arm in _candidates(recording):
         if arm.joint_count == recording.layout.joint_count:

@@ -1,4 +1,4 @@
-"""How the recording stands: on or stopped, since when and why, what it takes and how long the disk lasts."""
+"""State of the recording: running or stopped, since when and why, its size and how long the disk lasts."""
 
 import os
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class RecorderState:
-    """What `status` answers under `recorder`. `reason` says why rows are not kept; empty while they are."""
+    """The answer of `status` under `recorder`. `reason` says why rows are not recorded; empty while they are."""
 
     is_on: bool
     file: str = ""
@@ -22,7 +22,7 @@ class RecorderState:
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> "RecorderState":
-        """From a message; keys that this version does not know are passed over."""
+        """Decode a message; keys that are unknown to this version are ignored."""
         known = {field.name for field in fields(cls)}
         return cls(**{key: value for key, value in content.items() if key in known})
 
@@ -31,20 +31,28 @@ class RecorderState:
         return asdict(self)
 
     def plus_lost(self, rows: int) -> "RecorderState":
-        """With rows that were lost before they came to the recorder."""
+        """The state with additional lost rows."""
         return replace(self, lost_rows=self.lost_rows + rows)
 
     def usage(self) -> str:
-        """What it takes, in words: `400 MB/h, room for 31 h`."""
+        """Data rate and remaining time as text: `400 MB/h, room for 31 h`."""
         rate = f"{1e-6 * self.bytes_per_h:.0f} MB/h"
         if self.hours_left is None:
             return rate
-        left = f"{self.hours_left:.0f} h" if self.hours_left >= 2.0 else f"{60.0 * self.hours_left:.0f} min"
-        return f"{rate}, room for {left}"
+        return f"{rate}, room for {self.time_left()}"
+
+    def time_left(self) -> str:
+        """How long the disk lasts, in words; empty where that is not known."""
+        if self.hours_left is None:
+            return ""
+        if self.hours_left >= 2.0:
+            return f"{self.hours_left:.0f} h"
+        minutes = 60.0 * self.hours_left
+        return f"{minutes:.0f} min" if minutes >= 1.0 else "less than 1 min"
 
 
 def hours_left(folder: Path, bytes_per_h: float) -> float | None:
-    """How long the disk of `folder` lasts at this rate; None where the system does not say."""
+    """How long the disk of `folder` lasts at this rate; None if unknown."""
     try:
         disk = os.statvfs(folder)
     except OSError:

@@ -1,7 +1,7 @@
-"""A recording as a row of files: begun anew at a size, each readable by itself, the oldest removed beyond a total.
+"""Rotation of recordings: a new file at a size limit, each readable on its own; the oldest are removed beyond a total size.
 
-A disk that takes no more costs rows, never the recording: it is tried again every second. A file always ends with a whole
-row, and a gap is seen in the rows' own times and cycle numbers.
+A full disk loses rows, but does not end the recording: writing is retried every second. A file always ends with a complete
+row, and a gap shows in the rows' times and cycle numbers.
 """
 
 import contextlib
@@ -18,8 +18,8 @@ from control.recording.record import Recording, header_bytes, next_part
 from control.recording.recorder_state import RecorderState, hours_left
 
 RETRY_s = 1.0
-SYNC_bytes = 1 << 18  # how often the kernel is asked to put the file on the disk, for power cuts
-ROOM_AGAIN_s = 60.0  # of rows that must fit before a recording goes on that a full disk stopped
+SYNC_bytes = 1 << 18  # interval of fsync, for power cuts
+ROOM_AGAIN_s = 60.0  # of rows that must fit before a stopped recording resumes
 NAME = re.compile(r"(?P<arm>.+)-\d{8}-\d{6}(-\d+)?(\.part\d+)?\.armlog")
 PWrite = Callable[[int, bytes, int], int]
 Say = Callable[[str], None]
@@ -27,14 +27,14 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """At which size a new file begins, and how much all files of an arm may take together (0: no limit)."""
+    """Size at which a new file begins, and total size of all files of an arm (0: no limit)."""
 
     rotate_bytes: int
     keep_bytes: int = 0
 
 
 class PartFile:
-    """A file of a recording that has its header; grows by whole rows only. `pwrite` is the disk."""
+    """A file of a recording, with its header; grows by complete rows only. `pwrite` writes to the disk."""
 
     def __init__(self, path: Path, pwrite: PWrite = os.pwrite) -> None:
         opened = Recording.open(path)
@@ -42,12 +42,12 @@ class PartFile:
         self._rows_at, self._pwrite, self._unsynced = opened.offset, pwrite, 0
         self.size = self._rows_at + opened.row_count * self.row_bytes
         self._fd = os.open(path, os.O_WRONLY)
-        with contextlib.suppress(OSError):  # tells other runtimes that this file is not finished
+        with contextlib.suppress(OSError):  # marks the file as unfinished for other runtimes
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     @property
     def is_removed(self) -> bool:
-        """Whether somebody has removed it, as one does to make room."""
+        """Whether the file was removed, e.g. to make room."""
         return os.fstat(self._fd).st_nlink == 0
 
     @property
@@ -56,7 +56,7 @@ class PartFile:
         return self.size > self._rows_at
 
     def append(self, rows: bytes) -> None:
-        """Write whole rows. OSError where not all of them fit: those that do are kept, none is torn."""
+        """Write complete rows. OSError if not all of them fit: those that fit are kept, none is truncated."""
         at, left = self.size, rows
         try:
             while left:
@@ -70,13 +70,13 @@ class PartFile:
                     os.ftruncate(self._fd, self.size)
 
     def synchronise(self, least_bytes: int = 1) -> None:
-        """Wait for the disk, if so much was written since the last time."""
+        """Sync to the disk if enough was written since the last time."""
         if self._unsynced >= least_bytes:
             self._unsynced = 0
             os.fdatasync(self._fd)
 
     def close(self) -> None:
-        """Put it on the disk and close it."""
+        """Sync and close."""
         try:
             self.synchronise()
         finally:
@@ -84,9 +84,9 @@ class PartFile:
 
 
 class Parts:
-    """Appends rows to the recording `first`, which has its header, and to the parts after it.
+    """Appends rows to the recording `first`, which already has its header, and to its later parts.
 
-    `say` is told once when rows are lost and once when they are kept again. `now_s` times the retries.
+    `say` is called once when rows are lost and once when recording resumes. `now_s` times the retries.
     """
 
     def __init__(
@@ -107,27 +107,27 @@ class Parts:
         remove_oldest(first, policy, say)
 
     def append(self, rows: bytes) -> None:
-        """Keep whole rows, or count those that the disk did not take."""
+        """Write complete rows, and count those that the disk did not accept."""
         if not self._state.is_on and self._now_s() < self._retry_at_s:
             self._lose(len(rows))
             return
-        kept = 0
+        recorded = 0
         try:
             part = self._prepared(len(rows))
             begun = part.size
             try:
                 part.append(rows)
             finally:
-                kept = part.size - begun
+                recorded = part.size - begun
             part.synchronise(SYNC_bytes if self._state.is_on else 1)
         except OSError as error:
             self._stop(error)
         else:
             self._go_on()
-        self._lose(len(rows) - kept)
+        self._lose(len(rows) - recorded)
 
     def state(self) -> RecorderState:
-        """How the recording stands now."""
+        """The present state of the recording."""
         size = self._part.size if self._part is not None else 0
         left = hours_left(self._path.parent, self._state.bytes_per_h)
         return replace(
@@ -135,7 +135,7 @@ class Parts:
         )
 
     def close(self) -> None:
-        """Put everything on the disk and close."""
+        """Sync everything and close."""
         try:
             self._finish_part()
         except OSError as error:
@@ -144,7 +144,7 @@ class Parts:
             self._say(f"{self._path}: the recording ends with {self._state.lost_rows} rows lost")
 
     def _prepared(self, more_bytes: int) -> PartFile:
-        """The part that takes `more_bytes`; OSError where there is no room."""
+        """The part that has room for `more_bytes`; OSError if there is none."""
         if not self._state.is_on:
             self._require_room()
         part = self._part
@@ -168,14 +168,10 @@ class Parts:
             part.close()
 
     def _begun_part(self) -> PartFile:
-        """The next file, with its header; none is left where that does not fit."""
-        path = next_part(self._path)
-        while path.exists():
-            path = next_part(path)
-        begin(path, {**self._header, "started_unix_s": time.time()}, self._pwrite)
-        self._path = path
-        remove_oldest(path, self._policy, self._say)
-        return PartFile(path, self._pwrite)
+        """Create the next file with its header; it is removed again if the header does not fit."""
+        self._path = begin_next(self._path, self._header, self._pwrite)
+        remove_oldest(self._path, self._policy, self._say)
+        return PartFile(self._path, self._pwrite)
 
     def _lose(self, lost_bytes: int) -> None:
         lost = self._state.lost_rows + lost_bytes // self.row_bytes
@@ -201,9 +197,9 @@ class Parts:
 
 
 def begin(path: Path, header: Mapping[str, object], pwrite: PWrite = os.pwrite) -> None:
-    """A new recording with its header and no rows, or no file. OSError names it.
+    """Create a recording with its header and no rows; on OSError there is no file.
 
-    The name is taken first, empty, and then the whole header put in its place: a reader never sees half of one.
+    An empty file reserves the name, then the complete header replaces it: a reader never sees a partial header.
     """
     content, at = header_bytes(header), 0
     os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644))
@@ -223,6 +219,15 @@ def begin(path: Path, header: Mapping[str, object], pwrite: PWrite = os.pwrite) 
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
+def begin_next(path: Path, header: Mapping[str, object], pwrite: PWrite = os.pwrite) -> Path:
+    """Create the first free file after `path` in which its recording continues; errors as `begin`."""
+    path = next_part(path)
+    while path.exists():
+        path = next_part(path)
+    begin(path, {**header, "started_unix_s": time.time()}, pwrite)
+    return path
+
+
 def remove_oldest(current: Path, policy: Policy, say: Say) -> None:
     """Remove finished recordings of this arm in this folder, oldest first, until all fit into `keep_bytes`."""
     if not policy.keep_bytes or (named := NAME.fullmatch(current.name)) is None:
@@ -237,7 +242,9 @@ def remove_oldest(current: Path, policy: Policy, say: Say) -> None:
             if total > policy.keep_bytes and _is_finished(path):
                 path.unlink()
                 total -= size
-                say(f"{path}: removed as the oldest recording; [recording] keeps {policy.keep_bytes:g} bytes")
+                say(
+                    f"{path}: removed as the oldest recording; [recording] keeps {1e-6 * policy.keep_bytes:g} MB"
+                )
 
 
 def _arm_of(path: Path) -> str | None:
@@ -246,7 +253,7 @@ def _arm_of(path: Path) -> str | None:
 
 
 def _is_finished(path: Path) -> bool:
-    """Whether no writer has it open."""
+    """Whether no writer has the file open."""
     fd = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)

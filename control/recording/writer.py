@@ -1,9 +1,12 @@
-"""The writer process: copies recorded rows from its standard input to files, so that the loop never waits for a disk.
+"""The writer process: copies rows from its standard input to files, so that the loop never waits for a disk.
 
 Started by the loop as `python -m control.recording.writer FILE ROTATE_BYTES KEEP_BYTES`; FILE has its header. The writer ends
-when the pipe closes, however the loop died. By then it has written all that was sent. It reports the recording's state on its
+when the pipe closes, however the loop ended, after writing all that was sent. It reports the recording's state on its
 standard output, a JSON object a message (control.recording.recorder_state). It ignores SIGINT: Ctrl-C reaches the whole process
 group, and the loop still has a controlled stop to record.
+
+The process forks: the child writes, and the parent only waits. If the child is killed, the parent starts another one, which
+continues in a new file. Rows stay in the pipe meanwhile, because the parent holds its end open.
 """
 
 import contextlib
@@ -13,24 +16,27 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from control.recording.record import Recording, has_part, last_part
 from control.recording.recorder_state import RecorderState
-from control.recording.rotation import Parts, Policy
+from control.recording.rotation import Parts, Policy, begin_next
 
-GATHER_s = 0.02  # how long rows may lie in the pipe: what a killed writer can lose
+GATHER_s = 0.02  # longest time that rows wait in the pipe; a killed writer loses no more
 REPORT_s = 0.5
 CHUNK_bytes = 1 << 16
+RESTART_s = 0.1  # pause before a killed writer is replaced, in case the next one is killed, too
 
 
 def copy(source: int, parts: Parts, row_bytes: int, report: Callable[[RecorderState], None]) -> None:
-    """Copy rows from a pipe until its other end closes; a last row that is torn is left out."""
+    """Copy rows from a pipe until its other end closes; an incomplete last row is dropped."""
     rest, report_at_s, was_on = b"", 0.0, True
     while True:
         is_readable, _, _ = select.select([source], [], [], REPORT_s)
         if is_readable:
-            if not (chunk := os.read(source, CHUNK_bytes)):
+            # Only whole rows are taken from the pipe, so that another writer can continue with the next one.
+            if not (chunk := os.read(source, CHUNK_bytes // row_bytes * row_bytes)):
                 break
             whole = (len(rest) + len(chunk)) // row_bytes * row_bytes
             rows = rest + chunk
@@ -44,24 +50,53 @@ def copy(source: int, parts: Parts, row_bytes: int, report: Callable[[RecorderSt
 
 
 def main() -> None:
-    """Append standard input to the recording that the arguments name."""
+    """Append standard input to the recording named by the arguments."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     first, rotate_bytes, keep_bytes = sys.argv[1:]
-    os.set_blocking(sys.stdout.fileno(), False)  # a loop that does not listen must not hold up the disk
-    parts = Parts(Path(first), Policy(int(rotate_bytes), int(keep_bytes)), _say)
+    os.set_blocking(sys.stdout.fileno(), False)  # never wait for a loop that does not read the reports
+    path = _supervised(Path(first))
+    parts = Parts(path, Policy(int(rotate_bytes), int(keep_bytes)), _say)
     copy(sys.stdin.fileno(), parts, parts.row_bytes, _report)
     parts.close()
 
 
+def _supervised(first: Path) -> Path:
+    """Fork a writer, and another one after each that a signal kills; returns only in the writer, with its file."""
+    path, header = first, Recording.open(first).header
+    while os.fork():
+        _, status = os.wait()
+        if not os.WIFSIGNALED(status):
+            sys.exit(os.waitstatus_to_exitcode(status))
+        time.sleep(RESTART_s)
+        killed, path = path, _continued(first, header)
+        _say(f"{killed}: the writer was killed (signal {os.WTERMSIG(status)}); recording continues in {path}")
+    return path
+
+
+def _continued(first: Path, header: Mapping[str, object]) -> Path:
+    """The file for a new writer: the latest one if it has no rows yet, else the next one."""
+    path = last_part(first)
+    if path.exists() and not has_part(path):  # the writer was killed while it created this file
+        path.unlink()
+        path = last_part(first)
+    if path.exists() and not Recording.open(path).row_count:
+        return path
+    try:
+        return begin_next(path, header)
+    except OSError as error:
+        _say(f"{error.filename}: recording has ended: the writer was killed, and {error.strerror}")
+        sys.exit(1)
+
+
 def _report(state: RecorderState) -> None:
-    with contextlib.suppress(OSError):  # nobody listens, or not now
+    with contextlib.suppress(OSError):  # the loop does not read the reports
         os.write(sys.stdout.fileno(), json.dumps(state.content()).encode() + b"\n")
 
 
 def _say(text: str) -> None:
     with contextlib.suppress(OSError):
-        sys.stderr.buffer.write(f"armwright: {text}\n".encode("ascii", "backslashreplace"))
+        sys.stderr.buffer.write(f"{time.strftime('%H:%M:%S')}  {text}\n".encode("ascii", "backslashreplace"))
         sys.stderr.buffer.flush()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import resource
 import socket
 import struct
@@ -185,17 +186,21 @@ def test_a_writer_whose_file_may_grow_no_more_says_so_and_goes_on_when_it_may(tm
     """The limit is a real one of the kernel: writes come back short, then fail."""
     writer = started_writer(tmp_path / "a.armlog")
     whole = Recording.open(tmp_path / "a.armlog").offset + 2 * LAYOUT.packing.size
-    resource.prlimit(writer.pid, resource.RLIMIT_FSIZE, (whole + 5, resource.RLIM_INFINITY))
+    children = Path(f"/proc/{writer.pid}/task/{writer.pid}/children")
+    assert told_until(writer, lambda state: state.is_on).is_on  # it has forked
+    limited = int(children.read_text())
+    resource.prlimit(limited, resource.RLIMIT_FSIZE, (whole + 5, resource.RLIM_INFINITY))
     stopped = told_until(writer, lambda state: not state.is_on)
     assert stopped.reason == "File too large"
     assert (tmp_path / "a.armlog").stat().st_size == whole
-    resource.prlimit(writer.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    resource.prlimit(limited, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     resumed = told_until(writer, lambda state: state.is_on)
     assert resumed.lost_rows >= 1
     _, said = writer.communicate(timeout=120)
     first, second = said.decode().splitlines()
-    assert first.startswith(f"armwright: {tmp_path}/a.armlog: recording stopped: File too large")
-    assert second.startswith(f"armwright: {tmp_path}/a.armlog: recording resumed")
+    time = r"\d\d:\d\d:\d\d  "  # as before every event of `serve`
+    assert re.match(time + rf"{re.escape(str(tmp_path))}/a.armlog: recording stopped: File too large", first)
+    assert re.match(time + rf"{re.escape(str(tmp_path))}/a.armlog: recording resumed", second)
     assert len(list(Recording.open(tmp_path / "a.armlog").rows())) >= 3
 
 

@@ -174,6 +174,7 @@ def test_only_the_oldest_finished_recordings_of_this_arm_are_removed_and_it_is_t
     assert all(path.exists() for path in others)
     assert len(said) == 1
     assert str(oldest) in said[0]
+    assert said[0].endswith("keeps 0.00035 MB")
     remove_oldest(current, Policy(rotate_bytes=100, keep_bytes=0), said.append)
     assert older.exists()
 
@@ -210,6 +211,13 @@ def test_a_recording_that_finds_no_room_for_its_header_names_the_file_and_leaves
 )
 def test_parts_are_numbered(name: str, following: str) -> None:
     assert next_part(Path(name)) == Path(following)
+
+
+@pytest.mark.parametrize(
+    ("hours", "says"), [(31.2, "31 h"), (0.5, "30 min"), (0.01, "less than 1 min"), (None, "")]
+)
+def test_the_time_that_the_disk_lasts_is_never_nought(hours: float | None, says: str) -> None:
+    assert RecorderState(True, hours_left=hours).time_left() == says
 
 
 def test_the_state_survives_being_told_and_says_what_it_takes(tmp_path: Path, disk: Disk) -> None:
