@@ -1,20 +1,21 @@
-"""`armwright`: parses the command line and hands over to one module per subcommand.
+"""`armwright`: parses the command line and runs the module of the subcommand.
 
-Only argparse is imported before a subcommand is known, so that `--help` answers at once; a command's own module is imported
+Only argparse is imported before the subcommand is known, so that `--help` is fast; a command's own module is imported
 when it runs. Exit status: 0 done, 1 the arm or a check failed, 2 wrong input and nothing moved, 130 interrupted.
 """
 
 import argparse
+import contextlib
 import importlib
 import os
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from console import options
-from console.plain_text import prepare_streams
 from console.specs.table import COMMANDS
+from control.plain_text import prepare_streams
 
 
 def parser() -> argparse.ArgumentParser:
@@ -34,7 +35,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _usage_of(top: argparse.ArgumentParser, command: str | None) -> argparse.ArgumentParser:
-    """The parser whose usage helps: that of the command, where there is one."""
+    """The parser whose usage to print: that of the command, if there is one."""
     for action in top._actions:
         if isinstance(action, argparse._SubParsersAction) and command in action.choices:
             found: argparse.ArgumentParser = action.choices[command]
@@ -42,15 +43,42 @@ def _usage_of(top: argparse.ArgumentParser, command: str | None) -> argparse.Arg
     return top
 
 
+INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
+
+
 def _hear_signals() -> None:
-    """SIGINT and SIGTERM interrupt a command, also where a script's background job or nohup had them ignored."""
+    """Let SIGINT and SIGTERM interrupt a command, even if a script's background job or nohup ignored them."""
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in INTERRUPTS:
             signal.signal(number, signal.default_int_handler)
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Deliver SIGINT and SIGTERM at the end of the block.
+
+    A compiled module that is interrupted while it is imported fails with an ImportError of its own, or half works.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
+    try:
+        _hear_signals()
+        with _interrupts_held():
+            chosen = _chosen(arguments)
+    except KeyboardInterrupt:
+        return fail("interrupted", 130)
+    return chosen if isinstance(chosen, int) else run(*chosen)
+
+
+def _chosen(arguments: Sequence[str] | None) -> int | tuple["options.Command", argparse.Namespace]:
+    """The command to run and its arguments, or an exit status where there is none to run."""
     prepare_streams()
     top = parser()
     given, unknown = top.parse_known_args(arguments)
@@ -64,18 +92,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.command is None:
         top.print_help()
         return 2
-    # A robot's matrices are small: OpenBLAS' threads cost an identification three times its time on a busy machine.
+    # The matrices are small: with OpenBLAS threads, an identification takes three times as long on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    try:
-        _hear_signals()
-        module = importlib.import_module(f"console.commands.{given.module}")
-    except KeyboardInterrupt:
-        return fail("interrupted", 130)
-    return run(module.run, given)
+    return importlib.import_module(f"console.commands.{given.module}").run, given
 
 
 def run(command: "options.Command", given: argparse.Namespace) -> int:
-    """Run a command and turn what the packages raise into one message and an exit status."""
+    """Run a command and convert exceptions to a message and an exit status."""
     from calib.errors import CalibrationError
     from control.errors import ArmError
     from control.files import NO_ROOM, NotWritten
@@ -101,7 +124,7 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
         return fail(
             f"{error.object!r} cannot be written in {error.encoding}: set a UTF-8 locale (LC_ALL=C.UTF-8)", 2
         )
-    except OSError as error:  # a folder that cannot be made, a file that cannot be read
+    except OSError as error:  # e.g. a folder that cannot be created, a file that cannot be read
         return fail(
             f"{error.filename or 'the system'}: {error.strerror or error}", 1 if error.errno in NO_ROOM else 2
         )
