@@ -35,6 +35,7 @@ class Batch:
     weight: Array
     laws: int
     is_positive: Array
+    least: Array
     is_name: Array
     tip: Array
     current: Array
@@ -73,7 +74,8 @@ class Evidence:
         return Batch(
             np.array(own), within[places], np.array([self.scales[k][0] for k in own]), np.array([self.weights[k] for k in own]),
             laws,
-            np.array([self.terms[k].is_positive for k in own]), np.array([self.terms[k].is_name for k in own]),
+            np.array([self.terms[k].is_positive for k in own]),
+            np.array([self.terms[k].least for k in own]), np.array([self.terms[k].is_name for k in own]),
             self.gram.tip[across], self.gram.current[across],
         )  # fmt: skip
 
@@ -119,7 +121,8 @@ class Evidence:
         log = 0.5 * np.sum(drawn * size, axis=2) - 0.5 * np.linalg.slogdet(whole)[1] + batch.weight
         width = np.sqrt(np.linalg.inv(whole)[..., 0, 0])
         if batch.is_positive.any():
-            sign = np.where(size[..., 0] > 0.0, log_ndtr(size[..., 0] / width) + math.log(2.0), NEVER)
+            above = size[..., 0] - batch.least[:, None]
+            sign = np.where(above > 0.0, log_ndtr(above / width) + math.log(2.0), NEVER)
             log = log + np.where(batch.is_positive[:, None], sign, 0.0)
         if sd.shape[2] > batch.laws:  # a departure is a share of the law: without the law there is none
             departs = np.any(sd[..., batch.laws :] > 0.0, axis=2) & batch.is_name[:, None]

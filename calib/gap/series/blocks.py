@@ -141,7 +141,8 @@ def _windings(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
             np.array([np.tanh(current / 0.05), np.tanh(current / 0.3)]),
         ),
         ("current", "a curved function of its current", np.array([current * np.abs(current), current**3])),
-        ("speed", "a smooth function of its speed", smooth(v, 4)),
+        # in proportion to speed it is the motor's constant
+        ("speed", "a curved function of its speed", np.array([v * v, v * np.abs(v), v**3])),
         ("angle", "a smooth function of its angle", smooth(q, 4)),
         ("time", "changing during a run", np.vstack([smooth(at.t_s, 3), current * smooth(at.t_s, 3)])),
     ):

@@ -77,21 +77,19 @@ VARIABLE = {
 
 
 def departures(scene: Scene, effect: str, joint: int, law: Response) -> dict[int, Array]:
-    """Columns of an effect's departures on a joint (0-based), each as large as its law; tip and currents each for themselves.
+    """Columns of an effect's departures on a joint (0-based), each as large as its law; every channel for itself.
 
     What the tip shows of a gear is its angle, what the currents show is mostly how that angle changes: not the same law's shape.
+    A motor that saturates gives less torque, and its back-EMF is as before.
     """
     shapes = OF_EFFECT.get(effect, ())
     if not shapes or not law:
         return {}
     parts = []
-    for is_tip in (True, False):
-        own = {cell: columns for cell, columns in law.items() if (scene.cells[cell].joint < 0) == is_tip}
-        if own:
-            wanted = {
-                cell: np.concatenate([one(scene.beside[cell], joint) for one in shapes]) for cell in own
-            }
-            bent = departed(own, wanted)
-            if bent:
-                parts.append(bent)
+    for channel in dict.fromkeys(scene.cells[cell].channel for cell in law):
+        own = {cell: columns for cell, columns in law.items() if scene.cells[cell].channel == channel}
+        wanted = {cell: np.concatenate([one(scene.beside[cell], joint) for one in shapes]) for cell in own}
+        bent = departed(own, wanted)
+        if bent:
+            parts.append(bent)
     return stacked(parts) if parts else {}

@@ -25,12 +25,14 @@ USUAL_OF = {"coulomb_friction": 20.0, "viscous_friction": 20.0}  # every gear ha
 FRICTION = ("coulomb_friction", "viscous_friction", "load_friction", "asymmetric_friction")
 COMMON = ("coulomb_friction", "viscous_friction")  # of every gear, where the file knows of neither
 STRIBECK_rad_s = (0.012, 0.022, 0.04, 0.07, 0.12, 0.22)
-ORDERS = tuple(range(1, 41))
+ORDERS = tuple(float(order) for order in range(1, 41))
+ORDERS_WEIGHED = 6  # of a joint's cogging: the others stand out less
 WARMING_s = (0.8, 2.0, 5.0, 12.0, 40.0, 300.0)
 DELAYS_s = (0.0008, 0.0018, 0.003, 0.0046, 0.007, 0.01)
 COMPLIANCES_rad_Nm = (1 / 3000.0, 1 / 1200.0, 1 / 600.0, 1 / 300.0, 1 / 150.0)
 WIDTHS_rad = (0.002, 0.005, 0.010, 0.018)
 DAMPING_Nm_s_rad = 0.8
+SPEAKS_FOR = 0.5  # of a start: smaller values are the next start's, as the rows are not linear in them
 FINER = (1.0, 1.2)  # times what was found, the next time: the second says how the first bends
 ENCODER = ("", BEHIND, SEEN)
 GEARS = ("joint_compliance", "backlash")
@@ -66,7 +68,7 @@ def terms_of(
 ) -> Iterator[SeriesTerm]:
     """All variants of all effects that the channels could show; `names`: only these effects, by name; `keys`: only these.
 
-    `before`: the terms of an earlier linearisation, which stay for what was not found and shares no joint with a gear that was.
+    `before`: the terms of the first linearisation, which stay for what was not found and shares no joint with a gear that was.
     """
     scene = around.scene
     moves = scene.recording.has_current or scene.recording.has_voltage
@@ -155,6 +157,7 @@ def _made(
     now: Array | None = None,
     more: Response | None = None,
     is_common: bool = False,
+    least: float = 0.0,
 ) -> Iterator[SeriesTerm]:
     """The term of a law's response per usual size; `more`: departures beside those of its variable."""
     if not laws:
@@ -171,6 +174,7 @@ def _made(
     yield SeriesTerm(
         key, str(key), count, bends, size, variant=variant, is_positive=is_positive,
         variable=VARIABLE.get(key.effect, ""), response=response, width=width, law=law, now=now, is_common=is_common,
+        least=least,
     )  # fmt: skip
 
 
@@ -255,24 +259,38 @@ def _stribeck(around: Around, key: EffectName) -> Iterator[SeriesTerm]:
 
 
 def _cogging(around: Around, key: EffectName) -> Iterator[SeriesTerm]:
+    """The orders that stand out of what is left, each beside its double; later, the one that was found."""
     own = around.found.get(key)
-    orders = ORDERS if own is None else (int(own.order),)
-    law = Law(key, "cogging", (0.0, 0.0), 1.0)
-    size = _size(around, law)
-    waves = {
-        float(n): scaled(_wave(around, Law(key, "cogging", (0.0, 0.0), float(n))), size)
-        for n in {*orders, *(2 * n for n in orders)}
-    }
-    for order in orders:
-        one = Law(key, "cogging", (0.0, 0.0), float(order))
+    size = _size(around, Law(key, "cogging", (0.0, 0.0), 1.0))
+    waves: dict[float, Response] = {}
+
+    def wave(order: float) -> Response:
+        if order not in waves:
+            waves[order] = scaled(_wave(around, Law(key, "cogging", (0.0, 0.0), order)), size)
+        return waves[order]
+
+    orders: Sequence[float] = ORDERS
+    if own is None:
+        orders = sorted(ORDERS, key=lambda order: -_stands_out(around, wave(order)))[:ORDERS_WEIGHED]
+    for order in sorted(orders) if own is None else (own.order,):
+        one = Law(key, "cogging", (0.0, 0.0), order)
 
         def made(c: Array, one: Law = one) -> Law:
             return one.at((float(c[0]) * size, float(c[1]) * size))
 
         yield from _made(
-            around, key, waves[order], size, made, variant=float(order),
-            now=None if own is None else np.array(own.values) / size, more=waves[2.0 * order],
+            around, key, wave(order), size, made, variant=order,
+            now=None if own is None else np.array(own.values) / size, more=wave(2.0 * order),
         )  # fmt: skip
+
+
+def _stands_out(around: Around, response: Response) -> float:
+    """How much columns take off the residual's sum of squares, in each cell alone."""
+    total = 0.0
+    for cell, own in response.items():
+        pull = own.T @ around.residual[around.scene.cells[cell].rows]
+        total += float(pull @ np.linalg.lstsq(own.T @ own, pull, rcond=None)[0])
+    return total
 
 
 def _wave(around: Around, law: Law) -> Response:
@@ -396,4 +414,7 @@ def _secants(around: Around, key: EffectName, bent: Bent) -> Iterator[SeriesTerm
             return law.at((found, *np.clip(more, 0.0, bent.upper).tolist()))
 
         now = np.array([value / size]) if own is not None and math.isclose(own.values[0], value) else None
-        yield from _made(around, key, parts[0], size, made, parts[1:], value, is_positive=True, now=now)
+        least = SPEAKS_FOR * value / size if value > min(bent.starts) else 0.0
+        yield from _made(
+            around, key, parts[0], size, made, parts[1:], value, is_positive=True, now=now, least=least
+        )

@@ -31,7 +31,7 @@ from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.term import Block, Key
 from calib.gap.series.blocks import CAMERA
 from calib.gap.series.effects import usual
-from calib.gap.series.linear import Linear
+from calib.gap.series.linear import only
 from calib.gap.series.look import Look, left, looked
 from calib.gap.series.scene import Scene
 from calib.gap.series.term import SeriesTerm
@@ -103,7 +103,7 @@ def examine(
         effects=stages,
         ambiguous=judged.ambiguous,
         unknown=judged.unknown or _silent(look, after, parts.reporting),
-        nameable=_nameable(look, parts.deciding),
+        nameable=_nameable(look),
         next_experiment=_next(recording, judged),
     )
     told("done", 1.0)
@@ -264,15 +264,15 @@ def _silent(look: Look, after: Array, reporting: np.ndarray) -> Unknown | None:
     )
 
 
-def _nameable(look: Look, deciding: np.ndarray) -> tuple[Nameable, ...]:
+def _nameable(look: Look) -> tuple[Nameable, ...]:
     """Detectability of every effect's smallest size, and its rivals, whatever is nominal taken as right."""
-    some: dict[Key, list[SeriesTerm]] = {}
-    for one in look.linear.terms:
+    some: dict[Key, list[int]] = {}
+    for number, one in enumerate(look.linear.terms):
         if isinstance(one.key, EffectName):
-            some.setdefault(one.key, []).append(one)
-    middle = [terms[len(terms) // 2] for terms in some.values()]
-    linear = Linear(look.linear.scene, tuple(middle), (), look.linear.y)
-    evidence = Evidence(linear.gram(look.noises, deciding), middle, FLOOR_DOUBT)
+            some.setdefault(one.key, []).append(number)
+    middle = [numbers[len(numbers) // 2] for numbers in some.values()]
+    at = look.linear.at(middle)[look.linear.first :]
+    evidence = Evidence(only(look.gram, at), [look.linear.terms[k] for k in middle], FLOOR_DOUBT)
     return tuple(
         dataclasses.replace(one, detectability=round(one.detectability / usual(one.name.effect), 2))
         for one in nameable(evidence)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
 from calib.arrays import Array
 
@@ -61,28 +62,27 @@ class Series:
         first = np.maximum.accumulate(np.where(follows, 0, count))
         return cls(np.repeat(count - first, stride), stride, run)
 
+    def whitener(self, noise: Noise, picked: Flags | None = None) -> sparse.csr_array:
+        """Prediction errors over their standard deviation as a matrix on the rows (m,): all of them, or those picked.
+
+        A band of as many diagonals as there are orders, so that it costs as much whatever gaps there are.
+        """
+        highest = len(noise.coefficients) - 1
+        weights = np.zeros((highest + 1, highest + 1))  # by order and lag
+        for order, own in enumerate(noise.coefficients):
+            weights[order, : order + 1] = np.concatenate(([1.0], -own)) / noise.sd[order]
+        at = np.arange(len(self.before)) if picked is None else np.flatnonzero(picked)
+        orders = np.minimum(self.before[at], highest)
+        lags = np.arange(highest + 1)
+        used = lags <= orders[:, None]
+        columns = (at[:, None] - lags * self.stride)[used]
+        values = (weights[orders] / noise.scale[self.run[at]][:, None])[used]
+        ends = np.concatenate(([0], np.cumsum(orders + 1)))
+        return sparse.csr_array((values, columns, ends), shape=(len(at), len(self.before)))
+
     def whitened(self, values: Array, noise: Noise) -> Array:
         """Prediction errors of values (m, c) over their standard deviation."""
-        values = values / noise.scale[self.run][:, None]
-        result = np.empty_like(values)
-        highest = len(noise.coefficients) - 1
-        order = np.minimum(self.before, highest)
-        for k in range(highest + 1):
-            at = np.flatnonzero(order == k)
-            if k == highest and k:  # nearly all rows
-                continue
-            own = values[at].copy()
-            for lag, share in enumerate(noise.coefficients[k].tolist(), start=1):
-                own -= share * values[at - lag * self.stride]
-            result[at] = own / noise.sd[k]
-        if highest:
-            whole = values.copy()
-            for lag, share in enumerate(noise.coefficients[highest].tolist(), start=1):
-                back = lag * self.stride
-                whole[back:] -= share * values[:-back]
-            at = np.flatnonzero(order == highest)
-            result[at] = whole[at] / noise.sd[highest]
-        return result
+        return np.asarray(self.whitener(noise) @ values)
 
     def covariances(self, values: Array, picked: Flags, orders: int) -> tuple[Array, Array]:
         """Sums of values (m,) times those k rows earlier, k = 0 .. orders, and of how many pairs."""
