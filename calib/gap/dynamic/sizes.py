@@ -49,6 +49,7 @@ SMALLEST = {
     "position torque": 0.05,
     "joint turn torque": 0.05,
 }
+MEANT_FOR_Nm = 30.0  # stall torque
 SAME_RESISTANCE = 0.03  # of the winding's
 SAME_INDUCTANCE = 0.5  # of the winding's, or of what a tenth of a sample's delay looks like
 
@@ -60,9 +61,17 @@ def smallest(arm: Arm, form: str, joint: int) -> float:
     if form == "inductance":
         drive = arm.drives[joint]
         return max(SAME_INDUCTANCE * drive.inductance_H, 2e-4 * drive.resistance_ohm)
-    size = SMALLEST[plain(form)]
-    is_torque = form in _TORQUES and joint >= 0
-    return size * min(1.0, stall_Nm(arm, joint) / 30.0) if is_torque else size
+    return SMALLEST[plain(form)] * min(1.0, _of_drive(arm, form, joint))
+
+
+def typical(arm: Arm, form: str, joint: int) -> float:
+    """What `smallest` is a share of: the frictions of a large drive are larger, although as little is worth a name."""
+    return smallest(arm, form, joint) * max(1.0, _of_drive(arm, form, joint))
+
+
+def _of_drive(arm: Arm, form: str, joint: int) -> float:
+    """A joint's torque over that of the drives that the sizes of torques are meant for; 1 for what is no torque."""
+    return stall_Nm(arm, joint) / MEANT_FOR_Nm if form in _TORQUES and joint >= 0 else 1.0
 
 
 def stall_Nm(arm: Arm, joint: int) -> float:

@@ -121,7 +121,7 @@ class Evidence:
         log = 0.5 * np.sum(drawn * size, axis=2) - 0.5 * np.linalg.slogdet(whole)[1] + batch.weight
         width = np.sqrt(np.linalg.inv(whole)[..., 0, 0])
         if batch.is_positive.any():
-            above = size[..., 0] - batch.least[:, None]
+            above = size[..., 0] - batch.least[:, None] / sd[..., 0]  # sizes are counted in sd here
             sign = np.where(above > 0.0, log_ndtr(above / width) + math.log(2.0), NEVER)
             log = log + np.where(batch.is_positive[:, None], sign, 0.0)
         if sd.shape[2] > batch.laws:  # a departure is a share of the law: without the law there is none

@@ -11,9 +11,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.dynamic.sizes import smallest
+from calib.gap.dynamic.sizes import smallest, typical
 from calib.gap.posterior.term import Block
-from calib.gap.series.effects import USUAL, Around
+from calib.gap.series.constants import USUAL
+from calib.gap.series.effects import Around
 from calib.gap.series.scene import Beside, Response, Scene
 from calib.gap.series.term import SeriesTerm
 
@@ -60,7 +61,7 @@ def _torques(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
     if number is None:
         return
     at, j = scene.whole, joint - 1
-    size = USUAL * smallest(scene.arm, "coulomb_friction", j)
+    size = USUAL * typical(scene.arm, "coulomb_friction", j)
     for variable, words, columns in _of_torque(at, j, scene.arm.joint_count):
         if columns.size and np.ptp(columns) > 0.0:
             said = f"the current of joint {joint}, {words}"

@@ -11,28 +11,26 @@ import numpy as np
 
 from calib.arm_problem.link_bending import beams
 from calib.arrays import Array
-from calib.gap.dynamic.sizes import smallest
+from calib.gap.dynamic.sizes import typical
 from calib.gap.finding import EffectName
 from calib.gap.posterior.term import Block, Key
+from calib.gap.series.constants import SPEAKS_FOR, USUAL, USUAL_OF
 from calib.gap.series.departures import VARIABLE, departures
 from calib.gap.series.scene import Response, Scene
 from calib.gap.series.term import SeriesTerm, scaled, stacked
 from calib.gap.signals.angles import BEHIND, SEEN
 from calib.gap.signals.terms import Term as Law
 
-USUAL = 10.0  # times the smallest size that is worth a name: the usual size of an effect
-USUAL_OF = {"coulomb_friction": 20.0, "viscous_friction": 20.0}  # every gear has these, and much of them
 FRICTION = ("coulomb_friction", "viscous_friction", "load_friction", "asymmetric_friction")
 COMMON = ("coulomb_friction", "viscous_friction")  # of every gear, where the file knows of neither
 STRIBECK_rad_s = (0.012, 0.022, 0.04, 0.07, 0.12, 0.22)
 ORDERS = tuple(float(order) for order in range(1, 41))
 ORDERS_WEIGHED = 6  # of a joint's cogging: the others stand out less
 WARMING_s = (0.8, 2.0, 5.0, 12.0, 40.0, 300.0)
-DELAYS_s = (0.0008, 0.0018, 0.003, 0.0046, 0.007, 0.01)
+DELAYS_s = (0.0004, 0.0008, 0.0018, 0.003, 0.0046, 0.007, 0.01)
 COMPLIANCES_rad_Nm = (1 / 3000.0, 1 / 1200.0, 1 / 600.0, 1 / 300.0, 1 / 150.0)
-WIDTHS_rad = (0.002, 0.005, 0.010, 0.018)
+WIDTHS_rad = (0.001, 0.002, 0.005, 0.010, 0.018)
 DAMPING_Nm_s_rad = 0.8
-SPEAKS_FOR = 0.5  # of a start: smaller values are the next start's, as the rows are not linear in them
 FINER = (1.0, 1.2)  # times what was found, the next time: the second says how the first bends
 ENCODER = ("", BEHIND, SEEN)
 GEARS = ("joint_compliance", "backlash")
@@ -142,7 +140,7 @@ VALUES = {"base_frame": 6, "encoder_eccentricity": 2, "cogging": 2}
 
 
 def _size(around: Around, law: Law) -> float:
-    return usual(law.form) * smallest(around.scene.arm, law.form, law.index)
+    return usual(law.form) * typical(around.scene.arm, law.form, law.index)
 
 
 def _made(
@@ -235,7 +233,7 @@ def _now(around: Around, key: EffectName, size: float) -> Array | None:
 
 
 def _stribeck(around: Around, key: EffectName) -> Iterator[SeriesTerm]:
-    size = USUAL * smallest(around.scene.arm, key.effect, key.joint - 1 if key.joint else 0)
+    size = USUAL * typical(around.scene.arm, key.effect, key.joint - 1 if key.joint else 0)
     own = around.found.get(key)
     speeds = STRIBECK_rad_s if own is None else (own.values[1],)
     forms = ("stribeck_friction", "stribeck exponential") if own is None else (own.form,)
@@ -414,7 +412,7 @@ def _secants(around: Around, key: EffectName, bent: Bent) -> Iterator[SeriesTerm
             return law.at((found, *np.clip(more, 0.0, bent.upper).tolist()))
 
         now = np.array([value / size]) if own is not None and math.isclose(own.values[0], value) else None
-        least = SPEAKS_FOR * value / size if value > min(bent.starts) else 0.0
+        least = SPEAKS_FOR * value / size
         yield from _made(
             around, key, parts[0], size, made, parts[1:], value, is_positive=True, now=now, least=least
         )

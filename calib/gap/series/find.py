@@ -30,6 +30,7 @@ from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.term import Block, Key
 from calib.gap.series.blocks import CAMERA
+from calib.gap.series.constants import REMAINS, SILENT_MOST, SURE_sd
 from calib.gap.series.effects import usual
 from calib.gap.series.linear import only
 from calib.gap.series.look import Look, left, looked
@@ -46,9 +47,6 @@ from control.progress import Advance, silent
 LAW_MOST = 2.0 * max(
     DEPARTURES
 )  # what departs more than two standard deviations of the roughest part has another law
-SURE_sd = 3.0
-REMAINS = 0.1  # of a cell's variance at the floor, on runs kept apart: what a remainder must explain there
-SILENT_MOST = 2.0  # times the floor: what stays above it without a block is said, too
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Key
 from calib.gap.series.always import always
 from calib.gap.series.blocks import blocks_of
+from calib.gap.series.constants import UNTOLD
 from calib.gap.series.effects import Around, terms_of
 from calib.gap.series.linear import Linear, foretold, noises_of, without_first
 from calib.gap.series.scene import Scene
@@ -30,7 +31,6 @@ from calib.gap.signals.terms import Term as Law
 from control.progress import Advance
 
 LOOKS = 3  # linearisations, at most
-UNTOLD = 1.05  # times the floor: what the first look leaves above it is noise that nobody has measured yet
 SETTLINGS = 5  # refits of laws that bend
 SETTLED = 0.01  # of a value
 

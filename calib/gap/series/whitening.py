@@ -14,10 +14,8 @@ import numpy.typing as npt
 from scipy import sparse
 
 from calib.arrays import Array
+from calib.gap.series.constants import DRAWN, NOISE_LEAST, ORDER
 
-ORDER = 6
-DRAWN = 20  # rows that the mean of all runs counts for in a run of its own
-LEAST = 0.8  # of the floor: prediction errors below are a fit to too few rows
 Places = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
 
@@ -110,7 +108,7 @@ def fitted(series: Series, values: Array, picked: Flags, order: int = ORDER) -> 
         share = float(np.clip(missed / max(variance[-1], 1e-300), -0.98, 0.98))
         coefficients.append(np.append(last - share * last[::-1], share))
         variance.append(variance[-1] * (1.0 - share**2))
-    least = LEAST / float(np.sqrt(np.mean(scale[series.run[picked]] ** 2)))
+    least = NOISE_LEAST / float(np.sqrt(np.mean(scale[series.run[picked]] ** 2)))
     return Noise(tuple(coefficients), np.maximum(np.sqrt(variance), least), scale)
 
 
