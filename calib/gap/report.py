@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.gap.dynamic.find import DynamicOutcome
-from calib.gap.dynamic.pictures import dynamic_sections
 from calib.gap.finding import GapFinding, NamedEffect
 from calib.gap.ladder import in_units, ladder
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.pictures import joint_picture, law_picture, places_picture, recordings_picture
 from calib.gap.posterior.nameable import NAMEABLE_sd, is_nameable
+from calib.gap.series.outcome import DynamicOutcome
+from calib.gap.series.pictures import dynamic_sections
 from calib.gap.words import in_words, listed
 from calib.report.page import Section, bullets, page, paragraph, table, tiles, verdict
 

@@ -13,9 +13,10 @@ import numpy as np
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import DEPARTURES
 from calib.gap.posterior.term import Block, Key
+from calib.gap.series.around import Around, usual
 from calib.gap.series.constants import IMMATERIAL
-from calib.gap.series.departures import departures
-from calib.gap.series.effects import FRICTION, GEARS, Around, usual
+from calib.gap.series.departures import GEARS, departures
+from calib.gap.series.frictions import FRICTION
 from calib.gap.series.term import SeriesTerm, scaled
 from calib.gap.signals.terms import Term as Law
 

@@ -12,8 +12,8 @@ USUAL_OF: Final = {"coulomb_friction": 20.0, "viscous_friction": 20.0}
 COMMON_PRIOR: Final = 0.9
 # Of the smallest size worth a name, one standard deviation: to this the nominal values of everything are known.
 IMMATERIAL: Final = 0.4
-# Of a start of a law that bends: from this on, its secant speaks for the law; below, a smaller start's does.
-SPEAKS_FOR: Final = 0.5
+# Of a start of a law that bends: between these its secant speaks for the law; beyond, another start's does.
+SPEAKS_FOR: Final = (0.4, 2.2)
 # Of a law, by which a departure must differ from it: less cannot be told from another size.
 BENDS_LEAST: Final = 0.03
 # Order of the autoregressive noise: at 60 rows a second a tenth of a second, the reach of the filters.
@@ -26,6 +26,10 @@ NOISE_LEAST: Final = 0.8
 UNTOLD: Final = 1.05
 # Standard deviations of a name's coefficient from nothing.
 SURE_sd: Final = 3.0
+# Of the squared gap on runs kept apart, by which it may grow with a name: noise makes it grow by less.
+GROWS: Final = 0.02
+# Of a link's mass or inertia in the file, that may be missing: more is no link.
+MISSING_MOST: Final = 0.5
 # Of a cell's variance at the floor, on runs kept apart: what a remainder must explain there to be worth a word.
 REMAINS: Final = 0.1
 # Times the floor: what is above it without any block is said, too.

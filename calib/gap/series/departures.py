@@ -10,6 +10,7 @@ from calib.arrays import Array
 from calib.gap.series.scene import Beside, Response, Scene
 from calib.gap.series.term import departed, stacked
 
+GEARS = ("joint_compliance", "backlash")
 Shape = Callable[[Beside, int], Array]  # (c, rows), from what stands beside and the joint
 
 
@@ -79,14 +80,17 @@ VARIABLE = {
 def departures(scene: Scene, effect: str, joint: int, law: Response) -> dict[int, Array]:
     """Columns of an effect's departures on a joint (0-based), each as large as its law; every channel for itself.
 
-    What the tip shows of a gear is its angle, what the currents show is mostly how that angle changes: not the same law's shape.
-    A motor that saturates gives less torque, and its back-EMF is as before.
+    A motor that saturates gives less torque, and its back-EMF is as before. What currents show of a gear is mostly how its angle
+    changes, with the noise of that: where the tip shows the angle, it alone says how the gear departs.
     """
     shapes = OF_EFFECT.get(effect, ())
     if not shapes or not law:
         return {}
     parts = []
-    for channel in dict.fromkeys(scene.cells[cell].channel for cell in law):
+    channels = list(dict.fromkeys(scene.cells[cell].channel for cell in law))
+    if effect in GEARS and "tip_m" in channels:
+        channels = ["tip_m"]
+    for channel in channels:
         own = {cell: columns for cell, columns in law.items() if scene.cells[cell].channel == channel}
         wanted = {cell: np.concatenate([one(scene.beside[cell], joint) for one in shapes]) for cell in own}
         bent = departed(own, wanted)

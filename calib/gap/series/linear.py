@@ -11,10 +11,10 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from calib.arrays import Array
-from calib.gap.dynamic.split import Picked
 from calib.gap.posterior.gram import Gram
-from calib.gap.series.effects import Around
+from calib.gap.series.around import Around
 from calib.gap.series.scene import Scene
+from calib.gap.series.split import Picked
 from calib.gap.series.term import SeriesTerm
 from calib.gap.series.whitening import Noise, fitted
 

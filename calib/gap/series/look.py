@@ -8,25 +8,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.dynamic.fit import bounded
-from calib.gap.dynamic.split import Picked, Split
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import DEPARTURES, FLOOR_DOUBT, SIZE_LEVELS
 from calib.gap.posterior.decide import Decision, decide
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.gram import Gram
+from calib.gap.posterior.merging import MergingSearch
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Key
 from calib.gap.series.always import always
+from calib.gap.series.around import Around
 from calib.gap.series.blocks import blocks_of
 from calib.gap.series.constants import UNTOLD
-from calib.gap.series.effects import Around, terms_of
+from calib.gap.series.departures import GEARS
+from calib.gap.series.effects import terms_of
 from calib.gap.series.linear import Linear, foretold, noises_of, without_first
 from calib.gap.series.scene import Scene
-from calib.gap.series.search import SeriesSearch
+from calib.gap.series.split import Picked, Split
 from calib.gap.series.term import SeriesTerm
 from calib.gap.series.whitening import Noise
-from calib.gap.signals.terms import STEP
+from calib.gap.signals.terms import STEP, bounded
 from calib.gap.signals.terms import Term as Law
 from control.progress import Advance
 
@@ -130,8 +131,11 @@ def settled(look: Look, split: Split) -> Around:
                 continue
             moved[one.key] = _bounded(one.law(own))
             if laws[one.key].form in STEP:
-                now = laws[one.key].values[0]
-                largest = max(largest, abs(moved[one.key].values[0] / now - 1.0) if now else 0.0)
+                counted = (
+                    1 if one.key.effect in GEARS else 2
+                )  # damping and a friction's share are never known well
+                pairs = zip(moved[one.key].values[:counted], laws[one.key].values, strict=False)
+                largest = max(largest, *(abs(new / now - 1.0) if now else 0.0 for new, now in pairs))
         laws = moved
         if largest < SETTLED:
             model = (*known, *laws.values())
@@ -161,7 +165,7 @@ def _weighed(
     rows = around.scene.picked(split.deciding & around.scene.kept)
     gram = linear.gram(noises, rows)
     evidence = Evidence(without_first(gram, linear.first), linear.terms, FLOOR_DOUBT)
-    found = SeriesSearch(evidence).run(starts)
+    found = MergingSearch(evidence).run(starts)
     return Look(around, linear, tuple(noises), gram, evidence, decide(evidence, found), rows)
 
 

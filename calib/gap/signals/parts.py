@@ -11,7 +11,7 @@ from calib.gap.signals.terms import Term
 
 SHARED = ("coulomb_friction", "viscous_friction")  # part of it may act behind an elastic or loose gear
 
-OF_TIP = ("link_geometry", "base_frame", "camera time", "link_flexure")
+OF_TIP = ("link_geometry", "base_frame", "link_flexure")
 
 
 def is_seen_alone(term: Term) -> bool:
@@ -30,7 +30,6 @@ class Parts:
     friction: list[Term] = field(default_factory=list)
     elastic: list[Term] = field(default_factory=list)
     angles: list[Term] = field(default_factory=list)
-    electrical: list[Term] = field(default_factory=list)
     tip: list[Term] = field(default_factory=list)
 
     def link_friction(self, j: int) -> tuple[float, float]:
@@ -74,8 +73,6 @@ def sorted_terms(model: Sequence[Term]) -> Parts:
                 parts.angles.append(term)
             case form if form in OF_TIP:
                 parts.tip.append(term)
-            case "resistance" | "current offset" | "inductance":
-                parts.electrical.append(term)
             case _:
                 parts.friction.append(term)
     parts.load = Load(payload, tuple(masses), tuple(inertias))

@@ -174,14 +174,6 @@ class Physics:
         speed = run.speed + ahead.speed_rad_s - self._lag * run.acceleration
         expected = (seen - self._K * scale * speed) / self._R
         expected += self._staircase.of_sampled_current(parts.delay_s)[k]
-        for term in parts.electrical:
-            j = term.index
-            if term.form == "resistance":
-                expected[:, j] -= term.values[0] * run.current_A[:, j]
-            elif term.form == "current offset":
-                expected[:, j] += term.values[0]
-            elif term.form == "inductance":
-                expected[:, j] -= term.values[0] * run.current_slope[:, j]
         return np.asarray(expected - run.current_A)
 
     def _held(self, voltage: Array, delay_s: float) -> Array:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.dynamic.find import find
 from calib.gap.finding import EffectName
 from calib.gap.log import Log
+from calib.gap.series.find import find
 from calib.gap.signals.forms import known_terms
 from calib.gap.signals.forward import Forward, State
 from calib.gap.signals.motion import CLOSED, OPEN, motion_gaps

@@ -40,8 +40,8 @@ def test_two_laws_that_are_only_roughly_right_are_both_named_as_what_they_are() 
     found = hiding(law)
     assert names(found) == {EffectName("load_friction", 2), EffectName("viscous_friction", 3)}
     for effect in found.effects:
-        assert effect.evidence["probability"] > 0.95
-        assert effect.evidence["law_departure"] < 0.24
+        assert effect.probability > 0.95
+        assert effect.departure < 0.24
     load = next(one for one in found.effects if one.name.effect == "load_friction")
     value, sd = load.parameters["fraction"]
     assert value == pytest.approx(0.2, rel=0.1)

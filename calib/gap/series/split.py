@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calib.gap.dynamic.rows import RowTable
 from calib.gap.signals.recording import Recording
+from calib.gap.signals.rows import RowTable
 
 Picked = npt.NDArray[np.bool_]
 MANY = 12  # groups of one load: more than one of them reports

@@ -1,4 +1,4 @@
-"""The search of the poses, with one more step: two members make room for one other.
+"""The search with one more step: two members make room for one other.
 
 Friction laws of a joint look alike: two wrong ones that grew first (viscous, and Coulomb of the other sign) do what one
 nameless block (drag) does better, and no exchange of single members gets there.
@@ -16,12 +16,12 @@ MERGES = 3
 BESIDE = 2  # terms that are tried in the place of two
 
 
-class SeriesSearch(Search):
+class MergingSearch(Search):
     """Over the sets of an Evidence."""
 
     def run(self, known: Iterable[frozenset[Key]] = ()) -> list[Weighed]:
         """All sets that were weighed, best first; `known`: sets to start from besides."""
-        found = super().run(known)
+        found = super().run(start & self.evidence.of_key.keys() for start in known)
         for _ in range(MERGES):
             best = found[0]
             for pair in combinations(best.members, 2):

@@ -1,4 +1,4 @@
-"""The smallest size of each effect that is worth a name: below it nothing is named, and detectability is for it.
+"""The smallest size of each effect that is worth a name: below it nothing is named.
 
 About what a careful builder of such an arm would still correct: a tenth of a typical friction, a hundredth of a motor
 constant, half a milliradian.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 
-from calib.gap.finding import Nameable
 from calib.gap.signals.angles import plain
 from calib.gap.signals.terms import Term
 from control.model.arm import Arm
@@ -40,27 +39,12 @@ SMALLEST = {
     "zero": 3e-4,
     "camera time": 5e-4,
     "sampling time": 5e-5,
-    "inertia": 0.01,
-    "current offset": 0.02,
-    "warming": 0.1,
-    "drag": 0.03,
-    "cubic drag": 0.03,
-    "position friction": 0.05,
-    "position torque": 0.05,
-    "joint turn torque": 0.05,
 }
 MEANT_FOR_Nm = 30.0  # stall torque
-SAME_RESISTANCE = 0.03  # of the winding's
-SAME_INDUCTANCE = 0.5  # of the winding's, or of what a tenth of a sample's delay looks like
 
 
 def smallest(arm: Arm, form: str, joint: int) -> float:
     """The size for a joint (0-based) of this arm; small drives have small frictions."""
-    if form == "resistance":
-        return SAME_RESISTANCE * arm.drives[joint].resistance_ohm
-    if form == "inductance":
-        drive = arm.drives[joint]
-        return max(SAME_INDUCTANCE * drive.inductance_H, 2e-4 * drive.resistance_ohm)
     return SMALLEST[plain(form)] * min(1.0, _of_drive(arm, form, joint))
 
 
@@ -88,13 +72,6 @@ _TORQUES = {
     "stribeck exponential",
     "asymmetric_friction",
     "cogging",
-    "inertia",
-    "warming",
-    "drag",
-    "cubic drag",
-    "position friction",
-    "position torque",
-    "joint turn torque",
 }
 
 
@@ -105,10 +82,3 @@ def is_worth_a_name(arm: Arm, term: Term) -> bool:
 
 
 _FIRST_COUNTS = {"stribeck_friction", "stribeck exponential", "joint_compliance", "backlash", "thermal_drift"}
-
-NAMEABLE_sd = 8.0  # of the smallest size worth a name
-
-
-def is_nameable(one: Nameable) -> bool:
-    """Whether a recording could name an effect: it stands out, and nothing else looks the same."""
-    return one.detectability >= NAMEABLE_sd and not one.confusable_with

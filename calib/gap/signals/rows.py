@@ -97,19 +97,6 @@ class Rows:
                 result[cell.rows] = np.concatenate(parts) / (K * cell.floor)
         return result
 
-    def at_rest_slope(self, form: str, joint: int) -> Array:
-        """Tip rows of a gear (0-based) that gives way by 1 rad/(N m), or has 1 rad of play, link and motor in step."""
-        physics, result = self.physics, np.zeros(len(self.table.run))
-        parts = []
-        for k, run in enumerate(self.recording.runs):
-            torque = physics.body.link_torques(Load())[k][run.frames, joint]
-            turned = -torque if form == "joint_compliance" else -0.5 * np.sign(torque)
-            parts.append((physics.tips.jacobians[k][:, :, joint] * turned[:, None]).ravel())
-        for cell in self.table.cells:
-            if cell.channel == "tip_m":
-                result[cell.rows] = np.concatenate(parts) / cell.floor
-        return result
-
     def _raw(self, model: Sequence[Term]) -> Array:
         return np.concatenate([part for _, _, part, *_ in self._blocks(self.physics.predict(model))])
 
