@@ -6,12 +6,14 @@ nameless block (drag) does better, and no exchange of single members gets there.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from itertools import combinations
 
+from calib.gap.finding import EffectName
 from calib.gap.posterior.search import Search, Weighed
 from calib.gap.posterior.term import Key
 
+GEARS = ("joint_compliance", "backlash")
 MERGES = 3
 BESIDE = 2  # terms that are tried in the place of two
 
@@ -35,6 +37,17 @@ class MergingSearch(Search):
             if found[0] is best:
                 break
         return found
+
+    def may_join(self, key: Key, present: Collection[Key]) -> bool:
+        """A gear is soft or loose: with both, one hides behind the other, and no model follows that."""
+        if not isinstance(key, EffectName) or key.effect not in GEARS:
+            return True
+        return not any(
+            isinstance(one, EffectName) and one.effect in GEARS and one.joint == key.joint for one in present
+        )
+
+    def _starts(self) -> list[frozenset[Key]]:
+        return [some for some in super()._starts() if all(self.may_join(key, some - {key}) for key in some)]
 
     def _joint(self, number: int) -> int:
         key = self.evidence.terms[number].key

@@ -147,8 +147,8 @@ def judged(look: Look, reporting: Picked) -> Judged:
                 continue
             laws[key], departs[key], spread[key] = law, one.departure, _of_values(one)
             kept.add(key)
-    for harm in _harming(look, laws, kept, reporting):
-        said.append(f"{harm.words}: not named")
+    for harm in _harming(look, kept, reporting):
+        said.append(f"{harm.words}: not taken into account")
         other.append(harm)
         kept.remove(look.linear.terms[harm.number].key)
     laws = {name: law for name, law in laws.items() if name in kept}
@@ -188,21 +188,20 @@ def _against(look: Look, one: Member, reporting: Picked) -> Left | None:
     return None
 
 
-def _harming(
-    look: Look, laws: Collection[EffectName], kept: Collection[Key], reporting: Picked
-) -> Iterator[Left]:
-    """Names with which the gap on the runs kept apart is larger than without them, the worst first."""
+def _harming(look: Look, kept: Collection[Key], reporting: Picked) -> Iterator[Left]:
+    """Names and corrections with which the gap on the runs kept apart is larger than without them, the worst first."""
     table, still = look.around.scene.rows.table, set(kept)
     numbers = {look.linear.terms[k].key: k for k in look.numbers}
-    while names := [name for name in laws if name in still]:
+    while still:
         size = gap(what_is_left(look, still), table, reporting)
-        without = {name: gap(what_is_left(look, still - {name}), table, reporting) for name in names}
-        worst = min(names, key=lambda name: without[name])
+        without = {key: gap(what_is_left(look, still - {key}), table, reporting) for key in still}
+        worst = min(without, key=lambda key: without[key])
         if not without[worst] ** 2 < (1.0 - GROWS) * size**2:
             return
         still.remove(worst)
         text = f"{worst} helps the runs that decide, but not those held out"
-        yield Left(size**2 - without[worst] ** 2, text, numbers[worst], worst)
+        rival = worst if isinstance(worst, EffectName) and worst.effect in EFFECTS else None
+        yield Left(size**2 - without[worst] ** 2, text, numbers[worst], rival)
 
 
 def _contested(look: Look, reporting: Picked) -> Iterator[Left]:
