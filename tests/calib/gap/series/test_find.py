@@ -18,7 +18,7 @@ from calib.gap.series.find import examine, find
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.signals.recording import UnusableLogError
 from control.kinematics.kinematics import Kinematics
-from tests.calib.gap.dynamic.prescribed import Hidden, arm_with_friction, log_of
+from tests.calib.gap.series.prescribed import Hidden, arm_with_friction, log_of
 
 pytestmark = pytest.mark.usefixtures("without_motion")
 

@@ -18,7 +18,7 @@ from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import prepare
 from calib.gap.signals.terms import Term
 from control.dynamics.dynamics import Dynamics
-from tests.calib.gap.dynamic.prescribed import arm_with_friction, log_of
+from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
 ARM = arm_with_friction()
 LOG = log_of(ARM)

@@ -16,7 +16,7 @@ from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.series.plausible import plausible
 from calib.gap.signals.recording import Recording, UnusableLogError, prepare
 from control.kinematics.kinematics import Kinematics
-from tests.calib.gap.dynamic.prescribed import arm_with_friction, log_of
+from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
 ARM = arm_with_friction()
 LOG = log_of(ARM)
