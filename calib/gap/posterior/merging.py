@@ -13,7 +13,8 @@ from calib.gap.finding import EffectName
 from calib.gap.posterior.search import Search, Weighed
 from calib.gap.posterior.term import Key
 
-GEARS = ("joint_compliance", "backlash")
+# A gear is soft or loose, and no model follows one that is both; a command is late, or what is read of it is.
+EITHER = (("joint_compliance", "backlash"), ("command_delay", "sampling time"))
 MERGES = 3
 BESIDE = 2  # terms that are tried in the place of two
 
@@ -39,11 +40,13 @@ class MergingSearch(Search):
         return found
 
     def may_join(self, key: Key, present: Collection[Key]) -> bool:
-        """A gear is soft or loose: with both, one hides behind the other, and no model follows that."""
-        if not isinstance(key, EffectName) or key.effect not in GEARS:
+        """Not two that are one thing: with both, each hides what the other does."""
+        if not isinstance(key, EffectName):
             return True
+        either = next((some for some in EITHER if key.effect in some), ())
         return not any(
-            isinstance(one, EffectName) and one.effect in GEARS and one.joint == key.joint for one in present
+            isinstance(one, EffectName) and one != key and one.effect in either and one.joint == key.joint
+            for one in present
         )
 
     def _starts(self) -> list[frozenset[Key]]:

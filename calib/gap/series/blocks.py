@@ -138,7 +138,9 @@ def _windings(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
     at, j = scene.beside[number], joint - 1
     current, v, q = at.current_A[:, j], at.speed[:, j], at.q[:, j]
     size = SHARE * max(float(np.sqrt(np.mean(current**2))), 1e-3) / scene.cells[number].floor
-    slope = _slopes(scene, number, j)
+    # a current's slope is rough: between the rows it is another
+    slopes = np.concatenate([run.current_slope[:, j] for run in scene.recording.runs])
+    slope = scene.filtered(number, slopes[None])[:, 0]
     for variable, words, columns in (
         ("resistance", "in proportion to its current: another winding resistance", np.array([current])),
         ("current offset", "constant: an offset of its current sensor", np.ones((1, len(q)))),
@@ -163,14 +165,6 @@ def _windings(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
 
 
 SHARE = 0.1  # of a joint's current: the size of a block of its winding
-
-
-def _slopes(scene: Scene, number: int, j: int) -> Array:
-    at, found = scene.beside[number], np.zeros(len(scene.beside[number].run))
-    for k, run in enumerate(scene.recording.runs):
-        mine = at.run == k
-        found[mine] = run.current_slope[at.sample[mine], j]
-    return found
 
 
 def _angles(scene: Scene, joint: int) -> Iterator[SeriesTerm]:

@@ -12,6 +12,8 @@ USUAL_OF: Final = {"coulomb_friction": 20.0, "viscous_friction": 20.0}
 COMMON_PRIOR: Final = 0.9
 # Of the smallest size worth a name, one standard deviation: to this the nominal values of everything are known.
 IMMATERIAL: Final = 0.4
+# Standard deviations of it that may be taken off as known: beyond, it is something that has to be found.
+ALWAYS_MOST: Final = 3.0
 # Of a start of a law that bends: between these its secant speaks for the law; beyond, another start's does.
 SPEAKS_FOR: Final = (0.4, 2.2)
 # Of a law, by which a departure must differ from it: less cannot be told from another size.

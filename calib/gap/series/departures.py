@@ -55,7 +55,7 @@ def by_currents(at: Beside, j: int) -> Array:
 
 
 OF_EFFECT: Mapping[str, tuple[Shape, ...]] = {
-    "coulomb_friction": (by_angle, by_direction),  # with speed it is viscous friction
+    "coulomb_friction": (by_angle,),  # with speed it is viscous friction, with direction asymmetric
     "viscous_friction": (by_speed, by_angle, by_direction),
     "load_friction": (by_load, by_angle),
     "stribeck_friction": (by_speed, by_angle),

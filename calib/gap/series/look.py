@@ -19,7 +19,7 @@ from calib.gap.posterior.term import Key
 from calib.gap.series.always import always
 from calib.gap.series.around import Around
 from calib.gap.series.blocks import blocks_of
-from calib.gap.series.constants import UNTOLD
+from calib.gap.series.constants import ALWAYS_MOST, UNTOLD
 from calib.gap.series.departures import GEARS
 from calib.gap.series.effects import terms_of
 from calib.gap.series.linear import Linear, foretold, noises_of, without_first
@@ -199,5 +199,6 @@ def left(look: Look, numbers: Sequence[int], drop: Collection[int] = ()) -> Arra
     seen, pull = (part / look.best.kappa**2 for part in (look.gram.tip[np.ix_(at, at)], look.gram.pull[at]))
     size = sd * np.linalg.solve(np.eye(len(sd)) + sd[:, None] * seen * sd, sd * pull)
     kept = [np.full(linear.terms[k].count, k not in drop) for k in numbers]
+    size[: linear.first] = np.clip(size[: linear.first], -ALWAYS_MOST, ALWAYS_MOST)
     size *= np.concatenate([np.ones(linear.first), *kept])
     return np.asarray(linear.y - linear.explained(numbers, size))

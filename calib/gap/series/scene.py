@@ -197,15 +197,19 @@ class Scene:
         k = self.number("current_A", joint)
         if k is None:
             return {}
-        cell, beside = self.cells[k], self.beside[k]
-        found = np.empty((len(beside.run), len(torque_Nm)))
+        size = float(self.rows.physics.torque_per_A[joint]) * self.cells[k].floor
+        return {k: self.filtered(k, torque_Nm) / size}
+
+    def filtered(self, k: int, values: Array) -> Array:
+        """Values (c, samples) as the rows of a cell of currents are filtered, (its rows, c)."""
+        beside, filters = self.beside[k], self.recording.filters
+        found = np.empty((len(beside.run), len(values)))
         for number in range(len(self.recording.runs)):
             mine = beside.run == number
             if mine.any():
-                filters = self.recording.filters
-                rows = filters.rows(torque_Nm[:, self.whole.run == number].T)
+                rows = filters.rows(values[:, self.whole.run == number].T)
                 found[mine] = rows[(beside.sample[mine] - filters.reach) // filters.step]
-        return {k: found / (float(self.rows.physics.torque_per_A[joint]) * cell.floor)}
+        return found
 
     def ahead(self, joint: int, angle_rad: Array) -> dict[int, Array]:
         """The tips' response to a joint that is further than its encoder says by angles (c, tip rows)."""
