@@ -13,7 +13,7 @@ from calib.gap.dynamic.choose import CAMERA_TIME, SAMPLING_TIME, Choice, Step
 from calib.gap.dynamic.fit import Fitted
 from calib.gap.dynamic.nameable import nameable
 from calib.gap.dynamic.plausible import plausible
-from calib.gap.dynamic.rows import Cell, Rows, RowTable
+from calib.gap.dynamic.rows import Cell, Rows, RowTable, without_motion
 from calib.gap.dynamic.split import Picked, Split, split
 from calib.gap.dynamic.validation import Validated, validate
 from calib.gap.dynamic.verdict import Verdict, judge
@@ -71,6 +71,7 @@ def examine(
     recording = plausible(arm, prepare(arm, log))
     known = forms.known_terms(arm)
     rows = Rows(Physics(arm, recording), known)
+    unmoved = without_motion(rows.table)
     parts = split(recording, rows.table)
     pool = all_candidates(arm, recording, candidates)
     choice = Choice(rows, known, parts, pool, told)
@@ -84,6 +85,7 @@ def examine(
     told("done", 1.0)
     warnings = (
         *recording.warnings,
+        *unmoved,
         *_doubts(before, rows.table),
         *_flying(rows, known, last.accepted),
         *_corrected(last.accepted, recording.has_voltage),
