@@ -13,7 +13,7 @@ import math
 import re
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -55,6 +55,17 @@ class Run:
     def __len__(self) -> int:
         """How many samples."""
         return len(self.t_s)
+
+    def rows(self, rows: slice, name: str = "") -> Run:
+        """Some of its samples, under another name if one is given."""
+        return replace(
+            self,
+            name=name or self.name,
+            t_s=frozen(self.t_s[rows]), q_rad=frozen(self.q_rad[rows]), q_set_rad=frozen(self.q_set_rad[rows]),
+            current_A=frozen(self.current_A[rows]), voltage_V=frozen(self.voltage_V[rows]),
+            payload_kg=frozen(self.payload_kg[rows]), tip_m=frozen(self.tip_m[rows]),
+            extra=MappingProxyType({column: texts[rows] for column, texts in self.extra.items()}),
+        )  # fmt: skip
 
     @property
     def payload(self) -> float:

@@ -12,7 +12,7 @@ from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
 from calib.gap.log import Log
 from calib.points.points import Points
-from control.model.arm import Arm
+from control.model.arm import Arm, Drive
 
 # What --current-unit accepts, and what it means in words.
 UNITS: Final = MappingProxyType(
@@ -25,6 +25,10 @@ UNITS: Final = MappingProxyType(
     }
 )
 AMPERES: Final = "A"
+TORQUES: Final = "Nm"
+FINE_COUNTS: Final = 1 << 24  # of an encoder that nobody described: the steps that the data show are coarser
+IDEAL: Final = Drive(1, 1.0, FINE_COUNTS, 1.0, 1.0, 1e6)
+NEED_DRIVES: Final = ("torque_constant", "cogging", "command_delay", "supply_sag")  # of the effects
 
 
 def amperes_per(arm: Arm, unit: str) -> Array:
@@ -44,6 +48,18 @@ def amperes_per(arm: Arm, unit: str) -> Array:
             return per_motor_Nm
         case _:
             return np.ones(len(drives))
+
+
+def with_ideal_drives(arm: Arm) -> Arm:
+    """The arm with a drive of one newton metre per ampere, without gear and rotor, on every joint that has none.
+
+    For torques: what an arm's masses tell of them needs no motor.
+    """
+    has = {drive.joint: drive for drive in arm.drives}
+    joints = range(1, arm.joint_count + 1)
+    return dataclasses.replace(
+        arm, drives=tuple(has.get(j, dataclasses.replace(IDEAL, joint=j)) for j in joints)
+    )
 
 
 def points_in_amperes(arm: Arm, points: Points, unit: str) -> Points:

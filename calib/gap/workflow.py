@@ -19,7 +19,15 @@ from calib.gap.model_update import as_totals, updated_arm
 from calib.gap.poses.find import find
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.report import GapReport, gap_page
-from calib.gap.units import AMPERES, amperes_per, log_in_amperes, points_in_amperes
+from calib.gap.units import (
+    AMPERES,
+    NEED_DRIVES,
+    TORQUES,
+    amperes_per,
+    log_in_amperes,
+    points_in_amperes,
+    with_ideal_drives,
+)
 from calib.inputs import input_file
 from calib.points.arm_points import points_for
 from calib.points.points import Points
@@ -36,13 +44,17 @@ POSES_SHARE = 0.3  # of the time, where there are both
 
 @dataclass(frozen=True, slots=True)
 class Recordings:
-    """What was measured, and the files that it stands in; `warnings` are sentences about them."""
+    """What was measured, and the files that it stands in; `warnings` are sentences about them.
+
+    `are_torques`: the columns of currents were torques of the joints.
+    """
 
     points: Points | None
     log: Log | None
     point_files: tuple[Path, ...]
     log_files: tuple[Path, ...]
     warnings: tuple[str, ...]
+    are_torques: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +75,9 @@ def read_recordings(
 
     `current_unit`: one of calib.gap.units.UNITS, in which the columns i1_A ... are written.
     """
+    motors = with_ideal_drives(arm) if current_unit == TORQUES else arm
     if current_unit != AMPERES:
-        amperes_per(arm, current_unit)
+        amperes_per(motors, current_unit)
     if not points and not logs:
         raise CalibrationError(
             "gap: give --points for static poses, --log for time series, or both; --record records them"
@@ -74,11 +87,12 @@ def read_recordings(
     runs = [read_log(path, arm.joint_count) for path in log_files]
     log = joined_logs(tuple(log for log, _ in runs)) if runs else None
     return Recordings(
-        points_in_amperes(arm, poses[0][0], current_unit) if poses else None,
-        log_in_amperes(arm, log, current_unit) if log is not None else None,
+        points_in_amperes(motors, poses[0][0], current_unit) if poses else None,
+        log_in_amperes(motors, log, current_unit) if log is not None else None,
         point_files,
         log_files,
         tuple(sentence for _, messages in (*poses, *runs) for sentence in messages),
+        are_torques=current_unit == TORQUES,
     )
 
 
@@ -122,12 +136,19 @@ def find_gap_in(
     arm: Arm, recordings: Recordings, without: Collection[str] = (), advance: Advance = silent
 ) -> GapOutcome:
     """`find_gap` of recordings that were read from files: the finding names the files."""
-    found = find_gap(arm, recordings.points, recordings.log, without=without, advance=advance)
+    searched, said = arm, list(recordings.warnings)
+    if recordings.are_torques and len(arm.drives) < arm.joint_count:
+        searched, without = with_ideal_drives(arm), (*without, *NEED_DRIVES)
+        said.append(
+            f"arm {arm.name} has no [[drive]] of some joints: its torques are taken as they are, without rotors; not tried are"
+            f" {', '.join(NEED_DRIVES)}"
+        )
+    found = find_gap(searched, recordings.points, recordings.log, without=without, advance=advance)
     files = (*recordings.point_files, *recordings.log_files)
     return dataclasses.replace(
         found,
         finding=dataclasses.replace(found.finding, data=tuple(path.name for path in files)),
-        warnings=(*recordings.warnings, *found.warnings),
+        warnings=(*said, *found.warnings),
     )
 
 

@@ -28,6 +28,7 @@ from control.model.arm import Arm
 from control.progress import Advance, silent
 
 FAR_OFF = 20.0  # floors
+READ, SCREENED, SEARCHED = 0.1, 0.25, 0.8  # of the time of a usual log, for the bar
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,11 +75,13 @@ def examine(
     unmoved = without_motion(rows.table)
     parts = split(recording, rows.table)
     pool = all_candidates(arm, recording, candidates)
-    choice = Choice(rows, known, parts, pool, told)
-    told("what this recording could name", 0.05)
+    told("what this recording could name", READ)
+    choice = Choice(
+        rows, known, parts, pool, lambda what, share: told(what, SCREENED + (SEARCHED - SCREENED) * share)
+    )
     possible = nameable(arm, choice.screen, parts, pool)
     steps = choice.steps()
-    told("the gap on runs used for nothing else", 0.95)
+    told("the gap on runs used for nothing else", SEARCHED)
     before = rows.residual(known)
     last = validate(choice, steps, judge(choice, steps, arm))
     finding = _finding(arm, log.sources, recording, choice, steps, last, before, possible)

@@ -12,6 +12,7 @@ from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
 from calib.gap.log import Log, Run
 from calib.gap.signals.filters import Filters, filters_for
+from calib.gap.signals.part import part_of
 from calib.gap.signals.sampling import GAP, evened, measured, period_of
 from control.model.arm import Arm
 
@@ -78,7 +79,9 @@ class Recording:
 def prepare(arm: Arm, log: Log) -> Recording:
     """Return the recording of this arm; UnusableLogError if it cannot be one."""
     _check(arm, log)
-    kept, repeats, warnings = _long_enough(log)
+    some, long = part_of(log)
+    kept, repeats, warnings = _long_enough(some)
+    warnings += [long] * bool(long)
     given, computed = measured([_from_its_beginning(run) for run in kept])
     given = tuple(evened(run, period_of(given)) for run in given)
     period = period_of(given)
@@ -133,7 +136,8 @@ def _check(arm: Arm, log: Log) -> None:
     missing = [j for j in range(1, arm.joint_count + 1) if all(d.joint != j for d in arm.drives)]
     if missing:
         raise UnusableLogError(
-            f"arm {arm.name}: no [[drive]] of joint {missing[0]}: the time series need motor and gear"
+            f"arm {arm.name}: no [[drive]] of joint {missing[0]}: currents and voltages say nothing without motor and gear;"
+            " torques of the joints do (--current-unit Nm)"
         )
     for drive in arm.drives:
         angles = np.concatenate([run.q_rad[:, drive.joint - 1] for run in log.runs])

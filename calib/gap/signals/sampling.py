@@ -64,7 +64,9 @@ def measured(runs: Sequence[Run]) -> tuple[tuple[Run, ...], str]:
         for differences, words in ((1, "repeats the one before"), (2, "lies on the line between others")):
             phases = [_phase(run, factor, differences) for run in runs]
             if any(phase is not None for phase in phases) and not _contradicted(phases, runs):
-                kept = tuple(_every(run, factor, phase or 0) for run, phase in zip(runs, phases, strict=True))
+                kept = tuple(
+                    run.rows(slice(phase or 0, None, factor)) for run, phase in zip(runs, phases, strict=True)
+                )
                 rate_Hz = 1.0 / period_of(kept)
                 return kept, (
                     f"{factor - 1} of {factor} samples {words}: the log was brought from {rate_Hz:.4g} to"
@@ -94,17 +96,6 @@ def _phase(run: Run, factor: int, differences: int) -> int | None:
     if by_phase[top] == 0.0 or np.delete(by_phase, top).max() > COMPUTED * by_phase[top]:
         return None
     return (top + 1) % factor
-
-
-def _every(run: Run, factor: int, first: int) -> Run:
-    """One sample in `factor`; the tip's frames beside them with their own times where they are among these."""
-    rows = slice(first, None, factor)
-    return dataclasses.replace(
-        run,
-        t_s=frozen(run.t_s[rows]), q_rad=frozen(run.q_rad[rows]), q_set_rad=frozen(run.q_set_rad[rows]),
-        current_A=frozen(run.current_A[rows]), voltage_V=frozen(run.voltage_V[rows]),
-        payload_kg=frozen(run.payload_kg[rows]), tip_m=frozen(run.tip_m[rows]),
-    )  # fmt: skip
 
 
 def is_resampled(currents: Sequence[Array]) -> bool:

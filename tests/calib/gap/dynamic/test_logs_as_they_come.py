@@ -15,6 +15,7 @@ from calib.gap.log import Log, Run
 from calib.gap.signals.body import Body, Load
 from calib.gap.signals.forms import known_terms
 from calib.gap.signals.motion import motion_gaps
+from calib.gap.signals.part import part_of
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import Recording, UnusableLogError, prepare
 from calib.gap.signals.sampling import period_of
@@ -181,6 +182,30 @@ def test_a_swing_with_the_driver_off_needs_no_currents_and_no_voltages() -> None
     assert recording.has_voltage
     assert all(run.is_off.all() for run in recording.runs)
     assert len(Rows(Physics(ARM, recording), known_terms(ARM)).table.run)
+
+
+def test_a_long_log_is_used_in_part_with_its_loads_and_repeats_and_that_is_said() -> None:
+    log = Log(tuple(replace(run, name=f"{part}-{run.name}") for part in range(20) for run in LOG.runs))
+    part, sentence = part_of(log)
+    length_s = sum(float(run.t_s[-1]) for run in part.runs)
+    assert 100.0 < length_s < 140.0
+    assert f"280 s long: {length_s:.0f} s of it are used" in sentence
+    assert {run.payload for run in part.runs} == {run.payload for run in log.runs}
+    assert any(len(group) > 1 for group in part.repeats())
+    assert part_of(LOG) == (LOG, "")
+
+
+def test_a_long_run_is_used_in_blocks_over_its_whole_length() -> None:
+    t_s = np.arange(0.0, 335.0, 0.002)
+    q = np.stack([0.4 * np.sin(0.6 * t_s + joint) * (0.2 + t_s / 335.0) for joint in range(3)], axis=1)
+    nothing = np.full((len(t_s), 3), np.nan)
+    run = Run("1", t_s, q, q, q, nothing, np.zeros(len(t_s)), nothing)
+    part, _ = part_of(Log((run,)))
+    assert len(part.runs) > 6
+    assert all(9.0 < one.t_s[-1] - one.t_s[0] < 11.0 for one in part.runs)
+    assert part.runs[0].t_s[0] < 30.0
+    assert part.runs[-1].t_s[-1] > 300.0
+    assert sum(float(one.t_s[-1] - one.t_s[0]) for one in part.runs) < 140.0
 
 
 def slow(run: Run) -> Run:
