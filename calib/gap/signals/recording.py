@@ -13,7 +13,7 @@ from calib.errors import CalibrationError
 from calib.gap.log import Log, Run
 from calib.gap.signals.filters import Filters, filters_for
 from calib.gap.signals.part import part_of
-from calib.gap.signals.sampling import GAP, evened, measured, period_of
+from calib.gap.signals.sampling import GAP, common_period, evened, measured, period_of
 from control.model.arm import Arm
 
 Flags = npt.NDArray[np.bool_]
@@ -83,11 +83,15 @@ def prepare(arm: Arm, log: Log) -> Recording:
     kept, repeats, warnings = _long_enough(some)
     warnings += [long] * bool(long)
     given, computed = measured([_from_its_beginning(run) for run in kept])
-    given = tuple(evened(run, period_of(given)) for run in given)
-    period = period_of(given)
+    given = tuple(evened(run, period_of([run])) for run in given)
+    period, rates = common_period(given)
     filters = filters_for(1.0 / period)
-    warnings += [computed] * bool(computed)
-    warnings += [*_about_gaps(given, period), *_about_steps(given, period), *_saturation(arm, given)]
+    warnings += [sentence for sentence in (computed, rates) if sentence]
+    warnings += [
+        *_about_gaps(given, period),
+        *([] if rates else _about_steps(given, period)),
+        *_saturation(arm, given),
+    ]
     _require_a_rate(given, period)
     runs = tuple(_motion(arm, run, filters, period) for run in given)
     if len(runs) > 1 and all(len(group) == 1 for group in repeats):

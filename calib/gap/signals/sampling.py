@@ -16,6 +16,7 @@ from calib.arrays import Array, frozen
 from calib.gap.log import Run
 
 GAP = 2.5  # periods between samples: more is a gap, and its neighbourhood is not used
+ONE_RATE = 0.1  # by which runs of one controller may differ
 # Of an interpolation that is undone, as 500 a second brought to 1000; the largest first, as one by 4 is one by 2 as well.
 FACTORS = range(10, 1, -1)
 # Bends of computed samples over those of measured ones: nothing but the rounding of what was printed. Those of measured samples
@@ -37,6 +38,16 @@ def period_of(runs: Sequence[Run]) -> float:
     usual = float(np.median(steps))
     near = steps[steps < GAP * usual]
     return float(near.sum() / max(np.round(near / usual).sum(), 1.0))
+
+
+def common_period(runs: Sequence[Run]) -> tuple[float, str]:
+    """The period that all runs are brought to, that of the slowest, and a sentence where they differ."""
+    own = np.array([period_of([run]) for run in runs])
+    if own.max() < (1.0 + ONE_RATE) * own.min():
+        return period_of(runs), ""
+    return float(own.max()), (
+        f"the runs have {1.0 / own.max():.4g} to {1.0 / own.min():.4g} samples a second: all are brought to the fewest"
+    )
 
 
 def evened(run: Run, period_s: float) -> Run:
