@@ -4,6 +4,7 @@ Writes `fault_rows`, and ends motions: `paced`, `jogging`, `homing`, `was_stoppe
 """
 
 from dataclasses import replace
+from typing import Final
 
 from control.errors import ArmError
 from control.loop import set_points
@@ -14,6 +15,9 @@ from control.safety.limits import Clip
 from control.safety.table import TRAVELLING_MODES, Mode
 from firmware_iface.errors import LinkError
 
+# The arm does not get to its set-point: a stop from there would push on what holds it back.
+_RESISTED: Final = frozenset({"following_error", "unexplained_torque"})
+
 
 def fail(state: ArmState, fault: Fault) -> None:
     """Go to FAULT with the fault's reaction, and save the cycles before it."""
@@ -21,8 +25,6 @@ def fail(state: ArmState, fault: Fault) -> None:
     was_braking = monitor.reaction is Reaction.BRAKE
     is_first = monitor.mode is not Mode.FAULT
     monitor.fault(_sharpened(state, fault))
-    if fault.code == "zero_lost":
-        monitor.forget_home()
     if is_first:
         state.stillness.enter_mode(state.now_s)
         state.fault_rows = state.parts.recorder.last_rows()
@@ -30,7 +32,7 @@ def fail(state: ArmState, fault: Fault) -> None:
         state.is_hold_pending = False
     state.was_stopped = True
     if monitor.is_held_fault and is_first:
-        stop_from(state, state.set_point if fault.code != "following_error" else set_points.measured(state))
+        stop_from(state, set_points.measured(state) if fault.code in _RESISTED else state.set_point)
     elif not was_braking and monitor.reaction is Reaction.BRAKE:
         state.paced = None
 

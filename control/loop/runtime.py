@@ -22,7 +22,7 @@ from control.loop.parts import NOWHERE
 from control.loop.row import row_of
 from control.loop.watch import Expectation
 from control.motion.setpoint import Motion, SetPoint
-from control.safety.fault import Fault
+from control.safety.fault import Fault, Reaction
 from control.safety.table import Event, Mode
 from firmware_iface.errors import BoardReset, LinkError
 
@@ -39,11 +39,16 @@ class Runtime(ArmState):
         self.now_s = now_s
         self.cycles += 1
         self.elapsed_s = (1 + missed) * self.parts.period_s
+        self.bridge = self.parts.board_stop.bridge(self.elapsed_s) if missed else None
+        if self.bridge is not None:
+            self.elapsed_s = self.parts.period_s
         self.punctuality.begin(late_s, missed)
         if missed:
-            self.parts.watch.note_pause(now_s)
+            self.parts.watch.note_pause(now_s, missed * self.parts.period_s)
         try:
             self._read()
+            if self.bridge is not None:
+                motion_modes.take_up(self, self.bridge)
             self._watch(missed_in_row)
             self._advance()
             self._aim()
@@ -74,10 +79,27 @@ class Runtime(ArmState):
         found = self.parts.watch.look(
             self.now_s, self.parts.hardware.feedback, measured.q_rad, measured.speed_rad_s,
             self.aim.q_rad, self.aim.speed_rad_s, missed_in_row,
-            Expectation(self.drives.is_ready, self.monitor.is_homed, self.is_controlled()),
+            # The arm is where its boards' stop brought it: following is expected from the next cycle on.
+            Expectation(self.drives.is_ready, self.monitor.is_homed, self.is_controlled() and self.bridge is None),
         )  # fmt: skip
-        for fault in found:
+        for fault in (*found, *self._contradictions()):
             self.fail(fault)
+
+    def _contradictions(self) -> list[Fault]:
+        """What the boards' values say against each other, while they are fresh and the drives are on."""
+        parts, feedback = self.parts, self.parts.hardware.feedback
+        if not self.drives.is_ready or self.monitor.reaction is Reaction.BRAKE:
+            parts.witnesses.forget()
+            return []
+        model_A = parts.servo.model_A
+        faults = parts.witnesses.look(self.elapsed_s, feedback, parts.measurement.speed_rad_s, model_A)
+        is_homed = self.monitor.is_homed
+        parts.hardware.watch_indices(is_homed)
+        passed = parts.hardware.passed_indices()
+        if is_homed:
+            faults += parts.watch.leaps(parts.measurement.leap_rad) + parts.indices.look(passed)
+            faults += parts.switches.look(self.elapsed_s, parts.measurement.q_rad, feedback.channel_flags)
+        return faults
 
     def _advance(self) -> None:
         mode = self.monitor.mode
