@@ -279,7 +279,7 @@ def _next(recording: Recording, verdict: Verdict) -> str | None:
     return None
 
 
-def _advice(recording: Recording, is_of_tip: bool) -> str:
+def _advice(recording: Recording, is_of_tip: bool = True) -> str:
     """What these runs lack; a camera only where it would see what is asked."""
     if is_of_tip and not recording.has_tip:
         return "the same runs with the camera on the tip"
