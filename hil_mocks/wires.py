@@ -17,6 +17,7 @@ from typing import Protocol
 
 import can
 
+from firmware_iface.errors import LinkLost
 from firmware_iface.link import open_can
 from hil_mocks.devices.motor_board import Frame
 
@@ -120,8 +121,9 @@ class Wires:
             received = pty.read()
             if received:
                 robot.from_host_serial(i, received)
-        for can_id, payload in self._can.receive():
-            robot.from_host_can(can_id, payload)
+        with contextlib.suppress(LinkLost):  # a bus that is off for the host
+            for can_id, payload in self._can.receive():
+                robot.from_host_can(can_id, payload)
 
     def serial_to_host(self, robot: OnWires, ahead_s: float = 0.0) -> None:
         """Send the host the bytes that arrive by now, or within `ahead_s`."""

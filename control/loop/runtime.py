@@ -13,6 +13,8 @@ same object runs in its own process in real time and in a test on a stepped cloc
 modes are in control.loop.set_points, motion_modes, homing, shutdown and fault_reactions.
 """
 
+import contextlib
+
 from control.errors import ArmError
 from control.hardware.interface import OutputMode
 from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown
@@ -88,7 +90,7 @@ class Runtime(ArmState):
     def _contradictions(self) -> list[Fault]:
         """What the boards' values say against each other, while they are fresh and the drives are on."""
         parts, feedback = self.parts, self.parts.hardware.feedback
-        if not self.drives.is_ready or self.monitor.reaction is Reaction.BRAKE:
+        if not self.drives.is_ready or self.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE):
             parts.witnesses.forget()
             return []
         model_A = parts.servo.model_A
@@ -128,8 +130,12 @@ class Runtime(ArmState):
         if self.monitor.mode is Mode.GUIDING and self.is_weightless and self._carry():
             return
         is_free = self.monitor.mode is Mode.GUIDING
-        output_mode = OutputMode.OFF if is_free else OutputMode.VOLTAGE
+        output_mode = OutputMode.OFF if is_free else self._mode_without_control()
         self.parts.hardware.write(output_mode, servo.output, servo.feedforward_V)
+
+    def _mode_without_control(self) -> OutputMode:
+        """0 V, or the boards' own hold after a fault that leaves them their feedback."""
+        return OutputMode.HOLD if self.monitor.reaction is Reaction.HOLD else OutputMode.VOLTAGE
 
     def _servo(self) -> None:
         measured, servo, set_point = self.parts.measurement, self.parts.servo, self.set_point
@@ -158,7 +164,7 @@ class Runtime(ArmState):
         self.parts.recorder.write(row_of(self, late_s))
 
     def _break_down(self, error: Exception) -> None:
-        """The cycle raised: fault, and 0 V if the links still work."""
+        """The cycle raised: fault, and the boards hold; where a link is gone, they do so by themselves."""
         if not (self.is_quitting and self.monitor.mode is Mode.OFF):
             self.fail(fault_reactions.fault_of(error))
         if isinstance(error, BoardReset):
@@ -166,10 +172,8 @@ class Runtime(ArmState):
         shutdown.follow(self)
         servo = self.parts.servo
         servo.silence()
-        try:
-            self.parts.hardware.write(OutputMode.VOLTAGE, servo.output, servo.feedforward_V)
-        except LinkError:
-            self.parts.hardware.emergency_stop()
+        with contextlib.suppress(LinkError):
+            self.parts.hardware.write(self._mode_without_control(), servo.output, servo.feedforward_V)
 
     # ---- requests
 

@@ -68,7 +68,7 @@ def run(drill: Drill) -> Outcome:
         played.way = played.way[-1:]
         drill.inject(played)
         played.run(max(0.0, begun_s + WATCHED_S - played.now_s))
-        way, noticed_s, found = played.way, played.noticed_s, played.found
+        way, noticed_s, found = played.way.copy(), played.noticed_s, played.found
         is_done = not found
         message = played.message
         played.recover()

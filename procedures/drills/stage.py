@@ -104,7 +104,7 @@ class Stage:
     def wrong_rad(self) -> float:
         """By how much an arm that takes itself for homed is elsewhere than it says; 0 if it does not."""
         runtime = self.assembly.runtime
-        if not runtime.monitor.is_homed:
+        if not runtime.monitor.is_homed or runtime.monitor.mode is Mode.FAULT:
             return 0.0
         measured = runtime.parts.measurement.q_rad
         return max(abs(true - said) for true, said in zip(self.rig.joint_rad(), measured, strict=True))
