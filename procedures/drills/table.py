@@ -15,7 +15,8 @@ def header() -> str:
 
 def row(outcome: Outcome) -> str:
     """One drill; a promise that was not kept follows in capitals."""
-    found = outcome.found[0] if outcome.found else "goes on"
+    promised = [code for code in outcome.found if code in outcome.drill.codes]
+    found = next(iter((*promised, *outcome.found)), "goes on")
     if outcome.broken:
         found = f"{found}   BROKEN: {'; '.join(outcome.broken)}"
     return _line(
