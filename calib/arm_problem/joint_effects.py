@@ -37,7 +37,7 @@ def corrections(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[Correc
     """The linear parameters of the wanted effects, starting from those that the arm already has.
 
     CalibrationError for an unknown effect or joint; MissingModel if a flank or torque is needed and the
-    arm's file lacks masses or drives.
+    arm's file lacks masses.
     """
     at = RestingPoints(arm, points)
     has = {(effect.effect, effect.joint): effect for effect in arm.effects}

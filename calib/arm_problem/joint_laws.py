@@ -36,7 +36,7 @@ class RestingPoints:
 
     @cached_property
     def resting(self) -> RestingPose:
-        """The state of the gears. MissingModel if the arm's file lacks masses or drives."""
+        """The state of the gears. MissingModel if the arm's file lacks masses."""
         seen = self.points
         payload_kg = np.nan_to_num(seen.payload_kg)
         return resting(self._arm, seen.q_rad, seen.direction, seen.current_A, payload_kg)

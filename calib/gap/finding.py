@@ -39,6 +39,7 @@ class NamedEffect:
 
     `probability` of it given the data, `share` of the excess over the noise that it explains, `departure` of the part from the
     textbook's law as a fraction of its size, over the law's own `variable`. NaN and "" where they were not determined.
+    `is_nothing`: the arm's file has it and the data do not: its total is none, without parameters, and it is taken out.
     """
 
     name: EffectName
@@ -49,6 +50,7 @@ class NamedEffect:
     share: float = math.nan
     departure: float = math.nan
     variable: str = ""
+    is_nothing: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +165,7 @@ def _named(effect: NamedEffect) -> dict[str, object]:
         "parameters": {
             name: {"value": value, "sd": _number(sd)} for name, (value, sd) in effect.parameters.items()
         },
+        "is_nothing": effect.is_nothing,
         "gap_after": _number(effect.gap_after),
         "probability": _number(effect.probability),
         "share": _number(effect.share),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
@@ -58,7 +59,9 @@ def _about(outcome: DynamicOutcome) -> str:
 
 
 def gap_picture(outcome: DynamicOutcome) -> str:
-    """Left: the gap after each name. Right: every cell before and after, on the held-out runs."""
+    """Left: the gap after each name. Right: every cell before and after, on the held-out runs; a sentence where there is none."""
+    if not math.isfinite(outcome.finding.gap_before):
+        return paragraph("No row of the held-out runs counts: there is no gap to draw.")
     return svg((10.4, 3.2), lambda figure: _draw_gap(figure, outcome))
 
 
@@ -89,8 +92,9 @@ def _draw_gap(figure: Figure, outcome: DynamicOutcome) -> None:
     left, right = figure.subplots(1, 2, width_ratios=(2, 3))
     figure.subplots_adjust(left=0.07, right=0.99, top=0.89, bottom=0.24, wspace=0.18)
     found = outcome.finding
-    steps = ["as it is", *(str(effect.name).replace(" on joint ", " ") for effect in found.effects)]
-    gaps = [found.gap_before, *(effect.gap_after for effect in found.effects)]
+    whole = [("as it is", found.gap_before)]
+    whole += [(str(effect.name).replace(" on joint ", " "), effect.gap_after) for effect in found.effects]
+    steps, gaps = zip(*((name, gap) for name, gap in whole if math.isfinite(gap) and gap > 0.0), strict=True)
     left.plot(np.arange(len(steps)), gaps, "o-", color=AFTER, ms=6)
     for k, value in enumerate(gaps):
         left.annotate(f"{value:.2f}", (k, value), (0, 5), textcoords="offset points", ha="center", size=8)

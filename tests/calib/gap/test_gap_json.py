@@ -46,6 +46,7 @@ class Named(msgspec.Struct, forbid_unknown_fields=True):
     joint: int | None
     parameters: dict[str, Value]
     gap_after: float | None
+    is_nothing: bool
     probability: float | None
     share: float | None
     law_departure: Departure | None

@@ -6,9 +6,11 @@ import pytest
 
 from benchmarks.gap.static.cases import ARM, Hidden, case
 from calib.gap.finding import EffectName
+from calib.gap.model_update import updated_arm
 from calib.gap.poses.find import find
 from calib.gap.poses.outcome import StaticGap
-from control.model.arm import Effect
+from calib.gap.words import in_words
+from control.model.arm import Calibration, Effect
 
 
 def names(found: StaticGap) -> set[EffectName]:
@@ -52,6 +54,27 @@ def test_an_effect_that_the_file_knows_in_part_comes_out_as_the_total() -> None:
 def test_an_effect_that_the_file_has_right_is_not_missing() -> None:
     known = dataclasses.replace(ARM, effects=(Effect("encoder_scale", 2, {"scale": 0.006 / 1.006}),))
     assert names(find(known, case(34, (Hidden("encoder_scale", 2, 0.006),)))) == set()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        Effect("encoder_scale", 2, {"scale": 0.004}),
+        Effect("joint_compliance", 2, {"stiffness_Nm_rad": 600.0}),
+        Effect("link_flexure", 2, {"EI_Nm2": 400.0}),
+    ],
+    ids=lambda one: one.effect,
+)
+def test_an_effect_that_the_file_has_and_the_arm_has_not_is_a_total_of_none(wrong: Effect) -> None:
+    arm = dataclasses.replace(ARM, effects=(wrong,))
+    found = find(arm, case(34))
+    (gone,) = (one for one in found.finding.effects if one.name.effect != "link_geometry")
+    assert (gone.name.effect, gone.is_nothing) == (wrong.effect, True)
+    assert found.finding.unknown is None
+    assert found.finding.gap_after < 1.1
+    assert any("Not there" in sentence for sentence in in_words(found.finding))
+    made = Calibration("a", {}, "2026-01-01", "gap workflow", "x")
+    assert updated_arm(arm, found.finding, found.dh, made).effects == ()
 
 
 def test_what_is_named_says_its_probability_and_how_far_it_departs_from_its_law() -> None:
