@@ -24,6 +24,7 @@ from control.motion.jog_limits import TIP_ACCELERATION_m_s2, TIP_JERK_m_s3
 from control.motion.joint_limits import JointLimits
 from control.motion.path import Differentiates, Follows, inverse_of, times
 from control.motion.setpoint import SetPoint, Vector
+from control.motion.trajectory import calculated
 
 if TYPE_CHECKING:
     import ruckig
@@ -237,7 +238,6 @@ def _trajectory(
     asked.current_acceleration = list(tip.acceleration_m_s2)
     most_m_s2 = ease * TIP_ACCELERATION_m_s2
     asked.max_acceleration = [most_m_s2] * 3
-    asked.max_jerk = [ease * TIP_JERK_m_s3] * 3
     speeds = [share * v for v in wanted]
     if goal_m is None:
         asked.max_velocity = [1.0] * 3
@@ -247,11 +247,9 @@ def _trajectory(
         asked.max_velocity = [max(map(abs, speeds))] * 3
         asked.target_position = list(goal_m)
     asked.synchronization = ruckig.Synchronization.Phase  # a straight line where that is possible
-    trajectory = ruckig.Trajectory(3)
-    result = ruckig.Ruckig(3).calculate(asked, trajectory)
-    if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-        raise MotionError(f"no jog from {tip} at {wanted}: ruckig says {result}")
-    return trajectory
+    return calculated(
+        asked, [ease * TIP_JERK_m_s3] * 3, f"jog of the tip from {tip.position_m} at {wanted} m/s"
+    )
 
 
 def _sample(trajectory: "ruckig.Trajectory", time_s: float) -> TipState:

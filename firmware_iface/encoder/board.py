@@ -24,6 +24,7 @@ _REPORT_BITS = wire.REPORT_WIRE_BYTES * 10  # 8N1: 10 bit times a byte
 _STREAM_LOAD = 0.9  # of the line; the rest is for answers and index frames
 _LONGEST_PERIOD_s = 1.0
 _LATCH_REPEAT_s = 0.02  # INDEX is requested again if it comes later than this after its flag
+_LATE_FRAMES, _LATE_us = 16, 250_000  # a report that is older is one of another life of the board
 _REQUESTS = (wire.Poll, wire.Stream, wire.SetZero, wire.ArmIndex, wire.Identify)
 
 
@@ -41,6 +42,8 @@ class EncoderBoard:
         self.identity: wire.Identity | None = None
         self.reports = 0
         self.lost = 0
+        self.late = 0
+        """Reports dropped because a newer one came first."""
         self.resets = 0
         self._link = link
         self._clock = clock
@@ -85,7 +88,8 @@ class EncoderBoard:
             now_s = self._clock.now_s()
             for frame in self._decoder.feed(received):
                 if type(frame) is wire.Report:
-                    self._take_report(frame, now_s)
+                    if not self._is_late(frame):
+                        self._take_report(frame, now_s)
                 else:
                     self._take_other(frame)
             if self._armed:
@@ -230,6 +234,17 @@ class EncoderBoard:
         self.latest = report
         self.latest_at_s = now_s
         self.reports += 1
+
+    def _is_late(self, report: wire.Report) -> bool:
+        """Whether a newer report was taken before: it is dropped. Not so after a restart, where the board's time begins anew."""
+        if self.latest is None or self._board_sequence is None:
+            return False
+        behind = (self._board_sequence - report.sequence) & 0xFF
+        behind_us = (self.latest.board_time_us - report.board_time_us) & 0xFFFFFFFF
+        if not (0 < behind <= _LATE_FRAMES and 0 < behind_us <= _LATE_us):
+            return False
+        self.late += 1
+        return True
 
     def _take_other(self, frame: wire.AnyFrame) -> None:
         if isinstance(frame, _REQUESTS):

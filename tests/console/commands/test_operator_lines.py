@@ -169,14 +169,14 @@ def test_a_place_that_is_marked_is_where_the_joints_are_and_not_their_encoders(t
         cell.client.home()
         outcomes = played(
             cell,
-            "move --joints 0.2 -1.2 0.3",
+            "move --joints 0.2 -0.9 0.3",
             f"mark here --places {places}",
             "move --joints 0.3 -0.6 0.2",
             f"go here --places {places}",
             f"mark here --places {places}",
         )
         assert [outcome.status for outcome in outcomes] == [0] * 5
-        assert cell.rig.joint_rad() == pytest.approx((0.2, -1.2, 0.3), abs=2e-3)
+        assert cell.rig.joint_rad() == pytest.approx((0.2, -0.9, 0.3), abs=2e-3)
         assert "replacing another" in outcomes[4].transcript
         assert "replacing another" not in outcomes[1].transcript
 

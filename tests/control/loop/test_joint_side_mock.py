@@ -130,9 +130,9 @@ def test_encoder_angles_are_taken_as_they_are_when_asked_so_and_held() -> None:
 
 def test_a_target_at_which_an_encoder_would_leave_its_range_is_refused_and_nothing_moves() -> None:
     with an_arm((), (Effect("encoder_scale", 2, {"scale": -0.01}),)) as cell:
-        assert "outside of its range" in cell.refusal(do="move_joints", q_rad=[0.1, -1.895, 0.2])
+        assert "outside of its range" in cell.refusal(do="move_joints", q_rad=[0.1, 0.795, 0.2])
         assert cell.mode is Mode.HOLDING
-        cell.client.move_joints((0.1, -1.88, 0.2))  # the encoder's end is at -1.899
+        cell.client.move_joints((0.1, 0.785, 0.2))  # the encoder's end is at 0.792
 
 
 def test_set_points_of_the_encoders_keep_their_limits_all_the_way() -> None:
