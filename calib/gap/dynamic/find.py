@@ -28,6 +28,14 @@ from control.model.arm import Arm
 from control.progress import Advance, silent
 
 FAR_OFF = 20.0  # floors
+OF_THE_TIP = (
+    "backlash",
+    "joint_compliance",
+    "link_flexure",
+    "encoder_scale",
+    "encoder_eccentricity",
+    "belt_coupling",
+)
 READ, SCREENED, SEARCHED = 0.1, 0.25, 0.8  # of the time of a usual log, for the bar
 
 
@@ -262,14 +270,18 @@ def _named(
 def _next(recording: Recording, verdict: Verdict) -> str | None:
     if verdict.ambiguous:
         names = ", ".join(str(name) for name in verdict.ambiguous[0])
-        return f"a recording that separates {names}: {_advice(recording)}"
+        is_of_tip = any(name.effect in OF_THE_TIP for name in verdict.ambiguous[0])
+        return f"To separate {names}, record {_advice(recording, is_of_tip)}."
     if verdict.unknown is not None:
-        return f"more of where the unknown shows ({verdict.unknown.where}): {_advice(recording)}"
+        is_of_tip = verdict.unknown.where.startswith("the tip")
+        where = verdict.unknown.where
+        return f"To see more of what is left ({where}), record {_advice(recording, is_of_tip)}."
     return None
 
 
-def _advice(recording: Recording) -> str:
-    if not recording.has_tip:
+def _advice(recording: Recording, is_of_tip: bool = True) -> str:
+    """What these runs lack; a camera only where it would see what is asked."""
+    if is_of_tip and not recording.has_tip:
         return "the same runs with the camera on the tip"
     if not recording.has_current:
         return "the same runs with the motor currents"

@@ -13,7 +13,7 @@ from calib.errors import CalibrationError
 from calib.gap.log import Log, Run
 from calib.gap.signals.filters import Filters, filters_for
 from calib.gap.signals.part import part_of
-from calib.gap.signals.sampling import GAP, evened, measured, period_of
+from calib.gap.signals.sampling import GAP, averaged, common_period, evened, measured, period_of
 from control.model.arm import Arm
 
 Flags = npt.NDArray[np.bool_]
@@ -79,15 +79,14 @@ class Recording:
 def prepare(arm: Arm, log: Log) -> Recording:
     """Return the recording of this arm; UnusableLogError if it cannot be one."""
     _check(arm, log)
-    some, long = part_of(log)
-    kept, repeats, warnings = _long_enough(some)
-    warnings += [long] * bool(long)
-    given, computed = measured([_from_its_beginning(run) for run in kept])
-    given = tuple(evened(run, period_of(given)) for run in given)
-    period = period_of(given)
+    kept, warnings = _long_enough(log)
+    given, said = _as_sampled([_from_its_beginning(run) for run in kept])
+    warnings += said
+    repeats = Log(given).repeats()
+    period, rates = common_period(given)
     filters = filters_for(1.0 / period)
-    warnings += [computed] * bool(computed)
-    warnings += [*_about_gaps(given, period), *_about_steps(given, period), *_saturation(arm, given)]
+    warnings += [*_about_gaps(given, period), *([rates] if rates else _about_steps(given, period))]
+    warnings += _saturation(arm, given)
     _require_a_rate(given, period)
     runs = tuple(_motion(arm, run, filters, period) for run in given)
     if len(runs) > 1 and all(len(group) == 1 for group in repeats):
@@ -100,18 +99,23 @@ def prepare(arm: Arm, log: Log) -> Recording:
     return Recording(runs, repeats, filters, has_current, has_voltage, has_tip, tuple(warnings))
 
 
-def _long_enough(log: Log) -> tuple[list[Run], tuple[tuple[int, ...], ...], list[str]]:
-    """The runs that are long enough, which of them repeat each other, and a sentence about the others."""
-    kept = [k for k, run in enumerate(log.runs) if run.t_s[-1] - run.t_s[0] >= SHORTEST_s]
+def _long_enough(log: Log) -> tuple[list[Run], list[str]]:
+    """The runs that are long enough, and a sentence about the others."""
+    kept = [run for run in log.runs if run.t_s[-1] - run.t_s[0] >= SHORTEST_s]
     if not kept:
         raise UnusableLogError(
             f"log: every run is shorter than {SHORTEST_s} s: expected recordings of seconds"
         )
-    short = [run.name for k, run in enumerate(log.runs) if k not in kept]
-    said = [f"{_runs(short)}: shorter than {SHORTEST_s} s, not used"] if short else []
-    place = {k: new for new, k in enumerate(kept)}
-    groups = [tuple(place[k] for k in group if k in place) for group in log.repeats()]
-    return [log.runs[k] for k in kept], tuple(group for group in groups if group), said
+    short = [run.name for run in log.runs if run.t_s[-1] - run.t_s[0] < SHORTEST_s]
+    return kept, [f"{_runs(short)}: shorter than {SHORTEST_s} s, not used"] if short else []
+
+
+def _as_sampled(runs: Sequence[Run]) -> tuple[tuple[Run, ...], list[str]]:
+    """Samples that were measured, at their times, as many as are looked at; and sentences about what was left or put together."""
+    given, computed = measured(runs)
+    given, fast = averaged(tuple(evened(run, period_of([run])) for run in given))
+    part, long = part_of(Log(given))
+    return part.runs, [sentence for sentence in (computed, fast, long) if sentence]
 
 
 def _from_its_beginning(run: Run) -> Run:
