@@ -5,7 +5,7 @@ import json
 import sys
 from pathlib import Path
 
-from console.commands.connection import connected
+from console.commands.connection import in_control
 from console.lines.grammar import Grammar, LineError
 from console.lines.replay import Outcome, parse_lines, replay
 from console.specs.table import COMMANDS
@@ -30,7 +30,7 @@ def run(given: argparse.Namespace) -> int:
             terminal.write(_described(outcome))
             terminal.flush()
 
-    status = replay(lines, lambda: connected(given), say)
+    status = replay(lines, lambda: in_control(given), say)
     if given.json:
         terminal.write(
             json.dumps({"status": status, "lines": [_message(o) for o in outcomes]}, indent=2) + "\n"

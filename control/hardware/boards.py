@@ -133,6 +133,8 @@ class BoardHardware:
             motor.command_current(sign * output)
         elif mode is OutputMode.POSITION:
             motor.command_position(self._board_count(joint, output), sign * forward_V)
+        elif mode is OutputMode.HOLD:
+            motor.command_hold()
         else:
             motor.command_off()
 

@@ -12,12 +12,15 @@ from typing import Protocol
 
 
 class OutputMode(Enum):
-    """Meaning of the numbers passed to `write`. `OFF` opens the motor circuit: the joint is free and a loaded arm drops."""
+    """Meaning of the numbers passed to `write`. `OFF` opens the motor circuit: the joint is free and a loaded arm drops. `HOLD`:
+    each board brings its joint to rest and holds it by its own encoder.
+    """
 
     OFF = 0
     VOLTAGE = 1
     CURRENT = 2
     POSITION = 3
+    HOLD = 4
 
 
 @dataclass(slots=True)

@@ -22,7 +22,7 @@ _RESISTED: Final = frozenset({"following_error", "unexplained_torque"})
 def fail(state: ArmState, fault: Fault) -> None:
     """Go to FAULT with the fault's reaction, and save the cycles before it."""
     monitor = state.monitor
-    was_braking = monitor.reaction is Reaction.BRAKE
+    was_let_go = _is_let_go(state)
     is_first = monitor.mode is not Mode.FAULT
     monitor.fault(_sharpened(state, fault))
     if is_first:
@@ -33,8 +33,13 @@ def fail(state: ArmState, fault: Fault) -> None:
     state.was_stopped = True
     if monitor.is_held_fault and is_first:
         stop_from(state, set_points.measured(state) if fault.code in _RESISTED else state.set_point)
-    elif not was_braking and monitor.reaction is Reaction.BRAKE:
+    elif not was_let_go and _is_let_go(state):
         state.paced = None
+
+
+def _is_let_go(state: ArmState) -> bool:
+    """Whether the loop has left the arm to its boards, or to the shorted windings."""
+    return state.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE)
 
 
 def _sharpened(state: ArmState, fault: Fault) -> Fault:
@@ -76,9 +81,9 @@ def refuse(state: ArmState, clip: Clip) -> None:
 def fault_of(error: Exception) -> Fault:
     """The fault for an exception that was raised within a cycle."""
     if isinstance(error, LinkError):
-        return Fault("link", "links", str(error), "check cables and supply", Reaction.BRAKE)
+        return Fault("link", "links", str(error), "check cables and supply", Reaction.HOLD)
     remedy = "report it with the recording of this run"
-    return Fault("internal", "control loop", _text_of(error), remedy, Reaction.BRAKE)
+    return Fault("internal", "control loop", _text_of(error), remedy, Reaction.HOLD)
 
 
 def _text_of(error: Exception) -> str:

@@ -13,6 +13,8 @@ same object runs in its own process in real time and in a test on a stepped cloc
 modes are in control.loop.set_points, motion_modes, homing, shutdown and fault_reactions.
 """
 
+import contextlib
+
 from control.errors import ArmError
 from control.hardware.interface import OutputMode
 from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown
@@ -26,6 +28,8 @@ from control.safety.fault import Fault, Reaction
 from control.safety.table import Event, Mode
 from firmware_iface.errors import BoardReset, LinkError
 
+# Feed-forward and PID share the weight: 1 kg at 0.75 m is 7 Nm, which the PID takes over in a second without being noticed.
+PAYLOAD_RATE_kg_s = 1.0
 HOMING_CURRENT_FRACTION = 0.5  # during homing, and while joints without a zero are jogged
 
 
@@ -50,6 +54,7 @@ class Runtime(ArmState):
             if self.bridge is not None:
                 motion_modes.take_up(self, self.bridge)
             self._watch(missed_in_row)
+            self._follow_payload()
             self._advance()
             self._aim()
             self._drive()
@@ -88,7 +93,7 @@ class Runtime(ArmState):
     def _contradictions(self) -> list[Fault]:
         """What the boards' values say against each other, while they are fresh and the drives are on."""
         parts, feedback = self.parts, self.parts.hardware.feedback
-        if not self.drives.is_ready or self.monitor.reaction is Reaction.BRAKE:
+        if not self.drives.is_ready or self.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE):
             parts.witnesses.forget()
             return []
         model_A = parts.servo.model_A
@@ -115,6 +120,17 @@ class Runtime(ArmState):
         if self.is_shutting_down:
             shutdown.follow(self)
 
+    def _follow_payload(self) -> None:
+        """Let the model's payload follow the stated one: at once while nothing depends on it, else slowly."""
+        model, stated_kg = self.parts.servo.torque_model, self.stated_payload_kg
+        if model.payload_kg == stated_kg:
+            return
+        if self.monitor.mode in (Mode.OFF, Mode.BRAKED):
+            model.payload_kg = stated_kg
+            return
+        most_kg = PAYLOAD_RATE_kg_s * self.elapsed_s
+        model.payload_kg += min(max(stated_kg - model.payload_kg, -most_kg), most_kg)
+
     def _aim(self) -> None:
         if (clip := set_points.aim(self)) is not None:
             fault_reactions.refuse(self, clip)
@@ -128,8 +144,12 @@ class Runtime(ArmState):
         if self.monitor.mode is Mode.GUIDING and self.is_weightless and self._carry():
             return
         is_free = self.monitor.mode is Mode.GUIDING
-        output_mode = OutputMode.OFF if is_free else OutputMode.VOLTAGE
+        output_mode = OutputMode.OFF if is_free else self._mode_without_control()
         self.parts.hardware.write(output_mode, servo.output, servo.feedforward_V)
+
+    def _mode_without_control(self) -> OutputMode:
+        """0 V, or the boards' own hold after a fault that leaves them their feedback."""
+        return OutputMode.HOLD if self.monitor.reaction is Reaction.HOLD else OutputMode.VOLTAGE
 
     def _servo(self) -> None:
         measured, servo, set_point = self.parts.measurement, self.parts.servo, self.set_point
@@ -158,7 +178,7 @@ class Runtime(ArmState):
         self.parts.recorder.write(row_of(self, late_s))
 
     def _break_down(self, error: Exception) -> None:
-        """The cycle raised: fault, and 0 V if the links still work."""
+        """The cycle raised: fault, and the boards hold; where a link is gone, they do so by themselves."""
         if not (self.is_quitting and self.monitor.mode is Mode.OFF):
             self.fail(fault_reactions.fault_of(error))
         if isinstance(error, BoardReset):
@@ -166,10 +186,8 @@ class Runtime(ArmState):
         shutdown.follow(self)
         servo = self.parts.servo
         servo.silence()
-        try:
-            self.parts.hardware.write(OutputMode.VOLTAGE, servo.output, servo.feedforward_V)
-        except LinkError:
-            self.parts.hardware.emergency_stop()
+        with contextlib.suppress(LinkError):
+            self.parts.hardware.write(self._mode_without_control(), servo.output, servo.feedforward_V)
 
     # ---- requests
 
@@ -200,6 +218,15 @@ class Runtime(ArmState):
     def go_off(self, quits: bool) -> None:
         """Start the shutdown: stop, hold, brake, off. The cycle continues it."""
         shutdown.begin(self, quits)
+
+    def state_payload(self, mass_kg: float) -> None:
+        """State the mass in the gripper. ArmError if it is more than the arm may carry."""
+        most_kg = self.parts.payload_limit_kg
+        if not 0.0 <= mass_kg <= most_kg:
+            raise ArmError(
+                f"payload: expected mass_kg from 0 to {most_kg:g} kg ([limits] payload_limit_kg), got {mass_kg:g}"
+            )
+        self.stated_payload_kg = mass_kg
 
     def take_known_zeros(self) -> bool:
         """Use the boards' zeros if all of them were set since power-up; return whether they were."""

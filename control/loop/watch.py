@@ -1,7 +1,8 @@
 """Monitoring of each cycle: measured values against limits; each violation is a fault with a remedy.
 
-Two reactions (control.safety.monitor): if the feedback is good, a controlled stop and hold; if it cannot be trusted, the
-windings are shorted on all joints. Order matters only for the operator: the first finding is usually the cause.
+Three reactions (control.safety.fault): if the feedback is good, a controlled stop and hold; if the loop has lost it and the
+motor boards have not, they stop and hold by themselves; if it cannot be trusted, the windings are shorted on all joints.
+Order matters only for the operator: the first finding is usually the cause.
 """
 
 from collections import deque
@@ -205,7 +206,7 @@ class Watch:
                 self._names[joint],
                 f"its drive sent no reply for {age_s:.3f} s (limit {limit_s:.3f} s)",
                 "check the CAN cable, its termination and the drive's supply",
-                Reaction.BRAKE,
+                Reaction.HOLD,
             )
             return
         if not expected.are_drives_enabled:
@@ -217,7 +218,7 @@ class Watch:
                     self._names[joint],
                     f"its drive reports a fault: {name}",
                     remedy,
-                    Reaction.BRAKE,
+                    Reaction.HOLD,
                 )
         if not feedback.drive_faults[joint]:
             state = feedback.statusword[joint] & STATE_MASK
@@ -227,7 +228,7 @@ class Watch:
                     self._names[joint],
                     f"its drive left OPERATION ENABLED by itself (statusword 0x{feedback.statusword[joint]:02x})",
                     "it was reset, or another program commands it: check its supply and the bus",
-                    Reaction.BRAKE,
+                    Reaction.HOLD,
                 )
 
     def _channel(self, joint: int, feedback: Feedback, expected: Expectation) -> Iterator[Fault]:
@@ -254,7 +255,7 @@ class Watch:
                 self._names[joint],
                 "the encoder board was reset and has lost its zero",
                 "check its supply, then home again",
-                Reaction.BRAKE,
+                Reaction.HOLD,
             )
 
     def _motion(
@@ -317,5 +318,5 @@ def _silent_encoder(age_s: float, limit_s: float) -> Fault:
         "encoder board",
         f"no report for {age_s:.3f} s (limit {limit_s:.3f} s)",
         "check its cable and supply",
-        Reaction.BRAKE,
+        Reaction.HOLD,
     )

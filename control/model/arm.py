@@ -196,11 +196,14 @@ class Limits:
     tip_speed_m_s: Positive = 1.0
     following_error_rad: Positive = 0.05
     following_error_per_speed_s: NonNegative = 0.05
-    floor_z_m: float = 0.0  # the tip stays above this height in the base frame
+    floor_z_m: float = 0.0  # the arm stays above this height in the base frame: on what the base stands
     floor_clearance_m: NonNegative = 0.0
+    floor_tolerance_m: NonNegative = 0.01  # by which the model of an arm may be wrong before its calibration
+    base_radius_m: NonNegative = 0.0  # of the arm's own base about axis 1, up to joint 2; 0: not checked
     watchdog_s: Positive = 0.2  # a host may pause 40-170 ms; a board watchdog must tolerate it
     stale_s: Positive = 0.02
     jog_tip_speed_m_s: Positive = 0.25  # the reduced speed of ISO 10218-1 for people beside the arm
+    payload_limit_kg: NonNegative = 5.0  # the largest mass that a client may state: feed-forward follows it
     jog_silence_s: Positive = 0.2  # a jog that is not renewed for this long comes to rest
     speed_contradiction_rad_s: Positive = 0.02  # between motor and encoder, at rest; see docs/safety.md
     unexplained_torque: Positive = 0.3  # share of the torque at the current limit; see there

@@ -100,7 +100,8 @@ class Monitor:
 
     def fault(self, fault: Fault) -> Mode:
         """Go to FAULT, list `fault` (once per code and place), use the more severe reaction. Always legal."""
-        can_control = self._mode in CONTROLLED_MODES or self.is_held_fault
+        # The boards hold only what the loop controlled before.
+        can_control = self._mode in CONTROLLED_MODES or self._reaction in (Reaction.CONTROLLED, Reaction.HOLD)
         wanted = fault.reaction if can_control else Reaction.BRAKE
         if self._mode is not Mode.FAULT:
             # Even at rest the loop plans a stop, and ends it with STOPPED at once.
@@ -110,7 +111,7 @@ class Monitor:
         if fault.code in LOSES_ZERO:
             self._is_homed, self._is_zero_doubted = False, True
         self._reaction = wanted if self._reaction is None else max(self._reaction, wanted)
-        event = Event.FAULT_BRAKE if self._reaction is Reaction.BRAKE else Event.FAULT_CONTROLLED
+        event = Event.FAULT_CONTROLLED if self._reaction is Reaction.CONTROLLED else Event.FAULT_BRAKE
         self._mode = TRANSITIONS[(self._mode, event)]
         return self._mode
 

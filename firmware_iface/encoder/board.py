@@ -24,6 +24,8 @@ _STEP_s = 0.001
 _REPORT_BITS = wire.REPORT_WIRE_BYTES * 10  # 8N1: 10 bit times a byte
 _STREAM_LOAD = 0.9  # of the line; the rest is for answers and index frames
 _LONGEST_PERIOD_s = 1.0
+_LATE_FRAMES = 128  # half of the sequence: a report further behind is of a board that has restarted
+_LATE_us = 1_000_000
 _LATCH_REPEAT_s = 0.02  # INDEX is requested again if it comes later than this after its flag
 _WATCH_EVERY_s = 0.02  # arm one of the watched indices: 27 bytes, a tenth of a slow line
 _REQUESTS = (wire.Poll, wire.Stream, wire.SetZero, wire.ArmIndex, wire.Identify)
@@ -45,6 +47,8 @@ class EncoderBoard:
         self.identity: wire.Identity | None = None
         self.reports = 0
         self.lost = 0
+        self.late = 0
+        """Reports that came after a newer one, and were dropped."""
         self.resets = 0
         self._link = link
         self._clock = clock
@@ -260,6 +264,11 @@ class EncoderBoard:
 
     def _take_report(self, report: wire.Report, now_s: float) -> None:
         before, made_s = self.latest, self._time.seconds
+        if before is not None and self._board_sequence is not None:
+            behind = (self._board_sequence - report.sequence) & 0xFF
+            if 0 < behind < _LATE_FRAMES and _is_older(report, before):
+                self.late += 1
+                return
         if self._time.advance(report.board_time_us, now_s) and not _has_lost_zero(before, report):
             self._count_lost(report.sequence)
         else:
@@ -351,6 +360,12 @@ class EncoderBoard:
 
     def _violation(self, what: str, received: bytes) -> None:
         self._problems.append(ProtocolViolation(f"{self.where}: {what}", received))
+
+
+def _is_older(report: wire.Report, newest: wire.Report) -> bool:
+    """Whether a report was made before the newest one by the same running board."""
+    older_us = (newest.board_time_us - report.board_time_us) & 0xFFFFFFFF
+    return 0 < older_us < _LATE_us and not _has_lost_zero(newest, report)
 
 
 def _has_lost_zero(before: wire.Report | None, now: wire.Report) -> bool:

@@ -43,6 +43,7 @@ class Mode(IntEnum):
     VOLTAGE = 1
     CURRENT = 2
     POSITION = 3
+    HOLD = 4
 
 
 class Fault(IntFlag):

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from hil_mocks.devices import motor_parameters as parameter
 from hil_mocks.devices.motor_states import NEXT, State, Word, word_of
 
+HOLD = 4  # mode
 COMMAND, REPLY, REQUEST, ANSWER = 0x100, 0x180, 0x200, 0x280
 OVER_CURRENT, OVER_TEMPERATURE, UNDER_VOLTAGE, OVER_VOLTAGE = 1, 2, 4, 8
 WATCHDOG, ENCODER, BAD_COMMAND, EMERGENCY_STOP = 16, 32, 64, 128
@@ -146,7 +147,7 @@ class MotorBoardMock:
         elif state is State.ENABLED and now_s - self._last_command_s > self._soonest_s:
             if now_s - self._last_command_s > self._watchdog_s:
                 self._expire()
-            elif self._stop is None and self._mode != 0:
+            elif self._stop is None and self._mode in (1, 2):
                 self._begin_stop(now_s)
         if (
             self.forced_faults
@@ -219,10 +220,10 @@ class MotorBoardMock:
         # else: brake, as for every fault
 
     def _begin_stop(self, now_s: float) -> None:
-        """No COMMAND for `stop_after_ms`: come to rest and hold."""
+        """Come to rest and hold: no COMMAND for `stop_after_ms`, or one of mode 4."""
         if self.values[parameter.KP] == 0:
             self.output = BRAKE
-        elif self._mode != 3:
+        else:
             kind, voltage_V = self.output
             self._stop = Stop(now_s, self.position_count, self._speed)
             kv = self.values[parameter.SPEED_FEEDFORWARD] * 1e-6
@@ -256,14 +257,18 @@ class MotorBoardMock:
         controlword, mode_and_sequence, setpoint, feedforward_mV = _COMMAND.unpack(payload)
         self._last_command_s = now_s
         mode = mode_and_sequence & 7
-        if mode > 3:
+        if mode > HOLD:
             self._before = controlword
             if self.state is not State.NOT_READY:
                 self._fault(BAD_COMMAND)
             return self._reply(mode_and_sequence)
         if controlword != 0x0F or self.state is not State.ENABLED or self._before != 0x0F:
             self._transition(controlword)
-        if self.state is State.ENABLED:
+        if self.state is State.ENABLED and mode == HOLD:
+            if self._mode != HOLD and self._stop is None:
+                self._begin_stop(now_s)
+            self._mode = mode
+        elif self.state is State.ENABLED:
             self._end_stop()
             if mode != self._mode:
                 self._integral_mV = self._speed = 0.0

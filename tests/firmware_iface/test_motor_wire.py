@@ -12,7 +12,7 @@ from tests.places import ROOT
 
 I32 = (-(2**31), -100_000, -1, 0, 1, 2**31 - 1)
 SETPOINTS = {Mode.OFF: "SetpointIgnored", Mode.VOLTAGE: "SetpointVoltage"}
-SETPOINTS |= {Mode.CURRENT: "SetpointCurrent", Mode.POSITION: "SetpointPosition"}
+SETPOINTS |= {Mode.CURRENT: "SetpointCurrent", Mode.POSITION: "SetpointPosition", Mode.HOLD: "SetpointUnused"}
 FAULTS = [f"Fault{fault.name.title().replace('_', '')}" for fault in wire.Fault if fault.name]
 NODES = (1, 2, 3)
 PARAMETER_SIGNALS = {

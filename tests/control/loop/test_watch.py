@@ -135,7 +135,7 @@ def test_each_fault_bit_of_a_drive_has_its_own_words(bit: int) -> None:
     faults = changed(drive_faults=[0, 1 << bit], statusword=[0x37, 0x08]).faults()
     assert [(fault.code, fault.where) for fault in faults] == [("drive_fault", "joint 2")]
     assert DRIVE_FAULTS[bit][0] in faults[0].message
-    assert faults[0].reaction is Reaction.BRAKE
+    assert faults[0].reaction is Reaction.HOLD
 
 
 @pytest.mark.parametrize("statusword", [0x00, 0x40, 0x21, 0x23, 0x07, 0x0F, 0x08])
