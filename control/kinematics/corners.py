@@ -1,8 +1,9 @@
-"""Corners of an arm: the origins of its link frames that move, and the tip; straight lines between them are its body.
+"""Corners of an arm: the origins of its link frames that leave the base, and the tip; straight lines between them are its body.
 
 Scalar for the control cycle, and in batches for the check of a whole motion. From the same chain as the tip.
 """
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
@@ -14,6 +15,8 @@ from control.kinematics import chain
 from control.kinematics.straight_line import compile_function
 from control.kinematics.tracing import Graph, Symbol
 from control.model.arm import Arm, Vector3
+
+_SAME_m = 1e-9
 
 
 class Corners:
@@ -48,18 +51,31 @@ class Corners:
         )
 
     def _traced(self, q: list[Symbol]) -> list[tuple[Any, ...]]:
-        """The corners as expressions; those that never move, and those that equal the one before, are left out."""
+        """The corners as expressions; those that stay in the base, and those that equal the one before, are left out."""
         arm, found = self._arm, list[tuple[Any, ...]]()
         rows, turns = arm.dh.tolist(), arm.joints
         for count in range(1, len(rows) + 1):
             steps = chain.steps(rows[:count], turns[:count], arm.dh_convention)
             is_last = count == len(rows)
             corner = chain.tip(steps, q, (0.0, 0.0, 0.0))
-            if any(isinstance(x, Symbol) for x in corner) and (not found or not _is_same(rows[count - 1])):
+            does_move = any(isinstance(x, Symbol) for x in corner) and not self._is_of_the_base(steps)
+            if does_move and (not found or not _is_same(rows[count - 1])):
                 found.append(corner)
             if is_last and any(arm.tool.position_m):
                 found.append(chain.tip(steps, q, arm.tool.position_m))
         return found
+
+    def _is_of_the_base(self, steps: list[chain.Step]) -> bool:
+        """Whether a frame's origin turns with joint 1 within the base: the place of joint 2, also on an arm whose calibration
+        put it beside axis 1.
+        """
+        n, limits = self._arm.joint_count, self._arm.limits
+        if n == 1:
+            return False
+        x, y, z = chain.tip(steps, [0.0] * n, (0.0, 0.0, 0.0))
+        elsewhere = chain.tip(steps, [0.0, *(1.0 + k for k in range(1, n))], (0.0, 0.0, 0.0))
+        is_of_joint_1 = math.dist((x, y, z), elsewhere) < _SAME_m
+        return is_of_joint_1 and math.hypot(x, y) <= limits.base_radius_m + limits.floor_tolerance_m
 
 
 def _is_same(row: list[float]) -> bool:

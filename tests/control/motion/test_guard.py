@@ -43,6 +43,22 @@ def test_corners_are_the_frames_origins_and_the_tip_scalar_and_in_batches() -> N
         assert np.allclose(found, batch, atol=1e-12)
 
 
+def test_a_calibrated_arm_does_not_meet_its_base_where_joint_2_is() -> None:
+    nominal = replace(with_limits(floor_z_m=-9.0), table=None)
+    deviations = (0.0004, -0.0007, 0.0002, 0.001)  # joint 2 turns beside axis 1, as on any calibrated arm
+    links = [
+        replace(link, d_m=link.d_m + e, L_m=link.L_m + e)
+        for link, e in zip(RIGHT.links, deviations, strict=True)
+    ]
+    as_designed, calibrated = Guard(nominal, LIMITS), Guard(replace(nominal, links=tuple(links)), LIMITS)
+    for q in poses(200):
+        found_m, expected_m = calibrated.clearance(q).distance_m, as_designed.clearance(q).distance_m
+        if math.isfinite(found_m) and math.isfinite(
+            expected_m
+        ):  # both arms are low enough to be near the base
+            assert found_m == pytest.approx(expected_m, abs=0.005)
+
+
 def test_a_tool_is_a_corner_of_its_own() -> None:
     arm = replace(RIGHT, tool=replace(RIGHT.tool, position_m=(0.0, 0.0, 0.2)))
     assert len(Corners(arm).at(0.1, 0.2, 0.3)) == len(Corners(RIGHT).at(0.1, 0.2, 0.3)) + 1
