@@ -157,11 +157,11 @@ def _host() -> Iterator[Drill]:
         yield from _both(
             f"pause-{pause_s * 1e3:.0f}", f"loop paused {pause_s * 1e3:.0f} ms", _away(pause_s), ""
         )
-    yield from _both("killed", "loop killed (stands for 2 s)", _away(2.0), "drive_fault", 2.1)
+    yield from _both("killed", "loop killed, another 1.9 s later", _away(1.9), "drive_fault", 2.0)
     for delay_s in (0.0, 0.1, 0.3, 0.6):
         inject = _stop_at(delay_s)
-        name, says = f"stop-{delay_s * 1e3:.0f}", f"stop pressed {delay_s * 1e3:.0f} ms later"
-        yield Drill(name, says, MOVE, inject, GOES_ON)
+        name, says = f"stop-{delay_s * 1e3:.0f}-motion", f"stop pressed {delay_s * 1e3:.0f} ms later"
+        yield Drill(name, says, MOVE, inject, GOES_ON, most_mm=2.0)
 
 
 def drills() -> dict[str, Drill]:

@@ -9,7 +9,8 @@ from hil_mocks.plant.hand import Point
 from procedures.drills.stage import MOVE, THINNED, Stage, asked_way, off_way_m, stage
 
 WATCHED_S = 2.0  # after the fault
-STANDS_m_s = 0.002
+STANDS_m_s = 0.005
+LOOKED = 10  # cycles between two looks at the speed of the tip
 WRONG_rad = (
     0.003  # between an arm that takes itself for homed and its encoders, backlash and index error included
 )
@@ -94,9 +95,9 @@ def _lost(played: Stage, drill: Drill, is_done: bool) -> str:
 
 
 def _stood_s(way: list[tuple[float, Point]], begun_s: float) -> float | None:
-    """When the tip had come to rest; None if it had not."""
+    """When the tip had come to rest; None if it had not. A gear that settles in its play is at rest."""
     stood_s: float | None = None
-    for (before_s, before), (now_s, now) in pairwise(way):
+    for (before_s, before), (now_s, now) in pairwise(way[::LOOKED]):
         if math.dist(before, now) > STANDS_m_s * (now_s - before_s):
             stood_s = None
         elif stood_s is None:
