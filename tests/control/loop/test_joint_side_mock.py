@@ -192,7 +192,7 @@ def test_an_arm_that_is_held_back_stops_from_where_its_encoders_are() -> None:
     hidden = (*GEARS, *RIGID)
     with an_arm(hidden, hidden) as cell:
         cell.rig.robot.plant.push(0, -30.0)  # N m, more than its motor has
-        with pytest.raises(ArmFaulted, match="following error|do not explain"):
+        with pytest.raises(ArmFaulted, match=r"following error|do not explain"):
             cell.client.move_joints((0.6, -0.6, 0.2))
         assert cell.runtime.aim.q_rad[0] == pytest.approx(cell.runtime.parts.measurement.q_rad[0], abs=0.01)
 
