@@ -117,7 +117,10 @@ class Runtime(ArmState):
             return
         servo = self.parts.servo
         servo.silence()
-        if self.monitor.mode is Mode.GUIDING and self.is_weightless and self._carry():
+        if self.monitor.mode is Mode.GUIDING:
+            self._watch_the_hand()
+        if self.monitor.mode is Mode.GUIDING and self.is_weightless:
+            self._carry()
             return
         is_free = self.monitor.mode is Mode.GUIDING
         output_mode = OutputMode.OFF if is_free else OutputMode.VOLTAGE
@@ -130,21 +133,19 @@ class Runtime(ArmState):
         servo.update(self.aim, measured.q_rad, measured.speed_rad_s, self.monitor.is_homed, fraction, joints)
         self.parts.hardware.write(servo.mode, servo.output, servo.feedforward_V)
 
-    def _carry(self) -> bool:
-        """Apply gravity compensation; moving too fast is a fault."""
-        measured, servo, gravity_compensation = (
-            self.parts.measurement,
-            self.parts.servo,
-            self.parts.gravity_compensation,
-        )
-        if (fault := gravity_compensation.too_fast(measured.speed_rad_s)) is not None:
+    def _watch_the_hand(self) -> None:
+        """An arm that moves faster than a hand guides it falls, or is carried away: a fault."""
+        speed_rad_s = self.parts.measurement.speed_rad_s
+        if (fault := self.parts.gravity_compensation.too_fast(speed_rad_s, self.is_weightless)) is not None:
             self.fail(fault)
-            return False
-        amperes = gravity_compensation.update(
+
+    def _carry(self) -> None:
+        """Apply gravity compensation."""
+        measured, servo = self.parts.measurement, self.parts.servo
+        amperes = self.parts.gravity_compensation.update(
             set_points.joints_standing(self, measured.q_rad), measured.speed_rad_s
         )
         self.parts.hardware.write(OutputMode.CURRENT, amperes, servo.feedforward_V)
-        return True
 
     def _record(self, late_s: float) -> None:
         self.parts.recorder.write(row_of(self, late_s))

@@ -76,7 +76,7 @@ def assemble(
         watch=Watch(_watch_limits(arm, period_s), names),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),
-        gravity_compensation=GravityCompensation(_motors(arm), servo.torque_model, names),
+        gravity_compensation=GravityCompensation(_motors(arm), servo.torque_model, names, limits.speed_rad_s),
         jogging=lambda is_homed: Jogging(jog_limits, inverse, guard if is_homed else None),
         stop_from=lambda state: Stop(state, limits),
         guard=guard,
