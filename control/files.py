@@ -60,8 +60,13 @@ def write_new(path: Path, content: str | bytes) -> None:
 
 
 def append_whole(fd: int, path: Path, content: bytes) -> None:
-    """Append to the open file `path` and sync; NotWritten if not all of it fits, and then nothing is appended."""
+    """Append to the open file `path` (readable, of lines) and sync; NotWritten if not all of it fits: nothing is appended.
+
+    A file that does not end with a line end, because an earlier piece could not be taken back, is not appended to.
+    """
     begun = os.lseek(fd, 0, os.SEEK_END)
+    if begun and os.pread(fd, 1, begun - 1) != b"\n":
+        raise NotWritten(errno.EIO, "its last line is incomplete; close and open it again", str(path))
     try:
         _write_all(fd, content)
         os.fsync(fd)

@@ -88,7 +88,7 @@ class PointsWriter:
         path.parent.mkdir(parents=True, exist_ok=True)
         self.warnings: tuple[str, ...] = self._mend()
         self._lines: dict[Key, str] = self._read()
-        self._file = path.open("ab", buffering=0)
+        self._file = path.open("a+b", buffering=0)
 
     @property
     def recorded(self) -> frozenset[Key]:
@@ -110,9 +110,9 @@ class PointsWriter:
     def withdraw(self, key: Key) -> None:
         """Remove a record; the file is replaced atomically. The caller must save the line first."""
         left = {other: line for other, line in self._lines.items() if other != key}
-        self._file.close()
         replace_file(self._path, "".join([self._header, *(f"{line}\n" for line in left.values())]).encode())
-        self._file = self._path.open("ab", buffering=0)
+        self._file.close()  # the old file; where the new one could not be written, it stays in use
+        self._file = self._path.open("a+b", buffering=0)
         self._lines = left
 
     def close(self) -> None:

@@ -28,6 +28,8 @@ from firmware_iface.errors import BoardReset, LinkError
 
 # Feed-forward and PID share the weight: 1 kg at 0.75 m is 7 Nm, which the PID takes over in a second without being noticed.
 PAYLOAD_RATE_kg_s = 1.0
+RECORDING_LOOK_cycles = 50  # 0.1 s at 500 Hz; asking costs a system call
+UNRECORDED_STOPS = (Mode.MOVING, Mode.HOMING)
 HOMING_CURRENT_FRACTION = 0.5  # during homing, and while joints without a zero are jogged
 
 
@@ -149,6 +151,18 @@ class Runtime(ArmState):
 
     def _record(self, late_s: float) -> None:
         self.parts.recorder.write(row_of(self, late_s))
+        if self.cycles % RECORDING_LOOK_cycles == 0:
+            self.unrecorded = self.parts.recorder.problem()
+            if self.unrecorded and not self.parts.allows_unrecorded and self.monitor.mode in UNRECORDED_STOPS:
+                self.stop()
+
+    def require_recording(self) -> None:
+        """ArmError if nothing is recorded now, and arm.toml says that no motion begins then."""
+        if self.unrecorded and not self.parts.allows_unrecorded:
+            raise ArmError(
+                f"nothing is recorded ({self.unrecorded}), so no motion begins: make room on the disk, or set"
+                ' [recording] unrecorded = "allow" in arm.toml; jogs and hand guiding are free'
+            )
 
     def _break_down(self, error: Exception) -> None:
         """The cycle raised: fault, and 0 V if the links still work."""
@@ -209,10 +223,12 @@ class Runtime(ArmState):
 
     def start_homing(self) -> None:
         """Home every joint, one after the other. ArmError if arm.toml does not describe how."""
+        self.require_recording()
         homing.start(self)
 
     def start(self, motion: Motion, as_encoders: bool = False) -> None:
         """Start a checked motion that begins, at rest, at the arm's position `seen`."""
+        self.require_recording()
         motion_modes.start(self, motion, as_encoders)
 
     def jog(self, request: JogRequest) -> None:
@@ -229,6 +245,7 @@ class Runtime(ArmState):
 
     def resume(self) -> None:
         """Resume the motion."""
+        self.require_recording()
         self.on(Event.RESUME)
 
     def stop(self) -> None:

@@ -217,10 +217,13 @@ class RecordingPolicy:
     """Size at which a recording continues in a new file, and the total size of this arm's recordings.
 
     keep_bytes: beyond it, the oldest finished recordings in the folder are removed; 0: none is ever removed.
+    unrecorded: what becomes of motions while nothing is recorded (a full disk). "refuse": none begins, and one that runs makes a
+    controlled stop; jogs and hand guiding are free, to get the arm away. "allow": all go on.
     """
 
     rotate_bytes: Annotated[int, ROTATE_BYTES] = 500_000_000
     keep_bytes: Annotated[int, ZERO_OR_MORE] = 0
+    unrecorded: Literal["refuse", "allow"] = "refuse"
 
 
 @dataclass(frozen=True, slots=True)

@@ -221,7 +221,7 @@ class Recorder:
 
     def __init__(self, layout: Layout, sink: RowSink, saved_rows: int = 250) -> None:
         self.layout = layout
-        self._refused = 0
+        self._refused = self._refused_before = 0
         self._sink = sink
         self._kept: list[bytes] = [b""] * saved_rows
         self._next = 0
@@ -238,6 +238,13 @@ class Recorder:
     def state(self) -> RecorderState:
         """The state of the recording; lost rows include those that never reached the writer."""
         return self._sink.state().plus_lost(self._refused)
+
+    def problem(self) -> str:
+        """Why rows are not recorded now, as text; empty while they are. For rows that were lost: since the last call."""
+        refused, self._refused_before = self._refused - self._refused_before, self._refused
+        return self._sink.state().reason or (
+            f"{refused} cycles were lost: the disk is too slow" if refused else ""
+        )
 
     @property
     def lost_rows(self) -> int:

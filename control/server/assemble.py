@@ -86,6 +86,7 @@ def assemble(
         do_counters_span=all(_does_counter_span(drive) for drive in arm.drives),
         period_s=period_s,
         stopwatch_s=stopwatch_s,
+        allows_unrecorded=arm.recording.unrecorded == "allow",
         payload_limit_kg=arm.limits.payload_limit_kg,
         aim_limits=tuple(_aim_limits(drive) for drive in arm.drives),
         joint_side=JointSide.of(arm),
