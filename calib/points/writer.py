@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.errors import SessionError
 from calib.points.points import SCALARS, TIP, Points, read_points
-from control.files import append_whole, write_whole
+from control.files import append_whole, read_bytes, write_whole
 
 Key = tuple[str, str, int]
 
@@ -131,7 +131,7 @@ class PointsWriter:
 
     def _mend(self) -> tuple[str, ...]:
         """Repair the file: drop an incomplete end, write the header if there is none."""
-        content = self._path.read_bytes() if self._path.exists() else b""
+        content = read_bytes(self._path) if self._path.exists() else b""
         whole = content[: content.rfind(b"\n") + 1]
         warnings: tuple[str, ...] = ()
         if len(whole) < len(content):
