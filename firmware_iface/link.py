@@ -22,6 +22,7 @@ from serial.tools import list_ports
 
 from firmware_iface.errors import LinkLost, MisuseError, PortMissing
 
+_PATIENT_READS = 4  # looks at an empty tty before the kernel is asked to hand over what it holds
 _READ_BYTES = 65536  # more than a serial driver buffers
 _INT = Struct("i")
 _NO_BYTES = _INT.pack(0)
@@ -140,14 +141,20 @@ class _PosixByteLink:
         self._port = port
         self._fd = port.fileno()
         os.set_blocking(self._fd, False)
+        self._empty_reads = 0
         self._writable = select.poll()
         self._writable.register(self._fd, select.POLLOUT)
 
     def read(self) -> bytes:
         # Query the number of bytes first, because reading an empty tty may wait: the kernel then flushes pending
-        # input in a worker of ordinary priority, and a real-time loop would wait for it.
+        # input in a worker of ordinary priority, and a real-time loop would wait for it. On a busy machine that worker is
+        # late by tens of milliseconds, with the board's bytes in its hands: a line that has been empty for some reads is
+        # therefore read all the same, so that no board is called silent while its bytes are here.
         try:
             (waiting,) = _INT.unpack(fcntl.ioctl(self._fd, termios.FIONREAD, _NO_BYTES))
+            self._empty_reads = 0 if waiting else self._empty_reads + 1
+            if self._empty_reads % (_PATIENT_READS + 1) == _PATIENT_READS:
+                waiting = _READ_BYTES
             return os.read(self._fd, waiting) if waiting else b""
         except BlockingIOError:
             return b""

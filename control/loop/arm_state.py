@@ -7,6 +7,7 @@ jogs, stops), fault_reactions, homing, shutdown. Each module lists the attribute
 import math
 
 from control.hardware.averaging import Averaging
+from control.hardware.board_stop import Bridge
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.parts import NOWHERE, Parts
@@ -29,7 +30,10 @@ class ArmState:
         # the cycle
         self.punctuality = Punctuality(parts.period_s, parts.stopwatch_s)
         self.now_s = 0.0
-        self.elapsed_s = parts.period_s  # since the last cycle, by the cycle timer
+        self.elapsed_s = (
+            parts.period_s
+        )  # since the last cycle, by the cycle timer; of a pause, what `bridge` leaves
+        self.bridge: Bridge | None = None  # what the pause before this cycle meant, if the boards had to stop
         self.cycles = 0
         self.has_waited = False  # for boards, outside of a cycle: deadlines missed meanwhile do not count
         # measured

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from control.errors import ArmError
+from control.hardware.board_stop import Bridge
 from control.kinematics.inverse import InverseKinematics
 from control.motion.guard import Guard
 from control.motion.jog_joints import JointJog
@@ -59,6 +60,8 @@ class _Motion(Protocol):
     def limited(self) -> str: ...
 
     def advance(self, elapsed_s: float) -> SetPoint: ...
+
+    def take_up(self, motion_s: float, speed_share: float) -> SetPoint: ...
 
 
 class Jogging:
@@ -141,6 +144,12 @@ class Jogging:
             return wanted
         self._motion = None  # at rest, and nowhere to go
         return set_point
+
+    def take_up(self, set_point: SetPoint, bridge: Bridge) -> SetPoint:
+        """Go on after a pause of the host in which the boards slowed the arm down."""
+        return (
+            set_point if self._motion is None else self._motion.take_up(bridge.motion_s, bridge.speed_share)
+        )
 
     def _begun(self, request: JogRequest, set_point: SetPoint) -> bool:
         """Whether the request could start at once; else the arm must first come to rest."""

@@ -4,6 +4,7 @@ Writes `paced`, `jogging`, `run_number` and `was_stopped`; the set-point through
 """
 
 from control.errors import ArmError
+from control.hardware.board_stop import Bridge
 from control.loop import set_points
 from control.loop.active_motion import begin, stop_from
 from control.loop.arm_state import ArmState
@@ -28,6 +29,21 @@ def follow_motion(state: ArmState) -> None:
     _take(state, wanted)
     if state.paced is not None and state.paced.is_over:
         _come_to_rest(state, Event.ARRIVED if state.monitor.mode in set_points.ON_PATH else Event.STOPPED)
+
+
+def take_up(state: ArmState, bridge: Bridge) -> None:
+    """After a pause of the host: go on from where, and as fast as, the boards' own stop has left the arm."""
+    try:
+        if state.jogging is not None:
+            state.set_point = state.jogging.take_up(state.set_point, bridge)
+        elif state.homing is not None:
+            state.set_point = state.homing.take_up(state.set_point, bridge)
+        elif state.paced is not None:
+            state.set_point = state.paced.take_up(bridge.motion_s, bridge.speed_share)
+            if state.monitor.mode not in set_points.ON_PATH:
+                stop_from(state, state.set_point)
+    except Exception as error:
+        lose_motion(state, error)
 
 
 def _wanted_pace(state: ArmState) -> float:

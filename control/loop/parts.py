@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from control.dynamics.joint_side import JointSide
+from control.hardware.board_stop import BoardStop
 from control.hardware.interface import Hardware
 from control.hardware.measurement import Measurement
 from control.kinematics.inverse import InverseKinematics
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.watch import Watch
+from control.loop.witnesses import IndexWatch, SwitchWatch, Witnesses
 from control.motion.guard import Guard
 from control.motion.setpoint import Motion, SetPoint
 from control.recording.record import Recorder
@@ -40,6 +42,9 @@ class Parts:
     measurement: Measurement
     servo: Servo
     watch: Watch
+    witnesses: Witnesses
+    indices: IndexWatch
+    switches: SwitchWatch
     set_point_limits: tuple[SetPointLimits, ...]
     homing: Callable[[], HomingSequence]
     gravity_compensation: GravityCompensation
@@ -51,6 +56,7 @@ class Parts:
     joint_names: tuple[str, ...]
     do_counters_span: bool  # whose counters cover the whole travel of their joints without a wrap
     period_s: float
+    board_stop: BoardStop
     stopwatch_s: Callable[[], float]
     payload_limit_kg: float = math.inf
     allows_unrecorded: bool = False  # motions while the recording has stopped

@@ -13,6 +13,8 @@ same object runs in its own process in real time and in a test on a stepped cloc
 modes are in control.loop.set_points, motion_modes, homing, shutdown and fault_reactions.
 """
 
+import contextlib
+
 from control.errors import ArmError
 from control.hardware.interface import OutputMode
 from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown
@@ -22,7 +24,7 @@ from control.loop.parts import NOWHERE
 from control.loop.row import row_of
 from control.loop.watch import Expectation
 from control.motion.setpoint import Motion, SetPoint
-from control.safety.fault import Fault
+from control.safety.fault import Fault, Reaction
 from control.safety.table import Event, Mode
 from firmware_iface.errors import BoardReset, LinkError
 
@@ -43,11 +45,16 @@ class Runtime(ArmState):
         self.now_s = now_s
         self.cycles += 1
         self.elapsed_s = (1 + missed) * self.parts.period_s
+        self.bridge = self.parts.board_stop.bridge(self.elapsed_s) if missed else None
+        if self.bridge is not None:
+            self.elapsed_s = self.parts.period_s
         self.punctuality.begin(late_s, missed)
         if missed:
-            self.parts.watch.note_pause(now_s)
+            self.parts.watch.note_pause(now_s, missed * self.parts.period_s)
         try:
             self._read()
+            if self.bridge is not None:
+                motion_modes.take_up(self, self.bridge)
             self._watch(missed_in_row)
             self._follow_payload()
             self._advance()
@@ -79,10 +86,27 @@ class Runtime(ArmState):
         found = self.parts.watch.look(
             self.now_s, self.parts.hardware.feedback, measured.q_rad, measured.speed_rad_s,
             self.aim.q_rad, self.aim.speed_rad_s, missed_in_row,
-            Expectation(self.drives.is_ready, self.monitor.is_homed, self.is_controlled()),
+            # The arm is where its boards' stop brought it: following is expected from the next cycle on.
+            Expectation(self.drives.is_ready, self.monitor.is_homed, self.is_controlled() and self.bridge is None),
         )  # fmt: skip
-        for fault in found:
+        for fault in (*found, *self._contradictions()):
             self.fail(fault)
+
+    def _contradictions(self) -> list[Fault]:
+        """What the boards' values say against each other, while they are fresh and the drives are on."""
+        parts, feedback = self.parts, self.parts.hardware.feedback
+        if not self.drives.is_ready or self.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE):
+            parts.witnesses.forget()
+            return []
+        model_A = parts.servo.model_A
+        faults = parts.witnesses.look(self.elapsed_s, feedback, parts.measurement.speed_rad_s, model_A)
+        is_homed = self.monitor.is_homed
+        parts.hardware.watch_indices(is_homed)
+        passed = parts.hardware.passed_indices()
+        if is_homed:
+            faults += parts.watch.leaps(parts.measurement.leap_rad) + parts.indices.look(passed)
+            faults += parts.switches.look(self.elapsed_s, parts.measurement.q_rad, feedback.channel_flags)
+        return faults
 
     def _advance(self) -> None:
         mode = self.monitor.mode
@@ -125,8 +149,12 @@ class Runtime(ArmState):
             self._carry()
             return
         is_free = self.monitor.mode is Mode.GUIDING
-        output_mode = OutputMode.OFF if is_free else OutputMode.VOLTAGE
+        output_mode = OutputMode.OFF if is_free else self._mode_without_control()
         self.parts.hardware.write(output_mode, servo.output, servo.feedforward_V)
+
+    def _mode_without_control(self) -> OutputMode:
+        """0 V, or the boards' own hold after a fault that leaves them their feedback."""
+        return OutputMode.HOLD if self.monitor.reaction is Reaction.HOLD else OutputMode.VOLTAGE
 
     def _servo(self) -> None:
         measured, servo, set_point = self.parts.measurement, self.parts.servo, self.set_point
@@ -165,7 +193,7 @@ class Runtime(ArmState):
             )
 
     def _break_down(self, error: Exception) -> None:
-        """The cycle raised: fault, and 0 V if the links still work."""
+        """The cycle raised: fault, and the boards hold; where a link is gone, they do so by themselves."""
         if not (self.is_quitting and self.monitor.mode is Mode.OFF):
             self.fail(fault_reactions.fault_of(error))
         if isinstance(error, BoardReset):
@@ -173,10 +201,8 @@ class Runtime(ArmState):
         shutdown.follow(self)
         servo = self.parts.servo
         servo.silence()
-        try:
-            self.parts.hardware.write(OutputMode.VOLTAGE, servo.output, servo.feedforward_V)
-        except LinkError:
-            self.parts.hardware.emergency_stop()
+        with contextlib.suppress(LinkError):
+            self.parts.hardware.write(self._mode_without_control(), servo.output, servo.feedforward_V)
 
     # ---- requests
 

@@ -86,7 +86,7 @@ def aim(state: ArmState) -> Clip | None:
     if state.is_of_encoders:
         state.aim = state.set_point
         return None
-    if state.monitor.mode not in (*ON_PATH, Mode.JOGGING):
+    if state.monitor.mode not in (*ON_PATH, Mode.JOGGING) or state.bridge is not None:
         state.aim = wanted
         return None
     last = state.aim

@@ -28,6 +28,8 @@ from control.model.rules import (
     ONE_OR_MORE,
     POSITIVE,
     ROTATE_BYTES,
+    SHARE_ABOVE_1,
+    SHARE_BELOW_1,
     STALE,
     TILT,
     WATCHDOG,
@@ -210,6 +212,11 @@ class Limits:
     jog_tip_speed_m_s: Positive = 0.25  # the reduced speed of ISO 10218-1 for people beside the arm
     payload_limit_kg: NonNegative = 5.0  # the largest mass that a client may state: feed-forward follows it
     jog_silence_s: Positive = 0.2  # a jog that is not renewed for this long comes to rest
+    speed_contradiction_rad_s: Positive = 0.02  # between motor and encoder, at rest; see docs/safety.md
+    unexplained_torque: Positive = 0.3  # share of the torque at the current limit; see there
+    supply_low: Annotated[float, SHARE_BELOW_1] = 0.75  # of the drive's supply_V
+    supply_high: Annotated[float, SHARE_ABOVE_1] = 1.4
+    temperature_degC: Positive = 95.0  # of a power stage; boards trip by themselves at their own rating
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,8 @@ LAG: Final = Rule(
 )
 POSITIVE: Final = Rule("a positive number", lambda x: x > 0)
 NOT_NEGATIVE: Final = Rule("a number not below 0", lambda x: x >= 0)
+SHARE_BELOW_1: Final = Rule("a share from 0.3 to 0.99", lambda x: 0.3 <= x <= 0.99)
+SHARE_ABOVE_1: Final = Rule("a share from 1.01 to 2", lambda x: 1.01 <= x <= 2.0)
 ZERO_OR_MORE: Final = Rule("a whole number not below 0", lambda n: n >= 0)
 ONE_OR_MORE: Final = Rule("a whole number of 1 or more", lambda n: n >= 1)
 ROTATE_BYTES: Final = Rule("a size of at least 1000000 bytes", lambda n: n >= 1_000_000)

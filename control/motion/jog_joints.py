@@ -75,6 +75,17 @@ class JointJog:
                 self._follow(joint, plan, elapsed_s)
         return self._state
 
+    def take_up(self, motion_s: float, speed_share: float) -> SetPoint:
+        """Go on from `motion_s` later, at a share of the present speed: others have slowed the arm down."""
+        q, speed, acceleration = self._state
+        if motion_s > 0.0:
+            q = tuple(a + v * motion_s for a, v in zip(q, speed, strict=True))
+        self._state = SetPoint(q, tuple(v * speed_share for v in speed), tuple(0.0 for _ in acceleration))
+        for joint, plan in enumerate(self._plans):
+            if plan is not None:
+                self._plan(joint)
+        return self._state
+
     def _follow(self, joint: int, plan: "ruckig.Trajectory", elapsed_s: float) -> None:
         self._time_s[joint] += elapsed_s
         is_over = self._time_s[joint] >= plan.duration and not self._is_endless[joint]

@@ -151,6 +151,17 @@ class TipJog:
         self._looked = self._looked._replace(tip=tip, joints=self._joints(tip, self._looked.joints.q_rad))
         return self._looked.joints
 
+    def take_up(self, motion_s: float, speed_share: float) -> SetPoint:
+        """Go on from `motion_s` later, at a share of the present speed: others have slowed the arm down."""
+        position, velocity, _ = self._looked.tip
+        x, y, z = (p + v * motion_s for p, v in zip(position, velocity, strict=True))
+        vx, vy, vz = (v * speed_share for v in velocity)
+        tip = TipState((x, y, z), (vx, vy, vz), ZERO)
+        joints = self._joints(tip, self._looked.joints.q_rad)
+        stop = _trajectory(tip, ZERO, None, 1.0, 1.0)
+        self._looked, self._stop_s = self._looked._replace(tip=tip, joints=joints, stop=stop), 0.0
+        return joints
+
     def _resume(self) -> None:
         """Leave a stop for a new request, checking from the present state."""
         self.limited = ""

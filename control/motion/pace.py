@@ -57,6 +57,15 @@ class Paced:
             tuple(a * after * after + v * rate for a, v in zip(acceleration, speed, strict=True)),
         )
 
+    def take_up(self, motion_s: float, speed_share: float) -> SetPoint:
+        """Go on from `motion_s` later, at a share of the present pace: others have slowed the arm down along the motion."""
+        self.time_s += self.pace * motion_s
+        self.pace *= speed_share
+        self._rate = 0.0
+        q, speed, acceleration = self.motion.at(self.time_s)
+        r = self.pace
+        return SetPoint(q, tuple(v * r for v in speed), tuple(a * r * r for a in acceleration))
+
     def _next_rate(
         self, wanted: float, elapsed_s: float, speed: Sequence[float], acceleration: Sequence[float]
     ) -> float:

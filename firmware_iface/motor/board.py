@@ -133,6 +133,10 @@ class MotorBoard:
         """Command a position in counts of the board's own encoder, and a voltage added to its PID output."""
         self.command(3, count, self._milli(feedforward_V))
 
+    def command_hold(self) -> None:
+        """Command the board to come to rest and hold, by its own encoder."""
+        self.command(4)
+
     def _milli(self, quantity: float) -> int:
         try:
             return round(quantity * 1e3)

@@ -13,7 +13,7 @@ from calib.gap.dynamic.choose import CAMERA_TIME, SAMPLING_TIME, Choice, Step
 from calib.gap.dynamic.fit import Fitted
 from calib.gap.dynamic.nameable import nameable
 from calib.gap.dynamic.plausible import plausible
-from calib.gap.dynamic.rows import Cell, Rows, RowTable
+from calib.gap.dynamic.rows import Cell, Rows, RowTable, without_motion
 from calib.gap.dynamic.split import Picked, Split, split
 from calib.gap.dynamic.validation import Validated, validate
 from calib.gap.dynamic.verdict import Verdict, judge
@@ -28,6 +28,15 @@ from control.model.arm import Arm
 from control.progress import Advance, silent
 
 FAR_OFF = 20.0  # floors
+OF_THE_TIP = (
+    "backlash",
+    "joint_compliance",
+    "link_flexure",
+    "encoder_scale",
+    "encoder_eccentricity",
+    "belt_coupling",
+)
+READ, SCREENED, SEARCHED = 0.1, 0.25, 0.8  # of the time of a usual log, for the bar
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,19 +80,23 @@ def examine(
     recording = plausible(arm, prepare(arm, log))
     known = forms.known_terms(arm)
     rows = Rows(Physics(arm, recording), known)
+    unmoved = without_motion(rows.table)
     parts = split(recording, rows.table)
     pool = all_candidates(arm, recording, candidates)
-    choice = Choice(rows, known, parts, pool, told)
-    told("what this recording could name", 0.05)
+    told("what this recording could name", READ)
+    choice = Choice(
+        rows, known, parts, pool, lambda what, share: told(what, SCREENED + (SEARCHED - SCREENED) * share)
+    )
     possible = nameable(arm, choice.screen, parts, pool)
     steps = choice.steps()
-    told("the gap on runs used for nothing else", 0.95)
+    told("the gap on runs used for nothing else", SEARCHED)
     before = rows.residual(known)
     last = validate(choice, steps, judge(choice, steps, arm))
     finding = _finding(arm, log.sources, recording, choice, steps, last, before, possible)
     told("done", 1.0)
     warnings = (
         *recording.warnings,
+        *unmoved,
         *_doubts(before, rows.table),
         *_flying(rows, known, last.accepted),
         *_corrected(last.accepted, recording.has_voltage),
@@ -257,14 +270,18 @@ def _named(
 def _next(recording: Recording, verdict: Verdict) -> str | None:
     if verdict.ambiguous:
         names = ", ".join(str(name) for name in verdict.ambiguous[0])
-        return f"a recording that separates {names}: {_advice(recording)}"
+        is_of_tip = any(name.effect in OF_THE_TIP for name in verdict.ambiguous[0])
+        return f"To separate {names}, record {_advice(recording, is_of_tip)}."
     if verdict.unknown is not None:
-        return f"more of where the unknown shows ({verdict.unknown.where}): {_advice(recording)}"
+        is_of_tip = verdict.unknown.where.startswith("the tip")
+        where = verdict.unknown.where
+        return f"To see more of what is left ({where}), record {_advice(recording, is_of_tip)}."
     return None
 
 
-def _advice(recording: Recording) -> str:
-    if not recording.has_tip:
+def _advice(recording: Recording, is_of_tip: bool = True) -> str:
+    """What these runs lack; a camera only where it would see what is asked."""
+    if is_of_tip and not recording.has_tip:
         return "the same runs with the camera on the tip"
     if not recording.has_current:
         return "the same runs with the motor currents"

@@ -68,7 +68,7 @@ def _look(
     without: tuple[str, ...],
     out: Path,
 ) -> int:
-    recordings = read_recordings(arm, points, logs)
+    recordings = read_recordings(arm, points, logs, given.current_unit)
     with Bar("gap") as bar:
         outcome = find_gap_in(arm, recordings, without, bar.advance)
     write_gap(outcome, arm, recordings, out)

@@ -288,6 +288,21 @@ def test_every_panel_is_there_and_says_what_the_arm_does(tmp_path: Path, size: t
 # ---- lines and keys
 
 
+def test_what_is_typed_before_a_line_is_handled_belongs_to_the_next_line(tmp_path: Path) -> None:
+    async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
+        await press(pilot, "colon")
+        await until(pilot, lambda: app.focused is not None)
+        box = app.screen.query_one(CommandBox)
+        for line in ("override 0.5", "override 0.7"):  # no message is handled in between
+            box.value = line
+            await box.action_submit()
+        await until(pilot, lambda: served.cell.runtime.override == 0.7)
+        transcript = tmp_path / "kept.txt"
+        await until(pilot, lambda: transcript.read_text().splitlines() == ["override 0.5", "override 0.7"])
+
+    played(tmp_path, play)
+
+
 def test_keys_and_the_command_box_do_what_lines_do(tmp_path: Path) -> None:
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
         await press(pilot, "colon", *"override", "space", *"0.5", "enter")

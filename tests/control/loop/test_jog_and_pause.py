@@ -139,7 +139,7 @@ def test_a_joint_that_a_hand_took_out_of_its_range_is_jogged_back_into_it() -> N
     narrow = with_drive(RIGHT, 3, joint_upper_rad=1.0)
     with holding_cell(scenario((0.1, -0.6, 1.03)), believed=narrow) as cell:
         jog(cell, 0.3, joint_speed_rad_s=[0.0, 0.0, 0.3])
-        assert cell.runtime.set_point.q_rad[2] == pytest.approx(1.03, abs=2e-3)
+        assert cell.runtime.set_point.q_rad[2] == pytest.approx(1.03, abs=3e-3)
         jog(cell, 0.5, joint_speed_rad_s=[0.0, 0.0, -0.3])
         assert cell.rig.joint_rad()[2] < 0.95
         assert cell.runtime.monitor.faults == ()

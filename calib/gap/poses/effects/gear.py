@@ -14,7 +14,7 @@ from calib.gap.posterior.coefficients import inverse
 from calib.gap.posterior.constants import WOUND_SHARE
 from calib.gap.posterior.term import Term, like, on_joint
 from control.dynamics.effect_laws import backlash_rad, compliance_rad
-from control.dynamics.static_pose import CURRENT_NOISE_A, GRAVITY_ERROR, RestingPose, torque_per_A
+from control.dynamics.static_pose import CURRENT_NOISE_A, GRAVITY_ERROR, RestingPose, known_torque_per_A
 
 CLEAR_SHARE = 0.5  # of the poses must lie on a known flank: else a play fits anything
 TILT_rad = 0.003  # accuracy of a fitted link's direction: where gravity turns round, its sign is uncertain
@@ -26,7 +26,11 @@ def _play(record: EffectRecord, scene: Scene) -> Iterator[Term]:
     """For every share of friction behind the gear that lays it on other flanks."""
     if scene.pose is None:
         return
-    q, n, noise = scene.points.q_rad, scene.points.joint_count, CURRENT_NOISE_A * torque_per_A(scene.arm)
+    q, n = scene.points.q_rad, scene.points.joint_count
+    is_measured = np.isfinite(scene.points.current_A).any(
+        axis=0
+    )  # what nobody measured has no noise, and needs no constants
+    noise = np.where(is_measured, CURRENT_NOISE_A * np.nan_to_num(known_torque_per_A(scene.arm)), 0.0)
     for j in range(n):
         load = np.abs(scene.pose.gravity_Nm[:, j])
         ways = [*harmonics(q[:, j], 1, 2), *([load / load.max()] if load.max() > NO_TORQUE_Nm else [])]
