@@ -55,6 +55,7 @@ class ArmState:
         self.homing: HomingSequence | None = None
         self.was_stopped = False  # the last motion, before its end
         self.is_weightless = False  # gravity compensation during hand guiding
+        self.unrecorded = ""  # why cycles are not recorded now; empty while they are
         self.stated_payload_kg = 0.0  # by a client; the model's payload follows it
         # requested mode (shutdown)
         self.is_hold_pending = False

@@ -59,5 +59,6 @@ class Parts:
     board_stop: BoardStop
     stopwatch_s: Callable[[], float]
     payload_limit_kg: float = math.inf
+    allows_unrecorded: bool = False  # motions while the recording has stopped
     aim_limits: tuple[SetPointLimits, ...] = ()  # of the encoders' set-points, for such an arm
     joint_side: JointSide | None = None  # of an arm whose encoders do not say where its joints are
