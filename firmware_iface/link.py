@@ -11,7 +11,7 @@ import os
 import select
 import termios
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from struct import Struct
 from typing import Protocol
@@ -287,6 +287,17 @@ class _OwnMessage(can.Message):
         return self
 
 
+def _now(bus: can.BusABC) -> Callable[[], can.Message | None]:
+    """A function that returns the next message at once, or None.
+
+    python-can's own `recv(timeout=0)` reads the time of day: where that steps back in between, it waits for as long as the step.
+    An interface that has its own `recv` is used as it is. No filters are set, so none are applied.
+    """
+    if type(bus).recv is not can.BusABC.recv:
+        return lambda: bus.recv(timeout=0)
+    return lambda: bus._recv_internal(timeout=0)[0]
+
+
 class _CanFrameLink:
     """Any python-can bus. Frames other than classic data frames with an 11-bit id are counted in `rejected`."""
 
@@ -297,6 +308,7 @@ class _CanFrameLink:
         # Multicast echoes our own frames; each is dropped once.
         self._echoes: deque[tuple[int, bytes]] | None = deque(maxlen=_ECHO_MEMORY) if hears_itself else None
         self._is_open = True
+        self._receive = _now(bus)
 
     def send(self, can_id: int, payload: bytes) -> None:
         message = _OwnMessage(arbitration_id=can_id, data=payload, is_extended_id=False, check=False)
@@ -322,7 +334,7 @@ class _CanFrameLink:
     def _next(self) -> can.Message | None:
         while True:
             try:
-                return self._bus.recv(timeout=0)
+                return self._receive()
             except can.CanOperationError as problem:
                 if "unpack" not in str(problem):
                     raise self._lost(problem) from None

@@ -23,12 +23,13 @@ from itertools import chain, repeat
 
 import numpy as np
 
-from calib.arm_problem.joint_laws import COUPLED, COUPLING, LAWS, RestingPoints
+from calib.arm_problem.joint_laws import COUPLING, LAWS, RestingPoints
 from calib.arm_problem.observations import Correction
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
 from calib.points.points import Points
 from control.model.arm import Arm, Effect
+from control.model.effects import COUPLED
 
 Key = tuple[str, int | None]  # effect and joint
 

@@ -22,9 +22,9 @@ from control.dynamics.effect_laws import (
 )
 from control.dynamics.static_pose import RestingPose, resting
 from control.model.arm import Arm
+from control.model.effects import COUPLED_TO
 
 COUPLING: Final = "belt_coupling"
-COUPLED, COUPLED_TO = 3, 2  # joints, 1-based
 SHARE_PARTS: Final = 8
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from control.files import write_whole
+from control.model.effects import COUPLED
 
 Parameters = Mapping[str, tuple[float, float]]  # by name: value and standard deviation
 
@@ -27,6 +28,11 @@ class EffectName:
         """As `backlash on joint 2`."""
         place = "link" if self.effect in ON_LINKS else "joint"
         return self.effect if self.joint is None else f"{self.effect} on {place} {self.joint}"
+
+    @property
+    def acts_on(self) -> int | None:
+        """The joint or link that it moves."""
+        return COUPLED if self.effect == "belt_coupling" else self.joint
 
     def content(self) -> dict[str, object]:
         """For gap.json."""
@@ -72,11 +78,21 @@ class OpenQuestion:
 
 @dataclass(frozen=True, slots=True)
 class Nameable:
-    """Whether this data could name an effect at all: detectability in standard deviations, and its confounders."""
+    """Whether this data could name an effect at all: detectability in standard deviations, and its confounders.
+
+    Poses count those of an effect of usual size, time series those of the smallest size that is worth a name: `needed_sd` is what
+    a name needs on the scale of this one, and no two scales are to be compared but by it.
+    """
 
     name: EffectName
     detectability: float
     confusable_with: tuple[EffectName, ...] = ()
+    needed_sd: float = field(kw_only=True)
+
+    @property
+    def is_nameable(self) -> bool:
+        """Whether it would be named: it stands out, and nothing else looks the same."""
+        return self.detectability >= self.needed_sd and not self.confusable_with
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +161,7 @@ def gap_content(found: GapFinding) -> dict[str, object]:
                 **one.name.content(),
                 "detectability": _number(one.detectability),
                 "confusable_with": [name.content() for name in one.confusable_with],
+                "is_nameable": one.is_nameable,
             }
             for one in found.nameable
         ],

@@ -18,6 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError, PointsFileError
@@ -56,15 +57,16 @@ class Run:
         """How many samples."""
         return len(self.t_s)
 
-    def rows(self, rows: slice, name: str = "") -> Run:
+    def rows(self, rows: slice | npt.NDArray[np.intp], name: str = "") -> Run:
         """Some of its samples, under another name if one is given."""
+        kept = np.arange(len(self))[rows].tolist()
         return replace(
             self,
             name=name or self.name,
             t_s=frozen(self.t_s[rows]), q_rad=frozen(self.q_rad[rows]), q_set_rad=frozen(self.q_set_rad[rows]),
             current_A=frozen(self.current_A[rows]), voltage_V=frozen(self.voltage_V[rows]),
             payload_kg=frozen(self.payload_kg[rows]), tip_m=frozen(self.tip_m[rows]),
-            extra=MappingProxyType({column: texts[rows] for column, texts in self.extra.items()}),
+            extra=MappingProxyType({column: tuple(texts[k] for k in kept) for column, texts in self.extra.items()}),
         )  # fmt: skip
 
     @property

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 
 from calib.gap.finding import GEOMETRY, EffectName, GapFinding, NamedEffect, Unknown
-from calib.gap.posterior.nameable import NAMEABLE_sd, is_nameable
 
 NEAR = 0.05  # share of what is left: an effect that explains less is not near
 AT_FLOOR = 1.1  # times the floor, up to which a gap counts as closed
@@ -35,14 +34,17 @@ def _sentences(found: GapFinding) -> Iterator[str]:
     after = "at the noise" if found.gap_after <= AT_FLOOR else f"{found.gap_after:.2f} times the noise"
     if math.isnan(found.gap_after):
         after = "not evaluated for the joint findings of poses and time series"
-    yield f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {after} after."
+    if math.isnan(found.gap_before):
+        yield f"The gap could not be evaluated: on {found.judged_on} nothing moves that any channel shows."
+    else:
+        yield f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {after} after."
     blind = [
-        one.name for one in found.nameable if not is_nameable(one) and one.name not in {n.name for n in named}
+        one.name for one in found.nameable if not one.is_nameable and one.name not in {n.name for n in named}
     ]
     if blind:
         yield (
-            f"This data could not name {listed(blind)} of usual size (below {NAMEABLE_sd:.1f} standard deviations, or"
-            " indistinguishable from others)."
+            f"This data could not name {listed(blind)} of usual size (too small beside the noise, or indistinguishable from"
+            " others)."
         )
     if found.next_experiment:
         yield found.next_experiment

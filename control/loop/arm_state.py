@@ -55,6 +55,8 @@ class ArmState:
         self.homing: HomingSequence | None = None
         self.was_stopped = False  # the last motion, before its end
         self.is_weightless = False  # gravity compensation during hand guiding
+        self.unrecorded = ""  # why cycles are not recorded now; empty while they are
+        self.stated_payload_kg = 0.0  # by a client; the model's payload follows it
         # requested mode (shutdown)
         self.is_hold_pending = False
         self.is_shutting_down = False
@@ -82,7 +84,7 @@ class ArmState:
         return self.stillness.is_still(self.now_s, self.parts.measurement.speed_rad_s)
 
     def payload_kg(self) -> float:
-        """Mass at the tip, as stated."""
+        """Mass at the tip in the model now; it follows the stated one."""
         return self.parts.servo.torque_model.payload_kg
 
     def progress(self) -> float:

@@ -14,6 +14,7 @@ from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.watch import Watch
 from control.loop.witnesses import IndexWatch, MotorCountWatch, SwitchWatch, Witnesses
+from control.motion.guard import Guard
 from control.motion.setpoint import Motion, SetPoint
 from control.recording.record import Recorder
 from control.safety.limits import SetPointLimits
@@ -50,6 +51,7 @@ class Parts:
     gravity_compensation: GravityCompensation
     jogging: Callable[[bool], Jogging]  # of an arm that is homed; of one that is not
     stop_from: Callable[[SetPoint], Motion]
+    guard: Guard
     inverse: InverseKinematics
     camera: Camera | None
     joint_names: tuple[str, ...]
@@ -57,5 +59,7 @@ class Parts:
     period_s: float
     board_stop: BoardStop
     stopwatch_s: Callable[[], float]
+    payload_limit_kg: float = math.inf
+    allows_unrecorded: bool = False  # motions while the recording has stopped
     aim_limits: tuple[SetPointLimits, ...] = ()  # of the encoders' set-points, for such an arm
     joint_side: JointSide | None = None  # of an arm whose encoders do not say where its joints are

@@ -28,6 +28,10 @@ from control.safety.fault import Fault, Reaction
 from control.safety.table import Event, Mode
 from firmware_iface.errors import BoardReset, LinkError
 
+# Feed-forward and PID share the weight: 1 kg at 0.75 m is 7 Nm, which the PID takes over in a second without being noticed.
+PAYLOAD_RATE_kg_s = 1.0
+RECORDING_LOOK_cycles = 50  # 0.1 s at 500 Hz; asking costs a system call
+UNRECORDED_STOPS = (Mode.MOVING, Mode.HOMING)
 HOMING_CURRENT_FRACTION = 0.5  # during homing, and while joints without a zero are jogged
 
 
@@ -52,6 +56,7 @@ class Runtime(ArmState):
             if self.bridge is not None:
                 motion_modes.take_up(self, self.bridge)
             self._watch(missed_in_row)
+            self._follow_payload()
             self._advance()
             self._aim()
             self._drive()
@@ -119,6 +124,17 @@ class Runtime(ArmState):
         if self.is_shutting_down:
             shutdown.follow(self)
 
+    def _follow_payload(self) -> None:
+        """Let the model's payload follow the stated one: at once while nothing depends on it, else slowly."""
+        model, stated_kg = self.parts.servo.torque_model, self.stated_payload_kg
+        if model.payload_kg == stated_kg:
+            return
+        if self.monitor.mode in (Mode.OFF, Mode.BRAKED):
+            model.payload_kg = stated_kg
+            return
+        most_kg = PAYLOAD_RATE_kg_s * self.elapsed_s
+        model.payload_kg += min(max(stated_kg - model.payload_kg, -most_kg), most_kg)
+
     def _aim(self) -> None:
         if (clip := set_points.aim(self)) is not None:
             fault_reactions.refuse(self, clip)
@@ -129,7 +145,10 @@ class Runtime(ArmState):
             return
         servo = self.parts.servo
         servo.silence()
-        if self.monitor.mode is Mode.GUIDING and self.is_weightless and self._carry():
+        if self.monitor.mode is Mode.GUIDING:
+            self._watch_the_hand()
+        if self.monitor.mode is Mode.GUIDING and self.is_weightless:
+            self._carry()
             return
         is_free = self.monitor.mode is Mode.GUIDING
         output_mode = OutputMode.OFF if is_free else self._mode_without_control()
@@ -146,24 +165,34 @@ class Runtime(ArmState):
         servo.update(self.aim, measured.q_rad, measured.speed_rad_s, self.monitor.is_homed, fraction, joints)
         self.parts.hardware.write(servo.mode, servo.output, servo.feedforward_V)
 
-    def _carry(self) -> bool:
-        """Apply gravity compensation; moving too fast is a fault."""
-        measured, servo, gravity_compensation = (
-            self.parts.measurement,
-            self.parts.servo,
-            self.parts.gravity_compensation,
-        )
-        if (fault := gravity_compensation.too_fast(measured.speed_rad_s)) is not None:
+    def _watch_the_hand(self) -> None:
+        """An arm that moves faster than a hand guides it falls, or is carried away: a fault."""
+        speed_rad_s = self.parts.measurement.speed_rad_s
+        if (fault := self.parts.gravity_compensation.too_fast(speed_rad_s, self.is_weightless)) is not None:
             self.fail(fault)
-            return False
-        amperes = gravity_compensation.update(
+
+    def _carry(self) -> None:
+        """Apply gravity compensation."""
+        measured, servo = self.parts.measurement, self.parts.servo
+        amperes = self.parts.gravity_compensation.update(
             set_points.joints_standing(self, measured.q_rad), measured.speed_rad_s
         )
         self.parts.hardware.write(OutputMode.CURRENT, amperes, servo.feedforward_V)
-        return True
 
     def _record(self, late_s: float) -> None:
         self.parts.recorder.write(row_of(self, late_s))
+        if self.cycles % RECORDING_LOOK_cycles == 0:
+            self.unrecorded = self.parts.recorder.problem()
+            if self.unrecorded and not self.parts.allows_unrecorded and self.monitor.mode in UNRECORDED_STOPS:
+                self.stop()
+
+    def require_recording(self) -> None:
+        """ArmError if nothing is recorded now, and arm.toml says that no motion begins then."""
+        if self.unrecorded and not self.parts.allows_unrecorded:
+            raise ArmError(
+                f"nothing is recorded ({self.unrecorded}), so no motion begins: make room on the disk, or set"
+                ' [recording] unrecorded = "allow" in arm.toml; jogs and hand guiding are free'
+            )
 
     def _break_down(self, error: Exception) -> None:
         """The cycle raised: fault, and the boards hold; where a link is gone, they do so by themselves."""
@@ -207,16 +236,27 @@ class Runtime(ArmState):
         """Start the shutdown: stop, hold, brake, off. The cycle continues it."""
         shutdown.begin(self, quits)
 
+    def state_payload(self, mass_kg: float) -> None:
+        """State the mass in the gripper. ArmError if it is more than the arm may carry."""
+        most_kg = self.parts.payload_limit_kg
+        if not 0.0 <= mass_kg <= most_kg:
+            raise ArmError(
+                f"payload: expected mass_kg from 0 to {most_kg:g} kg ([limits] payload_limit_kg), got {mass_kg:g}"
+            )
+        self.stated_payload_kg = mass_kg
+
     def take_known_zeros(self) -> bool:
         """Use the boards' zeros if all of them were set since power-up; return whether they were."""
         return homing.take_known_zeros(self)
 
     def start_homing(self) -> None:
         """Home every joint, one after the other. ArmError if arm.toml does not describe how."""
+        self.require_recording()
         homing.start(self)
 
     def start(self, motion: Motion, as_encoders: bool = False) -> None:
         """Start a checked motion that begins, at rest, at the arm's position `seen`."""
+        self.require_recording()
         motion_modes.start(self, motion, as_encoders)
 
     def jog(self, request: JogRequest) -> None:
@@ -233,6 +273,7 @@ class Runtime(ArmState):
 
     def resume(self) -> None:
         """Resume the motion."""
+        self.require_recording()
         self.on(Event.RESUME)
 
     def stop(self) -> None:

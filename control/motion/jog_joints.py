@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
 from control.motion.setpoint import SetPoint
+from control.motion.trajectory import calculated
 
 if TYPE_CHECKING:
     import ruckig
@@ -107,7 +108,6 @@ class JointJog:
         asked.current_velocity = [state.speed_rad_s[joint]]
         asked.current_acceleration = [state.acceleration_rad_s2[joint]]
         asked.max_acceleration = [limits.acceleration_rad_s2[joint]]
-        asked.max_jerk = [limits.jerk_rad_s3[joint]]
         goal = self._goal(joint)
         asked.max_velocity = [abs(wanted) if goal is not None else limits.speed_rad_s[joint]]
         speed = 0.0 if self._is_at_end(joint) else wanted
@@ -117,12 +117,8 @@ class JointJog:
             asked.target_velocity = [speed]
         else:
             asked.target_position = [goal]
-        trajectory = ruckig.Trajectory(1)
-        result = ruckig.Ruckig(1).calculate(asked, trajectory)
-        if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-            raise MotionError(
-                f"no jog of joint {joint + 1} from {state} at {wanted} rad/s: ruckig says {result}"
-            )
+        what = f"jog of joint {joint + 1} at {wanted} rad/s from {state.q_rad[joint]} rad"
+        trajectory = calculated(asked, [limits.jerk_rad_s3[joint]], what)
         self._plans[joint], self._time_s[joint] = trajectory, 0.0
 
     def _goal(self, joint: int) -> float | None:

@@ -31,6 +31,7 @@ from control.loop.witnesses import (
 )
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
+from control.motion.guard import Guard
 from control.motion.jog_limits import JogLimits
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import Stop
@@ -75,7 +76,7 @@ def assemble(
     jog_limits = JogLimits.of(arm)
     kinematics, inverse = Kinematics(arm), InverseKinematics(arm)
     names = tuple(f"joint {drive.joint}" for drive in arm.drives)
-    servo = _servo(arm, period_s)
+    servo, guard = _servo(arm, period_s), Guard(arm, limits)
     measurement = _measurement(arm)
     parts = Parts(
         hardware=hardware,
@@ -89,9 +90,10 @@ def assemble(
         switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),
-        gravity_compensation=GravityCompensation(_motors(arm), servo.torque_model, names),
-        jogging=lambda is_homed: Jogging(jog_limits, inverse, is_homed),
+        gravity_compensation=GravityCompensation(_motors(arm), servo.torque_model, names, limits.speed_rad_s),
+        jogging=lambda is_homed: Jogging(jog_limits, inverse, guard if is_homed else None),
         stop_from=lambda state: Stop(state, limits),
+        guard=guard,
         inverse=inverse,
         camera=camera,
         joint_names=names,
@@ -99,6 +101,8 @@ def assemble(
         period_s=period_s,
         board_stop=board_stop(arm, period_s),
         stopwatch_s=stopwatch_s,
+        allows_unrecorded=arm.recording.unrecorded == "allow",
+        payload_limit_kg=arm.limits.payload_limit_kg,
         aim_limits=tuple(_aim_limits(drive) for drive in arm.drives),
         joint_side=JointSide.of(arm),
     )

@@ -56,6 +56,7 @@ class MotorBoard:
         self._bus = bus
         self._sequence = 0
         self._commands_sent = 0
+        self._answered = 0  # of them: the number of the one that the latest reply answers
         self._sent_at_s = -math.inf
         self._command_id = wire.COMMAND_ID + node
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
@@ -76,10 +77,11 @@ class MotorBoard:
 
     @property
     def reply_lag(self) -> int:
-        """Number of COMMANDs sent since the one answered by the latest reply; 0: the newest was answered."""
-        return (
-            (self._sequence - self.reply.sequence) & wire.SEQUENCE_MASK if self.reply else self._commands_sent
-        )
+        """Number of COMMANDs sent since the one answered by the latest reply; 0: the newest was answered.
+
+        Counted when the reply comes: the 5-bit sequence alone repeats, and a silent board would seem to answer again.
+        """
+        return self._commands_sent - self._answered if self.reply else self._commands_sent
 
     @property
     def lost(self) -> int:
@@ -290,6 +292,7 @@ class MotorBoard:
             self._violation(f"sent a statusword of an unknown state ({reply.statusword:#04x})", payload)
             return
         self.reply = reply
+        self._answered = self._commands_sent - ((self._sequence - reply.sequence) & wire.SEQUENCE_MASK)
         self.reply_at_s = now_s
         self.replies += 1
         if state is not self._last_state:

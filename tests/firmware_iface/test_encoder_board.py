@@ -227,6 +227,39 @@ def test_a_count_that_wraps_comes_through_as_it_is() -> None:
     assert board.resets == 0
 
 
+class TestLateReports:
+    """Frames that come in another order than they were sent: the newest counts, and nobody restarted."""
+
+    def test_an_older_report_is_dropped(self) -> None:
+        board, link, _ = make([])
+        newest = report(203, 50_006_000, (4, 0, 0))
+        link.push(send(report(200, 50_000_000), newest, report(202, 50_004_000), report(201, 50_002_000)))
+        board.update()
+        assert board.latest == newest
+        assert (board.resets, board.late) == (0, 2)
+        link.push(send(report(204, 50_008_000)))
+        board.update()
+        assert board.latest == report(204, 50_008_000)
+
+    def test_across_the_wraps_of_sequence_and_time(self) -> None:
+        board, link, clock = make([])
+        link.push(send(report(254, -3000)))
+        board.update()
+        clock.time_s += 0.004
+        link.push(send(report(1, 1000), report(255, -2000)))
+        board.update()
+        assert (board.resets, board.late) == (0, 1)
+
+    def test_a_restart_with_a_sequence_a_little_behind_is_still_seen(self) -> None:
+        board, link, clock = make([])
+        link.push(send(report(5, 50_000_000)))
+        board.update()
+        clock.time_s += 0.6
+        link.push(send(report(0, 100_000)))
+        with pytest.raises(BoardReset):
+            board.update()
+
+
 class TestReset:
     """A board that restarts is told from lost frames, once, whichever sign of it arrives."""
 

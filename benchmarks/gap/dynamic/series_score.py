@@ -20,7 +20,6 @@ from benchmarks.gap.dynamic.hidden import FOREIGN, LISTED, LISTED_BY_JOINT
 from benchmarks.gap.dynamic.score import arm_of, log_of
 from calib.gap.dynamic.find import DynamicOutcome
 from calib.gap.dynamic.find import examine as old
-from calib.gap.dynamic.sizes import is_nameable
 from calib.gap.finding import EffectName
 from calib.gap.series.find import examine as new
 from control.model.effects import EFFECTS
@@ -118,7 +117,7 @@ def _judge(case: Case, outcome: DynamicOutcome, tally: Tally, label: str) -> Non
     found = outcome.finding
     wanted = {_key(entry): entry["parameters"] for entry in case.truth if entry["effect"] in EFFECTS}
     got = {one.name: one for one in found.effects}
-    could = {one.name for one in found.nameable if is_nameable(one)}
+    could = {one.name for one in found.nameable if one.is_nameable}
     in_set = {name for names in found.ambiguous for name in names}
     wrong = got.keys() - wanted.keys()
     is_exact = got.keys() == wanted.keys()

@@ -28,6 +28,18 @@ from control.model.arm import Arm
 from control.progress import Advance, silent
 
 FAR_OFF = 20.0  # floors
+THINNED = (
+    0.35,
+    0.65,
+)  # of a sample: what a voltage lies off on the whole that changed in steps nobody recorded
+OF_THE_TIP = (
+    "backlash",
+    "joint_compliance",
+    "link_flexure",
+    "encoder_scale",
+    "encoder_eccentricity",
+    "belt_coupling",
+)
 READ, SCREENED, SEARCHED = 0.1, 0.25, 0.8  # of the time of a usual log, for the bar
 
 
@@ -91,7 +103,7 @@ def examine(
         *unmoved,
         *_doubts(before, rows.table),
         *_flying(rows, known, last.accepted),
-        *_corrected(last.accepted, recording.has_voltage),
+        *_corrected(last.accepted, recording),
         *last.warnings,
         *_grown(finding),
     )
@@ -173,7 +185,7 @@ def _grown(finding: GapFinding) -> tuple[str, ...]:
     )
 
 
-def _corrected(accepted: Fitted, has_voltage: bool) -> tuple[str, ...]:
+def _corrected(accepted: Fitted, recording: Recording) -> tuple[str, ...]:
     """Said where clocks differ: when camera or currents are read is no effect of the arm, and is taken off."""
     said = []
     for term in accepted.terms:
@@ -181,10 +193,18 @@ def _corrected(accepted: Fitted, has_voltage: bool) -> tuple[str, ...]:
         if term.form == CAMERA_TIME:
             way = "late" if term.values[0] < 0.0 else "early"
             said.append(f"the camera's times are {time_ms:.2f} ms {way}: taken into account")
+        elif (
+            term.form == SAMPLING_TIME
+            and THINNED[0] < 1e-3 * time_ms * recording.filters.rate_Hz < THINNED[1]
+        ):
+            said.append(
+                "other voltages were held between these samples, half a sample away on the whole: was the log thinned out? Taken"
+                " into account; record every sample"
+            )
         elif term.form == SAMPLING_TIME:
             than = (
                 "after the voltage of their line took effect"
-                if has_voltage
+                if recording.has_voltage
                 else "before the end of a step of the voltage"
             )
             said.append(f"angles and currents are read {time_ms:.2f} ms {than}: taken into account")
@@ -262,14 +282,18 @@ def _named(
 def _next(recording: Recording, verdict: Verdict) -> str | None:
     if verdict.ambiguous:
         names = ", ".join(str(name) for name in verdict.ambiguous[0])
-        return f"a recording that separates {names}: {_advice(recording)}"
+        is_of_tip = any(name.effect in OF_THE_TIP for name in verdict.ambiguous[0])
+        return f"To separate {names}, record {_advice(recording, is_of_tip)}."
     if verdict.unknown is not None:
-        return f"more of where the unknown shows ({verdict.unknown.where}): {_advice(recording)}"
+        is_of_tip = verdict.unknown.where.startswith("the tip")
+        where = verdict.unknown.where
+        return f"To see more of what is left ({where}), record {_advice(recording, is_of_tip)}."
     return None
 
 
-def _advice(recording: Recording) -> str:
-    if not recording.has_tip:
+def _advice(recording: Recording, is_of_tip: bool = True) -> str:
+    """What these runs lack; a camera only where it would see what is asked."""
+    if is_of_tip and not recording.has_tip:
         return "the same runs with the camera on the tip"
     if not recording.has_current:
         return "the same runs with the motor currents"

@@ -10,7 +10,7 @@ from calib.arrays import Array
 from calib.gap.dynamic.catalogue import Candidate
 from calib.gap.dynamic.choose import MARGIN
 from calib.gap.dynamic.screen import Screen
-from calib.gap.dynamic.sizes import smallest
+from calib.gap.dynamic.sizes import NAMEABLE_sd, smallest
 from calib.gap.dynamic.split import Split
 from calib.gap.dynamic.verdict import GEOMETRIC, SHARE_EXACT
 from calib.gap.finding import EffectName, Nameable
@@ -38,6 +38,7 @@ def nameable(arm: Arm, screen: Screen, split: Split, pool: Sequence[Candidate]) 
             name,
             detectable[name],
             (*_confounders(name, signatures), *_waves(name, signatures, detectable[name])),
+            needed_sd=NAMEABLE_sd,
         )
         for name in signatures
     )

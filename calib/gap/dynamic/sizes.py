@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 
-from calib.gap.finding import Nameable
 from calib.gap.signals.angles import plain
 from calib.gap.signals.terms import Term
 from control.model.arm import Arm
@@ -98,8 +97,3 @@ def is_worth_a_name(arm: Arm, term: Term) -> bool:
 _FIRST_COUNTS = {"stribeck_friction", "stribeck exponential", "joint_compliance", "backlash", "thermal_drift"}
 
 NAMEABLE_sd = 8.0  # of the smallest size worth a name
-
-
-def is_nameable(one: Nameable) -> bool:
-    """Whether a recording could name an effect: it stands out, and nothing else looks the same."""
-    return one.detectability >= NAMEABLE_sd and not one.confusable_with

@@ -32,7 +32,7 @@ from calib.gap.poses.held_out import holds_on_others, shows_in_others
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.recordings import Split
 from calib.gap.poses.state import Around
-from calib.gap.posterior.constants import DEPARTURES, GEOMETRY_PAYS, CHANGED_sd
+from calib.gap.posterior.constants import GEOMETRY_PAYS, LAW_MOST, UNMEASURED, UNSURE, CHANGED_sd
 from calib.gap.posterior.decide import Decision, left_with, share_of
 from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.parameters import Estimated, estimated
@@ -41,11 +41,6 @@ from calib.gap.posterior.term import Block, Key, Term
 from calib.points.points import Points
 from control.model.arm import Arm, Effect
 
-UNMEASURED = 1.0  # doubt of a floor that nothing measured
-LAW_MOST = 2.0 * max(
-    DEPARTURES
-)  # a law that departs more than two standard deviations of the roughest part is another law
-UNSURE = 0.025  # variance of the play over its width squared: one pose in twenty on the other flank
 KINDS = ("d_m", "theta_rad", "L_m", "alpha_rad")
 
 

@@ -14,7 +14,7 @@ from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask
 from calib.errors import UnusablePointsError
 from calib.gap.finding import EffectName
-from calib.gap.poses.answer import UNMEASURED, Looked, answered
+from calib.gap.poses.answer import Looked, answered
 from calib.gap.poses.cautions import about_data, about_outliers, cleaned, require_posed
 from calib.gap.poses.currents import holding_currents
 from calib.gap.poses.effects.catalogue import terms_of
@@ -26,7 +26,7 @@ from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.outlying import outlying
 from calib.gap.poses.recordings import Split, split
 from calib.gap.poses.state import Around, State
-from calib.gap.posterior.constants import FLOOR_DOUBT
+from calib.gap.posterior.constants import FLOOR_DOUBT, UNMEASURED
 from calib.gap.posterior.decide import Decision, decide
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Key, Term

@@ -12,10 +12,9 @@ from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName
 from calib.gap.poses.recordings import parts
 from calib.gap.poses.state import Around
+from calib.gap.posterior.constants import FOLDS
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Block, Key
-
-FOLDS = 5
 
 
 def holds_on_others(around: Around, best: Weighed, name: EffectName) -> bool:

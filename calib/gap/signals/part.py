@@ -10,7 +10,7 @@ from calib.gap.log import Log, Run
 
 # What an answer in half a minute can look at, on two cores: eleven runs of 8 s are 44 000 samples. Every joint counts.
 MOST_SAMPLES = 66_000 * 3
-LEAST_s = 30.0  # of a log, however fast it was sampled
+LEAST_s = 15.0  # of a log, however fast it was sampled
 BLOCK_s = 10.0  # of a run that is longer: several motions, and a fifth of it to forget how it began
 TWICE = 2  # repeats that stay together: two tell the noise
 
@@ -18,7 +18,8 @@ TWICE = 2  # repeats that stay together: two tell the noise
 def part_of(log: Log) -> tuple[Log, str]:
     """The log, or blocks of it and a sentence that says which share they are."""
     whole_s = sum(_length_s(run) for run in log.runs)
-    most_s = max(LEAST_s, whole_s * MOST_SAMPLES / (log.joint_count * max(sum(map(len, log.runs)), 1)))
+    count = sum(map(len, log.runs))
+    most_s = max(LEAST_s, whole_s * MOST_SAMPLES / max(log.joint_count * count, 1))
     if whole_s <= most_s:
         return log, ""
     blocks = Log(tuple(block for run in log.runs for block in _blocks(run)), log.sources)

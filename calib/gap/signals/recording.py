@@ -13,7 +13,7 @@ from calib.errors import CalibrationError
 from calib.gap.log import Log, Run
 from calib.gap.signals.filters import Filters, filters_for
 from calib.gap.signals.part import part_of
-from calib.gap.signals.sampling import GAP, evened, measured, period_of
+from calib.gap.signals.sampling import GAP, averaged, common_period, evened, measured, period_of
 from control.model.arm import Arm
 
 Flags = npt.NDArray[np.bool_]
@@ -65,7 +65,10 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """All runs, which repeat each other, and sentences about what is wrong with them."""
+    """All runs, which repeat each other, and sentences about what is wrong with them.
+
+    `held_s`: how long the controller holds a voltage, its own sampling period, where samples were averaged afterwards.
+    """
 
     runs: tuple[Motion, ...]
     repeats: tuple[tuple[int, ...], ...]
@@ -74,20 +77,20 @@ class Recording:
     has_voltage: bool
     has_tip: bool
     warnings: tuple[str, ...]
+    held_s: float
 
 
 def prepare(arm: Arm, log: Log) -> Recording:
     """Return the recording of this arm; UnusableLogError if it cannot be one."""
     _check(arm, log)
-    some, long = part_of(log)
-    kept, repeats, warnings = _long_enough(some)
-    warnings += [long] * bool(long)
-    given, computed = measured([_from_its_beginning(run) for run in kept])
-    given = tuple(evened(run, period_of(given)) for run in given)
-    period = period_of(given)
+    kept, warnings = _long_enough(log)
+    given, said, averaged_count = _as_sampled([_from_its_beginning(run) for run in kept])
+    warnings += said
+    repeats = Log(given).repeats()
+    period, rates = common_period(given)
     filters = filters_for(1.0 / period)
-    warnings += [computed] * bool(computed)
-    warnings += [*_about_gaps(given, period), *_about_steps(given, period), *_saturation(arm, given)]
+    warnings += [*_about_gaps(given, period), *([rates] if rates else _about_steps(given, period))]
+    warnings += _saturation(arm, given)
     _require_a_rate(given, period)
     runs = tuple(_motion(arm, run, filters, period) for run in given)
     if len(runs) > 1 and all(len(group) == 1 for group in repeats):
@@ -97,21 +100,27 @@ def prepare(arm: Arm, log: Log) -> Recording:
     has_current = all(np.isfinite(run.current_A).all() for run in given)
     has_voltage = all(run.is_commanded or np.isfinite(run.voltage_V).any() for run in given)
     has_tip = all(len(run.frames) > 20 for run in runs)
-    return Recording(runs, repeats, filters, has_current, has_voltage, has_tip, tuple(warnings))
+    held_s = period / averaged_count
+    return Recording(runs, repeats, filters, has_current, has_voltage, has_tip, tuple(warnings), held_s)
 
 
-def _long_enough(log: Log) -> tuple[list[Run], tuple[tuple[int, ...], ...], list[str]]:
-    """The runs that are long enough, which of them repeat each other, and a sentence about the others."""
-    kept = [k for k, run in enumerate(log.runs) if run.t_s[-1] - run.t_s[0] >= SHORTEST_s]
+def _long_enough(log: Log) -> tuple[list[Run], list[str]]:
+    """The runs that are long enough, and a sentence about the others."""
+    kept = [run for run in log.runs if run.t_s[-1] - run.t_s[0] >= SHORTEST_s]
     if not kept:
         raise UnusableLogError(
             f"log: every run is shorter than {SHORTEST_s} s: expected recordings of seconds"
         )
-    short = [run.name for k, run in enumerate(log.runs) if k not in kept]
-    said = [f"{_runs(short)}: shorter than {SHORTEST_s} s, not used"] if short else []
-    place = {k: new for new, k in enumerate(kept)}
-    groups = [tuple(place[k] for k in group if k in place) for group in log.repeats()]
-    return [log.runs[k] for k in kept], tuple(group for group in groups if group), said
+    short = [run.name for run in log.runs if run.t_s[-1] - run.t_s[0] < SHORTEST_s]
+    return kept, [f"{_runs(short)}: shorter than {SHORTEST_s} s, not used"] if short else []
+
+
+def _as_sampled(runs: Sequence[Run]) -> tuple[tuple[Run, ...], list[str], int]:
+    """Samples that were measured, at their times, as many as are looked at; sentences about that; how many a mean is of."""
+    given, computed = measured(runs)
+    given, fast, count = averaged(tuple(evened(run, period_of([run])) for run in given))
+    part, long = part_of(Log(given))
+    return part.runs, [sentence for sentence in (computed, fast, long) if sentence], count
 
 
 def _from_its_beginning(run: Run) -> Run:

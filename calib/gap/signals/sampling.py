@@ -16,6 +16,7 @@ from calib.arrays import Array, frozen
 from calib.gap.log import Run
 
 GAP = 2.5  # periods between samples: more is a gap, and its neighbourhood is not used
+ONE_RATE = 0.1  # by which runs of one controller may differ
 # Of an interpolation that is undone, as 500 a second brought to 1000; the largest first, as one by 4 is one by 2 as well.
 FACTORS = range(10, 1, -1)
 # Bends of computed samples over those of measured ones: nothing but the rounding of what was printed. Those of measured samples
@@ -24,6 +25,7 @@ COMPUTED = 0.15
 # Share of samples whose currents lie on the line between their neighbours to a twentieth of what is usual, on all joints at
 # once: of measured currents one joint shows 4 % of them, three joints less than one in ten thousand. A log with fewer than twice
 # as many samples as were measured has no such ones.
+FAST_Hz = 800.0  # an arm's equations are looked at up to 60 Hz: faster sampling costs time and tells nothing
 ROUNDED = 0.75  # of a stamp's last digit: half of it, and what the line through them is uncertain by
 ON_A_LINE, ON_A_LINE_SHARE = 0.05, 0.15
 
@@ -37,6 +39,16 @@ def period_of(runs: Sequence[Run]) -> float:
     usual = float(np.median(steps))
     near = steps[steps < GAP * usual]
     return float(near.sum() / max(np.round(near / usual).sum(), 1.0))
+
+
+def common_period(runs: Sequence[Run]) -> tuple[float, str]:
+    """The period that all runs are brought to, that of the slowest, and a sentence where they differ."""
+    own = np.array([period_of([run]) for run in runs])
+    if own.max() < (1.0 + ONE_RATE) * own.min():
+        return period_of(runs), ""
+    return float(own.max()), (
+        f"the runs have {1.0 / own.max():.4g} to {1.0 / own.min():.4g} samples a second: all are brought to the fewest"
+    )
 
 
 def evened(run: Run, period_s: float) -> Run:
@@ -96,6 +108,39 @@ def _phase(run: Run, factor: int, differences: int) -> int | None:
     if by_phase[top] == 0.0 or np.delete(by_phase, top).max() > COMPUTED * by_phase[top]:
         return None
     return (top + 1) % factor
+
+
+def averaged(runs: Sequence[Run]) -> tuple[tuple[Run, ...], str, int]:
+    """Fast runs without voltages as means of a few samples, a sentence about it, and how many: what an arm does is far slower.
+
+    Runs with voltages stay as they are: what was held between the samples cannot be averaged.
+    """
+    rate_Hz = 1.0 / period_of(runs)
+    factor = int(rate_Hz / FAST_Hz)
+    factor -= 1 - factor % 2  # odd, so that a mean stands at a sample
+    if factor < 3 or any(run.is_commanded or np.isfinite(run.voltage_V).any() for run in runs):
+        return tuple(runs), "", 1
+    return (
+        tuple(_averaged(run, factor) for run in runs),
+        f"{rate_Hz:.0f} samples a second, without voltages: means of {factor} are used",
+        factor,
+    )
+
+
+def _averaged(run: Run, factor: int) -> Run:
+    """Means about every `factor`-th sample, those on which most camera frames fall."""
+    frames = np.flatnonzero(np.isfinite(run.tip_m[:, 0])) % factor
+    middle = int(np.bincount(frames, minlength=factor).argmax()) if len(frames) else factor // 2
+    places = np.arange(middle, len(run), factor)
+    places = places[(places >= factor // 2) & (places + factor // 2 < len(run))]
+    about = places[:, None] + np.arange(-(factor // 2), factor // 2 + 1)
+    thin = run.rows(places)
+    return dataclasses.replace(
+        thin,
+        q_rad=frozen(run.q_rad[about].mean(axis=1)),
+        q_set_rad=frozen(run.q_set_rad[about].mean(axis=1)),
+        current_A=frozen(run.current_A[about].mean(axis=1)),
+    )
 
 
 def is_resampled(currents: Sequence[Array]) -> bool:

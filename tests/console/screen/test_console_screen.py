@@ -16,7 +16,7 @@ from console.screen.dialogs import Choose
 from console.screen.widgets import CommandBox
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
-from tests.cell import STRETCHED, Cell, holding_cell
+from tests.cell import STRETCHED, Cell, handled, holding_cell
 from tests.console.screen.console_rig import (
     LIMIT_S,
     Served,
@@ -58,8 +58,8 @@ def jogs(served: Served) -> bool:
 
 def start_move(served: Served) -> None:
     """A motion of somebody else, 3 s long."""
-    answer = served.cell.assembly.requests.handle(
-        {"do": "move_joints", "q_rad": [1.2, -0.2, 0.9], "speed": 0.3}, 99
+    answer = handled(
+        served.cell, {"do": "move_joints", "q_rad": [1.2, -0.2, 0.9], "speed": 0.3, "detached": True}, 99
     )
     assert answer["ok"], answer
 

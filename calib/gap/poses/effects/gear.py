@@ -27,7 +27,10 @@ def _play(record: EffectRecord, scene: Scene) -> Iterator[Term]:
     if scene.pose is None:
         return
     q, n = scene.points.q_rad, scene.points.joint_count
-    noise = CURRENT_NOISE_A * np.nan_to_num(known_torque_per_A(scene.arm))
+    is_measured = np.isfinite(scene.points.current_A).any(
+        axis=0
+    )  # what nobody measured has no noise, and needs no constants
+    noise = np.where(is_measured, CURRENT_NOISE_A * np.nan_to_num(known_torque_per_A(scene.arm)), 0.0)
     for j in range(n):
         load = np.abs(scene.pose.gravity_Nm[:, j])
         ways = [*harmonics(q[:, j], 1, 2), *([load / load.max()] if load.max() > NO_TORQUE_Nm else [])]

@@ -184,6 +184,30 @@ def test_a_swing_with_the_driver_off_needs_no_currents_and_no_voltages() -> None
     assert len(Rows(Physics(ARM, recording), known_terms(ARM)).table.run)
 
 
+def test_five_thousand_samples_a_second_are_averaged_where_no_voltage_was_held_between_them() -> None:
+    def fast(run: Run) -> Run:
+        rng = np.random.default_rng(int(run.name))
+        t_s = np.arange(0.0, 1.9, 1.0 / 5000.0)
+        finer = at(run, t_s)
+        tip = np.full((len(t_s), 3), np.nan)
+        tip[7::50] = 0.3
+        noise = rng.normal(0.0, 0.05, (len(t_s), 3))
+        nothing = np.full((len(t_s), 3), np.nan)
+        return replace(
+            finer,
+            current_A=finer.current_A + noise,
+            voltage_V=nothing,
+            tip_m=tip,
+            q_rad=finer.q_rad + 1e-6 * noise,
+        )
+
+    recording = prepare(ARM, changed(fast))
+    assert recording.filters.rate_Hz == pytest.approx(1000.0, rel=1e-3)
+    assert "means of 5 are used" in said(recording)
+    assert all(len(run.frames) > 25 for run in recording.runs)  # of 38 a run: none falls between two means
+    assert "means of" not in said(prepare(ARM, changed(lambda run: replace(fast(run), is_commanded=True))))
+
+
 def test_a_long_log_is_used_in_part_with_its_loads_and_repeats_and_that_is_said() -> None:
     log = Log(tuple(replace(run, name=f"{part}-{run.name}") for part in range(20) for run in LOG.runs))
     part, sentence = part_of(log)

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from benchmarks.gap.static.cases import ARM, Hidden, case
@@ -83,3 +84,21 @@ def test_what_is_named_says_its_probability_and_how_far_it_departs_from_its_law(
     assert belt.probability > 0.95
     assert belt.share > 0.9
     assert (belt.departure, belt.variable) == (pytest.approx(0.0, abs=0.05), "q2")
+
+
+def test_an_arm_whose_drives_nobody_knows_shows_what_its_masses_allow() -> None:
+    """Without [[drive]], or with placeholders in it: without currents, they say nothing that a pose shows."""
+    points = case(36, (Hidden("joint_compliance", 3, 400.0),))
+    points = dataclasses.replace(points, current_A=np.full_like(points.current_A, np.nan))
+    bare = dataclasses.replace(ARM, drives=())
+    placeholders = dataclasses.replace(
+        ARM,
+        drives=tuple(
+            dataclasses.replace(d, torque_constant_Nm_A=0.5, current_limit_A=np.inf) for d in ARM.drives
+        ),
+    )
+    found = [find(arm, points) for arm in (bare, placeholders)]
+    for one in found:
+        assert EffectName("joint_compliance", 3) in names(one)
+        assert value(one, "joint_compliance", "stiffness_Nm_rad")[0] == pytest.approx(400.0, rel=0.1)
+    assert any("no [[drive]] of joints 1, 2, 3" in sentence for sentence in found[0].warnings)
