@@ -231,6 +231,7 @@ class BoardHardware:
         wired.encoder.set_zero(wired.channel, self._fresh_count(wired) + counts)
         self._fresh_count(wired)
         self.feedback.shift_count[joint] += counts
+        self._asked, self._ask_in = None, 2  # until the next read, `count` is from before the shift
         self._follow_position_count(joint)
 
     def _fresh_count(self, wired: JointWiring) -> int:

@@ -155,8 +155,12 @@ class MotorCountWatch:
     SHARE = 0.25
     LATE_S = 0.007  # within which a board answers
 
-    def __init__(self, counts_per_radian: Sequence[float], names: Sequence[str]) -> None:
+    def __init__(
+        self, counts_per_radian: Sequence[float], counter_bits: Sequence[int], names: Sequence[str]
+    ) -> None:
+        """`counter_bits`: width of the encoder boards' counters; the motor boards have 32."""
         self._counts_per_radian = tuple(abs(value) for value in counts_per_radian)
+        self._bits = tuple(counter_bits)
         self._names = names
         self._last: list[tuple[int, int, float] | None] = [None] * len(names)
 
@@ -173,15 +177,17 @@ class MotorCountWatch:
             self._last[joint] = (count, motor_count, speed_counts_s)
             if last is None:
                 continue
-            turned, motor_turned = _wrapped(count - last[0]), _wrapped(motor_count - last[1])
+            motor_turned = _wrapped(motor_count - last[1], 32)
+            off = _wrapped(count - last[0] - motor_turned, self._bits[joint])
             late = self.LATE_S * max(speed_counts_s, last[2])
-            if abs(turned - motor_turned) > self.LEAST_counts + self.SHARE * abs(turned) + late:
-                faults.append(_of_counts(self._names[joint], turned, motor_turned))
+            if abs(off) > self.LEAST_counts + self.SHARE * abs(motor_turned) + late:
+                faults.append(_of_counts(self._names[joint], motor_turned + off, motor_turned))
         return faults
 
 
-def _wrapped(count: int) -> int:
-    return (count + 0x80000000 & 0xFFFFFFFF) - 0x80000000
+def _wrapped(count: int, bits: int) -> int:
+    half = 1 << (bits - 1)
+    return (count + half) % (2 * half) - half
 
 
 def _of_counts(where: str, turned: int, motor_turned: int) -> Fault:

@@ -86,7 +86,11 @@ def assemble(
         watch=Watch(_watch_limits(arm, period_s), names),
         witnesses=Witnesses(_motors(arm), _witness_limits(arm), names),
         indices=_indices(arm, measurement, names),
-        motor_counts=MotorCountWatch([JointMap(drive).counts_per_radian for drive in arm.drives], names),
+        motor_counts=MotorCountWatch(
+            [JointMap(drive).counts_per_radian for drive in arm.drives],
+            [d.encoder_bits for d in arm.drives],
+            names,
+        ),
         switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),

@@ -153,16 +153,18 @@ def test_a_motor_board_whose_own_encoder_is_dead_or_reversed_is_found_in_the_fir
         assert abs(cell.rig.joint_rad()[0] - STRETCHED[0]) < 0.03
 
 
-def test_two_counts_of_one_motor_may_differ_by_when_they_were_read() -> None:
-    watch = MotorCountWatch([30_000.0], ("joint 1",))
+@pytest.mark.parametrize("bits", [16, 32])
+def test_two_counts_of_one_motor_may_differ_by_when_they_were_read(bits: int) -> None:
+    watch = MotorCountWatch([30_000.0], [bits], ("joint 1",))
     speed_rad_s, period_s = 2.0, 0.12
-    wrap = 2**32
+    wrap, narrow = 2**32, 2**bits
     for step in range(40):
-        count = round(30_000.0 * speed_rad_s * period_s * step) + 2**31 - 50_000
+        turned = round(30_000.0 * speed_rad_s * period_s * step) + 2**31 - 50_000
+        count = (turned + narrow // 2) % narrow - narrow // 2
         late = (0, 300)[step % 2]
-        pair = (0, count, (count + late + 12_345 + wrap // 2) % wrap - wrap // 2)
+        pair = (0, count, (turned + late + 12_345 + wrap // 2) % wrap - wrap // 2)
         assert watch.look([pair], [speed_rad_s]) == []
-    assert [fault.code for fault in watch.look([(0, count, pair[2] + 500)], [0.0])] == ["encoders_differ"]
+    assert [fault.code for fault in watch.look([(0, count, pair[2] + 1000)], [0.0])] == ["encoders_differ"]
     watch.forget()
     assert watch.look([(0, count + 9_999, 0)], [0.0]) == []
 
