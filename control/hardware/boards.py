@@ -23,6 +23,7 @@ from firmware_iface.motor.wire import Mode, Output, Parameter
 
 REPORT_WAIT_S = 0.05  # a stream runs at 500 Hz or more; only a pause of the host lasts longer
 ASK_COUNT_S = 0.04  # between two questions for a motor board's own count: 3 % of a 500 Hz bus
+FRESH_CYCLES = 2  # age of a count that is compared with one of another board
 FULL_INTEGRAL = 0.5  # of the supply: limit of the board's integral in position mode
 
 
@@ -109,11 +110,13 @@ class BoardHardware:
                 self._asked = None
 
     def _ask_motor_count(self) -> None:
-        """Ask one motor board after the other for the count of its own encoder."""
+        """Ask one motor board after the other for the count of its own encoder, while the other count is fresh."""
         self._ask_in -= 1
-        if self._ask_in <= 0 and self._is_wanted_enabled:
-            self._ask_in = self._ask_every
-            joint = self._ask_joint = (self._ask_joint + 1) % len(self._wiring)
+        if self._ask_in > 0 or not self._is_wanted_enabled:
+            return
+        joint = (self._ask_joint + 1) % len(self._wiring)
+        if self._clock.now_s() - self.feedback.reported_at_s[joint] <= FRESH_CYCLES * self._period_s:
+            self._ask_in, self._ask_joint = self._ask_every, joint
             self._asked = (joint, self.feedback.count[joint] - self.feedback.shift_count[joint])
             self._wiring[joint].motor.ask_count()
 
