@@ -94,7 +94,9 @@ def assemble(
         switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),
-        gravity_compensation=GravityCompensation(_motors(arm), servo.torque_model, names, limits.speed_rad_s),
+        gravity_compensation=GravityCompensation(
+            _motors(arm), servo.torque_model, names, [OVERSPEED * limit for limit in limits.speed_rad_s]
+        ),
         jogging=lambda is_homed: Jogging(jog_limits, inverse, guard if is_homed else None),
         stop_from=lambda state: Stop(state, limits),
         guard=guard,
