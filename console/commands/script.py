@@ -9,6 +9,7 @@ from console.commands.connection import in_control
 from console.lines.grammar import Grammar, LineError
 from console.lines.replay import Outcome, parse_lines, replay
 from console.specs.table import COMMANDS
+from control.files import read_text
 
 
 def run(given: argparse.Namespace) -> int:
@@ -42,7 +43,7 @@ def _text(file: str) -> str:
     if file == "-":
         return sys.stdin.read()
     try:
-        return Path(file).read_text(encoding="utf-8")
+        return read_text(Path(file))
     except UnicodeDecodeError as error:
         raise LineError(f"not UTF-8 text (byte {error.start})") from None
     except OSError as error:

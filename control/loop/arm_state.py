@@ -49,11 +49,13 @@ class ArmState:
         # motions (motion_modes, homing)
         self.run_number = 0
         self.paced: Paced | None = None  # the active motion or stop
+        self.stops_along = False  # whether that motion slows down to rest on its path
         self.override = 1.0  # pace at which motions run
         self.jogging: Jogging | None = None
         self.homing: HomingSequence | None = None
         self.was_stopped = False  # the last motion, before its end
         self.is_weightless = False  # gravity compensation during hand guiding
+        self.unrecorded = ""  # why cycles are not recorded now; empty while they are
         self.stated_payload_kg = 0.0  # by a client; the model's payload follows it
         # requested mode (shutdown)
         self.is_hold_pending = False

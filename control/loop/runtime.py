@@ -2,7 +2,7 @@
 
     cycle(now_s, late_s, missed, missed_in_row)
       _read            hardware.read(), then angles and speeds from counts, camera, averages
-      _watch           limits, stale data, board faults -> faults -> the state machine
+      _watch           limits, stale data, board faults, contradictions -> faults -> the state machine
       _advance         the mode's change of the set-point (hold, motion, jog, homing, stop, nothing)
       _aim             encoder set-points, on an arm whose gears or belt are known
       _drive           set-point -> feed-forward + PID -> hardware.write()
@@ -30,6 +30,8 @@ from firmware_iface.errors import BoardReset, LinkError
 
 # Feed-forward and PID share the weight: 1 kg at 0.75 m is 7 Nm, which the PID takes over in a second without being noticed.
 PAYLOAD_RATE_kg_s = 1.0
+RECORDING_LOOK_cycles = 50  # 0.1 s at 500 Hz; asking costs a system call
+UNRECORDED_STOPS = (Mode.MOVING, Mode.HOMING)
 HOMING_CURRENT_FRACTION = 0.5  # during homing, and while joints without a zero are jogged
 
 
@@ -95,9 +97,11 @@ class Runtime(ArmState):
         parts, feedback = self.parts, self.parts.hardware.feedback
         if not self.drives.is_ready or self.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE):
             parts.witnesses.forget()
+            parts.motor_counts.forget()
             return []
         model_A = parts.servo.model_A
         faults = parts.witnesses.look(self.elapsed_s, feedback, parts.measurement.speed_rad_s, model_A)
+        faults += parts.motor_counts.look(feedback.motor_counts, parts.measurement.speed_rad_s)
         is_homed = self.monitor.is_homed
         parts.hardware.watch_indices(is_homed)
         passed = parts.hardware.passed_indices()
@@ -141,7 +145,10 @@ class Runtime(ArmState):
             return
         servo = self.parts.servo
         servo.silence()
-        if self.monitor.mode is Mode.GUIDING and self.is_weightless and self._carry():
+        if self.monitor.mode is Mode.GUIDING:
+            self._watch_the_hand()
+        if self.monitor.mode is Mode.GUIDING and self.is_weightless:
+            self._carry()
             return
         is_free = self.monitor.mode is Mode.GUIDING
         output_mode = OutputMode.OFF if is_free else self._mode_without_control()
@@ -158,24 +165,34 @@ class Runtime(ArmState):
         servo.update(self.aim, measured.q_rad, measured.speed_rad_s, self.monitor.is_homed, fraction, joints)
         self.parts.hardware.write(servo.mode, servo.output, servo.feedforward_V)
 
-    def _carry(self) -> bool:
-        """Apply gravity compensation; moving too fast is a fault."""
-        measured, servo, gravity_compensation = (
-            self.parts.measurement,
-            self.parts.servo,
-            self.parts.gravity_compensation,
-        )
-        if (fault := gravity_compensation.too_fast(measured.speed_rad_s)) is not None:
+    def _watch_the_hand(self) -> None:
+        """An arm that moves faster than a hand guides it falls, or is carried away: a fault."""
+        speed_rad_s = self.parts.measurement.speed_rad_s
+        if (fault := self.parts.gravity_compensation.too_fast(speed_rad_s, self.is_weightless)) is not None:
             self.fail(fault)
-            return False
-        amperes = gravity_compensation.update(
+
+    def _carry(self) -> None:
+        """Apply gravity compensation."""
+        measured, servo = self.parts.measurement, self.parts.servo
+        amperes = self.parts.gravity_compensation.update(
             set_points.joints_standing(self, measured.q_rad), measured.speed_rad_s
         )
         self.parts.hardware.write(OutputMode.CURRENT, amperes, servo.feedforward_V)
-        return True
 
     def _record(self, late_s: float) -> None:
         self.parts.recorder.write(row_of(self, late_s))
+        if self.cycles % RECORDING_LOOK_cycles == 0:
+            self.unrecorded = self.parts.recorder.problem()
+            if self.unrecorded and not self.parts.allows_unrecorded and self.monitor.mode in UNRECORDED_STOPS:
+                self.stop()
+
+    def require_recording(self) -> None:
+        """ArmError if nothing is recorded now, and arm.toml says that no motion begins then."""
+        if self.unrecorded and not self.parts.allows_unrecorded:
+            raise ArmError(
+                f"nothing is recorded ({self.unrecorded}), so no motion begins: make room on the disk, or set"
+                ' [recording] unrecorded = "allow" in arm.toml; jogs and hand guiding are free'
+            )
 
     def _break_down(self, error: Exception) -> None:
         """The cycle raised: fault, and the boards hold; where a link is gone, they do so by themselves."""
@@ -234,10 +251,12 @@ class Runtime(ArmState):
 
     def start_homing(self) -> None:
         """Home every joint, one after the other. ArmError if arm.toml does not describe how."""
+        self.require_recording()
         homing.start(self)
 
     def start(self, motion: Motion, as_encoders: bool = False) -> None:
         """Start a checked motion that begins, at rest, at the arm's position `seen`."""
+        self.require_recording()
         motion_modes.start(self, motion, as_encoders)
 
     def jog(self, request: JogRequest) -> None:
@@ -254,6 +273,7 @@ class Runtime(ArmState):
 
     def resume(self) -> None:
         """Resume the motion."""
+        self.require_recording()
         self.on(Event.RESUME)
 
     def stop(self) -> None:

@@ -21,7 +21,14 @@ from control.loop.parts import Camera, Parts
 from control.loop.runtime import Runtime
 from control.loop.watch import JointLimits as MeasuredLimits
 from control.loop.watch import Watch, WatchLimits
-from control.loop.witnesses import IndexWatch, SwitchPlace, SwitchWatch, Witnesses, WitnessLimits
+from control.loop.witnesses import (
+    IndexWatch,
+    MotorCountWatch,
+    SwitchPlace,
+    SwitchWatch,
+    Witnesses,
+    WitnessLimits,
+)
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
 from control.motion.guard import Guard
@@ -79,10 +86,17 @@ def assemble(
         watch=Watch(_watch_limits(arm, period_s), names),
         witnesses=Witnesses(_motors(arm), _witness_limits(arm), names),
         indices=_indices(arm, measurement, names),
+        motor_counts=MotorCountWatch(
+            [JointMap(drive).counts_per_radian for drive in arm.drives],
+            [d.encoder_bits for d in arm.drives],
+            names,
+        ),
         switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),
-        gravity_compensation=GravityCompensation(_motors(arm), servo.torque_model, names),
+        gravity_compensation=GravityCompensation(
+            _motors(arm), servo.torque_model, names, [OVERSPEED * limit for limit in limits.speed_rad_s]
+        ),
         jogging=lambda is_homed: Jogging(jog_limits, inverse, guard if is_homed else None),
         stop_from=lambda state: Stop(state, limits),
         guard=guard,
@@ -93,6 +107,7 @@ def assemble(
         period_s=period_s,
         board_stop=board_stop(arm, period_s),
         stopwatch_s=stopwatch_s,
+        allows_unrecorded=arm.recording.unrecorded == "allow",
         payload_limit_kg=arm.limits.payload_limit_kg,
         aim_limits=tuple(_aim_limits(drive) for drive in arm.drives),
         joint_side=JointSide.of(arm),

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from control.errors import ArmError
+from control.model.rules import NAME, is_file_name
 
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid: struct ucred of unix(7)
 
@@ -82,12 +83,16 @@ def socket_folders() -> tuple[Path, ...]:
 
 
 def default_path(arm_name: str) -> Path:
-    """Default socket path of an arm's runtime."""
+    """Default socket path of an arm's runtime. ArmError for a name that leads elsewhere."""
+    if not is_file_name(arm_name):
+        raise ArmError(f"arm {arm_name!r}: expected {NAME.expected}; {NAME.hint}")
     return socket_folders()[0] / f"{arm_name}.sock"
 
 
 def find_sockets(arm_name: str = "*") -> list[Path]:
     """All sockets of this user, or those of one arm; some may be left over from a killed runtime."""
+    if arm_name != "*" and not is_file_name(arm_name):
+        return []
     wanted = "*" if arm_name == "*" else glob.escape(arm_name)
     names = (f"{wanted}.sock", f"{wanted}--*.sock")
     found = [path for folder in _own_folders() for name in names for path in sorted(folder.glob(name))]

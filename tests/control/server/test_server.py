@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from control.errors import ArmError
 from control.safety.table import Mode
 from control.server import sockets
 from control.server.client import RuntimeGone, SocketChannel
@@ -486,3 +487,10 @@ def test_a_file_name_that_is_no_text_ends_no_runtime() -> None:
     }
     name = "/log/prüfung".encode().decode("ascii", "surrogateescape")  # of a process with LC_ALL=C
     assert json.loads(encoded({"recording": name})) == {"recording": "/log/prüfung"}
+
+
+@pytest.mark.parametrize("name", ["../../..", "", "a/b", ".", "x" * 65, "a\nb"])
+def test_an_arm_s_name_leads_to_no_other_folder(name: str) -> None:
+    with pytest.raises(ArmError, match="sockets and recordings are named after the arm"):
+        default_path(name)
+    assert sockets.find_sockets(name) == []
