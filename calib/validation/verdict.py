@@ -174,15 +174,15 @@ def _over_fit(found: Identification, held: HeldOut, slips: Collection[int] = ())
 
 
 def _answer(grade: Grade, found: Identification) -> str:
-    """The first sentence; it names parameters at their bounds if the result is good."""
+    """The first sentence; it names parameters at their bounds, where that limits what the result is worth."""
     bound = [estimate.parameter.name for estimate in found.estimates if estimate.is_at_bound]
+    rest = "rests on its bound" if len(bound) == 1 else "rest on their bounds"
     if grade == "good" and bound:
-        rest = "rests on its bound" if len(bound) == 1 else "rest on their bounds"
         return (
             f"The result is good on points not used: the residual is near the noise. But {', '.join(bound)} {rest}:"
             " elsewhere the geometry may be wrong."
         )
-    return {
+    answer = {
         "noise not known": "The result is better than nominal; whether it is good is unknown, since the noise is unknown.",
         "good": "The result is good: the residual on points not used is near the noise.",
         "not at the floor": "The result is better than nominal, but effects other than this geometry remain.",
@@ -190,6 +190,9 @@ def _answer(grade: Grade, found: Identification) -> str:
         "worse": "The result is worse than nominal on points not used: keep the nominal arm.",
         "too few points": "There are too few points to judge the result.",
     }[grade]
+    if bound and grade in ("noise not known", "not at the floor"):
+        return f"{answer} {', '.join(bound)} {rest}: the arm, its zeros or the bounds may be others."
+    return answer
 
 
 def _on_held_out(held: HeldOut, floor: NoiseFloor | None, slips_count: int = 0) -> list[str]:

@@ -5,7 +5,6 @@ import sys
 
 from control.errors import ArmError
 from procedures.drills.catalogue import drill_named, drills
-from procedures.drills.drill import run as run_drill
 from procedures.drills.table import header, in_words, row, verdict
 
 
@@ -14,13 +13,13 @@ def run(given: argparse.Namespace) -> int:
     if not given.mock:
         raise ArmError("drills break things on purpose and run on a mock arm only: add --mock")
     if given.name is not None:
-        outcome = run_drill(drill_named(given.name))
+        outcome = drill_named(given.name).run()
         sys.stdout.write(in_words(outcome) + "\n")
         return 1 if outcome.broken else 0
     outcomes = []
     sys.stdout.write(header() + "\n")
     for drill in drills().values():
-        outcomes.append(run_drill(drill))
+        outcomes.append(drill.run())
         sys.stdout.write(row(outcomes[-1]) + "\n")
         sys.stdout.flush()
     sys.stdout.write(verdict(outcomes) + "\n")

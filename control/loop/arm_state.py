@@ -49,6 +49,7 @@ class ArmState:
         # motions (motion_modes, homing)
         self.run_number = 0
         self.paced: Paced | None = None  # the active motion or stop
+        self.stops_along = False  # whether that motion slows down to rest on its path
         self.override = 1.0  # pace at which motions run
         self.jogging: Jogging | None = None
         self.homing: HomingSequence | None = None

@@ -8,7 +8,7 @@ from typing import Final
 
 from control.errors import ArmError
 from control.loop import set_points
-from control.loop.active_motion import stop_from
+from control.loop.active_motion import stop_along, stop_from
 from control.loop.arm_state import ArmState
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import Clip
@@ -17,12 +17,13 @@ from firmware_iface.errors import LinkError
 
 # The arm does not get to its set-point: a stop from there would push on what holds it back.
 _RESISTED: Final = frozenset({"following_error", "unexplained_torque"})
+_OF_THE_MOTION: Final = frozenset({"motion", "set_point_limit", "joint_range", "overspeed"})
 
 
 def fail(state: ArmState, fault: Fault) -> None:
     """Go to FAULT with the fault's reaction, and save the cycles before it."""
     monitor = state.monitor
-    was_let_go = _is_let_go(state)
+    was_let_go, was_on_path = _is_let_go(state), monitor.mode in set_points.ON_PATH or state.stops_along
     is_first = monitor.mode is not Mode.FAULT
     monitor.fault(_sharpened(state, fault))
     if is_first:
@@ -32,9 +33,17 @@ def fail(state: ArmState, fault: Fault) -> None:
         state.is_hold_pending = False
     state.was_stopped = True
     if monitor.is_held_fault and is_first:
-        stop_from(state, set_points.measured(state) if fault.code in _RESISTED else state.set_point)
+        _stop(state, fault.code, was_on_path)
     elif not was_let_go and _is_let_go(state):
         state.paced = None
+
+
+def _stop(state: ArmState, code: str, was_on_path: bool) -> None:
+    """The controlled stop after a fault: on the path of the motion, unless the motion is what is wrong."""
+    if code in _RESISTED:
+        stop_from(state, set_points.measured(state))
+    elif code in _OF_THE_MOTION or not (was_on_path and stop_along(state)):
+        stop_from(state, state.set_point)
 
 
 def _is_let_go(state: ArmState) -> bool:

@@ -182,6 +182,8 @@ _NOTES: Final = (
     "| JOG, connection closed | STOP |",
     "| JOG before homing | joints only, slowly, with half of the current |",
     "| PAUSED | begins while the arm still slows down; a motion that ends meanwhile raises ARRIVED |",
+    "| STOP, or a fault with a controlled stop, while MOVING or PAUSED | the motion slows down on its path where that takes"
+    " at most 0.4 s, else each joint as soon as it can |",
     "| fault in OFF, BRAKED, GUIDING | always brakes |",
     "| two faults | both stay listed; the more severe reaction wins: BRAKE never becomes HOLD or CONTROLLED |",
     "| acknowledge | by a person, after the controlled stop: to HOLDING if the arm was held, to BRAKED if it was braked;"

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterable
 
-from procedures.drills.drill import WATCHED_S, Outcome
+from procedures.drills.drill import WATCHED_S
+from procedures.drills.promise import Outcome
 
 HEADER = ("drill", "during", "noticed", "stood", "off path", "ran on", "lost", "found")
 WIDTHS = (22, 10, 9, 9, 9, 9, 11, 0)

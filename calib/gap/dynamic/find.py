@@ -28,6 +28,10 @@ from control.model.arm import Arm
 from control.progress import Advance, silent
 
 FAR_OFF = 20.0  # floors
+THINNED = (
+    0.35,
+    0.65,
+)  # of a sample: what a voltage lies off on the whole that changed in steps nobody recorded
 OF_THE_TIP = (
     "backlash",
     "joint_compliance",
@@ -99,7 +103,7 @@ def examine(
         *unmoved,
         *_doubts(before, rows.table),
         *_flying(rows, known, last.accepted),
-        *_corrected(last.accepted, recording.has_voltage),
+        *_corrected(last.accepted, recording),
         *last.warnings,
         *_grown(finding),
     )
@@ -181,7 +185,7 @@ def _grown(finding: GapFinding) -> tuple[str, ...]:
     )
 
 
-def _corrected(accepted: Fitted, has_voltage: bool) -> tuple[str, ...]:
+def _corrected(accepted: Fitted, recording: Recording) -> tuple[str, ...]:
     """Said where clocks differ: when camera or currents are read is no effect of the arm, and is taken off."""
     said = []
     for term in accepted.terms:
@@ -189,10 +193,18 @@ def _corrected(accepted: Fitted, has_voltage: bool) -> tuple[str, ...]:
         if term.form == CAMERA_TIME:
             way = "late" if term.values[0] < 0.0 else "early"
             said.append(f"the camera's times are {time_ms:.2f} ms {way}: taken into account")
+        elif (
+            term.form == SAMPLING_TIME
+            and THINNED[0] < 1e-3 * time_ms * recording.filters.rate_Hz < THINNED[1]
+        ):
+            said.append(
+                "other voltages were held between these samples, half a sample away on the whole: was the log thinned out? Taken"
+                " into account; record every sample"
+            )
         elif term.form == SAMPLING_TIME:
             than = (
                 "after the voltage of their line took effect"
-                if has_voltage
+                if recording.has_voltage
                 else "before the end of a step of the voltage"
             )
             said.append(f"angles and currents are read {time_ms:.2f} ms {than}: taken into account")

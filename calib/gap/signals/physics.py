@@ -148,7 +148,7 @@ class Physics:
             return np.where(run.is_off, 0.0, current)
         if self.recording.has_voltage:
             return np.asarray(run.current_A + self._staircase.of_mean_current(parts.delay_s)[k])
-        ahead = 0.5 * self._period - self._lag + min(parts.delay_s, 0.0)
+        ahead = 0.5 * self.recording.held_s - self._lag + min(parts.delay_s, 0.0)
         return np.asarray(run.current_A + ahead * (run.current_slope + K * run.acceleration / self._R))
 
     def _electrical(self, parts: Parts, run: Motion, k: int, ahead: MotorAhead) -> Array:

@@ -65,7 +65,10 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """All runs, which repeat each other, and sentences about what is wrong with them."""
+    """All runs, which repeat each other, and sentences about what is wrong with them.
+
+    `held_s`: how long the controller holds a voltage, its own sampling period, where samples were averaged afterwards.
+    """
 
     runs: tuple[Motion, ...]
     repeats: tuple[tuple[int, ...], ...]
@@ -74,13 +77,14 @@ class Recording:
     has_voltage: bool
     has_tip: bool
     warnings: tuple[str, ...]
+    held_s: float
 
 
 def prepare(arm: Arm, log: Log) -> Recording:
     """Return the recording of this arm; UnusableLogError if it cannot be one."""
     _check(arm, log)
     kept, warnings = _long_enough(log)
-    given, said = _as_sampled([_from_its_beginning(run) for run in kept])
+    given, said, averaged_count = _as_sampled([_from_its_beginning(run) for run in kept])
     warnings += said
     repeats = Log(given).repeats()
     period, rates = common_period(given)
@@ -96,7 +100,8 @@ def prepare(arm: Arm, log: Log) -> Recording:
     has_current = all(np.isfinite(run.current_A).all() for run in given)
     has_voltage = all(run.is_commanded or np.isfinite(run.voltage_V).any() for run in given)
     has_tip = all(len(run.frames) > 20 for run in runs)
-    return Recording(runs, repeats, filters, has_current, has_voltage, has_tip, tuple(warnings))
+    held_s = period / averaged_count
+    return Recording(runs, repeats, filters, has_current, has_voltage, has_tip, tuple(warnings), held_s)
 
 
 def _long_enough(log: Log) -> tuple[list[Run], list[str]]:
@@ -110,12 +115,12 @@ def _long_enough(log: Log) -> tuple[list[Run], list[str]]:
     return kept, [f"{_runs(short)}: shorter than {SHORTEST_s} s, not used"] if short else []
 
 
-def _as_sampled(runs: Sequence[Run]) -> tuple[tuple[Run, ...], list[str]]:
-    """Samples that were measured, at their times, as many as are looked at; and sentences about what was left or put together."""
+def _as_sampled(runs: Sequence[Run]) -> tuple[tuple[Run, ...], list[str], int]:
+    """Samples that were measured, at their times, as many as are looked at; sentences about that; how many a mean is of."""
     given, computed = measured(runs)
-    given, fast = averaged(tuple(evened(run, period_of([run])) for run in given))
+    given, fast, count = averaged(tuple(evened(run, period_of([run])) for run in given))
     part, long = part_of(Log(given))
-    return part.runs, [sentence for sentence in (computed, fast, long) if sentence]
+    return part.runs, [sentence for sentence in (computed, fast, long) if sentence], count
 
 
 def _from_its_beginning(run: Run) -> Run:

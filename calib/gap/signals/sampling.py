@@ -110,8 +110,8 @@ def _phase(run: Run, factor: int, differences: int) -> int | None:
     return (top + 1) % factor
 
 
-def averaged(runs: Sequence[Run]) -> tuple[tuple[Run, ...], str]:
-    """Fast runs without voltages as means of a few samples, and a sentence about it: what an arm does is far slower.
+def averaged(runs: Sequence[Run]) -> tuple[tuple[Run, ...], str, int]:
+    """Fast runs without voltages as means of a few samples, a sentence about it, and how many: what an arm does is far slower.
 
     Runs with voltages stay as they are: what was held between the samples cannot be averaged.
     """
@@ -119,9 +119,11 @@ def averaged(runs: Sequence[Run]) -> tuple[tuple[Run, ...], str]:
     factor = int(rate_Hz / FAST_Hz)
     factor -= 1 - factor % 2  # odd, so that a mean stands at a sample
     if factor < 3 or any(run.is_commanded or np.isfinite(run.voltage_V).any() for run in runs):
-        return tuple(runs), ""
-    return tuple(_averaged(run, factor) for run in runs), (
-        f"{rate_Hz:.0f} samples a second, without voltages: means of {factor} are used"
+        return tuple(runs), "", 1
+    return (
+        tuple(_averaged(run, factor) for run in runs),
+        f"{rate_Hz:.0f} samples a second, without voltages: means of {factor} are used",
+        factor,
     )
 
 

@@ -315,3 +315,21 @@ def test_a_client_waits_for_its_motion_through_a_pause_however_long_it_is(cell: 
     cell.client.move_joints(FAR)
     assert cell.rig.clock.now_s() - begun_s > 30.0
     assert cell.rig.joint_rad() == pytest.approx(FAR, abs=3e-3)
+
+
+@pytest.mark.parametrize("delay_s", [0.1, 0.25, 0.4])
+def test_a_stop_of_a_motion_ends_on_its_path(delay_s: float) -> None:
+    goal = (0.8, -0.3, 0.6)
+    with holding_cell(scenario((-0.8, -0.6, 0.2))) as cell:
+        start = cell.runtime.set_point.q_rad
+        cell.start_move(goal)
+        cell.run(delay_s)
+        cell.client.ask("stop")
+        cell.until(lambda: cell.mode is Mode.HOLDING, 0.45)
+        at = cell.runtime.set_point.q_rad
+        share = [(q - a) / (b - a) for q, a, b in zip(at, start, goal, strict=True)]
+        assert share == pytest.approx(
+            [share[0]] * 3, abs=1e-6
+        )  # a joint move is a straight line of the joints
+        assert 0.0 < share[0] < 1.0
+        assert cell.runtime.was_stopped

@@ -9,7 +9,6 @@ import pytest
 
 from console.main import main
 from procedures.drills.catalogue import drills
-from procedures.drills.drill import run
 from procedures.drills.stage import off_way_m
 from procedures.drills.table import HEADER, header, row, verdict
 
@@ -18,14 +17,14 @@ SAFETY = Path(__file__).parents[3] / "docs" / "safety.md"
 
 @pytest.mark.parametrize("name", ["pause-100-motion", "drift-20000-rest", "serial-gone-motion"])
 def test_a_drill_goes_as_promised(name: str) -> None:
-    outcome = run(drills()[name])
+    outcome = drills()[name].run()
     assert outcome.broken == ()
     assert outcome.drill.name in row(outcome)
 
 
 def test_a_promise_that_is_not_kept_is_said() -> None:
     strict = replace(drills()["stop-0-motion"], codes=frozenset({"overspeed"}), most_mm=-1.0)
-    outcome = run(strict)
+    outcome = strict.run()
     assert outcome.broken == ("expected overspeed", "more than -1 mm off its path")
     assert "BROKEN: expected overspeed" in row(outcome)
     assert verdict([outcome]) == "1 drills, 0 as promised, 1 not"
