@@ -47,6 +47,8 @@ class Feedback:
     drive_faults: list[int] = field(default_factory=list)
     # of the last COMMAND, in the joint's sign; NaN while the board finds the voltage itself, or drives nothing
     sent_V: list[float] = field(default_factory=list)
+    # (joint, its count, its motor board's count in the same sense and of the same moment) that came in this cycle
+    motor_counts: list[tuple[int, int, int]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         n = self.joint_count

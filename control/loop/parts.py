@@ -13,7 +13,7 @@ from control.kinematics.inverse import InverseKinematics
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.watch import Watch
-from control.loop.witnesses import IndexWatch, SwitchWatch, Witnesses
+from control.loop.witnesses import IndexWatch, MotorCountWatch, SwitchWatch, Witnesses
 from control.motion.guard import Guard
 from control.motion.setpoint import Motion, SetPoint
 from control.recording.record import Recorder
@@ -45,6 +45,7 @@ class Parts:
     witnesses: Witnesses
     indices: IndexWatch
     switches: SwitchWatch
+    motor_counts: MotorCountWatch
     set_point_limits: tuple[SetPointLimits, ...]
     homing: Callable[[], HomingSequence]
     gravity_compensation: GravityCompensation

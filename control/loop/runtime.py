@@ -2,7 +2,7 @@
 
     cycle(now_s, late_s, missed, missed_in_row)
       _read            hardware.read(), then angles and speeds from counts, camera, averages
-      _watch           limits, stale data, board faults -> faults -> the state machine
+      _watch           limits, stale data, board faults, contradictions -> faults -> the state machine
       _advance         the mode's change of the set-point (hold, motion, jog, homing, stop, nothing)
       _aim             encoder set-points, on an arm whose gears or belt are known
       _drive           set-point -> feed-forward + PID -> hardware.write()
@@ -97,9 +97,11 @@ class Runtime(ArmState):
         parts, feedback = self.parts, self.parts.hardware.feedback
         if not self.drives.is_ready or self.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE):
             parts.witnesses.forget()
+            parts.motor_counts.forget()
             return []
         model_A = parts.servo.model_A
         faults = parts.witnesses.look(self.elapsed_s, feedback, parts.measurement.speed_rad_s, model_A)
+        faults += parts.motor_counts.look(feedback.motor_counts, parts.measurement.speed_rad_s)
         is_homed = self.monitor.is_homed
         parts.hardware.watch_indices(is_homed)
         passed = parts.hardware.passed_indices()

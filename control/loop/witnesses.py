@@ -145,6 +145,61 @@ def _of_temperature(joint: Joint, temperature_degC: float) -> Fault:
     )
 
 
+class MotorCountWatch:
+    """Compares how far a joint has turned by its encoder board and by its motor board's own encoder.
+
+    The boards stop and hold by theirs when the loop is gone, so it must be alive and count the right way.
+    """
+
+    LEAST_counts = 16
+    SHARE = 0.25
+    LATE_S = 0.007  # within which a board answers
+
+    def __init__(
+        self, counts_per_radian: Sequence[float], counter_bits: Sequence[int], names: Sequence[str]
+    ) -> None:
+        """`counter_bits`: width of the encoder boards' counters; the motor boards have 32."""
+        self._counts_per_radian = tuple(abs(value) for value in counts_per_radian)
+        self._bits = tuple(counter_bits)
+        self._names = names
+        self._last: list[tuple[int, int, float] | None] = [None] * len(names)
+
+    def forget(self) -> None:
+        """Start anew: a board was off."""
+        self._last = [None] * len(self._last)
+
+    def look(self, pairs: Sequence[tuple[int, int, int]], speed_rad_s: Sequence[float]) -> list[Fault]:
+        """Return a fault for each (joint, count, motor board's count) that has turned otherwise since its last one."""
+        faults = []
+        for joint, count, motor_count in pairs:
+            speed_counts_s = abs(speed_rad_s[joint]) * self._counts_per_radian[joint]
+            last = self._last[joint]
+            self._last[joint] = (count, motor_count, speed_counts_s)
+            if last is None:
+                continue
+            motor_turned = _wrapped(motor_count - last[1], 32)
+            off = _wrapped(count - last[0] - motor_turned, self._bits[joint])
+            late = self.LATE_S * max(speed_counts_s, last[2])
+            if abs(off) > self.LEAST_counts + self.SHARE * abs(motor_turned) + late:
+                faults.append(_of_counts(self._names[joint], motor_turned + off, motor_turned))
+        return faults
+
+
+def _wrapped(count: int, bits: int) -> int:
+    half = 1 << (bits - 1)
+    return (count + half) % (2 * half) - half
+
+
+def _of_counts(where: str, turned: int, motor_turned: int) -> Fault:
+    return Fault(
+        "encoders_differ",
+        where,
+        f"its encoder board has counted {turned}, its motor board {motor_turned} in the same time",
+        "check the encoder's plugs at both boards, and the signs in arm.toml, then home again",
+        Reaction.BRAKE,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class SwitchPlace:
     """A joint's home switch: active beyond `switch_rad` in the direction `sense` (1 or -1), which is good to `tolerance_rad`."""

@@ -21,6 +21,7 @@ LOSES_ZERO: Final = frozenset(
         "encoder_miscount",
         "encoder_leap",
         "encoder_contradicted",
+        "encoders_differ",
         "index_off",
         "switch_off",
     }

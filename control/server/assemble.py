@@ -21,7 +21,14 @@ from control.loop.parts import Camera, Parts
 from control.loop.runtime import Runtime
 from control.loop.watch import JointLimits as MeasuredLimits
 from control.loop.watch import Watch, WatchLimits
-from control.loop.witnesses import IndexWatch, SwitchPlace, SwitchWatch, Witnesses, WitnessLimits
+from control.loop.witnesses import (
+    IndexWatch,
+    MotorCountWatch,
+    SwitchPlace,
+    SwitchWatch,
+    Witnesses,
+    WitnessLimits,
+)
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
 from control.motion.guard import Guard
@@ -79,6 +86,11 @@ def assemble(
         watch=Watch(_watch_limits(arm, period_s), names),
         witnesses=Witnesses(_motors(arm), _witness_limits(arm), names),
         indices=_indices(arm, measurement, names),
+        motor_counts=MotorCountWatch(
+            [JointMap(drive).counts_per_radian for drive in arm.drives],
+            [d.encoder_bits for d in arm.drives],
+            names,
+        ),
         switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),

@@ -137,6 +137,14 @@ class MotorBoard:
         """Command the board to come to rest and hold, by its own encoder."""
         self.command(4)
 
+    def ask_count(self) -> None:
+        """Ask for the count of the board's own encoder without waiting; see `count_taken`."""
+        self._parameters.begin_read(Parameter.POSITION_COUNT)
+
+    def count_taken(self) -> int | None:
+        """The count that `ask_count` asked for, once it has come; None before, and after a restart of the board."""
+        return self._parameters.taken(Parameter.POSITION_COUNT)
+
     def _milli(self, quantity: float) -> int:
         try:
             return round(quantity * 1e3)

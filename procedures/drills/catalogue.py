@@ -15,6 +15,7 @@ BRAKES = {
     "move_mm": 80.0,
 }  # shorted windings let a stretched arm sink by as much in the two seconds
 FALLS = {"rest_mm": 900.0, "move_mm": 900.0}  # an open circuit holds nothing: docs/motor_board.md, faults
+LYING = frozenset({"encoder_contradicted", "encoders_differ"})
 Inject = Callable[[Stage], None]
 
 
@@ -118,12 +119,12 @@ def _encoders() -> Iterator[Drill]:
     for rate in (2_000.0, 20_000.0):
         name, says = f"drift-{rate:.0f}", f"counts of joint 1 drift by {rate:,.0f} a second"
         inject = _fault("drifting_encoder", "encoder", channel=0, value=rate)
-        yield from _both(name, says, inject, "encoder_contradicted index_off switch_off", 1.0, **BRAKES)
+        yield from _both(name, says, inject, "encoder_contradicted encoders_differ index_off", 1.0, **BRAKES)
     inject = _fault("jumping_encoder", "encoder", channel=0, value=5_000.0)
     yield from _both("jump-5000", "5,000 counts gained at once", inject, "encoder_leap", **BRAKES)
-    yield Drill("counts-stuck-motion", "counts of joint 1 stand", MOVE, frozenset({"encoder_contradicted"}),
+    yield Drill("counts-stuck-motion", "counts of joint 1 stand", MOVE, LYING,
                 0.3, BRAKES["move_mm"], _fault("stuck_encoder", "encoder", channel=0))  # fmt: skip
-    yield Drill("backwards-motion", "joint 1 counts backwards", MOVE, frozenset({"encoder_contradicted"}),
+    yield Drill("backwards-motion", "joint 1 counts backwards", MOVE, LYING,
                 0.3, BRAKES["move_mm"], _fault("backwards_encoder", "encoder", channel=0))  # fmt: skip
 
 

@@ -238,7 +238,7 @@ homed = true
 [plant]
 timestep_s = 0.001
 [hand]
-speed_m_s = 1.0
+speed_m_s = 0.8
 seating_noise_m = 0.00005
 """
 

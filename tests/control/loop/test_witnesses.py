@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from control.loop.witnesses import IndexWatch, SwitchPlace, SwitchWatch
+from control.loop.witnesses import IndexWatch, MotorCountWatch, SwitchPlace, SwitchWatch
 from control.safety.table import Mode
 from tests.cell import RIGHT, STRETCHED, Cell, holding_cell, scenario, with_drive
 
@@ -95,8 +95,10 @@ def test_counts_lost_below_every_limit_are_found_by_the_next_index_pulse(cell: C
 
 def test_an_encoder_that_slipped_with_its_index_is_found_by_the_home_switch() -> None:
     with holding_cell(scenario((0.1, -0.6, 0.2))) as cell:
-        for _ in range(90):
-            cell.rig.robot.encoder_boards[0].slip(0, 15)
+        cell.inject("loose_encoder", "encoder", channel=0, value=0.0)
+        cell.run(0.01)
+        for _ in range(90):  # of the disc that both boards read, too little a time for any other check
+            cell.rig.robot._loose[0].slip_rad -= 15.0 / 32_595.0
             cell.run(0.04)
         assert cell.mode is Mode.HOLDING
         cell.start_move((-0.3, *STRETCHED[1:]), speed=0.3)
@@ -136,3 +138,40 @@ def test_a_switch_must_agree_with_the_side_beyond_its_tolerance(sense: float) ->
         found = [watch.look(0.002, [0.2 + sense * beyond_rad], flags) for _ in range(20)]
         assert (found[-1] == []) is is_well
         assert found[0] == []  # a contact that bounces
+
+
+@pytest.mark.parametrize("sign", [0, -1])
+def test_a_motor_board_whose_own_encoder_is_dead_or_reversed_is_found_in_the_first_motion(sign: int) -> None:
+    with holding_cell(scenario(STRETCHED)) as cell:
+        board = cell.rig.robot.motor_boards[0]
+        shaft = board._read_shaft
+        board._read_shaft = lambda: sign * shaft()
+        cell.run(0.3)
+        cell.start_move((0.6, *STRETCHED[1:]), speed=0.3)
+        cell.until_fault(0.4)
+        assert cell.faults == [("encoders_differ", "joint 1")]
+        assert abs(cell.rig.joint_rad()[0] - STRETCHED[0]) < 0.03
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+def test_two_counts_of_one_motor_may_differ_by_when_they_were_read(bits: int) -> None:
+    watch = MotorCountWatch([30_000.0], [bits], ("joint 1",))
+    speed_rad_s, period_s = 2.0, 0.12
+    wrap, narrow = 2**32, 2**bits
+    for step in range(40):
+        turned = round(30_000.0 * speed_rad_s * period_s * step) + 2**31 - 50_000
+        count = (turned + narrow // 2) % narrow - narrow // 2
+        late = (0, 300)[step % 2]
+        pair = (0, count, (turned + late + 12_345 + wrap // 2) % wrap - wrap // 2)
+        assert watch.look([pair], [speed_rad_s]) == []
+    assert [fault.code for fault in watch.look([(0, count, pair[2] + 1000)], [0.0])] == ["encoders_differ"]
+    watch.forget()
+    assert watch.look([(0, count + 9_999, 0)], [0.0]) == []
+
+
+def test_counts_that_drift_too_slowly_for_the_motors_voltage_are_found_by_the_motor_boards(
+    cell: Cell,
+) -> None:
+    cell.inject("drifting_encoder", "encoder", channel=0, value=300.0)  # 9 mrad a second
+    cell.until_fault(0.5)
+    assert cell.faults == [("encoders_differ", "joint 1")]

@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from control.safety.fault import Fault, Reaction
+from control.safety.fault import LOSES_ZERO, Fault, Reaction
 from control.safety.monitor import IllegalTransition, Monitor
 from control.safety.table import TRANSITIONS, Event, Mode, as_markdown, legal_events, next_towards_off
 from tests.places import ROOT
@@ -326,9 +326,7 @@ def test_of_two_faults_the_severer_reaction_wins_in_either_order():
         assert reactions == list(itertools.accumulate((fault.reaction for fault in order), max))
 
 
-@pytest.mark.parametrize(
-    "code", ["zero_lost", "encoder_signal", "encoder_miscount", "encoder_leap", "encoder_contradicted", "index_off", "switch_off"]
-)  # fmt: skip
+@pytest.mark.parametrize("code", sorted(LOSES_ZERO))
 def test_a_count_that_went_wrong_takes_the_zero_until_homing_has_found_it(code):
     monitor = _monitor(Mode.HOLDING)
     monitor.fault(Fault(code, "joint 1", "it is off", "home it", Reaction.BRAKE))
@@ -348,3 +346,10 @@ def test_other_faults_leave_the_zero(code):
     monitor = _monitor(Mode.HOLDING)
     monitor.fault(Fault(code, "joint 1", "it is off", "mend it", Reaction.BRAKE))
     assert (monitor.is_homed, monitor.is_zero_doubted) == (True, False)
+
+
+def test_the_faults_that_take_the_zero_are_those_of_the_page():
+    page = (ROOT / "docs" / "safety.md").read_text()
+    rows = [line for line in page.splitlines() if line.rstrip().endswith("zero lost |")]
+    named = {row.split("`")[1] for row in rows}
+    assert named | {"zero_lost", "encoder_signal", "encoder_miscount"} == LOSES_ZERO
