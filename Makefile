@@ -22,6 +22,9 @@ demo: install  ## the whole job on the mock arm: move, calibrate, verify; writes
 demo-gap: install  ## an effect hidden in the mock arm, found, added to the model and corrected on the arm; 2 to 6 minutes
 	$(BIN)/armwright demo gap --out out/demo-gap
 
+drills: install  ## faults of every kind on the mock arm: how soon noticed, what moved, what was lost (docs/safety.md); some minutes
+	$(BIN)/armwright drill --mock
+
 lint: install  ## ruff, format check, mypy strict, import contracts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -60,4 +63,4 @@ lock: install  ## pin again what pyproject.toml names (needs uv)
 clean:  ## remove what make made
 	rm -rf .venv .venv-peers out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help install demo demo-gap lint test format bench coverage-study solver-study screenshots gap-score rough-score lock clean
+.PHONY: help install demo demo-gap drills lint test format bench coverage-study solver-study screenshots gap-score rough-score lock clean

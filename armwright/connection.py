@@ -167,6 +167,10 @@ class RunningArm:
         """Means over `duration_s` at rest: encoder angles, currents and, with a camera, the tip in the base frame."""
         return self._client.average(duration_s)
 
+    def take_control(self) -> None:
+        """Keep control between motions until the connection ends: other clients may only watch and stop meanwhile."""
+        self._client.take_control()
+
     def acknowledge(self) -> None:
         """Confirm the faults after their cause is gone; the arm may be enabled again."""
         self._client.acknowledge()

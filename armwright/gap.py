@@ -50,7 +50,12 @@ class Gap:
 
 
 def find_gap(
-    arm: Arm, points: Points | Files | None = None, log: Files | None = None, *, without: Sequence[str] = ()
+    arm: Arm,
+    points: Points | Files | None = None,
+    log: Files | None = None,
+    *,
+    without: Sequence[str] = (),
+    current_unit: str = "A",
 ) -> Gap:
     """Find effects that the model of `arm` lacks, from static poses, time series, or both.
 
@@ -59,25 +64,27 @@ def find_gap(
         points: Points, or one or more points.csv.
         log: one or more log.csv.
         without: names of effects to exclude.
+        current_unit: what the files' columns i1_A ... are: "A", "mA", "percent" of the drives' current limits, "Nm" (torques
+            of the joints), "motor_Nm".
 
     Raises:
         CalibrationError: a file names its line and column; or the measurements are too few.
     """
-    recordings = _recordings(arm, points, log)
+    recordings = _recordings(arm, points, log, current_unit)
     outcome = find_gap_in(arm, recordings, without=without)
     return Gap(arm, recordings, outcome)
 
 
-def _recordings(arm: Arm, points: Points | Files | None, log: Files | None) -> Recordings:
+def _recordings(arm: Arm, points: Points | Files | None, log: Files | None, current_unit: str) -> Recordings:
     if not isinstance(points, Points):
-        return read_recordings(arm, _files(points), _files(log))
+        return read_recordings(arm, _files(points), _files(log), current_unit)
     if points.joint_count != arm.joint_count:
         raise CalibrationError(
             f"points: {points.joint_count} joints, but arm {arm.name} has {arm.joint_count}"
         )
     if log is None:
         return Recordings(points, None, (), (), ())
-    return dataclasses.replace(read_recordings(arm, (), _files(log)), points=points)
+    return dataclasses.replace(read_recordings(arm, (), _files(log), current_unit), points=points)
 
 
 def _files(files: Files | None) -> Sequence[str | Path]:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from control.errors import ArmError
-from control.files import write_whole
+from control.files import parsed_toml, read_text, write_whole
 
 KEYS = {"q_rad", "tip_m"}
 
@@ -64,7 +64,7 @@ def save_place(file: Path, name: str, q_rad: Sequence[float]) -> bool:
 
 def _tables(file: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        return parsed_toml(read_text(file))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise PlacesError(f"{file}: not valid TOML: {error}; correct it, or give another file") from None
     except OSError as error:

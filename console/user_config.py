@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from control.errors import ArmError
+from control.files import parsed_toml, read_text
 
 VARIABLE = "ARMWRIGHT_ARM"
 BUILT_IN = "right"
@@ -51,7 +52,7 @@ def _read(file: Path) -> dict[str, Any]:
     import tomllib
 
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        return parsed_toml(read_text(file))
     except FileNotFoundError:
         return {}
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -1,16 +1,24 @@
-"""Writes result files atomically: complete or not at all, with one error that names the file."""
+"""Writes result files atomically, complete or not at all, and reads files of limited size; one error names the file.
+
+What is read here may come from anywhere: a pipe that never ends, a device, a file of gigabytes, text nested a thousand deep.
+"""
 
 import contextlib
 import errno
+import json
 import os
+import re
+import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 T = TypeVar("T")
 PROBE_bytes = 1 << 18  # size of the trial file: some full disks still accept a small one
 LONGEST_NAME_bytes = 255
+TEXT_MOST_bytes = 1 << 26  # of a file that is read as a whole: 64 MB; the largest of ours has some 100 kB
+DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){32}")
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
 
@@ -25,6 +33,58 @@ class NotWritten(OSError):
     def __str__(self) -> str:
         """As an operator reads it."""
         return f"{self.filename}: not written: {self.strerror}"
+
+
+class NotReadable(OSError):
+    """A file that is none, or is too large; `strerror` says so."""
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Open a file for reading without waiting. NotReadable for a pipe or a device; OSError as usual."""
+    fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    mode = os.fstat(fd).st_mode
+    if stat.S_ISREG(mode):
+        return os.fdopen(fd, "rb")
+    os.close(fd)
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    raise NotReadable(errno.EINVAL, "a pipe or a device, expected a file", str(path))
+
+
+def read_bytes(path: Path, most_bytes: int = TEXT_MOST_bytes) -> bytes:
+    """Read a whole file whose size is checked before. OSError, NotReadable if it is larger than `most_bytes`."""
+    with open_file(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size <= most_bytes and len(content := file.read(most_bytes + 1)) <= most_bytes:
+            return content
+    raise NotReadable(
+        errno.EFBIG, f"{1e-6 * size:.0f} MB, expected at most {1e-6 * most_bytes:.0f} MB", str(path)
+    )
+
+
+def read_text(path: Path, encoding: str = "utf-8", most_bytes: int = TEXT_MOST_bytes) -> str:
+    """As `read_bytes`, as text with line ends as written by Python. Raises UnicodeDecodeError, too."""
+    return read_bytes(path, most_bytes).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def parsed_json(text: str | bytes) -> Any:
+    """json.loads, with a ValueError for whatever is wrong: nesting beyond Python's depth, too."""
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+
+
+def parsed_toml(text: str) -> dict[str, Any]:
+    """tomllib.loads, with a TOMLDecodeError for whatever is nested too deeply: it needs memory by the square of the depth."""
+    import tomllib
+
+    if DEEP_KEY.search(text):
+        raise tomllib.TOMLDecodeError("a key of more than 32 parts")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise tomllib.TOMLDecodeError("nested too deeply") from None
 
 
 def make_whole(path: Path, write: Callable[[Path], T]) -> T:
@@ -60,8 +120,13 @@ def write_new(path: Path, content: str | bytes) -> None:
 
 
 def append_whole(fd: int, path: Path, content: bytes) -> None:
-    """Append to the open file `path` and sync; NotWritten if not all of it fits, and then nothing is appended."""
+    """Append to the open file `path` (readable, of lines) and sync; NotWritten if not all of it fits: nothing is appended.
+
+    A file that does not end with a line end, because an earlier piece could not be taken back, is not appended to.
+    """
     begun = os.lseek(fd, 0, os.SEEK_END)
+    if begun and os.pread(fd, 1, begun - 1) != b"\n":
+        raise NotWritten(errno.EIO, "its last line is incomplete; close and open it again", str(path))
     try:
         _write_all(fd, content)
         os.fsync(fd)

@@ -11,7 +11,7 @@ import os
 import select
 import termios
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from struct import Struct
 from typing import Protocol
@@ -22,6 +22,7 @@ from serial.tools import list_ports
 
 from firmware_iface.errors import LinkLost, MisuseError, PortMissing
 
+_PATIENT_READS = 4  # looks at an empty tty before the kernel is asked to hand over what it holds
 _READ_BYTES = 65536  # more than a serial driver buffers
 _INT = Struct("i")
 _NO_BYTES = _INT.pack(0)
@@ -140,14 +141,20 @@ class _PosixByteLink:
         self._port = port
         self._fd = port.fileno()
         os.set_blocking(self._fd, False)
+        self._empty_reads = 0
         self._writable = select.poll()
         self._writable.register(self._fd, select.POLLOUT)
 
     def read(self) -> bytes:
         # Query the number of bytes first, because reading an empty tty may wait: the kernel then flushes pending
-        # input in a worker of ordinary priority, and a real-time loop would wait for it.
+        # input in a worker of ordinary priority, and a real-time loop would wait for it. On a busy machine that worker is
+        # late by tens of milliseconds, with the board's bytes in its hands: a line that has been empty for some reads is
+        # therefore read all the same, so that no board is called silent while its bytes are here.
         try:
             (waiting,) = _INT.unpack(fcntl.ioctl(self._fd, termios.FIONREAD, _NO_BYTES))
+            self._empty_reads = 0 if waiting else self._empty_reads + 1
+            if self._empty_reads % (_PATIENT_READS + 1) == _PATIENT_READS:
+                waiting = _READ_BYTES
             return os.read(self._fd, waiting) if waiting else b""
         except BlockingIOError:
             return b""
@@ -280,6 +287,17 @@ class _OwnMessage(can.Message):
         return self
 
 
+def _now(bus: can.BusABC) -> Callable[[], can.Message | None]:
+    """A function that returns the next message at once, or None.
+
+    python-can's own `recv(timeout=0)` reads the time of day: where that steps back in between, it waits for as long as the step.
+    An interface that has its own `recv` is used as it is. No filters are set, so none are applied.
+    """
+    if type(bus).recv is not can.BusABC.recv:
+        return lambda: bus.recv(timeout=0)
+    return lambda: bus._recv_internal(timeout=0)[0]
+
+
 class _CanFrameLink:
     """Any python-can bus. Frames other than classic data frames with an 11-bit id are counted in `rejected`."""
 
@@ -290,6 +308,7 @@ class _CanFrameLink:
         # Multicast echoes our own frames; each is dropped once.
         self._echoes: deque[tuple[int, bytes]] | None = deque(maxlen=_ECHO_MEMORY) if hears_itself else None
         self._is_open = True
+        self._receive = _now(bus)
 
     def send(self, can_id: int, payload: bytes) -> None:
         message = _OwnMessage(arbitration_id=can_id, data=payload, is_extended_id=False, check=False)
@@ -315,7 +334,7 @@ class _CanFrameLink:
     def _next(self) -> can.Message | None:
         while True:
             try:
-                return self._bus.recv(timeout=0)
+                return self._receive()
             except can.CanOperationError as problem:
                 if "unpack" not in str(problem):
                     raise self._lost(problem) from None

@@ -21,13 +21,14 @@ OF_ENCODER = (
     | _IDENTITY
     | _BUILT_INTO_ENCODER
     | {"stuck_encoder", "lost_wire", "quadrature_error", "loose_encoder"}
+    | {"frozen_clock", "drifting_encoder", "slipped_encoder", "jumping_encoder", "backwards_encoder"}
 )
 OF_MOTOR = (
     ON_FRAMES
     | _IDENTITY
     | _BUILT_INTO_MOTOR
     | {"over_current", "over_temperature", "supply", "encoder_fault", "swapped_polarity"}
-    | {"dead_motor", "stuck_joint"}
+    | {"dead_motor", "stuck_joint", "says_current", "says_supply", "says_temperature"}
 )
 OF_CAMERA = ON_FRAMES - {"delay_frames"}  # its latency is a separate key
 BUILT_IN = _BUILT_INTO_ENCODER | _BUILT_INTO_MOTOR  # before power-up
@@ -41,6 +42,12 @@ _NEED_VALUE = {
     "wrong_encoder",
     "wrong_gear",
     "supply",
+    "drifting_encoder",
+    "slipped_encoder",
+    "jumping_encoder",
+    "says_current",
+    "says_supply",
+    "says_temperature",
 }
 Frames = list[tuple[float, bytes]]  # (arrival time at the host, frame)
 

@@ -256,7 +256,9 @@ class MockRobot:
 
     def _switch_motor(self, fault: FaultTable, j: int, is_on: bool) -> None:
         board = self.motor_boards[j]
-        if fault.kind in _FORCED:
+        if fault.kind.startswith("says_"):
+            board.says[fault.kind] = fault.value if is_on else None
+        elif fault.kind in _FORCED:
             bit = _FORCED[fault.kind]
             board.forced_faults = board.forced_faults | bit if is_on else board.forced_faults & ~bit
         elif fault.kind == "swapped_polarity":
@@ -280,7 +282,9 @@ class MockRobot:
 
     def _switch_encoder(self, fault: FaultTable, i: int, is_on: bool) -> None:
         board = self.encoder_boards[i]
-        sets = {"stuck_encoder": board.stuck, "lost_wire": board.lost}
+        sets = {
+            "stuck_encoder": board.stuck, "lost_wire": board.lost, "backwards_encoder": board.backwards
+        }  # fmt: skip
         if fault.kind in sets:
             change: Callable[[int], None] = sets[fault.kind].add if is_on else sets[fault.kind].discard
             change(fault.channel)
@@ -288,6 +292,16 @@ class MockRobot:
             self._loosen(i, fault, is_on)
         elif fault.kind == "quadrature_error" and is_on:
             board.quadrature_error(fault.channel, round(fault.value or 1))
+        elif fault.kind == "slipped_encoder" and is_on:
+            board.slip(fault.channel, round(fault.value or 0))
+        elif fault.kind == "jumping_encoder" and is_on:
+            board.jump(fault.channel, round(fault.value or 0))
+        elif fault.kind == "drifting_encoder":
+            board.drift.pop(fault.channel, None)
+            if is_on:
+                board.drift[fault.channel] = fault.value or 0.0
+        elif fault.kind == "frozen_clock":
+            board.freeze_clock(is_on)
         elif fault.kind == "board_reset" and is_on:
             board.power_up(self.now_s, self._shafts(i)[0])
         elif fault.kind == "wrong_identity" and is_on:

@@ -15,9 +15,13 @@ import termios
 import tty
 from typing import Protocol
 
+import can
+
+from firmware_iface.errors import LinkLost
 from firmware_iface.link import open_can
 from hil_mocks.devices.motor_board import Frame
 
+_BUS_OFF = 0x40  # CAN_ERR_BUSOFF of linux/can/error.h
 _MOST_LOOKS = 20_000  # some 10 ms
 _ROOM_BYTES = 3500  # of the 4095 that a tty holds for a host that does not read
 
@@ -44,10 +48,13 @@ class Pty:
         self._readable.register(self._theirs, select.POLLIN)
         self._expected_bytes = 0  # bytes that the host will find once the kernel has transferred all
         self.path = os.ttyname(self._theirs)
+        self._is_here = True
 
     def read(self) -> bytes:
         """Read everything that the host has written."""
         received = b""
+        if not self._is_here:
+            return received
         try:
             # The kernel transfers bytes through a pty asynchronously; only an empty read ensures that all have arrived.
             while part := os.read(self._ours, 65536):
@@ -58,6 +65,8 @@ class Pty:
 
     def write(self, sent: bytes) -> None:
         """Send; if a host does not read, the oldest frames are lost."""
+        if not self._is_here:
+            return
         if len(sent) > _ROOM_BYTES:
             sent = sent[-_ROOM_BYTES:]
             sent = sent[sent.index(0) + 1 :]
@@ -78,9 +87,15 @@ class Pty:
     def _unread(self) -> int:
         return int.from_bytes(fcntl.ioctl(self._theirs, termios.FIONREAD, b"\0\0\0\0"), sys.byteorder)
 
+    def vanish(self) -> None:
+        """Unplug the port: whoever has it open gets errors from now on."""
+        self._is_here, self._expected_bytes = False, 0
+        os.close(self._ours)
+
     def close(self) -> None:
         """Close the pty."""
-        os.close(self._ours)
+        if self._is_here:
+            os.close(self._ours)
         os.close(self._theirs)
 
 
@@ -94,6 +109,7 @@ class Wires:
         # A separate port, because python-can receives all groups of a port. No hops: frames stay on this machine.
         is_multicast = can_interface == "udp_multicast"
         self.can_options: dict[str, int] = {"port": free_udp_port(), "hop_limit": 0} if is_multicast else {}
+        self._can_interface, self._can_channel = can_interface, can_channel
         self._can = open_can(can_interface, can_channel, **self.can_options)
         self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._camera.setblocking(False)
@@ -105,8 +121,9 @@ class Wires:
             received = pty.read()
             if received:
                 robot.from_host_serial(i, received)
-        for can_id, payload in self._can.receive():
-            robot.from_host_can(can_id, payload)
+        with contextlib.suppress(LinkLost):  # a bus that is off for the host
+            for can_id, payload in self._can.receive():
+                robot.from_host_can(can_id, payload)
 
     def serial_to_host(self, robot: OnWires, ahead_s: float = 0.0) -> None:
         """Send the host the bytes that arrive by now, or within `ahead_s`."""
@@ -131,6 +148,11 @@ class Wires:
             for datagram in robot.camera_outgoing:
                 self._send_picture(datagram)
             robot.camera_outgoing.clear()
+
+    def bus_off(self) -> None:
+        """Tell the host's controller that it is off the bus, as SocketCAN does."""
+        with can.Bus(interface=self._can_interface, channel=self._can_channel, ignore_config=True) as bus:
+            bus.send(can.Message(arbitration_id=_BUS_OFF, is_error_frame=True, is_extended_id=False))
 
     def _send_picture(self, datagram: bytes) -> None:
         try:

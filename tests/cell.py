@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import msgspec
 
+from control.errors import ArmError
 from control.hardware.connect import Connection, connect
 from control.loop.runtime import Runtime
 from control.model.arm import Arm, CanBus
@@ -19,6 +21,7 @@ from control.safety.table import Mode
 from control.server.assemble import Assembly, assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
+from control.server.messages import asked
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import EffectTable, FaultTable, Scenario, Start, load_scenario
 
@@ -171,3 +174,12 @@ def with_drive(arm: Arm, joint: int, **changes: Any) -> Arm:
 def run_numbers(rows: Sequence[dict[str, str]]) -> list[str]:
     """The runs of an exported log, in order."""
     return [run for run, _ in itertools.groupby(row["run"] for row in rows)]
+
+
+def handled(cell: Cell, request: Mapping[str, Any], client: int = 0) -> dict[str, Any]:
+    """The answer to a request of a client by its number, through the same bytes as over the socket."""
+    try:
+        request_ = asked(json.dumps(request).encode())
+    except ArmError as error:
+        return {"ok": False, "error": str(error)}
+    return cell.assembly.requests.handle(request_, client)

@@ -23,12 +23,13 @@ from itertools import chain, repeat
 
 import numpy as np
 
-from calib.arm_problem.joint_laws import COUPLED, COUPLING, LAWS, RestingPoints
+from calib.arm_problem.joint_laws import COUPLING, LAWS, RestingPoints
 from calib.arm_problem.observations import Correction
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
 from calib.points.points import Points
 from control.model.arm import Arm, Effect
+from control.model.effects import COUPLED
 
 Key = tuple[str, int | None]  # effect and joint
 
@@ -37,7 +38,7 @@ def corrections(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[Correc
     """The linear parameters of the wanted effects, starting from those that the arm already has.
 
     CalibrationError for an unknown effect or joint; MissingModel if a flank or torque is needed and the
-    arm's file lacks masses or drives.
+    arm's file lacks masses.
     """
     at = RestingPoints(arm, points)
     has = {(effect.effect, effect.joint): effect for effect in arm.effects}

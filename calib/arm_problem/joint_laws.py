@@ -22,9 +22,9 @@ from control.dynamics.effect_laws import (
 )
 from control.dynamics.static_pose import RestingPose, resting
 from control.model.arm import Arm
+from control.model.effects import COUPLED_TO
 
 COUPLING: Final = "belt_coupling"
-COUPLED, COUPLED_TO = 3, 2  # joints, 1-based
 SHARE_PARTS: Final = 8
 
 
@@ -36,7 +36,7 @@ class RestingPoints:
 
     @cached_property
     def resting(self) -> RestingPose:
-        """The state of the gears. MissingModel if the arm's file lacks masses or drives."""
+        """The state of the gears. MissingModel if the arm's file lacks masses."""
         seen = self.points
         payload_kg = np.nan_to_num(seen.payload_kg)
         return resting(self._arm, seen.q_rad, seen.direction, seen.current_A, payload_kg)

@@ -13,6 +13,7 @@ from calib.arrays import Array, frozen
 from calib.boards.registration import Registration
 from calib.errors import RegistrationError
 from calib.points.writer import replace_file
+from control.files import parsed_json, read_text
 
 FORMAT = "boards/1"
 SD_KEYS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
@@ -54,7 +55,7 @@ def write_boards(
 def read_boards(path: Path) -> dict[str, BoardPose]:
     """The poses by setup. RegistrationError names file and key."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parsed_json(read_text(path))
     except OSError as error:
         raise RegistrationError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calib.gap.finding import EffectName, GapFinding, Nameable, NamedEffect, Unknown
-from calib.gap.posterior.nameable import NAMEABLE_sd
 
 # Standard deviations, or share of the value, that two estimates of one parameter may differ by.
 AGREE_sd, AGREE_SHARE = 3.0, 0.2
@@ -51,7 +50,7 @@ class Level:
     def would_see(self, name: EffectName) -> bool:
         """Whether it could name the effect, with a wide margin."""
         return any(
-            one.name == name and one.detectability >= SURELY * NAMEABLE_sd and not one.confusable_with
+            one.name == name and one.detectability >= SURELY * one.needed_sd and not one.confusable_with
             for one in self.finding.nameable
         )
 
@@ -67,7 +66,7 @@ class Level:
             (
                 other
                 for other in self.names()
-                if other != name and other.effect in role and _place(other) == _place(name)
+                if other != name and other.effect in role and other.acts_on == name.acts_on
             ),
             None,
         )
@@ -271,7 +270,7 @@ def _nameable(static: GapFinding, dynamic: GapFinding) -> tuple[Nameable, ...]:
 
 
 def _rank(one: Nameable) -> tuple[bool, float]:
-    return one.detectability >= NAMEABLE_sd and not one.confusable_with, one.detectability
+    return one.is_nameable, one.detectability / one.needed_sd
 
 
 def _parameters(effect: NamedEffect | None) -> dict[str, tuple[float, float]]:
@@ -281,10 +280,6 @@ def _parameters(effect: NamedEffect | None) -> dict[str, tuple[float, float]]:
 def _apart(parameter: str, value: float, also: float) -> float:
     """How far two values differ; phases go round."""
     return math.remainder(also - value, 2.0 * math.pi) if parameter == "phase_rad" else also - value
-
-
-def _place(name: EffectName) -> int | None:
-    return 3 if name.effect == "belt_coupling" else name.joint
 
 
 def _known(sd: float) -> float:

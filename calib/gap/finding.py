@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from control.files import write_whole
+from control.model.effects import COUPLED
 
 Parameters = Mapping[str, tuple[float, float]]  # by name: value and standard deviation
 
@@ -28,6 +29,11 @@ class EffectName:
         place = "link" if self.effect in ON_LINKS else "joint"
         return self.effect if self.joint is None else f"{self.effect} on {place} {self.joint}"
 
+    @property
+    def acts_on(self) -> int | None:
+        """The joint or link that it moves."""
+        return COUPLED if self.effect == "belt_coupling" else self.joint
+
     def content(self) -> dict[str, object]:
         """For gap.json."""
         return {"effect": self.effect, "joint": self.joint}
@@ -39,6 +45,7 @@ class NamedEffect:
 
     `probability` of it given the data, `share` of the excess over the noise that it explains, `departure` of the part from the
     textbook's law as a fraction of its size, over the law's own `variable`. NaN and "" where they were not determined.
+    `is_nothing`: the arm's file has it and the data do not: its total is none, without parameters, and it is taken out.
     """
 
     name: EffectName
@@ -49,6 +56,7 @@ class NamedEffect:
     share: float = math.nan
     departure: float = math.nan
     variable: str = ""
+    is_nothing: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +78,21 @@ class OpenQuestion:
 
 @dataclass(frozen=True, slots=True)
 class Nameable:
-    """Whether this data could name an effect at all: detectability in standard deviations, and its confounders."""
+    """Whether this data could name an effect at all: detectability in standard deviations, and its confounders.
+
+    Poses count those of an effect of usual size, time series those of the smallest size that is worth a name: `needed_sd` is what
+    a name needs on the scale of this one, and no two scales are to be compared but by it.
+    """
 
     name: EffectName
     detectability: float
     confusable_with: tuple[EffectName, ...] = ()
+    needed_sd: float = field(kw_only=True)
+
+    @property
+    def is_nameable(self) -> bool:
+        """Whether it would be named: it stands out, and nothing else looks the same."""
+        return self.detectability >= self.needed_sd and not self.confusable_with
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +161,7 @@ def gap_content(found: GapFinding) -> dict[str, object]:
                 **one.name.content(),
                 "detectability": _number(one.detectability),
                 "confusable_with": [name.content() for name in one.confusable_with],
+                "is_nameable": one.is_nameable,
             }
             for one in found.nameable
         ],
@@ -163,6 +182,7 @@ def _named(effect: NamedEffect) -> dict[str, object]:
         "parameters": {
             name: {"value": value, "sd": _number(sd)} for name, (value, sd) in effect.parameters.items()
         },
+        "is_nothing": effect.is_nothing,
         "gap_after": _number(effect.gap_after),
         "probability": _number(effect.probability),
         "share": _number(effect.share),

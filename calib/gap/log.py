@@ -13,11 +13,12 @@ import math
 import re
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError, PointsFileError
@@ -37,7 +38,8 @@ class Run:
     """One recording of m samples of n joints; arrays are read-only, NaN where the file has nothing.
 
     t_s (m,); q_rad, q_set_rad, current_A, voltage_V (m, n); payload_kg (m,), 0 where the file has no such column;
-    tip_m (m, 3) in the base frame. `extra` holds columns that the format does not know, as text.
+    tip_m (m, 3) in the base frame. `extra` holds columns that the format does not know, as text. `is_commanded`: the voltages
+    are recorded, and where there is none the driver is off.
     """
 
     name: str
@@ -49,10 +51,23 @@ class Run:
     payload_kg: Array
     tip_m: Array
     extra: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    is_commanded: bool = False
 
     def __len__(self) -> int:
         """How many samples."""
         return len(self.t_s)
+
+    def rows(self, rows: slice | npt.NDArray[np.intp], name: str = "") -> Run:
+        """Some of its samples, under another name if one is given."""
+        kept = np.arange(len(self))[rows].tolist()
+        return replace(
+            self,
+            name=name or self.name,
+            t_s=frozen(self.t_s[rows]), q_rad=frozen(self.q_rad[rows]), q_set_rad=frozen(self.q_set_rad[rows]),
+            current_A=frozen(self.current_A[rows]), voltage_V=frozen(self.voltage_V[rows]),
+            payload_kg=frozen(self.payload_kg[rows]), tip_m=frozen(self.tip_m[rows]),
+            extra=MappingProxyType({column: tuple(texts[k] for k in kept) for column, texts in self.extra.items()}),
+        )  # fmt: skip
 
     @property
     def payload(self) -> float:
@@ -86,12 +101,28 @@ class Log:
 
 
 def is_repeat(first: Run, second: Run) -> bool:
-    """Whether two runs were asked to do the same with the same load; runs without set-points never are."""
-    shared = min(len(first), len(second))
-    if abs(len(first) - len(second)) > 0.02 * shared or not abs(first.payload - second.payload) < 1e-6:
+    """Whether two runs were asked to do the same with the same load; runs without set-points never are.
+
+    Runs of an irregular clock have no times in common, and begin within a sample of each other: theirs may differ by what they
+    move there in a sample.
+    """
+    length_s = float(first.t_s[-1] - first.t_s[0])
+    apart_s = abs(float(second.t_s[-1] - second.t_s[0]) - length_s)
+    if apart_s > 0.02 * length_s or not abs(first.payload - second.payload) < 1e-6:
         return False
-    one, other = first.q_set_rad[:shared], second.q_set_rad[:shared]
-    return not np.isnan(one).any() and bool(np.all(np.abs(one - other) <= SAME_RAD))
+    shared = min(len(first), len(second))
+    one, other = first.q_set_rad, second.q_set_rad
+    if np.isnan(one).any() or np.isnan(other).any():
+        return False
+    here, there = first.t_s - first.t_s[0], second.t_s - second.t_s[0]
+    period_s = length_s / max(len(first) - 1, 1)
+    if np.abs(here[:shared] - there[:shared]).max() < 0.5 * period_s:
+        return bool(np.all(np.abs(one[:shared] - other[:shared]) <= SAME_RAD))
+    within = here <= there[-1]
+    at_here = np.stack([np.interp(here, there, column) for column in other.T], axis=1)
+    steps = np.pad(np.abs(np.diff(one, axis=0)), ((2, 2), (0, 0)), mode="edge")
+    moved = np.max([steps[k : k + len(one)] for k in range(4)], axis=0)
+    return bool(np.all((np.abs(one - at_here) <= SAME_RAD + moved)[within]))
 
 
 def read_log(path: Path, joint_count: int | None = None) -> tuple[Log, tuple[str, ...]]:
@@ -242,4 +273,5 @@ class _Table:
             frozen(np.nan_to_num(column("payload_kg", 0.0))),
             frozen(np.stack([column(name) for name in TIP], axis=1)),
             MappingProxyType({name: tuple(texts[rows]) for name, texts in self._extra.items()}),
+            "u1_V" in self._columns,
         )

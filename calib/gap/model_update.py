@@ -19,9 +19,15 @@ SUMMED = (
 
 
 def updated_arm(arm: Arm, found: GapFinding, dh: Array | None, made: Calibration) -> Arm:
-    """The arm with what was named, which is a total, in place of what its file has, and with the geometry `dh`."""
-    named = [effect_of(one.name, one.parameters) for one in found.effects if one.name.effect != GEOMETRY]
-    fitted = arm if dh is None else arm.with_dh(dh)
+    """The arm with what was named, which is a total, in place of what its file has, and with the geometry `dh`.
+
+    An effect whose total is none is taken out.
+    """
+    effects = [one for one in found.effects if one.name.effect != GEOMETRY]
+    named = [effect_of(one.name, one.parameters) for one in effects if not one.is_nothing]
+    gone = {(one.name.effect, one.name.joint) for one in effects if one.is_nothing}
+    kept = tuple(one for one in arm.effects if (one.effect, one.joint) not in gone)
+    fitted = dataclasses.replace(arm if dh is None else arm.with_dh(dh), effects=kept)
     return dataclasses.replace(with_totals(fitted, named), calibration=made)
 
 

@@ -12,7 +12,6 @@ from calib.gap.finding import GapFinding, NamedEffect
 from calib.gap.ladder import in_units, ladder
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.pictures import joint_picture, law_picture, places_picture, recordings_picture
-from calib.gap.posterior.nameable import NAMEABLE_sd, is_nameable
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.series.pictures import dynamic_sections
 from calib.gap.words import in_words, listed
@@ -159,7 +158,7 @@ def _static(gap: StaticGap) -> Iterator[Section]:
 
 def _joints(gap: StaticGap) -> Sequence[int]:
     """The joints with findings; else the joint with the largest range."""
-    named = [3 if one.name.effect == "belt_coupling" else one.name.joint for one in gap.finding.effects]
+    named = [one.name.acts_on for one in gap.finding.effects]
     found = [joint for joint in dict.fromkeys(named) if joint is not None and joint <= gap.points.joint_count]
     if gap.finding.unknown is not None:
         found += [
@@ -173,17 +172,24 @@ def _nameable(found: GapFinding) -> Section:
         (
             str(one.name),
             f"{one.detectability:.1f}",
+            f"{one.needed_sd:.1f}",
             ("text", listed(one.confusable_with) if one.confusable_with else ""),
-            ("text", "yes" if is_nameable(one) else "no"),
+            ("text", "yes" if one.is_nameable else "no"),
         )
         for one in sorted(found.nameable, key=lambda one: (one.name.effect, one.name.joint or 0))
     ]
-    header = ("effect", "detectability [sd]", ("text", "indistinguishable from"), ("text", "would be named"))
+    header = (
+        "effect",
+        "detectability [sd]",
+        "needed [sd]",
+        ("text", "indistinguishable from"),
+        ("text", "would be named"),
+    )
     return Section(
         "Effects that this data could name",
         paragraph(
-            "Detectability: the size of a usual effect over its standard deviation, with the geometry free; computed before"
-            f" any residual is used. Naming needs {NAMEABLE_sd:.1f} standard deviations."
+            "Detectability: an effect's size over its standard deviation, with the geometry free; computed before any residual is"
+            " used. The size is the usual one; each has its own need."
         )
         + table(header, rows),
     )

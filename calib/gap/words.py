@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from calib.gap.finding import GEOMETRY, EffectName, GapFinding, NamedEffect
-from calib.gap.posterior.nameable import NAMEABLE_sd, is_nameable
+from calib.gap.finding import GEOMETRY, EffectName, GapFinding, NamedEffect, Unknown
 
+NEAR = 0.05  # share of what is left: an effect that explains less is not near
 AT_FLOOR = 1.1  # times the floor, up to which a gap counts as closed
 
 
@@ -21,33 +21,46 @@ def _sentences(found: GapFinding) -> Iterator[str]:
     if any(effect.name.effect == GEOMETRY for effect in found.effects):
         yield "The nominal geometry does not fit this arm; it was identified with the effects (link_geometry)."
     for effect in named:
-        yield f"Named: {effect.name} ({parameters_text(effect)})."
+        if effect.is_nothing:
+            yield f"Not there: {effect.name}, which the arm's file has; its total is none, and it is taken out."
+        else:
+            yield f"Named: {effect.name} ({parameters_text(effect)})."
     if not named and found.unknown is None and not found.ambiguous:
         yield "Nothing is named: apart from the geometry, no known effect is needed to explain this data."
     for names in found.ambiguous:
         yield f"This data cannot distinguish {listed(names)}; none of them is added."
     if found.unknown is not None:
-        nearest = (
-            f" The nearest known effect, {found.unknown.nearest}, would explain {100 * found.unknown.explained:.0f} % of what"
-            " is left; it is not named."
-            if found.unknown.nearest is not None
-            else ""
-        )
-        yield f"Unknown: {found.unknown.where}; no known effect explains it.{nearest}"
+        yield f"Unknown: {found.unknown.where}.{_nearest(found.unknown)}"
     after = "at the noise" if found.gap_after <= AT_FLOOR else f"{found.gap_after:.2f} times the noise"
     if math.isnan(found.gap_after):
         after = "not evaluated for the joint findings of poses and time series"
-    yield f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {after} after."
+    if math.isnan(found.gap_before):
+        yield f"The gap could not be evaluated: on {found.judged_on} nothing moves that any channel shows."
+    else:
+        yield f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {after} after."
     blind = [
-        one.name for one in found.nameable if not is_nameable(one) and one.name not in {n.name for n in named}
+        one.name for one in found.nameable if not one.is_nameable and one.name not in {n.name for n in named}
     ]
     if blind:
         yield (
-            f"This data could not name {listed(blind)} of usual size (below {NAMEABLE_sd:.1f} standard deviations, or"
-            " indistinguishable from others)."
+            f"This data could not name {listed(blind)} of usual size (too small beside the noise, or indistinguishable from"
+            " others)."
         )
     if found.next_experiment:
         yield found.next_experiment
+
+
+def _nearest(unknown: Unknown) -> str:
+    """What comes nearest; nothing of an effect whose own failing the unknown is."""
+    if unknown.nearest is not None and str(unknown.nearest) in unknown.where:
+        return ""
+    if unknown.nearest is None or unknown.explained < NEAR:
+        return " No known effect explains it."
+    share = min(100.0 * unknown.explained, 99.0)
+    return (
+        f" The nearest known effect, {unknown.nearest}, explains {share:.0f} % of what is left, but not the rest; it is not"
+        " named."
+    )
 
 
 def parameters_text(effect: NamedEffect) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from calib.errors import CalibrationError
 from calib.gap.both import brought_together
+from calib.gap.consistent import consistent
 from calib.gap.finding import GapFinding, write_gap_json
 from calib.gap.log import Log, joined_logs, read_log
 from calib.gap.model_update import as_totals, updated_arm
@@ -19,6 +20,15 @@ from calib.gap.poses.outcome import StaticGap
 from calib.gap.report import GapReport, gap_page
 from calib.gap.series.find import examine
 from calib.gap.series.outcome import DynamicOutcome
+from calib.gap.units import (
+    AMPERES,
+    NEED_DRIVES,
+    TORQUES,
+    amperes_per,
+    log_in_amperes,
+    points_in_amperes,
+    with_ideal_drives,
+)
 from calib.inputs import input_file
 from calib.points.arm_points import points_for
 from calib.points.points import Points
@@ -35,13 +45,17 @@ POSES_SHARE = 0.3  # of the time, where there are both
 
 @dataclass(frozen=True, slots=True)
 class Recordings:
-    """What was measured, and the files that it stands in; `warnings` are sentences about them."""
+    """What was measured, and the files that it stands in; `warnings` are sentences about them.
+
+    `are_torques`: the columns of currents were torques of the joints.
+    """
 
     points: Points | None
     log: Log | None
     point_files: tuple[Path, ...]
     log_files: tuple[Path, ...]
     warnings: tuple[str, ...]
+    are_torques: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +69,16 @@ class GapOutcome:
     warnings: tuple[str, ...]
 
 
-def read_recordings(arm: Arm, points: Sequence[str | Path], logs: Sequence[str | Path]) -> Recordings:
-    """All files, read strictly; CalibrationError where one cannot be used, or where there is none."""
+def read_recordings(
+    arm: Arm, points: Sequence[str | Path], logs: Sequence[str | Path], current_unit: str = AMPERES
+) -> Recordings:
+    """All files, read strictly; CalibrationError where one cannot be used, or where there is none.
+
+    `current_unit`: one of calib.gap.units.UNITS, in which the columns i1_A ... are written.
+    """
+    motors = with_ideal_drives(arm) if current_unit == TORQUES else arm
+    if current_unit != AMPERES:
+        amperes_per(motors, current_unit)
     if not points and not logs:
         raise CalibrationError(
             "gap: give --points for static poses, --log for time series, or both; --record records them"
@@ -64,12 +86,14 @@ def read_recordings(arm: Arm, points: Sequence[str | Path], logs: Sequence[str |
     point_files, log_files = tuple(map(Path, points)), tuple(map(Path, logs))
     poses = [points_for(arm, point_files)] if point_files else []
     runs = [read_log(path, arm.joint_count) for path in log_files]
+    log = joined_logs(tuple(log for log, _ in runs)) if runs else None
     return Recordings(
-        poses[0][0] if poses else None,
-        joined_logs(tuple(log for log, _ in runs)) if runs else None,
+        points_in_amperes(motors, poses[0][0], current_unit) if poses else None,
+        log_in_amperes(motors, log, current_unit) if log is not None else None,
         point_files,
         log_files,
         tuple(sentence for _, messages in (*poses, *runs) for sentence in messages),
+        are_torques=current_unit == TORQUES,
     )
 
 
@@ -106,19 +130,26 @@ def find_gap(
         None if dynamic is None else as_totals(arm, dynamic.finding),
     )
     warnings = [sentence for one in (static, dynamic) if one is not None for sentence in one.warnings]
-    return GapOutcome(finding, static, dynamic, agreement, tuple(warnings))
+    return GapOutcome(consistent(finding), static, dynamic, agreement, tuple(warnings))
 
 
 def find_gap_in(
     arm: Arm, recordings: Recordings, without: Collection[str] = (), advance: Advance = silent
 ) -> GapOutcome:
     """`find_gap` of recordings that were read from files: the finding names the files."""
-    found = find_gap(arm, recordings.points, recordings.log, without=without, advance=advance)
+    searched, said = arm, list(recordings.warnings)
+    if recordings.are_torques and len(arm.drives) < arm.joint_count:
+        searched, without = with_ideal_drives(arm), (*without, *NEED_DRIVES)
+        said.append(
+            f"arm {arm.name} has no [[drive]] of some joints: its torques are taken as they are, without rotors; not tried are"
+            f" {', '.join(NEED_DRIVES)}"
+        )
+    found = find_gap(searched, recordings.points, recordings.log, without=without, advance=advance)
     files = (*recordings.point_files, *recordings.log_files)
     return dataclasses.replace(
         found,
         finding=dataclasses.replace(found.finding, data=tuple(path.name for path in files)),
-        warnings=(*recordings.warnings, *found.warnings),
+        warnings=(*said, *found.warnings),
     )
 
 
@@ -137,7 +168,10 @@ def require_free(out: Path) -> None:
 
 
 def write_gap(outcome: GapOutcome, arm: Arm, recordings: Recordings, out: Path) -> Arm:
-    """gap.json, arm.toml with what was named, report.html; returns the new model. ArmError where one of them exists."""
+    """gap.json, arm.toml with what was named, report.html; returns the new model. ArmError where one of them exists.
+
+    The page is last: the result is on disk before anything is drawn, and a page that cannot be drawn says so itself.
+    """
     require_free(out)
     date = datetime.datetime.now(datetime.UTC).date().isoformat()
     program = f"armwright {version('armwright')}"
@@ -152,5 +186,14 @@ def write_gap(outcome: GapOutcome, arm: Arm, recordings: Recordings, out: Path) 
     save_arm(model, out / "arm.toml")
     notes = (*outcome.agreement, *outcome.warnings)
     report = GapReport(outcome.finding, outcome.static, outcome.dynamic, notes, date, program)
-    write_whole(out / "report.html", gap_page(report))
+    write_whole(out / "report.html", _page(report))
     return model
+
+
+def _page(report: GapReport) -> str:
+    """The page; without its pictures, and saying so, where one of them fails: what was found is worth more than they are."""
+    try:
+        return gap_page(report)
+    except Exception as error:  # whatever a picture stumbles over, the words stand
+        said = f"the pictures could not be drawn ({type(error).__name__}: {error}): please report this"
+        return gap_page(dataclasses.replace(report, static=None, dynamic=None, notes=(*report.notes, said)))

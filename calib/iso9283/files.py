@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 
 from calib.iso9283.criteria.checks import Iso9283Error
-from control.files import append_whole, write_whole
+from control.files import append_whole, read_bytes, write_whole
 
 SET = ("x_set_m", "y_set_m", "z_set_m")
 TIP = ("x_m", "y_m", "z_m")
@@ -45,7 +45,7 @@ class RecordFile:
     def __init__(self, path: Path, header: Sequence[str]) -> None:
         """Open the file, or create it with its header."""
         self._path, self._header = path, list(header)
-        content = path.read_bytes() if path.exists() else b""
+        content = read_bytes(path) if path.exists() else b""
         whole = content[: content.rfind(b"\n") + 1].decode(errors="replace") or _line(self._header)
         lines = list(csv.reader(io.StringIO(whole)))
         if lines[0] != self._header:
@@ -55,7 +55,7 @@ class RecordFile:
         self.rows = [dict(zip(self._header, line, strict=True)) for line in lines[1:]]
         if whole.encode() != content:
             write_whole(path, whole)
-        self._file = path.open("ab", buffering=0)
+        self._file = path.open("a+b", buffering=0)
 
     def append(self, rows: Iterable[Sequence[str]]) -> None:
         """Write rows and wait for the disk."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 import gzip
+import io
 import itertools
-import json
 import math
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,6 +22,7 @@ from calib.arrays import Array, frozen
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.files import SET, TIP
 from calib.points.points import Points, make_points, require_commas
+from control.files import open_file, parsed_json, read_text
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 
@@ -288,15 +289,16 @@ def _cell(path: Path, row: Mapping[str, str], name: str) -> float:
 
 
 def _opened(path: Path) -> TextIO:
+    file = open_file(path)
     if path.suffix == ".gz":
-        return gzip.open(path, "rt", encoding="utf-8-sig", newline="")
-    return path.open(encoding="utf-8-sig", newline="")
+        return gzip.open(file, "rt", encoding="utf-8-sig", newline="")
+    return io.TextIOWrapper(file, "utf-8-sig", newline="")
 
 
 def read_rectangle(path: Path) -> tuple[Array, ...]:
     """The corners E1 .. E4 of programme.json."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = parsed_json(read_text(path))
         corners = [np.array(corner, dtype=np.float64) for corner in document["rectangle_m"]]
         if (
             document["format"] != "iso9283-programme/1"

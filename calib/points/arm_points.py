@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
 from calib.errors import UnusablePointsError
 from calib.points.points import Points, joined, read_points
+from control.files import parsed_json, read_text
 from control.model.arm import Arm
 
 RECORDS = ("session.json", "plan.json", "programme.json")  # files that our recordings write beside points.csv
@@ -41,7 +41,7 @@ def require_recorded_of(arm: Arm, file: Path) -> None:
 def _arm_in(file: Path) -> str | None:
     """The arm's name in one of our files; None if it cannot be read."""
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = parsed_json(read_text(file))
     except (OSError, ValueError):
         return None
     name = content.get("arm") if isinstance(content, dict) else None

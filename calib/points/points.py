@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import io
 import math
 import re
 import zlib
@@ -25,6 +26,7 @@ import numpy.typing as npt
 
 from calib.arrays import Array, frozen
 from calib.errors import PointsFileError
+from control.files import open_file
 
 REQUIRED = ("setup", "point", "repeat")
 TIP = ("x_m", "y_m", "z_m")
@@ -32,6 +34,7 @@ SCALARS = ("t_s", "payload_kg")
 OWN_EXTRAS = re.compile(
     r"q\d+_sd_rad|temperature\d+_C|approach|take"
 )  # added by our own sessions; kept like any other column, without a warning
+POINTS_MOST = 100_000  # poses; calibrations have hundreds
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +138,10 @@ def read_points(path: Path, joint_count: int | None = None) -> tuple[Points, tup
         for row in reader:
             if row:
                 table.add(row, reader.line_num)
+            if len(table.repeat) > POINTS_MOST:
+                raise PointsFileError(
+                    f"{path}: more than {POINTS_MOST} points: expected static poses, one line each; a time series is a log.csv"
+                )
     if not table.repeat:
         raise PointsFileError(f"{path}: a header and no points: expected one line per point")
     return table.points(), columns.warnings(path)
@@ -145,10 +152,10 @@ def opened_text(path: Path) -> Iterator[TextIO]:
     """Open the text of a .csv or .csv.gz; errors of the system or the file become a PointsFileError."""
     try:
         if path.name.endswith(".gz"):
-            with gzip.open(path, "rt", encoding="utf-8-sig", newline="") as packed:
+            with open_file(path) as file, gzip.open(file, "rt", encoding="utf-8-sig", newline="") as packed:
                 yield packed
         else:
-            with path.open(encoding="utf-8-sig", newline="") as plain:
+            with open_file(path) as file, io.TextIOWrapper(file, "utf-8-sig", newline="") as plain:
                 yield plain
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise PointsFileError(f"{path}: not a whole gzip file ({error})") from error

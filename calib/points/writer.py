@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.errors import SessionError
 from calib.points.points import SCALARS, TIP, Points, read_points
-from control.files import append_whole, write_whole
+from control.files import append_whole, read_bytes, write_whole
 
 Key = tuple[str, str, int]
 
@@ -88,7 +88,7 @@ class PointsWriter:
         path.parent.mkdir(parents=True, exist_ok=True)
         self.warnings: tuple[str, ...] = self._mend()
         self._lines: dict[Key, str] = self._read()
-        self._file = path.open("ab", buffering=0)
+        self._file = path.open("a+b", buffering=0)
 
     @property
     def recorded(self) -> frozenset[Key]:
@@ -110,9 +110,9 @@ class PointsWriter:
     def withdraw(self, key: Key) -> None:
         """Remove a record; the file is replaced atomically. The caller must save the line first."""
         left = {other: line for other, line in self._lines.items() if other != key}
-        self._file.close()
         replace_file(self._path, "".join([self._header, *(f"{line}\n" for line in left.values())]).encode())
-        self._file = self._path.open("ab", buffering=0)
+        self._file.close()  # the old file; where the new one could not be written, it stays in use
+        self._file = self._path.open("a+b", buffering=0)
         self._lines = left
 
     def close(self) -> None:
@@ -131,7 +131,7 @@ class PointsWriter:
 
     def _mend(self) -> tuple[str, ...]:
         """Repair the file: drop an incomplete end, write the header if there is none."""
-        content = self._path.read_bytes() if self._path.exists() else b""
+        content = read_bytes(self._path) if self._path.exists() else b""
         whole = content[: content.rfind(b"\n") + 1]
         warnings: tuple[str, ...] = ()
         if len(whole) < len(content):

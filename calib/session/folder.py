@@ -25,6 +25,7 @@ from calib.points.writer import Key, PointsWriter, Record, replace_file
 from calib.session.journal import Entry, Journal
 from calib.session.plan import SessionPlan, from_json, require_same, to_json
 from calib.session.state import Event, Mark, SessionState
+from control.files import read_text
 
 PLAN, POINTS, JOURNAL = "session.json", "points.csv", "journal.jsonl"
 AT_POINT, LIFTED = "at point", "lifted"  # journal events
@@ -170,7 +171,15 @@ def _begun(folder: Path, wanted: SessionPlan | None) -> SessionPlan:
 
 def _kept(folder: Path, wanted: SessionPlan | None) -> tuple[SessionPlan, str]:
     file = folder / PLAN
-    plan, started = from_json(file.read_text(encoding="utf-8"), file)
+    try:
+        text = read_text(file)
+    except UnicodeDecodeError as error:
+        raise SessionError(
+            f"{file}: not the plan of a session: byte {error.start} is not UTF-8 text"
+        ) from None
+    except OSError as error:
+        raise SessionError(f"{file}: cannot be read: {error.strerror}") from None
+    plan, started = from_json(text, file)
     if wanted is not None:
         require_same(plan, wanted, folder)
     return plan, started

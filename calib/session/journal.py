@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.errors import SessionError
-from control.files import append_whole
+from control.files import append_whole, parsed_json, read_bytes
 
 Entry = dict[str, Any]
 
@@ -46,7 +46,7 @@ class Journal:
         self._file.close()
 
     def _mended(self) -> tuple[Entry, ...]:
-        content = self._path.read_bytes()
+        content = read_bytes(self._path)
         whole = content[: content.rfind(b"\n") + 1]
         if len(whole) < len(content):
             self._file.truncate(len(whole))
@@ -55,7 +55,7 @@ class Journal:
 
     def _entry(self, line: bytes, number: int) -> Entry:
         with contextlib.suppress(ValueError):
-            entry = json.loads(line)
+            entry = parsed_json(line)
             if isinstance(entry, dict) and isinstance(entry.get("event"), str):
                 return entry
         raise SessionError(f"{self._path}, line {number}: not a journal entry: undo manual edits")

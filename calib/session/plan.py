@@ -14,6 +14,7 @@ from typing import Literal, get_args
 
 from calib.errors import SessionError
 from calib.points.writer import Key
+from control.files import parsed_json
 from control.model.arm import Arm, Camera
 
 FORMAT = "session/1"
@@ -149,7 +150,7 @@ def to_json(plan: SessionPlan, started: str) -> str:
 def from_json(text: str, path: Path) -> tuple[SessionPlan, str]:
     """The plan of a session.json and its start time; SessionError names file and key."""
     try:
-        content = json.loads(text)
+        content = parsed_json(text)
         if content["format"] != FORMAT:
             raise SessionError(f'{path}, format: expected "{FORMAT}", got "{content["format"]}"')
         _require_one_of(path, "board", content["board"], get_args(Board))

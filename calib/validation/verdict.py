@@ -174,15 +174,15 @@ def _over_fit(found: Identification, held: HeldOut, slips: Collection[int] = ())
 
 
 def _answer(grade: Grade, found: Identification) -> str:
-    """The first sentence; it names parameters at their bounds if the result is good."""
+    """The first sentence; it names parameters at their bounds, where that limits what the result is worth."""
     bound = [estimate.parameter.name for estimate in found.estimates if estimate.is_at_bound]
+    rest = "rests on its bound" if len(bound) == 1 else "rest on their bounds"
     if grade == "good" and bound:
-        rest = "rests on its bound" if len(bound) == 1 else "rest on their bounds"
         return (
             f"The result is good on points not used: the residual is near the noise. But {', '.join(bound)} {rest}:"
             " elsewhere the geometry may be wrong."
         )
-    return {
+    answer = {
         "noise not known": "The result is better than nominal; whether it is good is unknown, since the noise is unknown.",
         "good": "The result is good: the residual on points not used is near the noise.",
         "not at the floor": "The result is better than nominal, but effects other than this geometry remain.",
@@ -190,6 +190,9 @@ def _answer(grade: Grade, found: Identification) -> str:
         "worse": "The result is worse than nominal on points not used: keep the nominal arm.",
         "too few points": "There are too few points to judge the result.",
     }[grade]
+    if bound and grade in ("noise not known", "not at the floor"):
+        return f"{answer} {', '.join(bound)} {rest}: the arm, its zeros or the bounds may be others."
+    return answer
 
 
 def _on_held_out(held: HeldOut, floor: NoiseFloor | None, slips_count: int = 0) -> list[str]:
@@ -212,22 +215,21 @@ def _on_held_out(held: HeldOut, floor: NoiseFloor | None, slips_count: int = 0) 
         sentences.append(
             "The noise is unknown: there are no repeats in one posture, and the arm's file gives no camera noise."
         )
-    return [*sentences, _against_paper(held)]
+    return [*sentences, *_against_paper(held)]
 
 
-def _against_paper(held: HeldOut) -> str:
-    """Improvement compared with SpringerPlus 5:1771, Table 4, setup by setup if the names are the same."""
+def _against_paper(held: HeldOut) -> list[str]:
+    """Improvement beside SpringerPlus 5:1771, Table 4, for setups of the paper's names; another arm is not compared."""
     own = {
         name: 100.0 * (1.0 - fold.mean_after_m / max(fold.mean_before_m, 1e-12))
         for fold in held.folds
         for name in PAPER_PERCENT
         if fold.name == f'setup "{name}"'
     }
-    if own:
-        pairs = ", ".join(f"{name} {own[name]:.1f} % (paper {PAPER_PERCENT[name]} %)" for name in own)
-        return f"Improvement compared with SpringerPlus 5:1771: {pairs}."
-    published = ", ".join(f"{percent} % ({name})" for name, percent in PAPER_PERCENT.items())
-    return f"SpringerPlus 5:1771 reports improvements of {published}; here {held.improvement_percent:.1f} %."
+    if not own:
+        return []
+    pairs = ", ".join(f"{name} {own[name]:.1f} % (paper {PAPER_PERCENT[name]} %)" for name in own)
+    return [f"Improvement compared with SpringerPlus 5:1771: {pairs}."]
 
 
 def _about_suspects(suspects: Suspects | None) -> list[str]:

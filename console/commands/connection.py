@@ -20,3 +20,10 @@ def connected(given: argparse.Namespace) -> ArmClient:
         client: ArmClient = connect()
         return client
     return ArmClient(SocketChannel(socket_path(given, load_arm(given.arm))))
+
+
+def in_control(given: argparse.Namespace) -> ArmClient:
+    """As `connected`, for work of many steps: others may only watch and stop. RequestRefused if another has it."""
+    client = connected(given)
+    client.take_control()
+    return client

@@ -1,12 +1,15 @@
 """`armwright console`: the operator's screen."""
 
 import argparse
+import os
+import secrets
 import sys
 from pathlib import Path
 
 from console.commands.connection import socket_path
 from control.errors import ArmError
 from control.model.description import load_arm
+from control.server.client import CONTROL_KEY
 
 
 def run(given: argparse.Namespace) -> int:
@@ -15,6 +18,9 @@ def run(given: argparse.Namespace) -> int:
         raise ArmError("console: needs a terminal; `armwright script` runs files of commands")
     from console.screen.app import ConsoleApp, Files
 
+    os.environ.setdefault(
+        CONTROL_KEY, secrets.token_hex(16)
+    )  # the commands that it starts are this operator's, too
     arm = load_arm(given.arm)
     socket = socket_path(given, arm)
     files = Files(

@@ -11,7 +11,7 @@ from console.commands.connection import connected
 from console.places import find_place, save_place
 from console.waiting import shown
 from control.errors import ArmError
-from control.files import write_whole
+from control.files import read_text, write_whole
 from control.model.description import load_arm
 from control.motion.plan import PlannedPath, plan_path
 from control.motion.waypoints import POSITION_COLUMNS, read_waypoints
@@ -133,7 +133,7 @@ def _way_points(file: Path) -> list[str]:
     if not file.exists():
         return [HEADER]
     try:
-        lines = [line for line in file.read_text(encoding="utf-8").splitlines() if line.strip()]
+        lines = [line for line in read_text(file).splitlines() if line.strip()]
     except UnicodeDecodeError as error:
         raise ArmError(f"teach: {file}: not UTF-8 text (byte {error.start}): give another file") from None
     if lines and lines[0].strip() != HEADER:

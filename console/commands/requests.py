@@ -1,6 +1,7 @@
 """Commands that send a single request to the runtime: each is an entry of `REQUESTS`."""
 
 import argparse
+import select
 import sys
 from collections.abc import Callable, Mapping
 
@@ -12,6 +13,7 @@ from control.server.client import ArmClient
 # Sends the request and waits until it is done; returns a message for the operator.
 Request = Callable[[ArmClient, argparse.Namespace], str | None]
 LONGEST_WAIT_S = 24 * 3600.0
+GUIDING_POLL_S = 0.05
 RESTING = ("HOLDING", "BRAKED", "OFF", "GUIDING")
 
 
@@ -46,10 +48,31 @@ def _wait(client: ArmClient, given: argparse.Namespace) -> None:
     client.wait(given.seconds)
 
 
+def _guide(client: ArmClient, given: argparse.Namespace) -> str | None:
+    """Guide until the operator ends it here, or another command does; a script goes on with its next line."""
+    client.guide(given.weightless)
+    if getattr(given, "connect", None) is not None:
+        return None
+    hint = "Enter holds the arm where it is; " if sys.stdin.isatty() else ""
+    sys.stderr.write(f"guided by hand: {hint}`armwright hold` or `stop` from elsewhere; Ctrl-C brakes\n")
+    while client.ask("mode")["mode"] == "GUIDING":
+        if sys.stdin.isatty() and _has_line():
+            client.hold()
+            return "holding"
+        client.wait(GUIDING_POLL_S)
+    return f"hand-guiding has ended: {client.ask('mode')['mode']}"
+
+
+def _has_line() -> bool:
+    """Whether a line was typed; it is read."""
+    is_there = bool(select.select([sys.stdin], [], [], 0.0)[0])
+    return is_there and bool(sys.stdin.readline())
+
+
 REQUESTS: Mapping[str, Request] = {
     "acknowledge": lambda client, given: client.acknowledge(),
     "enable": _enable,
-    "guide": lambda client, given: client.guide(given.weightless),
+    "guide": _guide,
     "hold": lambda client, given: client.hold(),
     "home": _home,
     "off": lambda client, given: client.off(quit_runtime=given.quit),

@@ -5,10 +5,11 @@ import json
 import sys
 from pathlib import Path
 
-from console.commands.connection import connected
+from console.commands.connection import in_control
 from console.lines.grammar import Grammar, LineError
 from console.lines.replay import Outcome, parse_lines, replay
 from console.specs.table import COMMANDS
+from control.files import read_text
 
 
 def run(given: argparse.Namespace) -> int:
@@ -30,7 +31,7 @@ def run(given: argparse.Namespace) -> int:
             terminal.write(_described(outcome))
             terminal.flush()
 
-    status = replay(lines, lambda: connected(given), say)
+    status = replay(lines, lambda: in_control(given), say)
     if given.json:
         terminal.write(
             json.dumps({"status": status, "lines": [_message(o) for o in outcomes]}, indent=2) + "\n"
@@ -42,7 +43,7 @@ def _text(file: str) -> str:
     if file == "-":
         return sys.stdin.read()
     try:
-        return Path(file).read_text(encoding="utf-8")
+        return read_text(Path(file))
     except UnicodeDecodeError as error:
         raise LineError(f"not UTF-8 text (byte {error.start})") from None
     except OSError as error:

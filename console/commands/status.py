@@ -26,8 +26,9 @@ def described(status: Message) -> str:
     done = f", {100 * status['progress']:.0f} % of run {status['run']}" if status["run"] else ""
     pace = f", speed override {100 * status['override']:.0f} %" if status["override"] < 1.0 else ""
     step = f", {status['step']}" if status["step"] else ""
+    held = f", client {status['in_control']} in control" if status.get("in_control") is not None else ""
     lines = [
-        f"arm {status['arm']}: {status['mode']}, {homed}{done}{pace}{step}",
+        f"arm {status['arm']}: {status['mode']}, {homed}{done}{pace}{step}{held}",
         "",
         *_joint_rows(status),
         "",

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from control.errors import ArmError
 from control.server.client import ArmClient, ArmFaulted, NoRuntime, SocketChannel
-from control.server.sockets import find_sockets
+from control.server.sockets import find_sockets, foreign_folders
 
 
 def run(given: argparse.Namespace) -> int:
@@ -26,6 +26,8 @@ def _wanted(given: argparse.Namespace) -> Sequence[Path]:
     """The sockets of the selected arms."""
     if given.socket:
         return [Path(given.socket)]
+    for problem in foreign_folders():
+        sys.stderr.write(f"armwright: {problem}\n")
     if not given.arm:
         return find_sockets()
     from control.model.description import load_arm

@@ -6,11 +6,15 @@ a console that dies or loses its link leaves no moving arm; the runtime ensures 
 
 import asyncio
 import contextlib
+import os
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
 import msgspec
+
+from control.server.client import CONTROL_KEY
+from control.server.sockets import ForeignRuntime, require_own_runtime
 
 Message = dict[str, Any]
 POLL_S = 0.05
@@ -81,8 +85,14 @@ class RuntimeLink:
             raise LinkLost(
                 f"no runtime at {self.path} ({error.strerror or error}); `armwright serve` starts one"
             ) from None
+        try:
+            require_own_runtime(self._writer.get_extra_info("socket"), self.path)
+        except ForeignRuntime as error:
+            raise LinkLost(str(error)) from None
         answers = asyncio.create_task(self._read(reader))
         try:
+            if key := os.environ.get(CONTROL_KEY):
+                await self.ask("control", key=key)
             while True:
                 begun_s = asyncio.get_running_loop().time()
                 answer = await self.ask("status")

@@ -280,7 +280,6 @@ class OperatingScreen(Screen[None]):
     async def on_input_submitted(self, event: Input.Submitted) -> None:
         """A line of the command box."""
         event.stop()
-        text = self.query_one(CommandBox).take()
-        if text:
-            await self._operator.line(text)
+        if event.value:
+            await self._operator.line(event.value)
         await asyncio.sleep(0)

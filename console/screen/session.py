@@ -173,7 +173,7 @@ class SessionScreen(Screen[None]):
     async def on_input_submitted(self, event: Input.Submitted) -> None:
         """An answer to the session, or to the calibration after it."""
         event.stop()
-        answer = self.query_one(CommandBox).take()
+        answer = event.value
         if self._rest:
             self._answered(answer.lower())
         elif (

@@ -107,13 +107,13 @@ class CommandBox(Input):
         self._lines: list[str] = []
         self._at = 0
 
-    def take(self) -> str:
-        """Return the text and clear the box."""
+    async def action_submit(self) -> None:
+        """Send the line and clear the box at once: keys that are typed before it is handled belong to the next line."""
         text, self.value = self.value.strip(), ""
         if text:
             self._lines.append(text)
         self._at = len(self._lines)
-        return text
+        self.post_message(self.Submitted(self, text))
 
     def action_leave(self) -> None:
         """Return to the jog keys."""

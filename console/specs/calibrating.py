@@ -150,6 +150,12 @@ CALIBRATING = (
                 action="append",
                 help="do not try this effect; may be repeated",
             ),
+            option(
+                "--current-unit",
+                default="A",
+                choices=("A", "mA", "percent", "Nm", "motor_Nm"),
+                help="what the columns i1_A ... hold: currents, percent of the drives' limits, torques of joints or motors",
+            ),
             JSON,
             option(
                 "--record",

@@ -190,7 +190,8 @@ OPERATING = (
             ),
             option("--yes", action="store_true", help="do not ask: somebody holds the arm"),
         ),
-        "Asks before it releases the arm.",
+        "Asks before it releases the arm. Stays until Enter, or until `armwright hold` or `stop` ends it from elsewhere; Ctrl-C"
+        " shorts the windings.",
         module="requests",
     ),
     CommandSpec("hold", "end hand-guiding and hold", (ARM, SOCKET), module="requests"),

@@ -44,6 +44,20 @@ TRYING = (
         "No hardware is connected and nothing real moves.",
     ),
     CommandSpec(
+        "drill",
+        "a fault on a mock arm: how soon it was noticed, what the arm did, what was lost",
+        (
+            option(
+                "name",
+                nargs="?",
+                metavar="NAME",
+                help="one drill of docs/safety.md (default: all, as a table)",
+            ),
+            option("--mock", action="store_true", help="required: drills run on a mock arm only"),
+        ),
+        "Exit status 1 if a promise of docs/safety.md was not kept.",
+    ),
+    CommandSpec(
         "mock",
         "run a mock arm in real time for `armwright serve`",
         (

@@ -17,14 +17,14 @@ and only 15 at joint 1 with the arm retracted. The loop scales the PID by `Inert
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from control.dynamics.dynamics import Dynamics
 from control.errors import MissingModel
-from control.model.arm import Arm, Drive
+from control.model.arm import Arm, Drive, DrivePid
 
 POLE_rad_s = 40.0
 CURRENT_MODE_POLE_rad_s = 25.0
@@ -57,6 +57,14 @@ def gains_of(arm: Arm, joint: int) -> Gains:
         placed.kd if pid.kd is None else pid.kd,
         filter_s,
     )
+
+
+def volt_gains_of(arm: Arm, joint: int) -> Gains:
+    """Return the gains in volts with which a motor board holds a joint (1-based), whatever the drive's mode."""
+    if arm.drive(joint).pid.mode != "current":
+        return gains_of(arm, joint)
+    drives = tuple(replace(drive, pid=DrivePid()) for drive in arm.drives)
+    return gains_of(replace(arm, drives=drives), joint)
 
 
 def placed_gains(

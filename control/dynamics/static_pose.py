@@ -63,12 +63,13 @@ def resting(
     """The state of the gears at joint angles q_rad (m, n).
 
     direction (m, n): sign of each joint's last motion, 0 unknown; current_A (m, n) of the motors while they hold, NaN
-    unknown; payload_kg (m,), or one for all. MissingModel if the arm's file lacks masses or drives.
+    unknown; payload_kg (m,), or one for all. MissingModel if the arm's file lacks masses; of a joint without a [[drive]] nothing
+    but its gravity is known.
     """
     q, last = np.asarray(q_rad, dtype=np.float64), np.asarray(direction, dtype=np.float64)
     gravity = gravity_Nm(arm, q, payload_kg)
     current = np.full(q.shape, np.nan) if current_A is None else np.asarray(current_A, dtype=np.float64)
-    held = current * torque_per_A(arm) - gravity
+    held = current * known_torque_per_A(arm) - gravity
     level, is_known = friction_Nm(arm, held, gravity)
     held = np.where(is_known & (level == 0.0), 0.0, held)  # noise is no friction
     is_seen = np.isfinite(held)
@@ -96,6 +97,19 @@ def torque_per_A(arm: Arm) -> Array:
     return np.array(torque_constants_Nm_A(arm))
 
 
+def known_torque_per_A(arm: Arm) -> Array:
+    """Joint torque per ampere of each motor, (n,), not a number for a joint without a [[drive]]."""
+    has = {drive.joint for drive in arm.drives}
+    if len(has) == arm.joint_count:
+        return torque_per_A(arm)
+    scale = {one.joint: one.parameters["scale"] for one in arm.effects if one.effect == "torque_constant"}
+    per_A = np.full(arm.joint_count, np.nan)
+    for drive in arm.drives:
+        constant = drive.gear_ratio * drive.torque_constant_Nm_A
+        per_A[drive.joint - 1] = constant * scale.get(drive.joint, 1.0)
+    return per_A
+
+
 def friction_Nm(arm: Arm, held_Nm: Array, gravity_Nm: Array | None = None) -> tuple[Array, Flags]:
     """Dry friction of each joint (n,), and whether it is known rather than assumed.
 
@@ -103,7 +117,7 @@ def friction_Nm(arm: Arm, held_Nm: Array, gravity_Nm: Array | None = None) -> tu
     holds no gravity, or pushes with it, may do so by friction; if a hand holds the link, the motor may be inside
     its backlash and unloaded. Such poses say nothing about friction and are used only if there are no others.
     """
-    per_A = torque_per_A(arm)
+    per_A = np.nan_to_num(known_torque_per_A(arm))
     modelled = np.zeros(arm.joint_count)
     for effect in arm.effects:
         if effect.effect in _FRICTIONS and effect.joint is not None:
@@ -114,8 +128,10 @@ def friction_Nm(arm: Arm, held_Nm: Array, gravity_Nm: Array | None = None) -> tu
         counted = held_Nm if gravity_Nm is None else _without_unloaded(held_Nm, gravity_Nm, per_A)
         shown[seen] = np.nanquantile(np.abs(counted[:, seen]), FRICTION_QUANTILE, axis=0)
     shown[shown < 3.0 * CURRENT_NOISE_A * per_A] = 0.0
-    limits_A = np.array([arm.drive(joint).current_limit_A for joint in range(1, arm.joint_count + 1)])
-    assumed = ASSUMED_FRICTION * per_A * np.where(np.isfinite(limits_A), limits_A, 0.0)
+    limits_A = np.zeros(arm.joint_count)
+    for drive in arm.drives:
+        limits_A[drive.joint - 1] = drive.current_limit_A if np.isfinite(drive.current_limit_A) else 0.0
+    assumed = ASSUMED_FRICTION * per_A * limits_A
     known = np.where(shown > 0.0, shown, modelled)
     is_known = seen | (known > 0.0)
     return np.where(is_known, known, assumed), is_known

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from control.dynamics.gains import gains_of
+from control.dynamics.gains import volt_gains_of
 from control.errors import MissingModel
 from control.hardware.boards import BoardHardware, JointWiring, start_stream
 from control.model.arm import Arm, CanBus, EncoderBoardPort
@@ -202,7 +202,11 @@ def _compare(where: str, what: str, joint: int, expected: int, got: int) -> None
 def _wiring(arm: Arm, encoders: Sequence[EncoderBoard], motors: Sequence[MotorBoard]) -> list[JointWiring]:
     return [
         JointWiring(
-            encoders[drive.encoder_board], drive.encoder_channel, motor, drive, gains_of(arm, drive.joint)
+            encoders[drive.encoder_board],
+            drive.encoder_channel,
+            motor,
+            drive,
+            volt_gains_of(arm, drive.joint),
         )
         for drive, motor in zip(arm.drives, motors, strict=True)
     ]

@@ -12,12 +12,15 @@ from typing import Protocol
 
 
 class OutputMode(Enum):
-    """Meaning of the numbers passed to `write`. `OFF` opens the motor circuit: the joint is free and a loaded arm drops."""
+    """Meaning of the numbers passed to `write`. `OFF` opens the motor circuit: the joint is free and a loaded arm drops. `HOLD`:
+    each board brings its joint to rest and holds it by its own encoder.
+    """
 
     OFF = 0
     VOLTAGE = 1
     CURRENT = 2
     POSITION = 3
+    HOLD = 4
 
 
 @dataclass(slots=True)
@@ -25,11 +28,12 @@ class Feedback:
     """The boards' latest values. One object, overwritten by every read; lists have one entry per joint."""
 
     joint_count: int
-    encoder_at_s: float = float("-inf")  # the oldest of the last reports, on the host's clock
+    encoder_at_s: float = float("-inf")  # of the board with the oldest counts, on the host's clock
     counted_at_s: list[float] = field(
         default_factory=list
     )  # when `count` was latched, on its board's own clock
-    reported_at_s: list[float] = field(default_factory=list)  # the last report of the joint's encoder board
+    # when the joint's counts were made; a repeated report or one that was under way for long is as old as its counts
+    reported_at_s: list[float] = field(default_factory=list)
     reply_at_s: list[float] = field(default_factory=list)
     count: list[int] = field(default_factory=list)
     shift_count: list[int] = field(
@@ -41,6 +45,10 @@ class Feedback:
     temperature_C: list[float] = field(default_factory=list)
     statusword: list[int] = field(default_factory=list)
     drive_faults: list[int] = field(default_factory=list)
+    # of the last COMMAND, in the joint's sign; NaN while the board finds the voltage itself, or drives nothing
+    sent_V: list[float] = field(default_factory=list)
+    # (joint, its count, its motor board's count in the same sense and of the same moment) that came in this cycle
+    motor_counts: list[tuple[int, int, int]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         n = self.joint_count
@@ -49,6 +57,7 @@ class Feedback:
             setattr(self, name, [0] * n)
         for name in ("counted_at_s", "current_A", "supply_V", "temperature_C"):
             setattr(self, name, [0.0] * n)
+        self.sent_V = [float("nan")] * n
 
 
 class Hardware(Protocol):
@@ -86,6 +95,14 @@ class Hardware(Protocol):
 
     def index_count(self, joint: int) -> int | None:
         """The count latched since `arm_index`, or None if there was no index pulse yet."""
+        ...
+
+    def watch_indices(self, is_wanted: bool) -> None:
+        """Arm the index latches of all joints again and again, or end that. Not while `arm_index` is used; does not wait."""
+        ...
+
+    def passed_indices(self) -> list[tuple[int, int]]:
+        """(joint, count) of the watched index pulses that came since the last call."""
         ...
 
     def shift_count(self, joint: int, counts: int) -> None:

@@ -27,15 +27,20 @@ class CountMap(Protocol):
 class Measurement:
     """Joint angles in rad, speeds in rad/s and the sign of the last motion, joint by joint.
 
-    `shifted_rad` is the change of angle in the last update that came from shifted counters, not from motion.
+    `shifted_rad` is the change of angle in the last update that came from shifted counters, not from motion; `leap_rad`, one
+    that no motor can make in the time between the reports (0: none), if `fastest_rad_s` gives the joints' greatest speeds.
     """
 
-    def __init__(self, maps: Sequence[CountMap], counter_bits: Sequence[int]) -> None:
+    def __init__(
+        self, maps: Sequence[CountMap], counter_bits: Sequence[int], fastest_rad_s: Sequence[float] = ()
+    ) -> None:
         n = len(maps)
         self.q_rad = [0.0] * n
         self.speed_rad_s = [0.0] * n
         self.direction = [0] * n
         self.shifted_rad = [0.0] * n
+        self.leap_rad = [0.0] * n
+        self._fastest_rad_s = tuple(fastest_rad_s) or (math.inf,) * n
         self._maps = maps
         self._counter_bits = tuple(counter_bits)
         self._unwrappers: list[Unwrapper] = []
@@ -63,6 +68,8 @@ class Measurement:
             q = self._maps[joint].radians(self._unwrappers[joint].update(count))
             if 0.0 < elapsed_s < LONGEST_GAP_S:
                 speed = (q - self.q_rad[joint]) / elapsed_s
+                is_leap = not abs(speed) <= self._fastest_rad_s[joint]
+                self.leap_rad[joint] = q - self.q_rad[joint] if is_leap else 0.0
                 gain = elapsed_s / (elapsed_s + SPEED_FILTER_S)
                 self.speed_rad_s[joint] += gain * (speed - self.speed_rad_s[joint])
                 self._follow_direction(joint, q)
@@ -71,6 +78,12 @@ class Measurement:
                 self._turning_point_rad[joint] = q
             self.q_rad[joint] = q
         return is_shifted
+
+    def unwrapped_count(self, joint: int, count: int) -> int:
+        """The unwrapped count of a raw one from near the present position."""
+        half = 1 << (self._counter_bits[joint] - 1)
+        present = self._unwrappers[joint].unwrapped_count
+        return present + (count - present + half) % (2 * half) - half
 
     def _follow_shifts(self, counts: Sequence[int], shifts: Sequence[int]) -> bool:
         """Restart unwrapping at a counter that was set: turns counted before its zero was known are discarded."""

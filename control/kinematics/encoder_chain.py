@@ -10,9 +10,10 @@ from math import cos, sin
 from typing import Final
 
 from control.model.arm import Arm
+from control.model.effects import COUPLED, COUPLED_TO
 
 RIGID_EFFECTS: Final = frozenset({"encoder_scale", "encoder_eccentricity", "belt_coupling"})
-_COUPLED, _COUPLED_TO = 2, 1  # joints 3 and 2
+_COUPLED, _COUPLED_TO = COUPLED - 1, COUPLED_TO - 1
 _ROUNDS = 3  # Newton's; each squares an error that begins below 1e-2 rad
 Floats = tuple[float, ...]
 

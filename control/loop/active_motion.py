@@ -1,14 +1,26 @@
-"""The active motion: a planned one, or the stop that replaces it. Writes `paced`; a stop elsewhere writes the set-point."""
+"""The active motion: a planned one, or the stop that replaces it.
+
+Writes `paced` and `stops_along`; a stop elsewhere writes the set-point.
+"""
 
 from control.loop.arm_state import ArmState
 from control.motion.pace import Paced
 from control.motion.setpoint import Motion, SetPoint
 
+STOP_WITHIN_S = 0.4  # from full speed and pace it takes 0.3 s, the joints' own stops 0.25 s
+
 
 def begin(state: ArmState, motion: Motion, pace: float) -> None:
     """Start `motion` now."""
+    state.stops_along = False
     limits = [limit.acceleration_rad_s2 for limit in state.parts.set_point_limits]
     state.paced = Paced(motion, limits, pace)
+
+
+def stop_along(state: ArmState) -> bool:
+    """Let the active motion slow down to rest on its own path, if that is soon enough; return whether it is."""
+    state.stops_along = state.paced is not None and state.paced.can_rest(STOP_WITHIN_S)
+    return state.stops_along
 
 
 def stop_from(state: ArmState, point: SetPoint) -> None:

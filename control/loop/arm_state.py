@@ -7,6 +7,7 @@ jogs, stops), fault_reactions, homing, shutdown. Each module lists the attribute
 import math
 
 from control.hardware.averaging import Averaging
+from control.hardware.board_stop import Bridge
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.parts import NOWHERE, Parts
@@ -29,7 +30,10 @@ class ArmState:
         # the cycle
         self.punctuality = Punctuality(parts.period_s, parts.stopwatch_s)
         self.now_s = 0.0
-        self.elapsed_s = parts.period_s  # since the last cycle, by the cycle timer
+        self.elapsed_s = (
+            parts.period_s
+        )  # since the last cycle, by the cycle timer; of a pause, what `bridge` leaves
+        self.bridge: Bridge | None = None  # what the pause before this cycle meant, if the boards had to stop
         self.cycles = 0
         self.has_waited = False  # for boards, outside of a cycle: deadlines missed meanwhile do not count
         # measured
@@ -45,11 +49,14 @@ class ArmState:
         # motions (motion_modes, homing)
         self.run_number = 0
         self.paced: Paced | None = None  # the active motion or stop
+        self.stops_along = False  # whether that motion slows down to rest on its path
         self.override = 1.0  # pace at which motions run
         self.jogging: Jogging | None = None
         self.homing: HomingSequence | None = None
         self.was_stopped = False  # the last motion, before its end
         self.is_weightless = False  # gravity compensation during hand guiding
+        self.unrecorded = ""  # why cycles are not recorded now; empty while they are
+        self.stated_payload_kg = 0.0  # by a client; the model's payload follows it
         # requested mode (shutdown)
         self.is_hold_pending = False
         self.is_shutting_down = False
@@ -77,7 +84,7 @@ class ArmState:
         return self.stillness.is_still(self.now_s, self.parts.measurement.speed_rad_s)
 
     def payload_kg(self) -> float:
-        """Mass at the tip, as stated."""
+        """Mass at the tip in the model now; it follows the stated one."""
         return self.parts.servo.torque_model.payload_kg
 
     def progress(self) -> float:

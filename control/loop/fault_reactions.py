@@ -4,25 +4,28 @@ Writes `fault_rows`, and ends motions: `paced`, `jogging`, `homing`, `was_stoppe
 """
 
 from dataclasses import replace
+from typing import Final
 
 from control.errors import ArmError
 from control.loop import set_points
-from control.loop.active_motion import stop_from
+from control.loop.active_motion import stop_along, stop_from
 from control.loop.arm_state import ArmState
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import Clip
 from control.safety.table import TRAVELLING_MODES, Mode
 from firmware_iface.errors import LinkError
 
+# The arm does not get to its set-point: a stop from there would push on what holds it back.
+_RESISTED: Final = frozenset({"following_error", "unexplained_torque"})
+_OF_THE_MOTION: Final = frozenset({"motion", "room", "set_point_limit", "joint_range", "overspeed"})
+
 
 def fail(state: ArmState, fault: Fault) -> None:
     """Go to FAULT with the fault's reaction, and save the cycles before it."""
     monitor = state.monitor
-    was_braking = monitor.reaction is Reaction.BRAKE
+    was_let_go, was_on_path = _is_let_go(state), monitor.mode in set_points.ON_PATH or state.stops_along
     is_first = monitor.mode is not Mode.FAULT
     monitor.fault(_sharpened(state, fault))
-    if fault.code == "zero_lost":
-        monitor.forget_home()
     if is_first:
         state.stillness.enter_mode(state.now_s)
         state.fault_rows = state.parts.recorder.last_rows()
@@ -30,9 +33,22 @@ def fail(state: ArmState, fault: Fault) -> None:
         state.is_hold_pending = False
     state.was_stopped = True
     if monitor.is_held_fault and is_first:
-        stop_from(state, state.set_point if fault.code != "following_error" else set_points.measured(state))
-    elif not was_braking and monitor.reaction is Reaction.BRAKE:
+        _stop(state, fault.code, was_on_path)
+    elif not was_let_go and _is_let_go(state):
         state.paced = None
+
+
+def _stop(state: ArmState, code: str, was_on_path: bool) -> None:
+    """The controlled stop after a fault: on the path of the motion, unless the motion is what is wrong."""
+    if code in _RESISTED:
+        stop_from(state, set_points.measured(state))
+    elif code in _OF_THE_MOTION or not (was_on_path and stop_along(state)):
+        stop_from(state, state.set_point)
+
+
+def _is_let_go(state: ArmState) -> bool:
+    """Whether the loop has left the arm to its boards, or to the shorted windings."""
+    return state.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE)
 
 
 def _sharpened(state: ArmState, fault: Fault) -> Fault:
@@ -74,9 +90,9 @@ def refuse(state: ArmState, clip: Clip) -> None:
 def fault_of(error: Exception) -> Fault:
     """The fault for an exception that was raised within a cycle."""
     if isinstance(error, LinkError):
-        return Fault("link", "links", str(error), "check cables and supply", Reaction.BRAKE)
+        return Fault("link", "links", str(error), "check cables and supply", Reaction.HOLD)
     remedy = "report it with the recording of this run"
-    return Fault("internal", "control loop", _text_of(error), remedy, Reaction.BRAKE)
+    return Fault("internal", "control loop", _text_of(error), remedy, Reaction.HOLD)
 
 
 def _text_of(error: Exception) -> str:

@@ -14,12 +14,13 @@ from control.safety.table import Event
 
 
 def take_known_zeros(state: ArmState) -> bool:
-    """Use the boards' zeros if all of them were set since power-up; return whether they were.
+    """Use the boards' zeros if all of them were set since power-up and none is doubted; return whether they were.
 
     A counter that can wrap within its joint's travel may have wrapped unobserved, so it is never used.
     """
     flags = state.parts.hardware.feedback.channel_flags
-    if not (state.parts.do_counters_span and all(flag & ZERO_SET for flag in flags)):
+    is_doubted = state.monitor.is_zero_doubted
+    if is_doubted or not (state.parts.do_counters_span and all(flag & ZERO_SET for flag in flags)):
         return False
     _become_homed(state)
     return True
@@ -28,6 +29,7 @@ def take_known_zeros(state: ArmState) -> bool:
 def _become_homed(state: ArmState) -> None:
     """The pose is known: the feed-forward takes over the weight from the integrals."""
     was_homed = state.monitor.is_homed
+    state.parts.indices.forget()
     state.on(Event.HOMED)
     if not was_homed:
         state.parts.servo.learn_pose()

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
+from control.hardware.board_stop import Bridge
 from control.hardware.interface import Feedback
 from control.motion.setpoint import SetPoint
 
@@ -116,6 +117,15 @@ class JointHoming:
             return self._settle(feedback.count[self._joint], elapsed_s)
         self.phase = Phase.DONE  # this cycle's counts are relative to the new zero
         return 0.0
+
+    def take_up(self, bridge: Bridge) -> float:
+        """Go on after a pause of the host in which the boards slowed the joint down; return its way meanwhile in rad."""
+        step = self.speed_set_rad_s * bridge.motion_s
+        self._travelled_rad += step
+        self._since_active_rad += abs(step) if self.phase is Phase.RELEASE else 0.0
+        self.speed_set_rad_s *= bridge.speed_share
+        self.acceleration_set_rad_s2 = 0.0
+        return step
 
     def _release(self, is_active: bool, elapsed_s: float) -> float:
         step = self._go(-self._forth * self._home.speed_rad_s, elapsed_s)
@@ -233,6 +243,14 @@ class HomingSequence:
         step_rad = homing.step(feedback, elapsed_s)
         if homing.phase is Phase.DONE:
             self._present = None
+        return _with_joint(set_point, joint, step_rad, homing.speed_set_rad_s, homing.acceleration_set_rad_s2)
+
+    def take_up(self, set_point: SetPoint, bridge: Bridge) -> SetPoint:
+        """Go on after a pause of the host in which the boards slowed the joint down."""
+        if self._present is None:
+            return set_point
+        joint, homing = self._present
+        step_rad = homing.take_up(bridge)
         return _with_joint(set_point, joint, step_rad, homing.speed_set_rad_s, homing.acceleration_set_rad_s2)
 
 

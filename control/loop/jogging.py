@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from control.errors import ArmError
+from control.hardware.board_stop import Bridge
 from control.kinematics.inverse import InverseKinematics
+from control.motion.guard import Guard
 from control.motion.jog_joints import JointJog
 from control.motion.jog_limits import JogLimits
 from control.motion.jog_tip import TipJog
@@ -59,14 +61,19 @@ class _Motion(Protocol):
 
     def advance(self, elapsed_s: float) -> SetPoint: ...
 
+    def take_up(self, motion_s: float, speed_share: float) -> SetPoint: ...
+
 
 class Jogging:
     """One jog, from HOLDING to HOLDING. Changing between joints needs no stop; changing from joints to the tip does."""
 
-    def __init__(self, limits: JogLimits, inverse: InverseKinematics, is_homed: bool) -> None:
-        self._limits = limits if is_homed else limits.unhomed()
+    def __init__(self, limits: JogLimits, inverse: InverseKinematics, guard: Guard | None) -> None:
+        """`guard`: None for an arm that is not homed; its poses are unknown."""
+        self._limits = limits if guard is not None else limits.unhomed()
         self._inverse = inverse
-        self._is_homed = is_homed
+        self._guard = guard
+        self._objection = ""  # what the arm would meet
+        self._must_rest = False  # before another request
         self._motion: JointJog | TipJog | None = None
         self._next: JogRequest | None = None  # once the arm has come to rest
         self._is_step = False
@@ -76,7 +83,11 @@ class Jogging:
     @property
     def limited(self) -> str:
         """What limits the jog, as text; empty if nothing does."""
-        return "" if self._motion is None else self._motion.limited
+        return self._objection or ("" if self._motion is None else self._motion.limited)
+
+    @property
+    def _is_moving(self) -> bool:
+        return self._motion is not None and not self._motion.is_at_rest
 
     @property
     def is_over(self) -> bool:
@@ -86,8 +97,8 @@ class Jogging:
 
     def ask(self, now_s: float, request: JogRequest, set_point: SetPoint) -> None:
         """Start, change or renew a request. ArmError says why it is refused; then nothing changes."""
-        if self._begun(request, set_point):
-            self._next = None
+        if not (self._must_rest and self._is_moving) and self._begun(request, set_point):
+            self._next, self._must_rest = None, False
         else:
             self._next = request
             self._cease()
@@ -105,13 +116,40 @@ class Jogging:
             self._has_ceased, self._next = True, None
             self._cease()
         if self._next is not None and self._motion is not None and self._motion.is_at_rest:
-            self._motion = None
+            self._motion, self._must_rest = None, False
             request, self._next = self._next, None
             try:
                 self._begun(request, set_point)
             except ArmError:  # the arm is elsewhere than at the request; the next renewal reports why
                 self._is_step = True
-        return set_point if self._motion is None else self._motion.advance(elapsed_s)
+        return set_point if self._motion is None else self._guarded(self._motion, elapsed_s, set_point)
+
+    def _guarded(self, motion: JointJog | TipJog, elapsed_s: float, set_point: SetPoint) -> SetPoint:
+        """The motion's next set-point; the motion comes to rest where the arm would meet something.
+
+        A tip jog looks at the end of its own stop.
+        """
+        wanted = motion.advance(elapsed_s)
+        if self._guard is None or self._must_rest:
+            return wanted
+        if not isinstance(motion, JointJog):
+            self._objection = ""
+            return wanted
+        self._objection = self._guard.jog_objection(wanted, set_point)
+        if not self._objection:
+            return wanted
+        if any(set_point.speed_rad_s):
+            self._must_rest = True
+            self._cease()
+            return wanted
+        self._motion = None  # at rest, and nowhere to go
+        return set_point
+
+    def take_up(self, set_point: SetPoint, bridge: Bridge) -> SetPoint:
+        """Go on after a pause of the host in which the boards slowed the arm down."""
+        return (
+            set_point if self._motion is None else self._motion.take_up(bridge.motion_s, bridge.speed_share)
+        )
 
     def _begun(self, request: JogRequest, set_point: SetPoint) -> bool:
         """Whether the request could start at once; else the arm must first come to rest."""
@@ -132,7 +170,7 @@ class Jogging:
     def _new(self, request: JogRequest, set_point: SetPoint) -> JointJog | TipJog:
         if isinstance(request, JointSpeeds | JointStep):
             return JointJog(set_point, self._limits.joints)
-        if not self._is_homed:
+        if self._guard is None:
             raise ArmError("a tip jog needs every joint homed: home the arm first (`armwright home`)")
         return TipJog(
             set_point,
@@ -140,6 +178,7 @@ class Jogging:
             self._inverse.kinematics,
             self._limits.of_motion,
             self._limits.tip_speed_m_s,
+            self._guard.objection,
         )
 
     def _cease(self) -> None:

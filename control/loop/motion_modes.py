@@ -4,14 +4,17 @@ Writes `paced`, `jogging`, `run_number` and `was_stopped`; the set-point through
 """
 
 from control.errors import ArmError
+from control.hardware.board_stop import Bridge
 from control.loop import set_points
-from control.loop.active_motion import begin, stop_from
+from control.loop.active_motion import begin, stop_along, stop_from
 from control.loop.arm_state import ArmState
 from control.loop.fault_reactions import fail, lose_motion, refuse
 from control.loop.jogging import JogRequest
 from control.motion.setpoint import Motion, SetPoint
 from control.safety.fault import Fault, Reaction
 from control.safety.table import TRAVELLING_MODES, Event, Mode
+
+ROOM_REMEDY = "move or jog the arm away; [limits] and [table] of arm.toml say where floor, table and base are"
 
 
 def follow_motion(state: ArmState) -> None:
@@ -21,15 +24,33 @@ def follow_motion(state: ArmState) -> None:
     try:
         wanted = state.paced.advance(state.elapsed_s, _wanted_pace(state))
     except Exception as error:  # the feedback is still good, so the arm can stop under control
-        lose_motion(state, error)
+        if state.stops_along:
+            stop_from(state, state.set_point)
+        else:
+            lose_motion(state, error)
         return
     _take(state, wanted)
-    if state.paced is not None and state.paced.is_over:
+    if state.paced is not None and (state.paced.is_over or (state.stops_along and state.paced.pace == 0.0)):
         _come_to_rest(state, Event.ARRIVED if state.monitor.mode in set_points.ON_PATH else Event.STOPPED)
 
 
+def take_up(state: ArmState, bridge: Bridge) -> None:
+    """After a pause of the host: go on from where, and as fast as, the boards' own stop has left the arm."""
+    try:
+        if state.jogging is not None:
+            state.set_point = state.jogging.take_up(state.set_point, bridge)
+        elif state.homing is not None:
+            state.set_point = state.homing.take_up(state.set_point, bridge)
+        elif state.paced is not None:
+            state.set_point = state.paced.take_up(bridge.motion_s, bridge.speed_share)
+            if state.monitor.mode not in set_points.ON_PATH and not state.stops_along:
+                stop_from(state, state.set_point)
+    except Exception as error:
+        lose_motion(state, error)
+
+
 def _wanted_pace(state: ArmState) -> float:
-    if state.monitor.mode is Mode.PAUSED:
+    if state.monitor.mode is Mode.PAUSED or state.stops_along:
         return 0.0
     return state.override if state.monitor.mode is Mode.MOVING else 1.0
 
@@ -49,12 +70,16 @@ def follow_jog(state: ArmState) -> None:
 
 
 def _take(state: ArmState, wanted: SetPoint) -> None:
+    if objection := set_points.objection(state, wanted):
+        fail(state, Fault("room", "motion", f"it was stopped: {objection}", ROOM_REMEDY, Reaction.CONTROLLED))
+        return
     if (clip := set_points.take(state, wanted)) is not None:
         refuse(state, clip)
 
 
 def _come_to_rest(state: ArmState, event: Event) -> None:
     state.paced = state.jogging = None
+    state.stops_along = False
     set_points.rest(state)
     state.on(event)
 
@@ -90,14 +115,15 @@ def renew_jog(state: ArmState) -> None:
 
 
 def stop(state: ArmState) -> None:
-    """Controlled stop; legal in every mode."""
+    """Controlled stop, of a motion on its path where that is soon enough; legal in every mode."""
     before = state.monitor.mode
     state.on(Event.STOP)
     state.is_hold_pending = False
     if state.monitor.mode is Mode.STOPPING and before is not Mode.STOPPING:
         state.was_stopped = True
         state.homing = state.jogging = None
-        stop_from(state, state.set_point)
+        if before not in set_points.ON_PATH or not stop_along(state):
+            stop_from(state, state.set_point)
 
 
 def brake(state: ArmState) -> None:

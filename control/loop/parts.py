@@ -6,12 +6,15 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from control.dynamics.joint_side import JointSide
+from control.hardware.board_stop import BoardStop
 from control.hardware.interface import Hardware
 from control.hardware.measurement import Measurement
 from control.kinematics.inverse import InverseKinematics
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.watch import Watch
+from control.loop.witnesses import IndexWatch, MotorCountWatch, SwitchWatch, Witnesses
+from control.motion.guard import Guard
 from control.motion.setpoint import Motion, SetPoint
 from control.recording.record import Recorder
 from control.safety.limits import SetPointLimits
@@ -39,16 +42,24 @@ class Parts:
     measurement: Measurement
     servo: Servo
     watch: Watch
+    witnesses: Witnesses
+    indices: IndexWatch
+    switches: SwitchWatch
+    motor_counts: MotorCountWatch
     set_point_limits: tuple[SetPointLimits, ...]
     homing: Callable[[], HomingSequence]
     gravity_compensation: GravityCompensation
     jogging: Callable[[bool], Jogging]  # of an arm that is homed; of one that is not
     stop_from: Callable[[SetPoint], Motion]
+    guard: Guard
     inverse: InverseKinematics
     camera: Camera | None
     joint_names: tuple[str, ...]
     do_counters_span: bool  # whose counters cover the whole travel of their joints without a wrap
     period_s: float
+    board_stop: BoardStop
     stopwatch_s: Callable[[], float]
+    payload_limit_kg: float = math.inf
+    allows_unrecorded: bool = False  # motions while the recording has stopped
     aim_limits: tuple[SetPointLimits, ...] = ()  # of the encoders' set-points, for such an arm
     joint_side: JointSide | None = None  # of an arm whose encoders do not say where its joints are

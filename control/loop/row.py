@@ -19,7 +19,7 @@ def row_of(state: ArmState, late_s: float) -> list[float]:
     mode, aim = state.monitor.mode, state.aim
     row = [
         state.now_s, state.cycles & 0xFFFFFFFF, state.run_number, MODE_NUMBER[mode],
-        state.punctuality.missed, late_s, state.punctuality.end(), state.payload_kg(), *state.new_camera_m,
+        state.punctuality.missed, late_s, state.punctuality.end(), state.stated_payload_kg, *state.new_camera_m,
     ]  # fmt: skip
     joints = set_points.joint_rad(state) if state.parts.joint_side is not None else None
     is_open = mode in (Mode.GUIDING, Mode.OFF)

@@ -2,7 +2,7 @@
 
     cycle(now_s, late_s, missed, missed_in_row)
       _read            hardware.read(), then angles and speeds from counts, camera, averages
-      _watch           limits, stale data, board faults -> faults -> the state machine
+      _watch           limits, stale data, board faults, contradictions -> faults -> the state machine
       _advance         the mode's change of the set-point (hold, motion, jog, homing, stop, nothing)
       _aim             encoder set-points, on an arm whose gears or belt are known
       _drive           set-point -> feed-forward + PID -> hardware.write()
@@ -13,6 +13,8 @@ same object runs in its own process in real time and in a test on a stepped cloc
 modes are in control.loop.set_points, motion_modes, homing, shutdown and fault_reactions.
 """
 
+import contextlib
+
 from control.errors import ArmError
 from control.hardware.interface import OutputMode
 from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown
@@ -22,10 +24,14 @@ from control.loop.parts import NOWHERE
 from control.loop.row import row_of
 from control.loop.watch import Expectation
 from control.motion.setpoint import Motion, SetPoint
-from control.safety.fault import Fault
+from control.safety.fault import Fault, Reaction
 from control.safety.table import Event, Mode
 from firmware_iface.errors import BoardReset, LinkError
 
+# Feed-forward and PID share the weight: 1 kg at 0.75 m is 7 Nm, which the PID takes over in a second without being noticed.
+PAYLOAD_RATE_kg_s = 1.0
+RECORDING_LOOK_cycles = 50  # 0.1 s at 500 Hz; asking costs a system call
+UNRECORDED_STOPS = (Mode.MOVING, Mode.HOMING)
 HOMING_CURRENT_FRACTION = 0.5  # during homing, and while joints without a zero are jogged
 
 
@@ -39,12 +45,18 @@ class Runtime(ArmState):
         self.now_s = now_s
         self.cycles += 1
         self.elapsed_s = (1 + missed) * self.parts.period_s
+        self.bridge = self.parts.board_stop.bridge(self.elapsed_s) if missed else None
+        if self.bridge is not None:
+            self.elapsed_s = self.parts.period_s
         self.punctuality.begin(late_s, missed)
         if missed:
-            self.parts.watch.note_pause(now_s)
+            self.parts.watch.note_pause(now_s, missed * self.parts.period_s)
         try:
             self._read()
+            if self.bridge is not None:
+                motion_modes.take_up(self, self.bridge)
             self._watch(missed_in_row)
+            self._follow_payload()
             self._advance()
             self._aim()
             self._drive()
@@ -74,10 +86,29 @@ class Runtime(ArmState):
         found = self.parts.watch.look(
             self.now_s, self.parts.hardware.feedback, measured.q_rad, measured.speed_rad_s,
             self.aim.q_rad, self.aim.speed_rad_s, missed_in_row,
-            Expectation(self.drives.is_ready, self.monitor.is_homed, self.is_controlled()),
+            # The arm is where its boards' stop brought it: following is expected from the next cycle on.
+            Expectation(self.drives.is_ready, self.monitor.is_homed, self.is_controlled() and self.bridge is None),
         )  # fmt: skip
-        for fault in found:
+        for fault in (*found, *self._contradictions()):
             self.fail(fault)
+
+    def _contradictions(self) -> list[Fault]:
+        """What the boards' values say against each other, while they are fresh and the drives are on."""
+        parts, feedback = self.parts, self.parts.hardware.feedback
+        if not self.drives.is_ready or self.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE):
+            parts.witnesses.forget()
+            parts.motor_counts.forget()
+            return []
+        model_A = parts.servo.model_A
+        faults = parts.witnesses.look(self.elapsed_s, feedback, parts.measurement.speed_rad_s, model_A)
+        faults += parts.motor_counts.look(feedback.motor_counts, parts.measurement.speed_rad_s)
+        is_homed = self.monitor.is_homed
+        parts.hardware.watch_indices(is_homed)
+        passed = parts.hardware.passed_indices()
+        if is_homed:
+            faults += parts.watch.leaps(parts.measurement.leap_rad) + parts.indices.look(passed)
+            faults += parts.switches.look(self.elapsed_s, parts.measurement.q_rad, feedback.channel_flags)
+        return faults
 
     def _advance(self) -> None:
         mode = self.monitor.mode
@@ -93,6 +124,17 @@ class Runtime(ArmState):
         if self.is_shutting_down:
             shutdown.follow(self)
 
+    def _follow_payload(self) -> None:
+        """Let the model's payload follow the stated one: at once while nothing depends on it, else slowly."""
+        model, stated_kg = self.parts.servo.torque_model, self.stated_payload_kg
+        if model.payload_kg == stated_kg:
+            return
+        if self.monitor.mode in (Mode.OFF, Mode.BRAKED):
+            model.payload_kg = stated_kg
+            return
+        most_kg = PAYLOAD_RATE_kg_s * self.elapsed_s
+        model.payload_kg += min(max(stated_kg - model.payload_kg, -most_kg), most_kg)
+
     def _aim(self) -> None:
         if (clip := set_points.aim(self)) is not None:
             fault_reactions.refuse(self, clip)
@@ -103,11 +145,18 @@ class Runtime(ArmState):
             return
         servo = self.parts.servo
         servo.silence()
-        if self.monitor.mode is Mode.GUIDING and self.is_weightless and self._carry():
+        if self.monitor.mode is Mode.GUIDING:
+            self._watch_the_hand()
+        if self.monitor.mode is Mode.GUIDING and self.is_weightless:
+            self._carry()
             return
         is_free = self.monitor.mode is Mode.GUIDING
-        output_mode = OutputMode.OFF if is_free else OutputMode.VOLTAGE
+        output_mode = OutputMode.OFF if is_free else self._mode_without_control()
         self.parts.hardware.write(output_mode, servo.output, servo.feedforward_V)
+
+    def _mode_without_control(self) -> OutputMode:
+        """0 V, or the boards' own hold after a fault that leaves them their feedback."""
+        return OutputMode.HOLD if self.monitor.reaction is Reaction.HOLD else OutputMode.VOLTAGE
 
     def _servo(self) -> None:
         measured, servo, set_point = self.parts.measurement, self.parts.servo, self.set_point
@@ -116,27 +165,37 @@ class Runtime(ArmState):
         servo.update(self.aim, measured.q_rad, measured.speed_rad_s, self.monitor.is_homed, fraction, joints)
         self.parts.hardware.write(servo.mode, servo.output, servo.feedforward_V)
 
-    def _carry(self) -> bool:
-        """Apply gravity compensation; moving too fast is a fault."""
-        measured, servo, gravity_compensation = (
-            self.parts.measurement,
-            self.parts.servo,
-            self.parts.gravity_compensation,
-        )
-        if (fault := gravity_compensation.too_fast(measured.speed_rad_s)) is not None:
+    def _watch_the_hand(self) -> None:
+        """An arm that moves faster than a hand guides it falls, or is carried away: a fault."""
+        speed_rad_s = self.parts.measurement.speed_rad_s
+        if (fault := self.parts.gravity_compensation.too_fast(speed_rad_s, self.is_weightless)) is not None:
             self.fail(fault)
-            return False
-        amperes = gravity_compensation.update(
+
+    def _carry(self) -> None:
+        """Apply gravity compensation."""
+        measured, servo = self.parts.measurement, self.parts.servo
+        amperes = self.parts.gravity_compensation.update(
             set_points.joints_standing(self, measured.q_rad), measured.speed_rad_s
         )
         self.parts.hardware.write(OutputMode.CURRENT, amperes, servo.feedforward_V)
-        return True
 
     def _record(self, late_s: float) -> None:
         self.parts.recorder.write(row_of(self, late_s))
+        if self.cycles % RECORDING_LOOK_cycles == 0:
+            self.unrecorded = self.parts.recorder.problem()
+            if self.unrecorded and not self.parts.allows_unrecorded and self.monitor.mode in UNRECORDED_STOPS:
+                self.stop()
+
+    def require_recording(self) -> None:
+        """ArmError if nothing is recorded now, and arm.toml says that no motion begins then."""
+        if self.unrecorded and not self.parts.allows_unrecorded:
+            raise ArmError(
+                f"nothing is recorded ({self.unrecorded}), so no motion begins: make room on the disk, or set"
+                ' [recording] unrecorded = "allow" in arm.toml; jogs and hand guiding are free'
+            )
 
     def _break_down(self, error: Exception) -> None:
-        """The cycle raised: fault, and 0 V if the links still work."""
+        """The cycle raised: fault, and the boards hold; where a link is gone, they do so by themselves."""
         if not (self.is_quitting and self.monitor.mode is Mode.OFF):
             self.fail(fault_reactions.fault_of(error))
         if isinstance(error, BoardReset):
@@ -144,10 +203,8 @@ class Runtime(ArmState):
         shutdown.follow(self)
         servo = self.parts.servo
         servo.silence()
-        try:
-            self.parts.hardware.write(OutputMode.VOLTAGE, servo.output, servo.feedforward_V)
-        except LinkError:
-            self.parts.hardware.emergency_stop()
+        with contextlib.suppress(LinkError):
+            self.parts.hardware.write(self._mode_without_control(), servo.output, servo.feedforward_V)
 
     # ---- requests
 
@@ -179,16 +236,27 @@ class Runtime(ArmState):
         """Start the shutdown: stop, hold, brake, off. The cycle continues it."""
         shutdown.begin(self, quits)
 
+    def state_payload(self, mass_kg: float) -> None:
+        """State the mass in the gripper. ArmError if it is more than the arm may carry."""
+        most_kg = self.parts.payload_limit_kg
+        if not 0.0 <= mass_kg <= most_kg:
+            raise ArmError(
+                f"payload: expected mass_kg from 0 to {most_kg:g} kg ([limits] payload_limit_kg), got {mass_kg:g}"
+            )
+        self.stated_payload_kg = mass_kg
+
     def take_known_zeros(self) -> bool:
         """Use the boards' zeros if all of them were set since power-up; return whether they were."""
         return homing.take_known_zeros(self)
 
     def start_homing(self) -> None:
         """Home every joint, one after the other. ArmError if arm.toml does not describe how."""
+        self.require_recording()
         homing.start(self)
 
     def start(self, motion: Motion, as_encoders: bool = False) -> None:
         """Start a checked motion that begins, at rest, at the arm's position `seen`."""
+        self.require_recording()
         motion_modes.start(self, motion, as_encoders)
 
     def jog(self, request: JogRequest) -> None:
@@ -205,6 +273,7 @@ class Runtime(ArmState):
 
     def resume(self) -> None:
         """Resume the motion."""
+        self.require_recording()
         self.on(Event.RESUME)
 
     def stop(self) -> None:

@@ -65,6 +65,17 @@ def take(state: ArmState, wanted: SetPoint) -> Clip | None:
     return allowed.reasons[0]
 
 
+def objection(state: ArmState, wanted: SetPoint) -> str:
+    """Why the arm must not get to a motion's set-point: floor, table, its own base; empty if it may.
+
+    Motions were checked before they began, so this finds what that check missed. A jog looks ahead by itself
+    (control.loop.jogging); a stop and poses without a zero are not checked.
+    """
+    if state.monitor.mode not in ON_PATH:
+        return ""
+    return state.parts.guard.objection(wanted.q_rad, state.set_point.q_rad)
+
+
 def aim(state: ArmState) -> Clip | None:
     """Compute the encoders' set-point for that of the joints, within its own limits; returns the clip, if any."""
     side = state.parts.joint_side
@@ -75,7 +86,7 @@ def aim(state: ArmState) -> Clip | None:
     if state.is_of_encoders:
         state.aim = state.set_point
         return None
-    if state.monitor.mode not in (*ON_PATH, Mode.JOGGING):
+    if state.monitor.mode not in (*ON_PATH, Mode.JOGGING) or state.bridge is not None:
         state.aim = wanted
         return None
     last = state.aim

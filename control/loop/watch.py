@@ -1,10 +1,11 @@
 """Monitoring of each cycle: measured values against limits; each violation is a fault with a remedy.
 
-Two reactions (control.safety.monitor): if the feedback is good, a controlled stop and hold; if it cannot be trusted, the
-windings are shorted on all joints. Order matters only for the operator: the first finding is usually the cause.
+Three reactions (control.safety.fault): if the feedback is good, a controlled stop and hold; if the loop has lost it and the
+motor boards have not, they stop and hold by themselves; if it cannot be trusted, the windings are shorted on all joints.
+Order matters only for the operator: the first finding is usually the cause.
 """
 
-import math
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -50,7 +51,8 @@ class JointLimits:
 class WatchLimits:
     """Limits of the whole arm: age of the boards' values, and cycles missed in a row.
 
-    `stale_s` applies while the loop runs; after a pause of the host itself, `silent_s` applies for as long.
+    `stale_s` limits the age in time that the host attended to: its own pauses do not make a board silent. `silent_s` limits
+    the age by the clock, pauses and all.
     """
 
     joints: tuple[JointLimits, ...]
@@ -77,16 +79,25 @@ class Watch:
     def __init__(self, limits: WatchLimits, joint_names: Sequence[str]) -> None:
         self._limits = limits
         self._names = joint_names
-        self._resumed_s = -math.inf
+        self._pauses: deque[tuple[float, float]] = deque()  # (when the host was back, how long it was away)
 
-    def note_pause(self, now_s: float) -> None:
-        """Note that the host itself missed deadlines until now, so silence of the boards meanwhile is no fault."""
-        self._resumed_s = now_s
+    def note_pause(self, now_s: float, away_s: float) -> None:
+        """Note that the host itself was away until now: the silence of the boards meanwhile is not theirs."""
+        self._pauses.append((now_s, away_s))
+        while self._pauses[0][0] < now_s - self._limits.silent_s:
+            self._pauses.popleft()
 
-    def age_limit_s(self, now_s: float) -> float:
-        """The allowed age of a board's values now."""
-        has_just_resumed = now_s - self._resumed_s < self._limits.stale_s
-        return self._limits.silent_s if has_just_resumed else self._limits.stale_s
+    def age_s(self, now_s: float, at_s: float) -> float:
+        """Age of a value, without the pauses of the host since it came."""
+        age_s = now_s - at_s
+        if age_s > self._limits.silent_s or not self._pauses:
+            return age_s
+        return age_s - sum(away_s for back_s, away_s in self._pauses if back_s > at_s)
+
+    def is_stale(self, now_s: float, at_s: float) -> bool:
+        """Whether a board's values are too old. NaN, and none at all, are."""
+        limit_s = self._limits.stale_s
+        return is_stale(now_s, at_s, limit_s) and not self.age_s(now_s, at_s) <= limit_s
 
     def look(
         self,
@@ -126,17 +137,31 @@ class Watch:
                 faults.append(self._late(missed_in_row))
         return faults
 
+    def leaps(self, leap_rad: Sequence[float]) -> list[Fault]:
+        """A fault for each joint whose count changed faster than its motor can turn."""
+        return [
+            Fault(
+                "encoder_leap",
+                self._names[joint],
+                f"its encoder leapt by {leap:.4f} rad between two reports, faster than its motor can turn",
+                "check the encoder's coupling, cable and shield, then home again",
+                Reaction.BRAKE,
+            )
+            for joint, leap in enumerate(leap_rad)
+            if leap
+        ]
+
     def _are_boards_well(self, now_s: float, feedback: Feedback, expected: Expectation) -> bool:
-        oldest_s = now_s - self.age_limit_s(now_s)
+        oldest_s = now_s - self._limits.stale_s
         wanted_flags = ZERO_SET if expected.is_homed else 0
         flags_mask = SIGNAL_LOST | (ZERO_SET | QUADRATURE_ERROR if expected.is_homed else 0)
-        if not feedback.encoder_at_s >= oldest_s:
+        if not feedback.encoder_at_s >= oldest_s and self.is_stale(now_s, feedback.encoder_at_s):
             return False
         for flags in feedback.channel_flags:
             if flags & flags_mask != wanted_flags:
                 return False
         for replied_s in feedback.reply_at_s:
-            if not replied_s >= oldest_s:
+            if not replied_s >= oldest_s and self.is_stale(now_s, replied_s):
                 return False
         if expected.are_drives_enabled:
             for word, fault_bits in zip(feedback.statusword, feedback.drive_faults, strict=True):
@@ -166,23 +191,22 @@ class Watch:
     def _boards(self, now_s: float, feedback: Feedback, expected: Expectation) -> list[Fault]:
         """Return the faults of boards and encoders."""
         faults: list[Fault] = []
-        limit_s = self.age_limit_s(now_s)
-        if is_stale(now_s, feedback.encoder_at_s, limit_s):
-            faults.append(_silent_encoder(now_s - feedback.encoder_at_s, limit_s))
+        if self.is_stale(now_s, feedback.encoder_at_s):
+            faults.append(_silent_encoder(now_s - feedback.encoder_at_s, self._limits.stale_s))
         for joint in range(feedback.joint_count):
             faults += self._drive(joint, now_s, feedback, expected)
             faults += self._channel(joint, feedback, expected)
         return faults
 
     def _drive(self, joint: int, now_s: float, feedback: Feedback, expected: Expectation) -> Iterator[Fault]:
-        age_s, limit_s = now_s - feedback.reply_at_s[joint], self.age_limit_s(now_s)
-        if is_stale(now_s, feedback.reply_at_s[joint], limit_s):
+        age_s, limit_s = now_s - feedback.reply_at_s[joint], self._limits.stale_s
+        if self.is_stale(now_s, feedback.reply_at_s[joint]):
             yield Fault(
                 "drive_silent",
                 self._names[joint],
                 f"its drive sent no reply for {age_s:.3f} s (limit {limit_s:.3f} s)",
                 "check the CAN cable, its termination and the drive's supply",
-                Reaction.BRAKE,
+                Reaction.HOLD,
             )
             return
         if not expected.are_drives_enabled:
@@ -194,7 +218,7 @@ class Watch:
                     self._names[joint],
                     f"its drive reports a fault: {name}",
                     remedy,
-                    Reaction.BRAKE,
+                    Reaction.HOLD,
                 )
         if not feedback.drive_faults[joint]:
             state = feedback.statusword[joint] & STATE_MASK
@@ -204,7 +228,7 @@ class Watch:
                     self._names[joint],
                     f"its drive left OPERATION ENABLED by itself (statusword 0x{feedback.statusword[joint]:02x})",
                     "it was reset, or another program commands it: check its supply and the bus",
-                    Reaction.BRAKE,
+                    Reaction.HOLD,
                 )
 
     def _channel(self, joint: int, feedback: Feedback, expected: Expectation) -> Iterator[Fault]:
@@ -231,7 +255,7 @@ class Watch:
                 self._names[joint],
                 "the encoder board was reset and has lost its zero",
                 "check its supply, then home again",
-                Reaction.BRAKE,
+                Reaction.HOLD,
             )
 
     def _motion(
@@ -294,5 +318,5 @@ def _silent_encoder(age_s: float, limit_s: float) -> Fault:
         "encoder board",
         f"no report for {age_s:.3f} s (limit {limit_s:.3f} s)",
         "check its cable and supply",
-        Reaction.BRAKE,
+        Reaction.HOLD,
     )

@@ -19,13 +19,20 @@ from control.model.rules import (
     ANGLE,
     DIRECTION,
     ENCODER_BITS,
+    FOLLOWING,
+    LAG,
     LIMIT,
+    NAME,
     NODE,
     NOT_NEGATIVE,
     ONE_OR_MORE,
     POSITIVE,
     ROTATE_BYTES,
+    SHARE_ABOVE_1,
+    SHARE_BELOW_1,
+    STALE,
     TILT,
+    WATCHDOG,
     ZERO_OR_MORE,
     Rule,
 )
@@ -192,14 +199,24 @@ class Limits:
     """Limits that the loop enforces. A joint's following error may be `a + b |speed|`."""
 
     tip_speed_m_s: Positive = 1.0
-    following_error_rad: Positive = 0.05
-    following_error_per_speed_s: NonNegative = 0.05
-    floor_z_m: float = 0.0  # the tip stays above this height in the base frame
+    following_error_rad: Annotated[float, FOLLOWING] = 0.05
+    following_error_per_speed_s: Annotated[float, LAG] = 0.05
+    floor_z_m: float = 0.0  # the arm stays above this height in the base frame: on what the base stands
     floor_clearance_m: NonNegative = 0.0
-    watchdog_s: Positive = 0.2  # a host may pause 40-170 ms; a board watchdog must tolerate it
-    stale_s: Positive = 0.02
+    floor_tolerance_m: NonNegative = 0.01  # by which the model of an arm may be wrong before its calibration
+    base_radius_m: NonNegative = 0.0  # of the arm's own base about axis 1, up to joint 2; 0: not checked
+    watchdog_s: Annotated[float, WATCHDOG] = (
+        0.2  # a host may pause 40-170 ms; a board watchdog must tolerate it
+    )
+    stale_s: Annotated[float, STALE] = 0.02
     jog_tip_speed_m_s: Positive = 0.25  # the reduced speed of ISO 10218-1 for people beside the arm
+    payload_limit_kg: NonNegative = 5.0  # the largest mass that a client may state: feed-forward follows it
     jog_silence_s: Positive = 0.2  # a jog that is not renewed for this long comes to rest
+    speed_contradiction_rad_s: Positive = 0.02  # between motor and encoder, at rest; see docs/safety.md
+    unexplained_torque: Positive = 0.3  # share of the torque at the current limit; see there
+    supply_low: Annotated[float, SHARE_BELOW_1] = 0.75  # of the drive's supply_V
+    supply_high: Annotated[float, SHARE_ABOVE_1] = 1.4
+    temperature_degC: Positive = 95.0  # of a power stage; boards trip by themselves at their own rating
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,10 +224,13 @@ class RecordingPolicy:
     """Size at which a recording continues in a new file, and the total size of this arm's recordings.
 
     keep_bytes: beyond it, the oldest finished recordings in the folder are removed; 0: none is ever removed.
+    unrecorded: what becomes of motions while nothing is recorded (a full disk). "refuse": none begins, and one that runs makes a
+    controlled stop; jogs and hand guiding are free, to get the arm away. "allow": all go on.
     """
 
     rotate_bytes: Annotated[int, ROTATE_BYTES] = 500_000_000
     keep_bytes: Annotated[int, ZERO_OR_MORE] = 0
+    unrecorded: Literal["refuse", "allow"] = "refuse"
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +248,7 @@ class Calibration:
 class Arm:
     """An arm: geometry, masses, drives, boards and limits, read from the file `path`."""
 
-    name: str
+    name: Annotated[str, NAME]
     links: tuple[Link, ...] = field(metadata={"key": "link"})
     gravity_m_s2: Vector3 = (0.0, 0.0, -9.81)
     dh_convention: Convention = "standard"

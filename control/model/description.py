@@ -15,7 +15,7 @@ from typing import Any
 import tomli_w
 
 from control.errors import ArmError, ArmFileError
-from control.files import NO_ROOM, write_new
+from control.files import NO_ROOM, parsed_toml, read_text, write_new
 from control.model.arm import (
     Arm,
     Calibration,
@@ -89,7 +89,7 @@ def arm_names() -> tuple[str, ...]:
 def parse_arm(text: str, path: Path) -> Arm:
     """Parse a TOML text to an arm; `path` is the origin of the text."""
     try:
-        document = tomllib.loads(text)
+        document = parsed_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise _syntax_error(error, text, path) from None
     try:
@@ -129,7 +129,7 @@ def arm_text(arm: Arm) -> str:
 
 def _text_of(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return read_text(path)
     except UnicodeDecodeError as error:
         raise ArmFileError(path, None, "", "UTF-8 text", f"an invalid byte at {error.start}") from None
     except OSError as error:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 Place = Literal["joint", "link", "none", "joint or none"]
+COUPLED: Final = 3  # the joint that `belt_coupling` moves: its belt runs over the shoulder
+COUPLED_TO: Final = 2  # the joint whose angle says how far
 
 
 @dataclass(frozen=True, slots=True)

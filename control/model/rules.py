@@ -1,6 +1,7 @@
 """Rules for values of an arm.toml beyond their type: a description and a test."""
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -17,8 +18,43 @@ class Rule:
 
 _RADIANS: Final = "angles are in radians: this looks like degrees"
 
+LONGEST_NAME = 64  # a socket's whole path has 107 characters
+
+
+def is_file_name(name: str) -> bool:
+    """Whether a name can be part of a file's name and leads to no other folder."""
+    return (
+        bool(name)
+        and len(name) <= LONGEST_NAME
+        and name[0] not in ".-"
+        and not re.search(r"[/\\\x00-\x1f\x7f]", name)
+    )
+
+
+NAME: Final = Rule(
+    f"a name of 1 to {LONGEST_NAME} characters, without / and \\, that does not begin with . or -",
+    is_file_name,
+    "sockets and recordings are named after the arm",
+)
+# What protects the arm may be set wider than its default, but not without end.
+WATCHDOG: Final = Rule(
+    "a time from 0.005 to 1 s",
+    lambda x: 0.005 <= x <= 1.0,
+    "until then a board acts on a host that may be dead",
+)
+STALE: Final = Rule(
+    "a time up to 0.5 s, above 0", lambda x: 0.0 < x <= 0.5, "until then the arm is controlled by old values"
+)
+FOLLOWING: Final = Rule(
+    "an angle up to 0.5 rad, above 0", lambda x: 0.0 < x <= 0.5, "a joint that is further off follows nothing"
+)
+LAG: Final = Rule(
+    "a time from 0 to 0.5 s", lambda x: 0.0 <= x <= 0.5, "a joint that is later follows nothing"
+)
 POSITIVE: Final = Rule("a positive number", lambda x: x > 0)
 NOT_NEGATIVE: Final = Rule("a number not below 0", lambda x: x >= 0)
+SHARE_BELOW_1: Final = Rule("a share from 0.3 to 0.99", lambda x: 0.3 <= x <= 0.99)
+SHARE_ABOVE_1: Final = Rule("a share from 1.01 to 2", lambda x: 1.01 <= x <= 2.0)
 ZERO_OR_MORE: Final = Rule("a whole number not below 0", lambda n: n >= 0)
 ONE_OR_MORE: Final = Rule("a whole number of 1 or more", lambda n: n >= 1)
 ROTATE_BYTES: Final = Rule("a size of at least 1000000 bytes", lambda n: n >= 1_000_000)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
 from control.motion.setpoint import SetPoint
+from control.motion.trajectory import calculated
 
 if TYPE_CHECKING:
     import ruckig
@@ -74,6 +75,17 @@ class JointJog:
                 self._follow(joint, plan, elapsed_s)
         return self._state
 
+    def take_up(self, motion_s: float, speed_share: float) -> SetPoint:
+        """Go on from `motion_s` later, at a share of the present speed: others have slowed the arm down."""
+        q, speed, acceleration = self._state
+        if motion_s > 0.0:
+            q = tuple(a + v * motion_s for a, v in zip(q, speed, strict=True))
+        self._state = SetPoint(q, tuple(v * speed_share for v in speed), tuple(0.0 for _ in acceleration))
+        for joint, plan in enumerate(self._plans):
+            if plan is not None:
+                self._plan(joint)
+        return self._state
+
     def _follow(self, joint: int, plan: "ruckig.Trajectory", elapsed_s: float) -> None:
         self._time_s[joint] += elapsed_s
         is_over = self._time_s[joint] >= plan.duration and not self._is_endless[joint]
@@ -96,7 +108,6 @@ class JointJog:
         asked.current_velocity = [state.speed_rad_s[joint]]
         asked.current_acceleration = [state.acceleration_rad_s2[joint]]
         asked.max_acceleration = [limits.acceleration_rad_s2[joint]]
-        asked.max_jerk = [limits.jerk_rad_s3[joint]]
         goal = self._goal(joint)
         asked.max_velocity = [abs(wanted) if goal is not None else limits.speed_rad_s[joint]]
         speed = 0.0 if self._is_at_end(joint) else wanted
@@ -106,12 +117,8 @@ class JointJog:
             asked.target_velocity = [speed]
         else:
             asked.target_position = [goal]
-        trajectory = ruckig.Trajectory(1)
-        result = ruckig.Ruckig(1).calculate(asked, trajectory)
-        if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-            raise MotionError(
-                f"no jog of joint {joint + 1} from {state} at {wanted} rad/s: ruckig says {result}"
-            )
+        what = f"jog of joint {joint + 1} at {wanted} rad/s from {state.q_rad[joint]} rad"
+        trajectory = calculated(asked, [limits.jerk_rad_s3[joint]], what)
         self._plans[joint], self._time_s[joint] = trajectory, 0.0
 
     def _goal(self, joint: int) -> float | None:

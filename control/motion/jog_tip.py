@@ -4,6 +4,7 @@ The set-point is a tip position with its velocity and acceleration, moved by ruc
 step). Every cycle proposes the next state and calculates the stop from it. The proposal is accepted only if
 
 - the pose at the end of that stop exists: on the same branch, inside the joints' ranges, clear of singular poses,
+- the arm meets nothing there (control.motion.guard),
 - no joint exceeds its limits of speed and acceleration in the proposed state, nor could at that end.
 
 Otherwise the arm follows the stop that was checked with the last state, and reports the obstacle. Before that,
@@ -14,6 +15,7 @@ For arms of three joints, whose tip position fixes the joint angles on a branch.
 """
 
 import math
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from control.errors import ArmError, JointLimitViolated, NearSingular, OutOfReach
@@ -22,10 +24,12 @@ from control.motion.jog_limits import TIP_ACCELERATION_m_s2, TIP_JERK_m_s3
 from control.motion.joint_limits import JointLimits
 from control.motion.path import Differentiates, Follows, inverse_of, times
 from control.motion.setpoint import SetPoint, Vector
+from control.motion.trajectory import calculated
 
 if TYPE_CHECKING:
     import ruckig
 
+Objection = Callable[[Sequence[float], Sequence[float]], str]
 ZERO: Vector = (0.0, 0.0, 0.0)
 _EASY = 0.5  # of the joints' limits: bound of the tip's speed
 _HARD = 0.95  # of the joints' limits: bound of every proposal
@@ -63,7 +67,8 @@ class TipJog:
     """
 
     __slots__ = (
-        "_goal_m", "_inverse", "_kinematics", "_limits", "_looked", "_most_m_s", "_stop_s", "_stopping", "_wanted", "limited",
+        "_goal_m", "_inverse", "_kinematics", "_limits", "_looked", "_most_m_s", "_objection", "_stop_s", "_stopping", "_wanted",
+        "limited",
     )  # fmt: skip
 
     def __init__(
@@ -73,14 +78,18 @@ class TipJog:
         kinematics: Differentiates,
         limits: JointLimits,
         tip_speed_m_s: float,
+        objection: Objection = lambda wanted_rad, here_rad: "",
     ) -> None:
-        """`limits`: those of every motion, not of a jog; `tip_speed_m_s`: the largest tip speed."""
+        """`limits`: those of every motion, not of a jog; `tip_speed_m_s`: the largest tip speed.
+
+        `objection` says why the arm must not get from one pose to another; empty if it may.
+        """
         if len(start.q_rad) != 3:
             raise MotionError(
                 f"jog: a tip jog needs an arm of 3 joints, got {len(start.q_rad)}: jog its joints"
             )
         self._inverse, self._kinematics, self._limits = inverse, kinematics, limits
-        self._most_m_s = tip_speed_m_s
+        self._most_m_s, self._objection = tip_speed_m_s, objection
         self._wanted: Vector = ZERO
         self._goal_m: Vector | None = None
         self._stopping = False  # until rest, or until another request
@@ -142,6 +151,17 @@ class TipJog:
         self._looked = self._looked._replace(tip=tip, joints=self._joints(tip, self._looked.joints.q_rad))
         return self._looked.joints
 
+    def take_up(self, motion_s: float, speed_share: float) -> SetPoint:
+        """Go on from `motion_s` later, at a share of the present speed: others have slowed the arm down."""
+        position, velocity, _ = self._looked.tip
+        x, y, z = (p + v * motion_s for p, v in zip(position, velocity, strict=True))
+        vx, vy, vz = (v * speed_share for v in velocity)
+        tip = TipState((x, y, z), (vx, vy, vz), ZERO)
+        joints = self._joints(tip, self._looked.joints.q_rad)
+        stop = _trajectory(tip, ZERO, None, 1.0, 1.0)
+        self._looked, self._stop_s = self._looked._replace(tip=tip, joints=joints, stop=stop), 0.0
+        return joints
+
     def _resume(self) -> None:
         """Leave a stop for a new request, checking from the present state."""
         self.limited = ""
@@ -162,6 +182,8 @@ class TipJog:
         end = _sample(stop, stop.duration)
         q_end = self._inverse.follow(end.position_m, joints.q_rad)
         self._require_within(joints)
+        if objection := self._objection(q_end, q_near):
+            raise MotionError(objection)
         if tip.velocity_m_s != ZERO:
             speed, braking = self._rates(q_end, tip.velocity_m_s), ease * TIP_ACCELERATION_m_s2
             fastest = math.hypot(*tip.velocity_m_s)
@@ -227,7 +249,6 @@ def _trajectory(
     asked.current_acceleration = list(tip.acceleration_m_s2)
     most_m_s2 = ease * TIP_ACCELERATION_m_s2
     asked.max_acceleration = [most_m_s2] * 3
-    asked.max_jerk = [ease * TIP_JERK_m_s3] * 3
     speeds = [share * v for v in wanted]
     if goal_m is None:
         asked.max_velocity = [1.0] * 3
@@ -237,11 +258,9 @@ def _trajectory(
         asked.max_velocity = [max(map(abs, speeds))] * 3
         asked.target_position = list(goal_m)
     asked.synchronization = ruckig.Synchronization.Phase  # a straight line where that is possible
-    trajectory = ruckig.Trajectory(3)
-    result = ruckig.Ruckig(3).calculate(asked, trajectory)
-    if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-        raise MotionError(f"no jog from {tip} at {wanted}: ruckig says {result}")
-    return trajectory
+    return calculated(
+        asked, [ease * TIP_JERK_m_s3] * 3, f"jog of the tip from {tip.position_m} at {wanted} m/s"
+    )
 
 
 def _sample(trajectory: "ruckig.Trajectory", time_s: float) -> TipState:

@@ -1,9 +1,5 @@
-"""Joint moves and stops: jerk-limited and time-optimal, by ruckig, calculated once and evaluated every cycle.
+"""Joint moves and stops: jerk-limited and time-optimal, by ruckig, calculated once and evaluated every cycle."""
 
-ruckig's `intermediate_positions` is never set: the community version sends them to a remote service.
-"""
-
-import contextlib
 import math
 from collections.abc import Sequence
 from itertools import pairwise
@@ -12,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
 from control.motion.setpoint import SetPoint, at_rest
+from control.motion.trajectory import calculated
 
 if TYPE_CHECKING:
     import ruckig
@@ -24,10 +21,6 @@ _SEARCH_STEPS, _BISECTIONS = 100, 30
 # limit spares the gears, so it goes first; three times the acceleration is well inside the reference arm's
 # means (24 Nm at the current limit on about 0.5 kg m^2).
 _HARDER = ((1.0, 1.0), (1.0, 4.0), (1.0, 25.0), (1.5, 100.0), (2.0, 100.0), (3.0, 100.0))
-
-# ruckig 0.19.4 finds no trajectory over exactly 2 a^3 / j^2, where the acceleration limit is touched for no time: 0.05 rad with
-# 10 rad/s^2 and 200 rad/s^3. A little less jerk and it does.
-_JERK_SHARES = (1.0, 1.0 - 1e-7, 1.0 - 1e-4)
 
 
 class JointMove:
@@ -125,14 +118,7 @@ def _calculate(state: SetPoint, target: tuple[float, ...] | None, limits: JointL
     else:
         asked.target_position = list(target)
         asked.synchronization = ruckig.Synchronization.Phase  # a straight line in joint space where possible
-    trajectory = ruckig.Trajectory(count)
-    for share in _JERK_SHARES:
-        asked.max_jerk = [jerk * share for jerk in limits.jerk_rad_s3]
-        with contextlib.suppress(ruckig.RuckigError):
-            result = ruckig.Ruckig(count).calculate(asked, trajectory)
-            if result in (ruckig.Result.Working, ruckig.Result.Finished):
-                return trajectory
-    raise MotionError(f"no motion from {state} to {target}: ruckig finds none")
+    return calculated(asked, limits.jerk_rad_s3, f"joint move from {state} to {target or 'rest'}")
 
 
 def _sample(trajectory: "ruckig.Trajectory", time_s: float) -> SetPoint:

@@ -13,6 +13,7 @@ from control.motion.setpoint import Motion, SetPoint
 RATE_per_s = 5.0  # from full speed to rest in 0.3 s if the joints can
 CURB_per_s2 = 50.0
 _ARRIVED = 1e-9
+_LOOK_S = 0.01  # steps of a look ahead
 
 
 class Paced:
@@ -56,6 +57,28 @@ class Paced:
             tuple(v * after for v in speed),
             tuple(a * after * after + v * rate for a, v in zip(acceleration, speed, strict=True)),
         )
+
+    def can_rest(self, within_s: float) -> bool:
+        """Whether pace 0 is reached in this time by the limits of the joints, or the end of the motion. Never raises."""
+        ahead = Paced(self.motion, self._limits, self.pace)
+        ahead.time_s, ahead._rate = self.time_s, self._rate
+        try:
+            for _ in range(math.ceil(within_s / _LOOK_S)):
+                ahead.advance(_LOOK_S, 0.0)
+                if ahead.pace == 0.0 or ahead.is_over:
+                    return True
+        except Exception:  # whatever the motion raises on this way, it is none to stop on
+            return False
+        return False
+
+    def take_up(self, motion_s: float, speed_share: float) -> SetPoint:
+        """Go on from `motion_s` later, at a share of the present pace: others have slowed the arm down along the motion."""
+        self.time_s += self.pace * motion_s
+        self.pace *= speed_share
+        self._rate = 0.0
+        q, speed, acceleration = self.motion.at(self.time_s)
+        r = self.pace
+        return SetPoint(q, tuple(v * r for v in speed), tuple(a * r * r for a in acceleration))
 
     def _next_rate(
         self, wanted: float, elapsed_s: float, speed: Sequence[float], acceleration: Sequence[float]

@@ -99,6 +99,14 @@ class PlannedPath:
         return PlannedPath(spline, poses, branch, slowdowns)
 
 
+def require_paths(arm: Arm) -> None:
+    """PathError if this arm cannot run Cartesian paths: to be called before anything moves or is recorded."""
+    if arm.joint_count != 3:
+        raise PathError(
+            f"arm {arm.name}: Cartesian paths need 3 joints, it has {arm.joint_count}; use joint moves"
+        )
+
+
 def plan_path(
     arm: Arm,
     waypoints: Waypoints | Sequence[Sequence[float]],
@@ -127,10 +135,7 @@ def plan_path(
     """
     kinematics = kinematics or Kinematics(arm)
     inverse = inverse or InverseKinematics(arm)
-    if arm.joint_count != 3:
-        raise PathError(
-            f"arm {arm.name}: Cartesian paths need 3 joints, it has {arm.joint_count}; use joint moves"
-        )
+    require_paths(arm)
     named = (
         waypoints if isinstance(waypoints, Waypoints) else Waypoints(tuple(checked_points(waypoints)), None)
     )

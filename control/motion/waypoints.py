@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from control.errors import MissingModel
+from control.files import read_text
 from control.model import table as tables
 from control.model.arm import Table
 from control.motion.errors import WaypointFileError
@@ -42,13 +43,16 @@ def read_waypoints(path: str | Path) -> Waypoints:
     """
     file = Path(path)
     try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        lines = read_text(file, "utf-8-sig").splitlines()
+        rows = [
+            (number, row)
+            for number, row in enumerate(csv.reader(lines), 1)
+            if any(cell.strip() for cell in row)
+        ]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        text = "comma-separated" if isinstance(error, csv.Error) else "UTF-8"
+        reason = error.strerror if isinstance(error, OSError) else f"it is not {text} text"
         raise WaypointFileError(f"{file}: cannot read way-points: {reason}") from None
-    rows = [
-        (number, row) for number, row in enumerate(csv.reader(lines), 1) if any(cell.strip() for cell in row)
-    ]
     if not rows:
         raise WaypointFileError(
             f"{file}: expected a header line {','.join(POSITION_COLUMNS)}, got an empty file"
@@ -95,7 +99,7 @@ def _checked_header(file: Path, number: int, columns: list[str]) -> list[str]:
         if column not in allowed:
             raise WaypointFileError(
                 f"{file}:{number}: expected columns {', '.join(POSITION_COLUMNS)} and optionally {SPEED_COLUMN},"
-                f' got "{column}"{hint}'
+                f' got "{column[:80]}"{hint}'
             )
         if columns.count(column) > 1:
             raise WaypointFileError(f"{file}:{number}: column {column} appears twice")

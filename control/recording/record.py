@@ -20,11 +20,13 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 from control.errors import ArmError
+from control.files import open_file, parsed_json
 from control.recording.recorder_state import RecorderState
 from control.safety.table import Mode
 
 MAGIC = b"ARMLOG1\n"
 SUFFIX = ".armlog"
+HEADER_MOST_bytes, ROW_MOST_bytes = 1 << 24, 1 << 14  # the text of an arm.toml; 100 joints
 ROWS_A_REPORT = 256  # reports are read once in this many rows
 REPORT_bytes = 1 << 14
 MODES_BEFORE_THEY_WERE_RECORDED = (
@@ -221,7 +223,7 @@ class Recorder:
 
     def __init__(self, layout: Layout, sink: RowSink, saved_rows: int = 250) -> None:
         self.layout = layout
-        self._refused = 0
+        self._refused = self._refused_before = 0
         self._sink = sink
         self._kept: list[bytes] = [b""] * saved_rows
         self._next = 0
@@ -238,6 +240,13 @@ class Recorder:
     def state(self) -> RecorderState:
         """The state of the recording; lost rows include those that never reached the writer."""
         return self._sink.state().plus_lost(self._refused)
+
+    def problem(self) -> str:
+        """Why rows are not recorded now, as text; empty while they are. For rows that were lost: since the last call."""
+        refused, self._refused_before = self._refused - self._refused_before, self._refused
+        return self._sink.state().reason or (
+            f"{refused} cycles were lost: the disk is too slow" if refused else ""
+        )
 
     @property
     def lost_rows(self) -> int:
@@ -285,17 +294,23 @@ class Recording:
     @classmethod
     def open(cls, path: Path) -> "Recording":
         """Read the header. RecordError if the file is not a recording."""
-        with path.open("rb") as file:
+        with open_file(path) as file:
             start = file.read(len(MAGIC) + 4)
             if len(start) < len(MAGIC) + 4 or not start.startswith(MAGIC):
                 raise RecordError(
                     f"{path}: not an armwright recording: expected it to start with {MAGIC!r}, got {start[:8]!r}"
                 )
             (length,) = struct.unpack("<I", start[len(MAGIC) :])
+            if length > min(HEADER_MOST_bytes, os.fstat(file.fileno()).st_size - len(start)):
+                raise RecordError(
+                    f"{path}: the header of this recording is damaged: its length is {length} bytes"
+                )
             text = file.read(length)
         try:
-            header = json.loads(text)
+            header = parsed_json(text)
             packing = struct.Struct(header["packing"])
+            if not 0 < packing.size <= ROW_MOST_bytes:
+                raise ValueError(f"a row of {packing.size} bytes")
             layout = Layout(header["joint_count"], tuple(header["names"]), packing)
             packing.pack(*(0 for _ in layout.names))  # as many values as names
             _require_columns(layout)

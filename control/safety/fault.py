@@ -2,13 +2,30 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Final
 
 
 class Reaction(IntEnum):
     """How the arm comes to rest after a fault; the larger number is the more severe and wins."""
 
     CONTROLLED = 1  # feedback is good: jerk-limited stop, then hold the position
-    BRAKE = 2  # feedback cannot be trusted: 0 V on all joints, the shorted windings brake
+    HOLD = 2  # the loop's feedback is gone, the motors' is not: each board stops its joint and holds it by itself
+    BRAKE = 3  # feedback cannot be trusted: 0 V on all joints, the shorted windings brake
+
+
+# Faults after which counts mean no position any more, whatever the boards say: the arm must be homed.
+LOSES_ZERO: Final = frozenset(
+    {
+        "zero_lost",
+        "encoder_signal",
+        "encoder_miscount",
+        "encoder_leap",
+        "encoder_contradicted",
+        "encoders_differ",
+        "index_off",
+        "switch_off",
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)

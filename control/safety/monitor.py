@@ -1,7 +1,7 @@
 """The arm's mode by the table of control/safety/table.py, and its faults until a person acknowledges them."""
 
 from control.errors import ArmError
-from control.safety.fault import Fault, Reaction
+from control.safety.fault import LOSES_ZERO, Fault, Reaction
 from control.safety.table import CONTROLLED_MODES, TRANSITIONS, Event, Mode, legal_events, next_towards_off
 
 _FAULT_EVENTS = (Event.FAULT_CONTROLLED, Event.FAULT_BRAKE)
@@ -24,13 +24,14 @@ class IllegalTransition(ArmError):
 class Monitor:
     """Mode, faults and homing of one arm. Independent of time and hardware: the loop raises events and follows the mode."""
 
-    __slots__ = ("_faults", "_is_at_rest", "_is_homed", "_mode", "_reaction")
+    __slots__ = ("_faults", "_is_at_rest", "_is_homed", "_is_zero_doubted", "_mode", "_reaction")
 
     def __init__(self) -> None:
         self._mode = Mode.OFF
         self._faults: tuple[Fault, ...] = ()
         self._reaction: Reaction | None = None
         self._is_homed = False
+        self._is_zero_doubted = False
         self._is_at_rest = True
 
     @property
@@ -57,6 +58,11 @@ class Monitor:
     def is_homed(self) -> bool:
         """Whether every joint is homed."""
         return self._is_homed
+
+    @property
+    def is_zero_doubted(self) -> bool:
+        """Whether the boards' own zeros are not to be used: a count went wrong, and homing must find them anew."""
+        return self._is_zero_doubted
 
     @property
     def is_held_fault(self) -> bool:
@@ -94,15 +100,18 @@ class Monitor:
 
     def fault(self, fault: Fault) -> Mode:
         """Go to FAULT, list `fault` (once per code and place), use the more severe reaction. Always legal."""
-        can_control = self._mode in CONTROLLED_MODES or self.is_held_fault
+        # The boards hold only what the loop controlled before.
+        can_control = self._mode in CONTROLLED_MODES or self._reaction in (Reaction.CONTROLLED, Reaction.HOLD)
         wanted = fault.reaction if can_control else Reaction.BRAKE
         if self._mode is not Mode.FAULT:
             # Even at rest the loop plans a stop, and ends it with STOPPED at once.
             self._is_at_rest = False
         if all((known.code, known.where) != (fault.code, fault.where) for known in self._faults):
             self._faults = (*self._faults, fault)
+        if fault.code in LOSES_ZERO:
+            self._is_homed, self._is_zero_doubted = False, True
         self._reaction = wanted if self._reaction is None else max(self._reaction, wanted)
-        event = Event.FAULT_BRAKE if self._reaction is Reaction.BRAKE else Event.FAULT_CONTROLLED
+        event = Event.FAULT_CONTROLLED if self._reaction is Reaction.CONTROLLED else Event.FAULT_BRAKE
         self._mode = TRANSITIONS[(self._mode, event)]
         return self._mode
 
@@ -132,7 +141,7 @@ class Monitor:
     def _note(self, event: Event) -> None:
         """Effects of an event beyond the mode."""
         if event is Event.HOMED:
-            self._is_homed = True
+            self._is_homed, self._is_zero_doubted = True, False
         elif event is Event.HOME:
             self._is_homed = False
         elif event is Event.STOPPED:

@@ -14,7 +14,9 @@ class Mode(Enum):
     HOMING = "position control; searches switches and index pulses"
     GUIDING = "a hand moves the arm: drives open circuit, or gravity compensation only"
     STOPPING = "position control along a jerk-limited stop"
-    FAULT = "stop and hold, or 0 V, depending on the fault; waits for acknowledgement"
+    FAULT = (
+        "stop and hold, hold by the boards alone, or 0 V, depending on the fault; waits for acknowledgement"
+    )
     JOGGING = "position control along a jog that a client keeps renewing"
     PAUSED = "position control: slowing to rest along the motion, then holding there"
 
@@ -37,7 +39,7 @@ class Event(Enum):
     BRAKE = "operator or shutdown: from position control or hand guiding to 0 V"
     SWITCH_OFF = "shutdown: the arm is at rest; drives may switch off"
     FAULT_CONTROLLED = "a fault while feedback is good"
-    FAULT_BRAKE = "a fault that makes feedback unreliable"
+    FAULT_BRAKE = "a fault that makes feedback unreliable: the boards hold, or 0 V"
     ACKNOWLEDGE_HELD = "operator has read the faults; the arm was held"
     ACKNOWLEDGE_BRAKED = "operator has read the faults; the arm was braked or off"
 
@@ -180,8 +182,10 @@ _NOTES: Final = (
     "| JOG, connection closed | STOP |",
     "| JOG before homing | joints only, slowly, with half of the current |",
     "| PAUSED | begins while the arm still slows down; a motion that ends meanwhile raises ARRIVED |",
+    "| STOP, or a fault with a controlled stop, while MOVING or PAUSED | the motion slows down on its path where that takes"
+    " at most 0.4 s, else each joint as soon as it can |",
     "| fault in OFF, BRAKED, GUIDING | always brakes |",
-    "| two faults | both stay listed; the more severe reaction wins: BRAKE never becomes CONTROLLED |",
+    "| two faults | both stay listed; the more severe reaction wins: BRAKE never becomes HOLD or CONTROLLED |",
     "| acknowledge | by a person, after the controlled stop: to HOLDING if the arm was held, to BRAKED if it was braked;"
     " in OFF it only clears the list |",
     "| shutdown (Ctrl-C, an error) | stop, hold, 0 V at rest, off when still at rest |",

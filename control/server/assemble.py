@@ -10,18 +10,28 @@ from control.dynamics.feedforward import torque_constants_Nm_A, torque_model
 from control.dynamics.gains import InertiaScale, gains_of
 from control.dynamics.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, JointSide, has_joint_side
 from control.errors import MissingModel
+from control.hardware.board_stop import board_stop
 from control.hardware.interface import Hardware, OutputMode
 from control.hardware.measurement import Measurement
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
-from control.loop.homing_sequence import HomingSequence, JointHome
+from control.loop.homing_sequence import TURN_TOLERANCE, HomingSequence, JointHome
 from control.loop.jogging import Jogging
 from control.loop.parts import Camera, Parts
 from control.loop.runtime import Runtime
 from control.loop.watch import JointLimits as MeasuredLimits
 from control.loop.watch import Watch, WatchLimits
+from control.loop.witnesses import (
+    IndexWatch,
+    MotorCountWatch,
+    SwitchPlace,
+    SwitchWatch,
+    Witnesses,
+    WitnessLimits,
+)
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
+from control.motion.guard import Guard
 from control.motion.jog_limits import JogLimits
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import Stop
@@ -35,6 +45,8 @@ from control.servo.servo import Motor, Servo
 
 PAUSE_LIMIT = 0.9  # of the boards' watchdog: a host with longer pauses is not fit to control an arm
 OVERSPEED = 1.5  # of the speed limit: no controlled motion overshoots as much
+IMPOSSIBLE = 2.0  # of the speed without load at the nominal supply: no motor turns its joint as fast
+SWITCH_SLACK_rad = 0.01  # between encoder and joint: play, springs, and the hysteresis of a switch
 RANGE_MARGIN_rad = 0.05
 SET_POINT_MARGIN = 1.05  # of speed and acceleration: plans are checked at samples, set-points at every cycle
 SLOPE_MOST = 1.1  # of an encoder's speed over its joint's: more than any scale error, disc or belt
@@ -64,26 +76,35 @@ def assemble(
     jog_limits = JogLimits.of(arm)
     kinematics, inverse = Kinematics(arm), InverseKinematics(arm)
     names = tuple(f"joint {drive.joint}" for drive in arm.drives)
-    servo = _servo(arm, period_s)
+    servo, guard = _servo(arm, period_s), Guard(arm, limits)
+    measurement = _measurement(arm)
     parts = Parts(
         hardware=hardware,
         recorder=Recorder(Layout.of(arm.joint_count, has_joint_side(arm)), sink or NoSink()),
-        measurement=Measurement(
-            [JointMap(drive) for drive in arm.drives], [d.encoder_bits for d in arm.drives]
-        ),
+        measurement=measurement,
         servo=servo,
         watch=Watch(_watch_limits(arm, period_s), names),
+        witnesses=Witnesses(_motors(arm), _witness_limits(arm), names),
+        indices=_indices(arm, measurement, names),
+        motor_counts=_motor_counts(arm, names),
+        switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),
-        gravity_compensation=GravityCompensation(_motors(arm), servo.torque_model, names),
-        jogging=lambda is_homed: Jogging(jog_limits, inverse, is_homed),
+        gravity_compensation=GravityCompensation(
+            _motors(arm), servo.torque_model, names, [OVERSPEED * limit for limit in limits.speed_rad_s]
+        ),
+        jogging=lambda is_homed: Jogging(jog_limits, inverse, guard if is_homed else None),
         stop_from=lambda state: Stop(state, limits),
+        guard=guard,
         inverse=inverse,
         camera=camera,
         joint_names=names,
         do_counters_span=all(_does_counter_span(drive) for drive in arm.drives),
         period_s=period_s,
+        board_stop=board_stop(arm, period_s),
         stopwatch_s=stopwatch_s,
+        allows_unrecorded=arm.recording.unrecorded == "allow",
+        payload_limit_kg=arm.limits.payload_limit_kg,
         aim_limits=tuple(_aim_limits(drive) for drive in arm.drives),
         joint_side=JointSide.of(arm),
     )
@@ -91,11 +112,55 @@ def assemble(
     return Assembly(runtime, Requests(runtime, limits, kinematics, {"arm": arm.name, **(about or {})}))
 
 
+def _motor_counts(arm: Arm, names: Sequence[str]) -> MotorCountWatch:
+    """The comparison of both boards' counts."""
+    per_radian = [JointMap(drive).counts_per_radian for drive in arm.drives]
+    return MotorCountWatch(per_radian, [drive.encoder_bits for drive in arm.drives], names)
+
+
 def _does_counter_span(drive: Drive) -> bool:
     """Whether every angle of the joint's range has a unique count."""
     mapped, half = JointMap(drive), 1 << (drive.encoder_bits - 1)
     ends = (drive.joint_lower_rad, drive.joint_upper_rad)
     return all(abs(mapped.count(end)) < half for end in ends if math.isfinite(end))
+
+
+def _measurement(arm: Arm) -> Measurement:
+    fastest_rad_s = [
+        IMPOSSIBLE * drive.supply_V / constant
+        for drive, constant in zip(arm.drives, torque_constants_Nm_A(arm), strict=True)
+    ]
+    maps = [JointMap(drive) for drive in arm.drives]
+    return Measurement(maps, [drive.encoder_bits for drive in arm.drives], fastest_rad_s)
+
+
+def _indices(arm: Arm, measurement: Measurement, names: Sequence[str]) -> IndexWatch:
+    return IndexWatch(
+        [drive.encoder_counts_per_rev for drive in arm.drives],
+        [JointMap(drive).count(drive.home.index_rad) if drive.home else None for drive in arm.drives],
+        measurement.unwrapped_count,
+        names,
+    )
+
+
+def _switch_place(drive: Drive) -> SwitchPlace | None:
+    if (home := drive.home) is None:
+        return None
+    turn_rad = 2.0 * math.pi / drive.gear_ratio
+    sense = 1.0 if home.index_rad >= home.switch_rad else -1.0
+    tolerance_rad = TURN_TOLERANCE * turn_rad + SWITCH_SLACK_rad
+    return SwitchPlace(f"joint {drive.joint}", home.switch_rad, sense, tolerance_rad)
+
+
+def _witness_limits(arm: Arm) -> WitnessLimits:
+    limits = arm.limits
+    return WitnessLimits(
+        limits.speed_contradiction_rad_s,
+        limits.unexplained_torque,
+        limits.supply_low,
+        limits.supply_high,
+        limits.temperature_degC,
+    )
 
 
 def _servo(arm: Arm, period_s: float) -> Servo:

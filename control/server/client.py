@@ -5,6 +5,7 @@ socket (another process) and with a runtime in the same process on a stepped clo
 docs/socket.md lists every request.
 """
 
+import os
 import socket
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,8 +15,10 @@ import msgspec
 
 from control.errors import ArmError
 from control.hardware.averaging import Average
+from control.server.sockets import ForeignRuntime, require_own_runtime
 
 Message = dict[str, Any]
+CONTROL_KEY = "ARMWRIGHT_CONTROL_KEY"  # environment: clients with the same key count as one
 RELAPSE_S = 0.1  # a fault whose cause persists is detected again within some cycles
 SETTLE_LIMIT_S = 2.0  # drives that do not enable are a fault after half of this time
 POLL_S = 0.02  # polling period of a waiting client; short for an operator, hardly any load for the loop
@@ -72,8 +75,15 @@ class SocketChannel:
             raise (NoRuntime if is_none else RuntimeGone)(
                 f"no runtime answers at {path} ({error.strerror or error}): start one with `armwright serve`"
             ) from error
+        try:
+            require_own_runtime(self._socket, path)
+        except ForeignRuntime as error:
+            self._socket.close()
+            raise RuntimeGone(str(error)) from None
         self._lines = self._socket.makefile("rb")
         self._asked_count = 0
+        if key := os.environ.get(CONTROL_KEY):  # of the console that started this command
+            self.request({"do": "control", "key": key})
 
     def request(self, message: Message) -> Message:
         """Send and wait for the answer. RuntimeGone if the runtime ended or does not answer in time.
@@ -124,6 +134,10 @@ class ArmClient:
         if not answer.get("ok"):
             raise RequestRefused(str(answer.get("error", "the runtime refused without a reason")))
         return answer
+
+    def take_control(self) -> None:
+        """Keep control of the arm until the connection closes: others may watch and stop. RequestRefused if another has it."""
+        self.ask("control", take=True)
 
     def status(self) -> Message:
         """Return the state of the arm: mode, angles, set-points, currents, faults, cycle statistics (docs/socket.md)."""

@@ -6,6 +6,7 @@ import msgspec
 
 from control.server.assemble import Assembly
 from control.server.client import Message
+from control.server.messages import asked
 from control.server.periodic import PeriodicTimer
 from control.server.server import encoded
 from firmware_iface.clock import Clock
@@ -27,7 +28,7 @@ class InProcessChannel:
     def request(self, message: Message) -> Message:
         """Serve the request at once, between two cycles."""
         runtime = self._assembly.runtime
-        answer = self._assembly.requests.handle(msgspec.json.decode(msgspec.json.encode(message)), 0)
+        answer = self._assembly.requests.handle(asked(msgspec.json.encode(message)), 0)
         if runtime.has_waited:
             runtime.has_waited = False
             self._beat.restart()

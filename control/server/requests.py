@@ -1,7 +1,8 @@
 """Requests to the runtime: a JSON object in, a JSON object out, answered at once. docs/socket.md lists them.
 
-An invalid request is refused before anything changes. The client has planned the motion; here it is only
-rebuilt and compared with the arm's position.
+An invalid request is refused before anything changes. First the client's right (control.server.control_right), then the arm's
+mode are looked at, and only then the request as a whole. The client has planned the motion; here it is only rebuilt and
+compared with the arm's position.
 """
 
 import base64
@@ -16,18 +17,23 @@ from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath
-from control.motion.setpoint import Motion, SetPoint
+from control.motion.setpoint import Motion
 from control.safety.monitor import IllegalTransition
-from control.safety.table import CONTROLLED_MODES, TRAVELLING_MODES, Event, Mode
+from control.safety.table import CONTROLLED_MODES, Event, Mode
+from control.server import messages
+from control.server.control_right import ControlRight
 from control.server.jog_requests import jog_request
-from control.server.request_values import flag, number, numbers
+from control.server.messages import Asked, decoded, numbers
 from control.server.status import status_of, step_of
 from firmware_iface.errors import LinkError
 
 Message = dict[str, Any]
 START_TOLERANCE_rad = 5e-3  # around a path's first point: a joint move ends within a few counts of it
-LONGEST_AVERAGE_S = 60.0
-LEAST_OVERRIDE = 0.01  # slower would be a pause
+BEGINS = {
+    "move_joints": Event.MOVE,
+    "run_path": Event.MOVE,
+    "run_joints": Event.MOVE,
+}  # refused by mode unread
 ADVICE = {
     Mode.OFF: "switch its drives on first (`armwright enable`)",
     Mode.BRAKED: "switch position control on first (`armwright enable`)",
@@ -51,18 +57,19 @@ class Listener(Protocol):
 
 
 class Requests:
-    """Serves the requests of all clients of one runtime, and tracks the owner of the active motion."""
+    """Serves the requests of all clients of one runtime, and knows which of them is in control."""
 
     def __init__(self, runtime: Runtime, limits: JointLimits, kinematics: Kinematics, about: Message) -> None:
         self._runtime = runtime
         self._limits = limits
         self._kinematics = kinematics
         self._about = about
-        self._owner: int | None = None
+        self._right = ControlRight()
         self.events: Listener | None = None
-        self._serve: Mapping[str, Callable[[Message, int], Message]] = {
+        self._serve: Mapping[str, Callable[[Any, int], Message]] = {
             "status": self._status,
             "mode": self._mode,
+            "control": self._control,
             "enable": self._enable,
             "home": self._home,
             "move_joints": self._move_joints,
@@ -90,45 +97,49 @@ class Requests:
         """The allowed values of `do`."""
         return tuple(self._serve)
 
-    def handle(self, request: Message, client: int) -> Message:
+    def handle(self, request: Asked, client: int) -> Message:
         """Serve one request of a client; never raises because of the request."""
-        serve = self._serve.get(str(request.get("do")))
+        do = request.do
+        serve = self._serve.get(do)
         if serve is None:
             known = ", ".join(self.names)
-            return {
-                "ok": False,
-                "error": f"unknown request {request.get('do')!r}: expected `do` to be one of {known}",
-            }
+            return _refused(f"unknown request {do[: messages.SHOWN]!r}: expected `do` to be one of {known}")
         try:
-            answer = {"ok": True, **serve(request, client)}
+            mode = self._runtime.monitor.mode
+            self._right.require(client, do, mode)
+            if (event := BEGINS.get(do)) is not None:
+                self._runtime.monitor.require(event)
+            answer = {"ok": True, **serve(decoded(request), client)}
             if self.events is not None:
-                self.events.requested(request["do"], client)
+                self.events.requested(do, client)
             return answer
         except IllegalTransition as error:
-            return {
-                "ok": False,
-                "error": f"the arm is {error.mode.name}, so it cannot {request['do'].replace('_', ' ')}:"
-                f" {error.why or ADVICE[error.mode]}",
-            }
+            return _refused(
+                f"the arm is {error.mode.name}, so it cannot {do.replace('_', ' ')}:"
+                f" {error.why or ADVICE[error.mode]}"
+            )
         except (ArmError, LinkError) as error:
-            return {"ok": False, "error": str(error)}
+            return _refused(str(error))
         except Exception as error:  # no request may stop the loop
-            return {"ok": False, "error": f"request {request.get('do')!r}: {type(error).__name__}: {error}"}
+            return _refused(f"request {do!r}: {type(error).__name__}: {error}")
 
     def on_gone(self, client: int) -> None:
-        """Stop the motion of a client that disconnected."""
-        if client == self._owner and self._runtime.monitor.mode in TRAVELLING_MODES:
+        """A client disconnected: what it began and what still goes on is stopped."""
+        was_owner = self._right.owns(client, self._runtime.monitor.mode)
+        self._right.gone(client)
+        if was_owner:
             self._runtime.stop()
             if self.events is not None:
                 self.events.hung_up(client)
 
-    def _own(self, request: Message, client: int) -> None:
-        self._owner = None if request.get("detached") else client
+    def _own(self, request: messages.Owned, client: int) -> None:
+        self._right.own(None if request.detached else client)
 
-    def _status(self, request: Message, client: int) -> Message:
-        return {**self._about, **status_of(self._runtime, self._kinematics)}
+    def _status(self, request: Any, client: int) -> Message:
+        holder = self._right.holder(self._runtime.monitor.mode)
+        return {**self._about, **status_of(self._runtime, self._kinematics), "in_control": holder}
 
-    def _mode(self, request: Message, client: int) -> Message:
+    def _mode(self, request: Any, client: int) -> Message:
         runtime = self._runtime
         return {
             "mode": runtime.monitor.mode.name,
@@ -139,128 +150,135 @@ class Requests:
             "is_settled": not runtime.drives.is_awaited,
         }
 
-    def _enable(self, request: Message, client: int) -> Message:
+    def _control(self, request: messages.Control, client: int) -> Message:
+        mode = self._runtime.monitor.mode
+        if request.key is not None:
+            self._right.join(client, request.key)
+        if request.take:
+            self._right.take(client, mode)
+        elif request.take is not None:
+            self._right.release(client)
+        return {"client": client, "in_control": self._right.holder(mode)}
+
+    def _enable(self, request: Any, client: int) -> Message:
         if self._runtime.monitor.mode in CONTROLLED_MODES:
             return {"was_enabled": True}
         self._runtime.want_hold()
         return {"was_enabled": False}
 
-    def _home(self, request: Message, client: int) -> Message:
+    def _home(self, request: messages.Home, client: int) -> Message:
         runtime = self._runtime
-        if not request.get("again") and runtime.take_known_zeros():
+        if not request.again and runtime.take_known_zeros():
             return {"homing": False}
         runtime.start_homing()
         self._own(request, client)
         return {"homing": True}
 
-    def _move_joints(self, request: Message, client: int) -> Message:
-        target = numbers(request, "q_rad", len(self._runtime.parts.joint_names))
-        speed = number(request, "speed", 1e-3, 1.0, default=1.0)
-        move = JointMove(self._seen(request), target, self._limits.scaled(speed))
-        return self._start(move, request, client)
+    def _move_joints(self, request: messages.MoveJoints, client: int) -> Message:
+        target = numbers("q_rad", request.q_rad, len(self._runtime.parts.joint_names))
+        start = self._runtime.seen(request.as_encoders)
+        move = JointMove(start, target, self._limits.scaled(request.speed))
+        self._runtime.parts.guard.require_move(move, start, target)
+        return self._start(move, request.as_encoders, request, client)
 
-    def _run_path(self, request: Message, client: int) -> Message:
-        path = PlannedPath.from_message(request["path"])
-        self._require_at(path.q_start_rad, request)
-        return self._start(path.motion(self._runtime.parts.inverse, self._kinematics), request, client)
+    def _run_path(self, request: messages.RunPath, client: int) -> Message:
+        path = PlannedPath.from_message(request.path)
+        self._require_at(path.q_start_rad, request.as_encoders)
+        self._runtime.parts.guard.require_path(path)
+        motion = path.motion(self._runtime.parts.inverse, self._kinematics)
+        return self._start(motion, request.as_encoders, request, client)
 
-    def _run_joints(self, request: Message, client: int) -> Message:
-        path = JointPath.from_message(request["path"])
+    def _run_joints(self, request: messages.RunJoints, client: int) -> Message:
+        path = JointPath.from_message(request.path)
         path.require_within(self._limits)
-        self._require_at(path.knots[0].q_rad, request)
-        return self._start(path, request, client)
+        self._require_at(path.knots[0].q_rad, request.as_encoders)
+        self._runtime.parts.guard.require_joint_path(path)
+        return self._start(path, request.as_encoders, request, client)
 
-    def _seen(self, request: Message) -> SetPoint:
-        """Start of a motion, as joint angles or, if the motion uses them, encoder angles."""
-        return self._runtime.seen(flag(request, "as_encoders"))
-
-    def _require_at(self, first_rad: Sequence[float], request: Message) -> None:
-        """Check that the arm holds at a path's first point; the mode is checked first."""
-        if self._runtime.monitor.mode is not Mode.HOLDING:
-            self._runtime.on(Event.MOVE)
-        off_rad = max(abs(a - b) for a, b in zip(first_rad, self._seen(request).q_rad, strict=True))
+    def _require_at(self, first_rad: Sequence[float], as_encoders: bool) -> None:
+        """Check that the arm holds at a path's first point."""
+        seen_rad = self._runtime.seen(as_encoders).q_rad
+        off_rad = max(abs(a - b) for a, b in zip(first_rad, seen_rad, strict=True))
         if off_rad > START_TOLERANCE_rad:
             raise ArmError(
                 f"the arm is {off_rad:.4f} rad away from the path's first point (tolerance {START_TOLERANCE_rad} rad):"
                 f" move there first, to {', '.join(f'{q:.4f}' for q in first_rad)} rad"
             )
 
-    def _start(self, motion: Motion, request: Message, client: int) -> Message:
-        self._runtime.start(motion, flag(request, "as_encoders"))
+    def _start(self, motion: Motion, as_encoders: bool, request: messages.Owned, client: int) -> Message:
+        self._runtime.start(motion, as_encoders)
         self._own(request, client)
         return {"duration_s": motion.duration_s, "run": self._runtime.run_number}
 
-    def _jog(self, request: Message, client: int) -> Message:
-        self._require_own_jog(client)
+    def _jog(self, request: messages.Jog, client: int) -> Message:
         self._runtime.jog(jog_request(request, len(self._runtime.parts.joint_names)))
-        self._owner = client
+        self._right.own(client)
         return self._jogged()
 
-    def _jog_on(self, request: Message, client: int) -> Message:
-        self._require_own_jog(client)
+    def _jog_on(self, request: Any, client: int) -> Message:
         self._runtime.renew_jog()
         return self._jogged()
-
-    def _require_own_jog(self, client: int) -> None:
-        if self._runtime.monitor.mode is Mode.JOGGING and client != self._owner:
-            raise ArmError("another client jogs the arm: wait until it ends, or stop it (`armwright stop`)")
 
     def _jogged(self) -> Message:
         jogging = self._runtime.jogging
         return {"run": self._runtime.run_number, "limited": jogging.limited if jogging is not None else ""}
 
-    def _pause(self, request: Message, client: int) -> Message:
+    def _pause(self, request: Any, client: int) -> Message:
         self._runtime.pause()
         return {}
 
-    def _resume(self, request: Message, client: int) -> Message:
+    def _resume(self, request: Any, client: int) -> Message:
         self._runtime.resume()
         return {}
 
-    def _override(self, request: Message, client: int) -> Message:
-        self._runtime.override = number(request, "fraction", LEAST_OVERRIDE, 1.0)
+    def _override(self, request: messages.Override, client: int) -> Message:
+        self._runtime.override = request.fraction
         return {}
 
-    def _stop(self, request: Message, client: int) -> Message:
+    def _stop(self, request: Any, client: int) -> Message:
         self._runtime.stop()
         return {}
 
-    def _brake(self, request: Message, client: int) -> Message:
+    def _brake(self, request: Any, client: int) -> Message:
         self._runtime.brake()
         return {}
 
-    def _guide(self, request: Message, client: int) -> Message:
-        self._runtime.guide(flag(request, "weightless"))
+    def _guide(self, request: messages.Guide, client: int) -> Message:
+        self._runtime.guide(request.weightless)
+        self._own(request, client)
         return {}
 
-    def _hold(self, request: Message, client: int) -> Message:
+    def _hold(self, request: Any, client: int) -> Message:
         if self._runtime.monitor.mode is not Mode.HOLDING:
             self._runtime.want_hold()
         return {}
 
-    def _average(self, request: Message, client: int) -> Message:
-        duration_s = number(request, "duration_s", 0.01, LONGEST_AVERAGE_S)
-        self._runtime.averaging = Averaging(self._runtime.now_s, duration_s)
+    def _average(self, request: messages.Average, client: int) -> Message:
+        self._runtime.averaging = Averaging(self._runtime.now_s, request.duration_s)
         return {}
 
-    def _average_result(self, request: Message, client: int) -> Message:
+    def _average_result(self, request: Any, client: int) -> Message:
         averaging = self._runtime.averaging
         if averaging is None:
             raise ArmError("no average was requested: send `average` first")
         return {"average": averaging.result}
 
-    def _payload(self, request: Message, client: int) -> Message:
-        self._runtime.parts.servo.torque_model.payload_kg = number(request, "mass_kg", 0.0, 100.0)
+    def _payload(self, request: messages.Payload, client: int) -> Message:
+        self._runtime.state_payload(request.mass_kg)
         return {}
 
-    def _acknowledge(self, request: Message, client: int) -> Message:
+    def _acknowledge(self, request: Any, client: int) -> Message:
         return {"acknowledged": [fault.message for fault in self._runtime.acknowledge()]}
 
-    def _fault_cycles(self, request: Message, client: int) -> Message:
+    def _fault_cycles(self, request: Any, client: int) -> Message:
         layout = self._runtime.parts.recorder.layout
         rows = base64.b64encode(b"".join(self._runtime.fault_rows)).decode()
         return {"rows": rows, "names": layout.names, "packing": layout.packing.format}
 
-    def _off(self, request: Message, client: int) -> Message:
-        self._runtime.go_off(flag(request, "quit"))
+    def _off(self, request: messages.Off, client: int) -> Message:
+        self._runtime.go_off(request.quit)
         return {}
+
+
+def _refused(error: str) -> Message:
+    return {"ok": False, "error": error}

@@ -1,32 +1,40 @@
 """The local socket of the loop: polled between cycles, never blocking.
 
 Newline-separated JSON over a Unix socket that only this user can open. At most one request is served a cycle, whatever clients
-send; a client that stops reading is disconnected. A motion belongs to the connection that started it: when that connection
-closes, for whatever reason, the motion is stopped (a lost terminal must not leave a moving arm).
+send; a client that stops reading is disconnected. What a connection began ends with it, for whatever reason it closes (a lost
+terminal must not leave a moving arm).
+
+A stop has a place of its own: it is served before everything that waits, commands that came before it are refused, and
+beyond the usual number of connections there are places in which only stopping and watching are served.
 """
 
 import contextlib
 import json
+import os
 import selectors
 import socket
-from collections.abc import Callable
+import stat
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
 from control.errors import ArmError
 from control.files import utf_8
+from control.server.messages import STOPPING, WATCHING, Asked, asked, is_at_once
+from control.server.sockets import ForeignFolder, peer_uid, require_private, socket_folders
 from control.server.sockets import default_path as default_path
 
 Message = dict[str, Any]
-Handle = Callable[[Message, int], Message]
+Handle = Callable[[Asked, int], Message]
 LINE_LIMIT_bytes = 1 << 20  # a path of thousands of way-points fits
 QUEUE_LIMIT = (
     64  # requests of one client that may wait; beyond that its bytes stay in the kernel and slow it down
 )
 CHUNK_bytes = 1 << 13  # taken from one client a cycle: even newlines alone are split well within a cycle
 CLIENT_LIMIT = 32  # connections at a time; more would use up the loop's file descriptors
+STOP_PLACES = 4  # beyond them; the oldest makes room for the next
 
 
 def encoded(message: Message) -> bytes:
@@ -41,29 +49,44 @@ class SocketTaken(ArmError):
     """The socket path is in use by another runtime, or by a file that is not a socket."""
 
 
-class Client:
-    """One connection: received bytes, and pending requests."""
+class Line(NamedTuple):
+    """A request that waits, and how many stops the server had seen when it came."""
 
-    def __init__(self, connection: socket.socket, number: int) -> None:
+    content: bytes
+    stops: int
+
+
+class Client:
+    """One connection: received bytes, and pending requests. `may_command`: not in a place for stops only."""
+
+    def __init__(self, connection: socket.socket, number: int, may_command: bool) -> None:
         self.connection = connection
         self.number = number
+        self.may_command = may_command
         self.partial = b""
-        self.lines: list[bytes] = []
+        self.lines: list[Line] = []
         self.is_over = False
 
-    def receive(self) -> None:
-        """Receive pending bytes; sets `is_over` at the end of the connection."""
+    def receive(self, stops: int) -> bytes | None:
+        """Receive pending bytes and return the first stop among them; sets `is_over` at the end of the connection."""
         if len(self.lines) >= QUEUE_LIMIT:
-            return
+            return None
         try:
             chunk = self.connection.recv(CHUNK_bytes)
         except BlockingIOError:
-            return
+            return None
         except OSError:
             chunk = b""
         *lines, self.partial = (self.partial + chunk).split(b"\n")
-        self.lines += [line for line in lines if line.strip()]
         self.is_over = not chunk or len(self.partial) > LINE_LIMIT_bytes
+        urgent: bytes | None = None
+        for line in [line for line in lines if line.strip()]:
+            if urgent is None and is_at_once(line):
+                urgent = line
+                stops += 1
+            else:
+                self.lines.append(Line(line, stops))
+        return urgent
 
 
 class Server:
@@ -76,25 +99,31 @@ class Server:
         self._clients: list[Client] = []
         self._turn = 0
         self._numbers = 0
+        self._stops = 0
         self._listener = listen(path)
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ, None)
 
     def poll(self) -> None:
-        """Accept, receive and serve at most one request; returns at once."""
+        """Accept, receive and serve all stops, or else at most one request; returns at once."""
+        stopped = False
         for key, _ in self._selector.select(0):
             client = key.data
             if client is None:
                 self._accept()
-            else:
-                client.receive()
-        self._serve_one()
+                continue
+            if (line := client.receive(self._stops)) is not None:
+                self._stops += 1
+                stopped = True
+                self._serve(client, line, is_overtaken=False)
+        if not stopped:
+            self._serve_one()
         for client in [c for c in self._clients if c.is_over and not c.lines]:
             self._drop(client)
 
     @property
     def clients(self) -> tuple[Client, ...]:
-        """The number of open connections."""
+        """The open connections."""
         return tuple(self._clients)
 
     def close(self) -> None:
@@ -110,12 +139,17 @@ class Server:
             connection, _ = self._listener.accept()
         except OSError:  # the client has disconnected, or no file descriptors are left
             return
-        if len(self._clients) >= CLIENT_LIMIT:
+        if peer_uid(connection) not in (os.getuid(), 0):
             connection.close()
             return
+        may_command = sum(client.may_command for client in self._clients) < CLIENT_LIMIT
+        if not may_command:
+            others = [client for client in self._clients if not client.may_command]
+            if len(others) >= STOP_PLACES:
+                self._drop(others[0])
         connection.setblocking(False)
         self._numbers += 1
-        client = Client(connection, self._numbers)
+        client = Client(connection, self._numbers, may_command)
         self._clients.append(client)
         self._selector.register(connection, selectors.EVENT_READ, client)
 
@@ -125,28 +159,34 @@ class Server:
             return
         self._turn += 1
         client = waiting[self._turn % len(waiting)]
-        answer = self._answer(client.lines.pop(0), client.number)
+        line = client.lines.pop(0)
+        self._serve(client, line.content, line.stops != self._stops)
+
+    def _serve(self, client: Client, line: bytes, is_overtaken: bool) -> None:
+        answer = self._answer(line, client, is_overtaken)
         try:
             client.connection.sendall(encoded(answer) + b"\n")
         except OSError:
             self._drop(client)
 
-    def _answer(self, line: bytes, number: int) -> Message:
+    def _answer(self, line: bytes, client: Client, is_overtaken: bool) -> Message:
         try:
-            request = msgspec.json.decode(line)
-        except (ValueError, RecursionError) as error:  # invalid JSON or UTF-8, or nested too deeply
-            return {
+            request = asked(line)
+        except ArmError as error:
+            return {"ok": False, "error": str(error)}
+        is_command = request.do not in STOPPING | WATCHING
+        if is_command and is_overtaken:
+            answer: Message = {
                 "ok": False,
-                "error": f"request: expected one JSON object per line, got invalid JSON: {error}",
+                "error": f"request {request.do!r}: a stop came before it was served",
             }
-        if not isinstance(request, dict):
-            return {
-                "ok": False,
-                "error": f"request: expected a JSON object with the key `do`, got {line[:80]!r}",
-            }
-        answer = self._handle(request, number)
-        if "id" in request:
-            answer["id"] = request["id"]
+        elif is_command and not client.may_command:
+            crowd = f"{CLIENT_LIMIT} clients are connected: close some of them (this connection may watch and stop)"
+            answer = {"ok": False, "error": f"request {request.do!r}: {crowd}"}
+        else:
+            answer = self._handle(request, client.number)
+        if request.id is not None:
+            answer["id"] = request.id
         return answer
 
     def _drop(self, client: Client) -> None:
@@ -163,16 +203,43 @@ def listen(path: Path) -> socket.socket:
     require_free(path)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with _umask(0o077):
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _require_safe(path.parent)
         path.unlink(missing_ok=True)
-        listener.bind(str(path))
-        path.chmod(0o600)
+        with _umask(0o177):  # nobody else can open it, at no time
+            listener.bind(str(path))
     except OSError as error:
         listener.close()
         raise SocketTaken(f"cannot listen at {path}: {error}; choose another path with --socket") from error
-    listener.listen(8)
+    except ArmError:
+        listener.close()
+        raise
+    listener.listen(CLIENT_LIMIT)
     listener.setblocking(False)
     return listener
+
+
+@contextlib.contextmanager
+def _umask(mask: int) -> Iterator[None]:
+    before = os.umask(mask)
+    try:
+        yield
+    finally:
+        os.umask(before)
+
+
+def _require_safe(folder: Path) -> None:
+    """ForeignFolder if others could put another socket into the folder."""
+    if folder in socket_folders():
+        require_private(folder)
+        return
+    mode = folder.stat().st_mode
+    if mode & (stat.S_IWGRP | stat.S_IWOTH) and not mode & stat.S_ISVTX:
+        raise ForeignFolder(
+            f"{folder}: others may write to it (mode {stat.S_IMODE(mode):o}), and could receive a stop in place of the"
+            " runtime: choose another path with --socket"
+        )
 
 
 def require_free(path: Path) -> None:

@@ -99,9 +99,8 @@ def _boards(runtime: Runtime) -> dict[str, Any]:
 
 def _stale_s(runtime: Runtime, heard_at_s: Sequence[float]) -> list[float | None]:
     """Per joint, age [s] of its last values if its board is silent, else None."""
-    limit_s = runtime.parts.watch.age_limit_s(runtime.now_s)
-    ages_s = [min(runtime.now_s - at_s, NEVER_HEARD_S) for at_s in heard_at_s]
-    return [None if age_s <= limit_s else age_s for age_s in ages_s]
+    now_s, watch = runtime.now_s, runtime.parts.watch
+    return [min(now_s - at_s, NEVER_HEARD_S) if watch.is_stale(now_s, at_s) else None for at_s in heard_at_s]
 
 
 def _cycles(runtime: Runtime) -> dict[str, Any]:

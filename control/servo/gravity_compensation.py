@@ -13,13 +13,24 @@ CURRENT_FRACTION = 0.5  # of the limit: the reference arm's weight needs a quart
 DAMPING_Nm_s_rad = 4.0  # 4 N at 0.5 m from the axis and 0.5 rad/s
 FASTEST_rad_s = 1.0  # of a hand-guided joint; faster is a fault
 
+REMEDY = {
+    True: "guide it slower; if nobody guided it, check masses and payload, or guide with the drives off",
+    False: "guide it slower, and hold it before the drives are off",
+}
+
 
 class GravityCompensation:
     """Motor currents of all joints during hand guiding."""
 
     def __init__(
-        self, motors: Sequence[Motor], torque_model: TorqueModel, joint_names: Sequence[str]
+        self,
+        motors: Sequence[Motor],
+        torque_model: TorqueModel,
+        joint_names: Sequence[str],
+        free_limits_rad_s: Sequence[float],
     ) -> None:
+        """`free_limits_rad_s`: of joints with open circuits, which a hand moves faster."""
+        self._limits = {True: [FASTEST_rad_s] * len(motors), False: list(free_limits_rad_s)}
         self._motors = motors
         self._torque_model = torque_model
         self._names = joint_names
@@ -35,15 +46,15 @@ class GravityCompensation:
             self.amperes[joint] = min(max(wanted_Nm * motor.amperes_per_Nm, -most_A), most_A)
         return self.amperes
 
-    def too_fast(self, speed_rad_s: Sequence[float]) -> Fault | None:
-        """A fault for a joint that moves too fast for hand guiding."""
-        for name, speed in zip(self._names, speed_rad_s, strict=True):
-            if not abs(speed) <= FASTEST_rad_s:
+    def too_fast(self, speed_rad_s: Sequence[float], is_weightless: bool) -> Fault | None:
+        """A fault for a joint that moves too fast for hand guiding: it falls, or is carried away."""
+        for name, speed, limit in zip(self._names, speed_rad_s, self._limits[is_weightless], strict=True):
+            if not abs(speed) <= limit:
                 return Fault(
                     "guided_too_fast",
                     name,
-                    f"it moves at {speed:.2f} rad/s during hand guiding (limit {FASTEST_rad_s:.2f} rad/s)",
-                    "guide it slower; if nobody guided it, check masses and payload, or guide with the drives off",
+                    f"it moves at {speed:.2f} rad/s during hand guiding (limit {limit:.2f} rad/s)",
+                    REMEDY[is_weightless],
                     Reaction.BRAKE,
                 )
         return None

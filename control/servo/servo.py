@@ -73,7 +73,7 @@ class Servo:
     """The controllers of all joints.
 
     After an update, one entry a joint: `output` in the mode's unit, `feedforward_V` for POSITION mode, `volts` commanded or
-    implied.
+    implied. `model_A` holds the currents that the model expects, None if nothing is controlled or the pose is not known.
     """
 
     def __init__(
@@ -91,6 +91,7 @@ class Servo:
         self.output = [0.0] * len(motors)
         self.feedforward_V = [0.0] * len(motors)
         self.volts = [0.0] * len(motors)
+        self.model_A: list[float] | None = None
         self._motors = motors
         self._pids = pids
         self.torque_model = torque_model
@@ -119,6 +120,7 @@ class Servo:
         """Zero all outputs, for modes without control."""
         for joint in range(len(self.output)):
             self.output[joint] = self.feedforward_V[joint] = self.volts[joint] = 0.0
+        self.model_A = None
 
     def update(
         self,
@@ -136,8 +138,11 @@ class Servo:
         """
         torque_Nm = self._torque_Nm(set_point, joints) if knows_pose else self._no_torque
         shares = self._shares(q_rad, knows_pose)
+        self.model_A = [] if knows_pose and self._share == 1.0 else None
         for joint, motor in enumerate(self._motors):
             amperes = torque_Nm[joint] * motor.amperes_per_Nm
+            if self.model_A is not None:
+                self.model_A.append(amperes)
             volts = amperes * motor.resistance_ohm + motor.volts_per_rad_s * set_point.speed_rad_s[joint]
             if self.mode is OutputMode.POSITION:
                 self.output[joint] = set_point.q_rad[joint]

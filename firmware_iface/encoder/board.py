@@ -1,6 +1,7 @@
 """One encoder board on a serial line, seen from the host. docs/encoder_board.md defines the protocol."""
 
 import math
+from collections.abc import Sequence
 
 from firmware_iface.clock import Clock
 from firmware_iface.encoder import cobs, wire
@@ -23,7 +24,10 @@ _STEP_s = 0.001
 _REPORT_BITS = wire.REPORT_WIRE_BYTES * 10  # 8N1: 10 bit times a byte
 _STREAM_LOAD = 0.9  # of the line; the rest is for answers and index frames
 _LONGEST_PERIOD_s = 1.0
+_LATE_FRAMES = 128  # half of the sequence: a report further behind is of a board that has restarted
+_LATE_us = 1_000_000
 _LATCH_REPEAT_s = 0.02  # INDEX is requested again if it comes later than this after its flag
+_WATCH_EVERY_s = 0.02  # arm one of the watched indices: 27 bytes, a tenth of a slow line
 _REQUESTS = (wire.Poll, wire.Stream, wire.SetZero, wire.ArmIndex, wire.Identify)
 
 
@@ -38,9 +42,13 @@ class EncoderBoard:
         self.name = name
         self.latest: wire.Report | None = None
         self.latest_at_s = -math.inf
+        self.fresh_at_s = -math.inf
+        """When a prompt report with the latest counts would have been read: repeated and late reports are old."""
         self.identity: wire.Identity | None = None
         self.reports = 0
         self.lost = 0
+        self.late = 0
+        """Reports that came after a newer one, and were dropped."""
         self.resets = 0
         self._link = link
         self._clock = clock
@@ -53,6 +61,9 @@ class EncoderBoard:
         self._latches: dict[int, int] = {}
         self._armed: dict[int, float] = {}  # channel: when its latch was last asked for [s]
         self._arming: tuple[int, int] | None = None  # (request sequence, channel) of ARM_INDEX under way
+        self._watched: list[int] = []  # channels whose indices are watched, the next one to arm first
+        self._watch_at_s = -math.inf  # when an index was last armed for that
+        self._passed: list[tuple[int, int]] = []
         self._problems: list[LinkError] = []
 
     @property
@@ -90,6 +101,8 @@ class EncoderBoard:
                     self._take_other(frame)
             if self._armed:
                 self._ask_for_lost_latches(now_s)
+            if self._watched and now_s - self._watch_at_s >= _WATCH_EVERY_s:
+                self._arm_next(now_s)
         if self._problems:
             raise self._problems.pop(0)
 
@@ -162,6 +175,36 @@ class EncoderBoard:
         """The count latched since `arm_index`, or None."""
         return self._latches.get(channel)
 
+    def watch_indices(self, channels: Sequence[int]) -> None:
+        """Let `update` arm the index of each channel again and again, without waiting; none ends it.
+
+        Not beside `arm_index`, which is for one pulse.
+        """
+        if list(channels) != sorted(self._watched):
+            for channel in {*self._watched, *channels}:
+                self._forget_index(channel)
+            self._watched = sorted(channels)
+            self._arming = None
+            self._passed.clear()
+
+    def passed_indices(self) -> list[tuple[int, int]]:
+        """(channel, count) of the watched index pulses that came since the last call."""
+        passed, self._passed = self._passed, []
+        return passed
+
+    def _arm_next(self, now_s: float) -> None:
+        """Arm the next watched index that does not wait for its pulse."""
+        self._watch_at_s = now_s
+        for _ in self._watched:
+            channel = self._watched.pop(0)
+            self._watched.append(channel)
+            if channel not in self._armed:
+                self._forget_index(channel)
+                frame = wire.ArmIndex(self._next_sequence(), channel, IndexAction.ARM)
+                self._arming = (frame.sequence, channel)
+                self._send(frame)
+                return
+
     def _check_channel(self, channel: int) -> None:
         channels = self.identity.channels if self.identity else wire.CHANNELS
         if not 0 <= channel < channels:
@@ -220,7 +263,12 @@ class EncoderBoard:
         return f"; {bad} bad frames received: check the baud rate ({self._link.baud})" if bad else ""
 
     def _take_report(self, report: wire.Report, now_s: float) -> None:
-        before = self.latest
+        before, made_s = self.latest, self._time.seconds
+        if before is not None and self._board_sequence is not None:
+            behind = (self._board_sequence - report.sequence) & 0xFF
+            if 0 < behind < _LATE_FRAMES and _is_older(report, before):
+                self.late += 1
+                return
         if self._time.advance(report.board_time_us, now_s) and not _has_lost_zero(before, report):
             self._count_lost(report.sequence)
         else:
@@ -229,6 +277,8 @@ class EncoderBoard:
             self._time.advance(report.board_time_us, now_s)
         self.latest = report
         self.latest_at_s = now_s
+        if before is None or self._time.seconds != made_s:
+            self.fresh_at_s = now_s - self._time.lag_s
         self.reports += 1
 
     def _take_other(self, frame: wire.AnyFrame) -> None:
@@ -264,7 +314,14 @@ class EncoderBoard:
             if frame.channel >= wire.CHANNELS:
                 self._violation(f"sent an index of channel {frame.channel}", wire.encode(frame))
             else:
-                self._latches[frame.channel] = frame.count
+                self._take_latch(frame)
+
+    def _take_latch(self, frame: wire.IndexLatch) -> None:
+        if frame.channel not in self._watched:
+            self._latches[frame.channel] = frame.count
+        elif frame.channel in self._armed:
+            self._forget_index(frame.channel)
+            self._passed.append((frame.channel, frame.count))
 
     def _begin_waiting_for_index(self, channel: int) -> None:
         self._arming = None
@@ -289,10 +346,11 @@ class EncoderBoard:
     def _was_reset(self, sequence: int) -> None:
         self.resets += 1
         self._board_sequence = sequence
-        self.latest, self.latest_at_s = None, -math.inf
+        self.latest, self.latest_at_s, self.fresh_at_s = None, -math.inf, -math.inf
         self._time = BoardTime()
         self._armed.clear()
         self._latches.clear()
+        self._watched.clear()
         self._problems.append(
             BoardReset(
                 f"{self.where}: restarted by itself; its counts are no longer valid positions: "
@@ -302,6 +360,12 @@ class EncoderBoard:
 
     def _violation(self, what: str, received: bytes) -> None:
         self._problems.append(ProtocolViolation(f"{self.where}: {what}", received))
+
+
+def _is_older(report: wire.Report, newest: wire.Report) -> bool:
+    """Whether a report was made before the newest one by the same running board."""
+    older_us = (newest.board_time_us - report.board_time_us) & 0xFFFFFFFF
+    return 0 < older_us < _LATE_us and not _has_lost_zero(newest, report)
 
 
 def _has_lost_zero(before: wire.Report | None, now: wire.Report) -> bool:

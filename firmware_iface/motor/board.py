@@ -56,6 +56,7 @@ class MotorBoard:
         self._bus = bus
         self._sequence = 0
         self._commands_sent = 0
+        self._answered = 0  # of them: the number of the one that the latest reply answers
         self._sent_at_s = -math.inf
         self._command_id = wire.COMMAND_ID + node
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
@@ -76,10 +77,11 @@ class MotorBoard:
 
     @property
     def reply_lag(self) -> int:
-        """Number of COMMANDs sent since the one answered by the latest reply; 0: the newest was answered."""
-        return (
-            (self._sequence - self.reply.sequence) & wire.SEQUENCE_MASK if self.reply else self._commands_sent
-        )
+        """Number of COMMANDs sent since the one answered by the latest reply; 0: the newest was answered.
+
+        Counted when the reply comes: the 5-bit sequence alone repeats, and a silent board would seem to answer again.
+        """
+        return self._commands_sent - self._answered if self.reply else self._commands_sent
 
     @property
     def lost(self) -> int:
@@ -130,6 +132,18 @@ class MotorBoard:
     def command_position(self, count: int, feedforward_V: float = 0.0) -> None:
         """Command a position in counts of the board's own encoder, and a voltage added to its PID output."""
         self.command(3, count, self._milli(feedforward_V))
+
+    def command_hold(self) -> None:
+        """Command the board to come to rest and hold, by its own encoder."""
+        self.command(4)
+
+    def ask_count(self) -> None:
+        """Ask for the count of the board's own encoder without waiting; see `count_taken`."""
+        self._parameters.begin_read(Parameter.POSITION_COUNT)
+
+    def count_taken(self) -> int | None:
+        """The count that `ask_count` asked for, once it has come; None before, and after a restart of the board."""
+        return self._parameters.taken(Parameter.POSITION_COUNT)
 
     def _milli(self, quantity: float) -> int:
         try:
@@ -278,6 +292,7 @@ class MotorBoard:
             self._violation(f"sent a statusword of an unknown state ({reply.statusword:#04x})", payload)
             return
         self.reply = reply
+        self._answered = self._commands_sent - ((self._sequence - reply.sequence) & wire.SEQUENCE_MASK)
         self.reply_at_s = now_s
         self.replies += 1
         if state is not self._last_state:

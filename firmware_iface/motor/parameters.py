@@ -32,6 +32,21 @@ class ParameterChannel:
         """Read the raw value. Raises RequestRefused, BoardSilent."""
         return self._ask(Operation.READ, index, 0)
 
+    def begin_read(self, index: int) -> None:
+        """Ask for the raw value without waiting; `taken` has it once it has come."""
+        self._sequence = self._sequence % 255 + 1
+        self._answer = None
+        payload = ParameterRequest(Operation.READ, index, self._sequence, 0).pack()
+        self._bus.link.send(self._request_id, payload)
+
+    def taken(self, index: int) -> int | None:
+        """The value that `begin_read` asked for, once; None if it has not come."""
+        answer = self._answer_of(index)
+        if answer is None or answer.result != ParameterResult.DONE:
+            return None
+        self._answer = None
+        return answer.value
+
     def write(self, index: int, value: int) -> None:
         """Set the raw value. Raises RequestRefused, BoardSilent, ProtocolViolation if the board reports another."""
         stored = self._ask(Operation.WRITE, index, value)

@@ -43,6 +43,7 @@ class Mode(IntEnum):
     VOLTAGE = 1
     CURRENT = 2
     POSITION = 3
+    HOLD = 4
 
 
 class Fault(IntFlag):
@@ -91,9 +92,12 @@ class Parameter(IntEnum):
     CURRENT_LIMIT_mA = 20
     VOLTAGE_LIMIT_mV = 21
     INTEGRAL_LIMIT_mV = 22
+    SPEED_FEEDFORWARD_nV_s_count = 23
     WATCHDOG_ms = 32
     WATCHDOG_ACTION = 33
     DISABLED_OUTPUT = 34
+    STOP_AFTER_ms = 35
+    STOP_TIME_ms = 36
 
 
 class Output(IntEnum):

@@ -76,6 +76,10 @@ class EncoderBoardMock:
         self.outgoing: list[tuple[float, bytes]] = []  # (when its last byte has left, frame)
         self.stuck: set[int] = set()  # channels with a stuck counter, set by a fault
         self.lost: set[int] = set()  # channels with a broken wire
+        self.backwards: set[int] = set()  # channels that count the wrong way
+        self.drift: dict[int, float] = {}  # counts a second by which a channel drifts
+        self.has_frozen_clock = False
+        self._drifted: dict[int, float] = {}
         self.power_up(0.0, [0] * len(setup.counts_per_turn))
 
     def power_up(self, now_s: float, raw: Sequence[int]) -> None:
@@ -112,8 +116,10 @@ class EncoderBoardMock:
     def tick(self, now_s: float, raw: Sequence[int], is_home: Sequence[bool]) -> None:
         """Move the shafts to `raw` counts; make the reports that became due since the last tick."""
         self._before, self._raw, self._is_home = self._raw, raw, is_home
-        if self._is_watching or self.stuck or self.lost:
+        if self._is_watching or self.stuck or self.lost or self.backwards:
             self._watch(now_s)
+        if self.drift:
+            self._drift(now_s)
         if self._period_us:
             now_us = self._board_us(now_s)
             while self._due_us <= now_us:
@@ -134,6 +140,8 @@ class EncoderBoardMock:
     def _send_report(self, time_us: int, part: float, start_s: float) -> None:
         """Send one REPORT of the counts interpolated at `part` of the time from the last tick to this one."""
         flags, counts, wrap, half = [0, 0, 0], [0, 0, 0], self._wrap, self._half
+        if self.has_frozen_clock:
+            time_us = self._frozen_us
         for at, channel in enumerate(self._channels):
             raw = self._raw[at]
             if part < 1.0:
@@ -237,6 +245,28 @@ class EncoderBoardMock:
         self._channels[at].flags |= QUADRATURE_ERROR
         self._channels[at].offset += counts
 
+    def freeze_clock(self, is_frozen: bool) -> None:
+        """Inject a fault: reports keep the time stamp of now."""
+        self._frozen_us = self._due_us - self._period_us
+        self.has_frozen_clock = is_frozen
+
+    def slip(self, at: int, counts: int) -> None:
+        """Inject a fault: the encoder slips on its shaft, with its index."""
+        channel = self._channels[at]
+        channel.offset += counts
+        channel.index_raw -= counts
+
+    def jump(self, at: int, counts: int) -> None:
+        """Inject a fault: the counter jumps unseen; its index stays where it is."""
+        self._channels[at].offset += counts
+
+    def _drift(self, now_s: float) -> None:
+        for at, counts_s in self.drift.items():
+            whole, self._drifted[at] = divmod(
+                self._drifted.get(at, 0.0) + counts_s * (now_s - self._tick_s), 1.0
+            )
+            self._channels[at].offset += int(whole)
+
     def _arm_index(self, content: bytes, at: int, action: int, now_s: float) -> None:
         if at >= len(self._channels) or action > 2:
             self._answer(content, BAD_ARGUMENT, now_s)
@@ -258,7 +288,10 @@ class EncoderBoardMock:
             if at in self.stuck or at in self.lost:
                 # The counter is stuck; motion of the shaft meanwhile is lost.
                 channel.offset -= self._raw[at] - self._before[at]
-            elif channel.armed:
+                continue
+            if at in self.backwards:
+                channel.offset -= 2 * (self._raw[at] - self._before[at])
+            if channel.armed:
                 self._watch_index(at, channel, now_s)
 
     def _watch_index(self, at: int, channel: _Channel, now_s: float) -> None:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from hil_mocks.devices import motor_parameters as parameter
 from hil_mocks.devices.motor_states import NEXT, State, Word, word_of
 
+HOLD = 4  # mode
 COMMAND, REPLY, REQUEST, ANSWER = 0x100, 0x180, 0x200, 0x280
 OVER_CURRENT, OVER_TEMPERATURE, UNDER_VOLTAGE, OVER_VOLTAGE = 1, 2, 4, 8
 WATCHDOG, ENCODER, BAD_COMMAND, EMERGENCY_STOP = 16, 32, 64, 128
@@ -36,6 +37,14 @@ class Output(NamedTuple):
 
     kind: str
     value: float
+
+
+class Stop(NamedTuple):
+    """A stop without the host: when and where it began, at what speed."""
+
+    since_s: float
+    from_count: int
+    counts_s: float
 
 
 OPEN, BRAKE = Output("open", 0.0), Output("voltage", 0.0)
@@ -74,6 +83,7 @@ class MotorBoardMock:
         self._noise = [source.gauss(0.0, 1.0) for _ in range(_NOISE_VALUES)]
         self._replies = 0
         self.forced_faults = 0  # persistent causes, set by a fault of the scenario
+        self.says: dict[str, float | None] = {}  # values that replies have instead of the measured ones
         self.power_up()
 
     def power_up(self) -> None:
@@ -91,6 +101,7 @@ class MotorBoardMock:
         self._mode = self._setpoint = self._feedforward_mV = 0
         self._integral_mV = self._speed = 0.0
         self._holds = False  # the position, since the watchdog expired
+        self._stop: Stop | None = None  # without the host
         self._last_command_s = 0.0
         self._over_current_ticks = 0
         self._above_ambient_K = self._heat_A2s = self._heated_s = 0.0
@@ -133,8 +144,11 @@ class MotorBoardMock:
             return [(ANSWER + self.setup.node, _REQUEST.pack(0, 0, 0, 0, self.setup.protocol))]
         if state is State.FAULT_REACTION:
             self.state = State.FAULT
-        elif state is State.ENABLED and now_s - self._last_command_s > self._watchdog_s:
-            self._expire()
+        elif state is State.ENABLED and now_s - self._last_command_s > self._soonest_s:
+            if now_s - self._last_command_s > self._watchdog_s:
+                self._expire()
+            elif self._stop is None and self._mode in (1, 2):
+                self._begin_stop(now_s)
         if (
             self.forced_faults
             or not -self._trip_A <= current_A <= self._trip_A
@@ -148,6 +162,8 @@ class MotorBoardMock:
             self._over_current_ticks = 0
         if (self._mode == 3 and self.state is State.ENABLED) or self._holds:
             self._control(step_s)
+        elif self._is_measuring_speed:
+            self._measure_speed(step_s)
         return []
 
     def _causes(self) -> int:
@@ -175,6 +191,9 @@ class MotorBoardMock:
         self._voltage_limit_mV = float(values[parameter.VOLTAGE_LIMIT_MV])
         watchdog_ms = values[parameter.WATCHDOG_MS]
         self._watchdog_s = watchdog_ms * 1e-3 - 1e-9 if watchdog_ms else math.inf
+        stop_ms = values[parameter.STOP_AFTER_MS]
+        self._is_measuring_speed = stop_ms > 0
+        self._soonest_s = min(self._watchdog_s, stop_ms * 1e-3 - 1e-9 if stop_ms else math.inf)
 
     def _fault(self, bits: int) -> None:
         first = self.state not in (State.FAULT, State.FAULT_REACTION)
@@ -182,34 +201,75 @@ class MotorBoardMock:
         if first or bits & EMERGENCY_STOP:
             self.state = State.FAULT_REACTION
         if bits & OVER_CURRENT:
-            self._holds, self.output = False, OPEN
+            self._holds, self._stop, self.output = False, None, OPEN
         elif (bits & EMERGENCY_STOP and not self.faults & OVER_CURRENT) or first:
-            self._holds, self.output = False, BRAKE
+            self._holds, self._stop, self.output = False, None, BRAKE
 
     def _expire(self) -> None:
         """The watchdog expired: its action, then FAULT, which keeps that output."""
-        action = self.values[parameter.WATCHDOG_ACTION]
+        action, stop = self.values[parameter.WATCHDOG_ACTION], self._stop
         self._fault(WATCHDOG)
         if action == 0:
             self.output = OPEN
+        elif action == 2 and self.values[parameter.KP] > 0 and stop is not None:
+            self._holds, self._stop = True, stop
         elif action == 2 and self.values[parameter.KP] > 0:
             self._holds = True
             self._setpoint, self._feedforward_mV, self._integral_mV = self.position_count, 0, 0.0
             self._count_before, self._speed = self._read_shaft(), 0.0
         # else: brake, as for every fault
 
+    def _begin_stop(self, now_s: float) -> None:
+        """Come to rest and hold: no COMMAND for `stop_after_ms`, or one of mode 4."""
+        if self.values[parameter.KP] == 0:
+            self.output = BRAKE
+        else:
+            kind, voltage_V = self.output
+            self._stop = Stop(now_s, self.position_count, self._speed)
+            kv = self.values[parameter.SPEED_FEEDFORWARD] * 1e-6
+            self._integral_mV = voltage_V * 1e3 - kv * self._speed if kind == "voltage" else 0.0
+            self._feedforward_mV, self._holds = 0, True
+
+    def _end_stop(self) -> None:
+        if self._stop is not None:
+            self._stop, self._holds, self._integral_mV = None, False, 0.0
+
+    def _measure_speed(self, step_s: float) -> None:
+        """Filtered speed [counts/s], for a stop that may begin at any time."""
+        shaft_count = self._read_shaft()
+        if step_s > 0.0:
+            rate = (shaft_count - self._count_before) / step_s
+            filter_s = self.values[parameter.DERIVATIVE_FILTER_US] * 1e-6
+            self._speed += (rate - self._speed) * step_s / (step_s + filter_s)
+        self._count_before = shaft_count
+
+    def _stopping_point(self) -> tuple[int, float]:
+        """Set-point in counts, and its speed, during a stop without the host."""
+        stop = self._stop
+        if stop is None or self._last_tick_s is None:
+            return self._setpoint, 0.0
+        whole_s = self.values[parameter.STOP_TIME_MS] * 1e-3
+        since_s = min(self._last_tick_s - stop.since_s, whole_s)
+        way = stop.counts_s * (since_s - 0.5 * since_s * since_s / whole_s)
+        return _wrapped(stop.from_count + round(way)), stop.counts_s * (1.0 - since_s / whole_s)
+
     def _command(self, payload: bytes, now_s: float) -> bytes:
         controlword, mode_and_sequence, setpoint, feedforward_mV = _COMMAND.unpack(payload)
         self._last_command_s = now_s
         mode = mode_and_sequence & 7
-        if mode > 3:
+        if mode > HOLD:
             self._before = controlword
             if self.state is not State.NOT_READY:
                 self._fault(BAD_COMMAND)
             return self._reply(mode_and_sequence)
         if controlword != 0x0F or self.state is not State.ENABLED or self._before != 0x0F:
             self._transition(controlword)
-        if self.state is State.ENABLED:
+        if self.state is State.ENABLED and mode == HOLD:
+            if self._mode != HOLD and self._stop is None:
+                self._begin_stop(now_s)
+            self._mode = mode
+        elif self.state is State.ENABLED:
+            self._end_stop()
             if mode != self._mode:
                 self._integral_mV = self._speed = 0.0
                 self._count_before = self._read_shaft()
@@ -228,7 +288,7 @@ class MotorBoardMock:
             self.faults = lasting
             if lasting:
                 return
-            self._holds = False
+            self._holds, self._stop = False, None
         if new is State.ENABLED:
             self._integral_mV, self._speed = 0.0, 0.0
             self._count_before = self._read_shaft()
@@ -259,7 +319,8 @@ class MotorBoardMock:
         """Position PID on the board's own count; derivative of the measurement, conditional integration."""
         values = self.values
         shaft_count = self._read_shaft()
-        error = _wrapped(self._setpoint - shaft_count + self._count_offset)
+        setpoint, set_speed = self._stopping_point()
+        error = _wrapped(setpoint - shaft_count + self._count_offset)
         if step_s > 0.0:
             rate = (shaft_count - self._count_before) / step_s
             self._count_before = shaft_count
@@ -268,7 +329,8 @@ class MotorBoardMock:
         wanted_mV = (
             values[parameter.KP] * 1e-3 * error
             + self._integral_mV
-            - values[parameter.KD] * 1e-6 * self._speed
+            + values[parameter.KD] * 1e-6 * (set_speed - self._speed)
+            + values[parameter.SPEED_FEEDFORWARD] * 1e-6 * set_speed
             + self._feedforward_mV
         )
         output_mV = self._clamped_mV(wanted_mV)
@@ -308,10 +370,17 @@ class MotorBoardMock:
         steps = round((self._mean_A + setup.current_noise_A * noise[at]) / setup.current_step_A)
         current_mA = round(steps * setup.current_step_A * 1e3)
         supply_mV = round((supply_V + setup.supply_noise_V * noise[at + 1]) * 1e3)
+        temperature_degC = self._temperature_degC
+        if self.says:
+            said = (self.says.get(f"says_{name}") for name in ("current", "supply", "temperature"))
+            said_A, said_V, said_degC = said
+            current_mA = current_mA if said_A is None else round(said_A * 1e3)
+            supply_mV = supply_mV if said_V is None else round(said_V * 1e3)
+            temperature_degC = temperature_degC if said_degC is None else round(said_degC)
         if not -32767 <= current_mA <= 32767:
             current_mA = 32767 if current_mA > 0 else -32767
         return _REPLY.pack(
-            status, mode_and_sequence, current_mA, max(supply_mV, 0), self._temperature_degC, self.faults
+            status, mode_and_sequence, current_mA, max(supply_mV, 0), temperature_degC, self.faults
         )
 
     def _parameter(self, payload: bytes) -> bytes:

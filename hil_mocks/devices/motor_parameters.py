@@ -8,8 +8,9 @@ _I32 = (-(1 << 31), (1 << 31) - 1)
 DONE, UNKNOWN_INDEX, READ_ONLY, OUT_OF_RANGE, NOT_IN_THIS_STATE = 0, 1, 2, 3, 4
 
 POSITION_COUNT, KP, KI, KD, DERIVATIVE_FILTER_US = 4, 16, 17, 18, 19
-CURRENT_LIMIT_MA, VOLTAGE_LIMIT_MV, INTEGRAL_LIMIT_MV = 20, 21, 22
+CURRENT_LIMIT_MA, VOLTAGE_LIMIT_MV, INTEGRAL_LIMIT_MV, SPEED_FEEDFORWARD = 20, 21, 22, 23
 WATCHDOG_MS, WATCHDOG_ACTION, DISABLED_OUTPUT = 32, 33, 34
+STOP_AFTER_MS, STOP_TIME_MS = 35, 36
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +33,12 @@ def writable(rating_mA: int) -> dict[int, Row]:
         CURRENT_LIMIT_MA: Row(1, min(rating_mA, 21_000), rating_mA),
         VOLTAGE_LIMIT_MV: Row(0, 60_000, 24_000),
         INTEGRAL_LIMIT_MV: Row(0, 60_000, 0),
+        SPEED_FEEDFORWARD: Row(0, _I32[1], 0),
         WATCHDOG_MS: Row(0, 10_000, 200),
         WATCHDOG_ACTION: Row(0, 2, 1),
         DISABLED_OUTPUT: Row(0, 1, 1),
+        STOP_AFTER_MS: Row(0, 10_000, 0),
+        STOP_TIME_MS: Row(1, 10_000, 100),
     }
 
 
@@ -43,6 +47,6 @@ def refusal(rows: dict[int, Row], index: int, value: int) -> int:
     if index not in rows:
         return READ_ONLY if index <= 5 else UNKNOWN_INDEX
     row = rows[index]
-    if not row.lowest <= value <= row.highest or (index == WATCHDOG_MS and 0 < value < 5):
+    if not row.lowest <= value <= row.highest or (index in (WATCHDOG_MS, STOP_AFTER_MS) and 0 < value < 5):
         return OUT_OF_RANGE
     return DONE

@@ -64,6 +64,11 @@ class Hand:
         self._data.eq_active[self._grip()] = 0
         self.state = "away"
 
+    @property
+    def is_gripping(self) -> bool:
+        """Whether the hand has the tip."""
+        return self.state in ("dragging", "holding")
+
     def residual_m(self) -> float:
         """Distance of the tip from the hand."""
         mujoco.mj_kinematics(self._model, self._data)

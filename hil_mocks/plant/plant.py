@@ -18,6 +18,7 @@ from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.plant.parts import ArmParts
 from hil_mocks.plant.shaft import Shaft
 
+_FALL_rad_s = 0.5  # of a link that an operator lets down by hand
 _JAMMED_Nm_s_rad = 1e6  # a jammed gear creeps by a microradian per second under the full motor torque
 
 _BENDING_ROUNDS = 3  # gravity's torque on a bent link differs from that on a straight one by some 1e-3
@@ -66,7 +67,9 @@ class Plant:
         )
         self.hand = self._free_hand(options)
         self._steps = 0
-        self._free_damping: dict[int, float] = {}
+        self._free_damping = [float(damping) for damping in self._model.dof_damping]
+        self._steadying = [0.0] * len(self._free_damping)  # N m s/rad, by the hand
+        self._is_steadied = False
         self._blocked_by: dict[int, set[str]] = {}
         self._delay_steps = round(effects.command_delay_s / options.timestep_s)
         self._pending: deque[tuple[int, int, int, float]] = deque()
@@ -95,6 +98,8 @@ class Plant:
     def step(self, steps: int) -> None:
         """Advance by a number of time steps: one call of MuJoCo, more only if a delayed command becomes due."""
         self.hand.move()
+        if self.hand.is_gripping != self._is_steadied:
+            self._steady()
         end = self._steps + steps
         while self._pending and self._pending[0][0] < end:
             due, j, mode, value = self._pending.popleft()
@@ -179,9 +184,31 @@ class Plant:
         """Jam the gear of joint j, or free it again."""
         holders = self._blocked_by.setdefault(j, set())
         (holders.add if is_blocked else holders.discard)(by)
+        self._damp(j)
+
+    def _damp(self, j: int) -> None:
+        """Give the dofs of joint j the damping that they have now."""
         for dof in {self._at.motor_hinge[j], self._at.link_hinge[j]}:
-            free = self._free_damping.setdefault(dof, float(self._model.dof_damping[dof]))
-            self._model.dof_damping[dof] = _JAMMED_Nm_s_rad if holders else free
+            free = self._free_damping[dof] + self._steadying[dof]
+            self._model.dof_damping[dof] = _JAMMED_Nm_s_rad if self._blocked_by.get(j) else free
+
+    def _steady(self) -> None:
+        """What the operator's other hand does: while the tip is held, no link falls fast under its own weight.
+
+        The grip leaves joints beyond the third free; without friction in their gears they would swing.
+        """
+        self._is_steadied = self.hand.is_gripping
+        for j in range(self.joints):
+            weight_Nm = self._weight_Nm(j) if self._is_steadied else 0.0
+            self._steadying[self._at.link_hinge[j]] = weight_Nm / _FALL_rad_s
+            self._damp(j)
+
+    def _weight_Nm(self, j: int) -> float:
+        """Largest gravity torque on joint j that any posture of the base could give, with the links beyond it as they are."""
+        hinge = int(self._model.dof_jntid[self._at.link_hinge[j]])
+        body = int(self._model.jnt_bodyid[hinge])
+        lever_m = math.dist(self._data.subtree_com[body], self._data.xanchor[hinge])
+        return float(self._model.body_subtreemass[body]) * lever_m * math.hypot(*self._model.opt.gravity)
 
     def _post(self, j: int, mode: int, value: float) -> None:
         if self._delay_steps == 0:

@@ -140,6 +140,7 @@ class Bench:
         for index, value in (
             (Parameter.WATCHDOG_ms, round(self._arm.limits.watchdog_s * 1e3)),
             (Parameter.WATCHDOG_ACTION, Output.BRAKE),
+            (Parameter.STOP_AFTER_ms, 0),  # a PID on an encoder whose sign is not known yet would run away
             (Parameter.DISABLED_OUTPUT, Output.BRAKE),
             (Parameter.VOLTAGE_LIMIT_mV, round(limits.voltage_V * 1e3)),
             (Parameter.CURRENT_LIMIT_mA, max(1, round(limits.current_A * 1e3))),

@@ -7,9 +7,10 @@ friction and gravity. Signs: `turned_rad` and speeds are in the joint's sign, co
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from itertools import pairwise
 
 from control.model.arm import Drive
 from control.model.joint_map import JointMap
@@ -20,6 +21,7 @@ INTEGRAL_1_s = 10.0  # crossover of the speed loop, a fifth of the motor's own c
 STALL_WINDOW_S = 0.15
 STALL_SHARE = 0.1  # of the distance expected in the window
 START_S = 0.35  # start-up time of a joint
+HOST_PAUSE_S = 0.05  # between two cycles: a quarter of the shipped watchdog, 25 cycles of 2 ms
 REST_S = 0.2
 RUNAWAY = 3.0  # times the commanded speed
 
@@ -125,7 +127,7 @@ class JointDriver:
                 if until(run, sample):
                     run.end = End.SEEN
                     break
-                if _has_stalled(run.rows, abs(speed_rad_s)):
+                if has_stalled(run.rows, abs(speed_rad_s)):
                     run.end = End.STALLED
                     break
             self._brake()
@@ -171,12 +173,20 @@ class JointDriver:
         return found
 
 
-def _has_stalled(rows: list[tuple[float, float, float, float, float]], speed_rad_s: float) -> bool:
-    """Whether the joint has hardly moved within the last window."""
+def has_stalled(rows: Sequence[tuple[float, float, float, float, float]], speed_rad_s: float) -> bool:
+    """Whether the joint has hardly moved within the last window, although it had time to start.
+
+    A pause of the host stops the motor by the board's watchdog; the joint then has to start again.
+    """
     now_s, now_rad = rows[-1][0], rows[-1][1]
-    if now_s - rows[0][0] < START_S:
-        return False
-    for row in reversed(rows):
-        if now_s - row[0] >= STALL_WINDOW_S:
-            return abs(now_rad - row[1]) < STALL_SHARE * speed_rad_s * STALL_WINDOW_S
+    is_still = False
+    for later, row in pairwise(reversed(rows)):
+        if later[0] - row[0] > HOST_PAUSE_S:
+            return False
+        if not is_still and now_s - row[0] >= STALL_WINDOW_S:
+            if abs(now_rad - row[1]) >= STALL_SHARE * speed_rad_s * STALL_WINDOW_S:
+                return False
+            is_still = True
+        if now_s - row[0] >= START_S:
+            return True
     return False

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from control.errors import ArmError
-from control.files import write_whole
+from control.files import parsed_json, read_text, write_whole
 from control.model.arm import Arm, Drive, Effect, Home
 from procedures.bringup.findings import Diagnosis
 from procedures.bringup.measuring import Measured
@@ -44,7 +44,7 @@ class Journal:
 
     def _resume(self, digest: str) -> None:
         try:
-            content = json.loads(self.path.read_text("utf-8"))
+            content = parsed_json(read_text(self.path))
             is_ours = content["format"] == FORMAT
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ArmError(

@@ -154,6 +154,13 @@ class RealTimeBench:
         """Socket path of the last runtime started."""
         return Path(self._folder.name) / f"{self._starts}.sock"
 
+    @property
+    def runtime_pid(self) -> int:
+        """Process id of the runtime. ArmError if none runs."""
+        if self._runtime is None:
+            raise ArmError("the bench has no runtime")
+        return self._runtime.pid
+
     def _connected(self) -> SocketChannel:
         deadline_s = time.monotonic() + START_LIMIT_S
         while True:

@@ -74,6 +74,14 @@ class Probe:
         """As the hardware."""
         self._hardware.disable()
 
+    def watch_indices(self, is_wanted: bool) -> None:
+        """As the hardware."""
+        self._hardware.watch_indices(is_wanted)
+
+    def passed_indices(self) -> list[tuple[int, int]]:
+        """As the hardware."""
+        return self._hardware.passed_indices()
+
     def reset_drive_faults(self) -> None:
         """As the hardware."""
         self._hardware.reset_drive_faults()

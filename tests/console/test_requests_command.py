@@ -14,7 +14,7 @@ from console.commands import requests
 from console.main import main
 from control.errors import ArmError
 from control.server.client import ArmClient
-from tests.cell import Cell
+from tests.cell import Cell, handled
 
 
 class Typed(io.StringIO):
@@ -40,21 +40,45 @@ def test_guide_without_a_terminal_and_without_yes_is_refused(
     assert client.status()["mode"] == "HOLDING"
 
 
-@pytest.mark.parametrize(
-    ("answer", "mode"), [("y\n", "GUIDING"), ("\n", "HOLDING"), ("no\n", "HOLDING"), ("", "HOLDING")]
-)
-def test_guide_lets_the_arm_go_only_where_it_is_confirmed(
+@pytest.mark.parametrize(("answer", "mode"), [("\n", "HOLDING"), ("no\n", "HOLDING"), ("", "HOLDING")])
+def test_guide_keeps_the_arm_where_it_is_not_confirmed(
     client: ArmClient, monkeypatch: pytest.MonkeyPatch, answer: str, mode: str
 ) -> None:
     monkeypatch.setattr(sys, "stdin", Typed(answer))
     monkeypatch.setattr(sys, "stderr", Typed())
-    assert main(["guide"]) == (0 if mode == "GUIDING" else 2)
+    assert main(["guide"]) == 2
     assert client.status()["mode"] == mode
 
 
-def test_guide_with_yes_does_not_ask(client: ArmClient) -> None:
+def test_guide_lets_the_arm_go_where_it_is_confirmed_until_a_line_is_typed(
+    client: ArmClient, cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", Typed("y\n\n"))
+    monkeypatch.setattr(sys, "stderr", Typed())
+    modes: list[str] = []
+    cell.watchers.append(lambda: modes.append(cell.mode.name))
+    monkeypatch.setattr(
+        requests.select, "select", lambda *_: ([sys.stdin] if len(modes) > 50 else [], [], [])
+    )
+    assert main(["guide"]) == 0
+    assert "GUIDING" in modes
+    assert client.status()["mode"] == "HOLDING"
+
+
+def test_guide_with_yes_does_not_ask_and_ends_when_somebody_holds_the_arm(
+    client: ArmClient, cell: Cell, capsys: pytest.CaptureFixture[str]
+) -> None:
+    modes: list[str] = []
+
+    def hold_later() -> None:
+        modes.append(cell.mode.name)
+        if modes.count("GUIDING") == 50:
+            assert handled(cell, {"do": "hold"}, 9)["ok"]
+
+    cell.watchers.append(hold_later)
     assert main(["guide", "--yes"]) == 0
-    assert client.status()["mode"] == "GUIDING"
+    assert modes.count("GUIDING") >= 50
+    assert "hand-guiding has ended" in capsys.readouterr().out
 
 
 def test_enable_and_home_say_that_there_was_nothing_to_do(

@@ -12,6 +12,7 @@ import pytest
 
 from console.main import main
 from control.server import sockets
+from control.server.messages import Asked
 from control.server.server import Server
 
 Serve = Callable[[Path, str], list[str]]
@@ -37,8 +38,8 @@ def serve() -> Iterator[Serve]:
     def start(path: Path, name: str) -> list[str]:
         asked: list[str] = []
 
-        def answer(request: dict[str, Any], client: int) -> dict[str, Any]:
-            asked.append(request["do"])
+        def answer(request: Asked, client: int) -> dict[str, Any]:
+            asked.append(request.do)
             return {"ok": True, "mode": "HOLDING", "arm": name, "was_stopped": True, "step": "", "pace": 1.0}
 
         server = Server(path, answer, lambda client: None)

@@ -1,12 +1,15 @@
 """Every kind of link keeps the same promises, the in-memory one that other tests use included."""
 
+import itertools
 import os
 import pty
 import socket
+import time
 import tty
 from collections.abc import Callable, Iterator
 
 import pytest
+from can import bus as bus_of_python_can
 
 from firmware_iface.errors import LinkError, LinkLost, PortMissing
 from firmware_iface.link import ByteLink, FrameLink, open_can, open_serial
@@ -289,3 +292,15 @@ def test_noise_on_the_multicast_group_is_counted_and_never_raised() -> None:
     assert receive(link, 1) == [(3, b"ok")]
     link.close()
     friend.close()
+
+
+def test_receiving_never_waits_when_the_time_of_day_steps_back(
+    join: JoinBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """python-can's recv(timeout=0) reads it twice, and waited for as long as the step."""
+    here = join()
+    begun_s, reads = time.monotonic(), itertools.count()
+    stepped = lambda: time.monotonic() - (5.0 if next(reads) else 0.0)  # noqa: E731
+    monkeypatch.setattr(bus_of_python_can, "time", stepped)
+    assert here.receive() == []
+    assert time.monotonic() - begun_s < 4.0

@@ -67,7 +67,7 @@ def test_a_new_file_never_takes_the_place_of_another(tmp_path: Path) -> None:
 
 def test_a_record_that_does_not_fit_is_not_there_in_part(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
-    with path.open("ab", buffering=0) as file:
+    with path.open("a+b", buffering=0) as file:
         append_whole(file.fileno(), path, b"first\n")
         with files_up_to(9), pytest.raises(NotWritten, match=r"points\.csv"):
             append_whole(file.fileno(), path, b"second\n")

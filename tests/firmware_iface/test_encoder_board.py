@@ -227,6 +227,39 @@ def test_a_count_that_wraps_comes_through_as_it_is() -> None:
     assert board.resets == 0
 
 
+class TestLateReports:
+    """Frames that come in another order than they were sent: the newest counts, and nobody restarted."""
+
+    def test_an_older_report_is_dropped(self) -> None:
+        board, link, _ = make([])
+        newest = report(203, 50_006_000, (4, 0, 0))
+        link.push(send(report(200, 50_000_000), newest, report(202, 50_004_000), report(201, 50_002_000)))
+        board.update()
+        assert board.latest == newest
+        assert (board.resets, board.late) == (0, 2)
+        link.push(send(report(204, 50_008_000)))
+        board.update()
+        assert board.latest == report(204, 50_008_000)
+
+    def test_across_the_wraps_of_sequence_and_time(self) -> None:
+        board, link, clock = make([])
+        link.push(send(report(254, -3000)))
+        board.update()
+        clock.time_s += 0.004
+        link.push(send(report(1, 1000), report(255, -2000)))
+        board.update()
+        assert (board.resets, board.late) == (0, 1)
+
+    def test_a_restart_with_a_sequence_a_little_behind_is_still_seen(self) -> None:
+        board, link, clock = make([])
+        link.push(send(report(5, 50_000_000)))
+        board.update()
+        clock.time_s += 0.6
+        link.push(send(report(0, 100_000)))
+        with pytest.raises(BoardReset):
+            board.update()
+
+
 class TestReset:
     """A board that restarts is told from lost frames, once, whichever sign of it arrives."""
 
@@ -370,3 +403,59 @@ def test_a_lost_link_comes_through() -> None:
     link.is_lost = True
     with pytest.raises(LinkLost):
         board.update()
+
+
+# ---- old counts, and indices in operation
+
+
+def test_reports_whose_time_stands_are_as_old_as_their_counts() -> None:
+    board, link, clock = make()
+    for number in range(5):
+        clock.time_s += 0.002
+        link.push(send(report(number, time_us=1000 + 2000 * min(number, 2))))
+        board.update()
+    assert board.latest_at_s == pytest.approx(100.010)
+    assert board.fresh_at_s == pytest.approx(100.006, abs=1e-3)
+
+
+def test_a_report_that_was_under_way_for_long_is_old_and_a_drifting_crystal_is_not() -> None:
+    board, link, clock = make()
+    for number in range(4000):
+        clock.time_s += 0.5
+        link.push(send(report(number, time_us=round(number * 500_000 * (1.0 - 1e-4)))))
+        board.update()
+    assert board.fresh_at_s == pytest.approx(clock.time_s, abs=1e-3)
+    clock.time_s += 0.08
+    link.push(send(report(4000, time_us=round(3999 * 500_000 * (1.0 - 1e-4)) + 30_000)))
+    board.update()
+    assert board.fresh_at_s == pytest.approx(clock.time_s - 0.05, abs=1e-3)
+
+
+def test_a_report_that_comes_after_a_newer_one_is_dropped_and_is_no_restart() -> None:
+    board, link, _ = make()
+    for number in (1, 3, 2, 4):
+        link.push(send(report(number, time_us=1_000_000 + 1000 * number, counts=(number, 0, 0))))
+        board.update()
+        assert board.latest is not None
+    assert board.latest.counts[0] == 4
+    assert (board.late, board.resets) == (1, 0)
+
+
+def test_a_watched_index_is_armed_again_after_each_pulse_without_waiting() -> None:
+    arm = [wire.ArmIndex(number, 1, wire.IndexAction.ARM) for number in (1, 2)]
+    board, link, clock = make(
+        [
+            (TX, first(arm[0])),
+            (RX, send(Ack(1, 1, Result.DONE), IndexLatch(2, 1, 5, 777))),
+            (TX, send(arm[1])),
+            (RX, send(Ack(5, 2, Result.DONE))),
+        ]
+    )
+    board.watch_indices([1])
+    for number in (0, 3, 4, 6):
+        clock.time_s += 0.011
+        link.push(send(report(number, time_us=1000 * number)))
+        board.update()
+    assert board.passed_indices() == [(1, 777)]
+    assert board.passed_indices() == []
+    assert link.script == []

@@ -204,6 +204,21 @@ class TestFaults:
         board.acknowledge_fault()
         assert link.script == []
 
+    @pytest.mark.parametrize("unanswered", range(0, 33, 4))
+    def test_a_board_that_fell_silent_is_not_acknowledged(self, unanswered: int) -> None:
+        """32 COMMANDs after its last answer, the 5-bit sequence is that of this answer again."""
+        board, bus, link, clock = make([sent(0, 1), replied(DISABLED, 1)])
+        board.command(Mode.VOLTAGE)
+        bus.update()
+        assert board.state is DISABLED
+        link.script = [sent(0, 2 + k) for k in range(60)]
+        for _ in range(unanswered):
+            board.command(Mode.VOLTAGE)
+        begun_s = clock.time_s
+        with pytest.raises(BoardSilent, match="does not reply to COMMAND"):
+            board.acknowledge_fault()
+        assert clock.time_s - begun_s < 0.3
+
     def test_a_cause_that_lasts_is_named(self) -> None:
         script: FrameScript = []
         for number in range(1, 400, 2):

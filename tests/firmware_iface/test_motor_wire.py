@@ -12,7 +12,7 @@ from tests.places import ROOT
 
 I32 = (-(2**31), -100_000, -1, 0, 1, 2**31 - 1)
 SETPOINTS = {Mode.OFF: "SetpointIgnored", Mode.VOLTAGE: "SetpointVoltage"}
-SETPOINTS |= {Mode.CURRENT: "SetpointCurrent", Mode.POSITION: "SetpointPosition"}
+SETPOINTS |= {Mode.CURRENT: "SetpointCurrent", Mode.POSITION: "SetpointPosition", Mode.HOLD: "SetpointUnused"}
 FAULTS = [f"Fault{fault.name.title().replace('_', '')}" for fault in wire.Fault if fault.name]
 NODES = (1, 2, 3)
 PARAMETER_SIGNALS = {
@@ -29,9 +29,12 @@ PARAMETER_SIGNALS = {
     20: "CurrentLimit",
     21: "VoltageLimit",
     22: "IntegralLimit",
+    23: "SpeedFeedforward",
     32: "Watchdog",
     33: "WatchdogAction",
     34: "DisabledOutput",
+    35: "StopAfter",
+    36: "StopTime",
 }
 
 
@@ -60,6 +63,8 @@ FRAMES: dict[str, Command | Reply | ParameterRequest | ParameterAnswer] = {
     "PARAMETER_ANSWER serial number": ParameterAnswer(0, 1, 2, 0xF0A1B2C3 - 2**32),
     "PARAMETER_ANSWER power-up": ParameterAnswer(0, 0, 0, 1),
     "PARAMETER_ANSWER not in this state": ParameterAnswer(4, 32, 3, 200),
+    "PARAMETER_REQUEST write stop_after": ParameterRequest(1, 35, 4, 24),
+    "PARAMETER_ANSWER stop_after": ParameterAnswer(0, 35, 4, 24),
 }
 
 
@@ -166,7 +171,7 @@ def test_the_units_in_parameter_names_are_the_scales_of_the_dbc(dbc: Any) -> Non
     for index in wire.Parameter:
         prefix = index.name.rsplit("_", 1)[-1]
         expected = {"us": 1e-6, "mA": 1e-3, "mV": 1e-3, "ms": 1e-3}.get(prefix, 1)
-        expected = {16: 1e-6, 17: 1e-6, 18: 1e-9}.get(index, expected)  # uV, uV, nV
+        expected = {16: 1e-6, 17: 1e-6, 18: 1e-9, 23: 1e-9}.get(index, expected)  # uV, uV, nV
         assert float(scales[PARAMETER_SIGNALS[index]]) == pytest.approx(expected), index.name
 
 

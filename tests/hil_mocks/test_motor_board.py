@@ -226,7 +226,7 @@ def test_a_fault_whose_cause_lasts_is_not_reset() -> None:
     assert (bench.board.state, bench.board.faults) == (State.SWITCH_ON_DISABLED, 0)
 
 
-@pytest.mark.parametrize("mode", [4, 5, 6, 7])
+@pytest.mark.parametrize("mode", [5, 6, 7])
 def test_an_undefined_mode_is_a_bad_command(mode: int) -> None:
     bench = Bench(State.ENABLED)
     assert bench.command(ENABLE, mode)[5] == 64
@@ -274,3 +274,79 @@ def test_the_power_stage_warms_up_by_its_first_order_path() -> None:
     reply = bench.command(DISABLE)
     # 2 K/W of 0.02 ohm at 10 A: 4 K in the end, 63 % of it after one time constant.
     assert reply[4] == round(25.0 + 4.0 * 0.632)
+
+
+STOPPING = {
+    "KP": 1000,
+    "DERIVATIVE_FILTER_US": 0,
+    "STOP_AFTER_MS": 20,
+    "STOP_TIME_MS": 100,
+    "INTEGRAL_LIMIT_MV": 9000,
+}
+
+
+def turning(bench: Bench, counts_per_ms: int, ticks: int) -> None:
+    """Turn the shaft while time passes."""
+    for _ in range(ticks):
+        bench.shaft += counts_per_ms
+        bench.tick()
+
+
+def test_without_the_host_the_board_brings_its_motor_to_rest_and_the_next_command_goes_on() -> None:
+    bench = positioning(**STOPPING, SPEED_FEEDFORWARD=10_000)
+    bench.command(ENABLE, 1, 3000)
+    turning(bench, 10, 20)
+    assert bench.board.output == ("voltage", 3.0)
+    turning(bench, 10, 1)
+    begun = bench.shaft
+    assert bench.board.output.value == pytest.approx(3.0, abs=0.02)  # without a jump
+    for late_ms in range(1, 101):  # the shaft follows the law
+        bench.shaft = begun + round(10 * (late_ms - late_ms**2 / 200))
+        bench.tick()
+    assert bench.shaft == begun + 500
+    assert bench.board.state is State.ENABLED
+    assert bench.board.output.value == pytest.approx(
+        3.0 - 0.1, abs=0.05
+    )  # what the speed took is not needed any more
+    bench.shaft -= 7
+    bench.tick()
+    assert bench.board.output.value == pytest.approx(2.9 + 0.007, abs=0.05)
+    bench.command(ENABLE, 1, -1000)
+    assert bench.board.output == ("voltage", -1.0)
+
+
+def test_the_watchdog_goes_on_holding_where_the_stop_ended() -> None:
+    bench = positioning(**STOPPING, WATCHDOG_MS=60, WATCHDOG_ACTION=2)
+    bench.command(ENABLE, 1, 1500)
+    bench.tick(100)
+    assert bench.board.state is State.FAULT
+    assert bench.board.output == ("voltage", 1.5)
+    bench.shaft += 5
+    bench.tick()
+    assert bench.board.output.value == pytest.approx(1.495)
+
+
+def test_a_board_without_gains_brakes_and_a_free_one_stays_free() -> None:
+    bench = positioning(STOP_AFTER_MS=20)
+    bench.command(ENABLE, 1, 1500)
+    bench.tick(25)
+    assert (bench.board.state, bench.board.output) == (State.ENABLED, BRAKE)
+    bench = positioning(**STOPPING)
+    bench.command(ENABLE, 0)
+    bench.tick(50)
+    assert bench.board.output == OPEN
+
+
+def test_mode_4_stops_at_once_and_holds_for_as_long_as_it_is_commanded() -> None:
+    bench = positioning(**STOPPING)
+    bench.command(ENABLE, 1, 2000)
+    bench.tick(5)
+    for _ in range(100):
+        bench.command(ENABLE, 4)
+        bench.tick(2)
+    assert (bench.board.state, bench.board.output) == (State.ENABLED, ("voltage", 2.0))
+    bench.shaft -= 3
+    bench.tick()
+    assert bench.board.output.value == pytest.approx(2.003)
+    bench.command(ENABLE, 1, 0)
+    assert bench.board.output == BRAKE

@@ -141,3 +141,26 @@ def test_camera_and_hand_see_the_arm_where_it_really_stands() -> None:
 def test_a_turned_world_and_back_is_the_same_point() -> None:
     base_pose = BasePose((0.1, 0.2, -0.3), (0.4, -1.1, 2.0))
     assert base_pose.in_base(base_pose.in_world((1.0, 2.0, 3.0))) == pytest.approx((1.0, 2.0, 3.0))
+
+
+def test_a_hand_at_the_tip_steadies_the_links_that_its_grip_leaves_free() -> None:
+    link = LinkParts(0.0, 0.0, 0.3, 0.0, True, 0.5, (-0.15, 0.0, 0.0), (0.0005, 0.004, 0.004))
+    chain = ArmParts("chain", (0.0, -G, 0.0), "standard", (link,) * 3, (drive(),) * 3, (0.0, 0.0, 0.0))
+    subject = Plant(
+        chain, gather([], 3, 3, "test"), (0.3, 0.9, -0.7)
+    )  # no friction, and one motion more than the grip takes
+    for joint in range(3):
+        subject.drive_open(joint)
+
+    def fastest_rad_s(steps: int) -> float:
+        speeds = []
+        for _ in range(steps):
+            subject.step(1)
+            speeds.append(max(abs(subject.motor_speed_rad_s(j)) for j in range(3)))
+        return max(speeds)
+
+    subject.hand.seat(subject.tip_m())
+    held_rad_s = fastest_rad_s(4000)
+    assert 0.05 < held_rad_s < 0.5
+    subject.hand.let_go()
+    assert fastest_rad_s(4000) > 1.0

@@ -280,7 +280,7 @@ def test_every_kind_of_fault_can_be_switched_on_and_off(kind: str) -> None:
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        (FaultTable("silnt", "encoder"), 'fault "silnt": expected one of board_reset'),
+        (FaultTable("silnt", "encoder"), 'fault "silnt": expected one of backwards_encoder'),
         (
             FaultTable("silent", "motor7"),
             'no board "motor7"; there are encoder, motor1, motor2, motor3, camera',

@@ -29,7 +29,6 @@ from benchmarks.gap.dynamic.hidden import FOREIGN, LISTED, LISTED_BY_JOINT
 from benchmarks.gap.matrix import Answer, Hidden, Truth, answer
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log, Run, read_log
-from calib.gap.posterior.nameable import is_nameable
 from calib.gap.series.find import examine
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -148,7 +147,7 @@ def _is_nameable(found: GapFinding, entry: dict[str, Any], arm: Arm) -> bool:
     """Whether the workflow predicts this effect as nameable, of usual size."""
     effect, joint = _key(entry)
     return any(
-        (one.name.effect, one.name.joint) == (effect, joint) and is_nameable(one) for one in found.nameable
+        (one.name.effect, one.name.joint) == (effect, joint) and one.is_nameable for one in found.nameable
     )
 
 
@@ -239,7 +238,7 @@ def answers(cases: int, advance: Advance) -> list[Answer]:
         hidden = tuple(Hidden(EffectName(*_key(entry)), entry["parameters"]) for entry in case.truth)
         names = [name for name in EFFECTS if name not in one.effects.split("+")] if group == "own" else None
         found = examine(arm_of(case.arm_toml), log_of(case), candidates=names).finding
-        could = {possible.name for possible in found.nameable if is_nameable(possible)}
+        could = {possible.name for possible in found.nameable if possible.is_nameable}
         seconds = time.process_time() - began
         truth = Truth(hidden, group not in ("own", "foreign"))
         result.append(answer(f"{group} {one.seed}", truth, found, could, seconds))

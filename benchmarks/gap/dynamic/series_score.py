@@ -18,7 +18,6 @@ from benchmarks.gap.dynamic.cases import Asked, Case, made
 from benchmarks.gap.dynamic.hidden import FOREIGN, LISTED, LISTED_BY_JOINT
 from benchmarks.gap.dynamic.score import arm_of, log_of
 from calib.gap.finding import EffectName
-from calib.gap.posterior.nameable import is_nameable
 from calib.gap.series.find import examine
 from calib.gap.series.outcome import DynamicOutcome
 from control.model.effects import EFFECTS
@@ -112,7 +111,7 @@ def _judge(case: Case, outcome: DynamicOutcome, tally: Tally, label: str) -> Non
     found = outcome.finding
     wanted = {_key(entry): entry["parameters"] for entry in case.truth if entry["effect"] in EFFECTS}
     got = {one.name: one for one in found.effects}
-    could = {one.name for one in found.nameable if is_nameable(one)}
+    could = {one.name for one in found.nameable if one.is_nameable}
     in_set = {name for names in found.ambiguous for name in names}
     wrong = got.keys() - wanted.keys()
     is_exact = got.keys() == wanted.keys()

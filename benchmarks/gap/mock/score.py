@@ -35,7 +35,6 @@ from benchmarks.gap.mock.static import static_case
 from calib.gap.finding import GapFinding
 from calib.gap.log import Log
 from calib.gap.poses.find import find as find_in_poses
-from calib.gap.posterior.nameable import is_nameable
 from calib.gap.series.find import find as find_in_motion
 from calib.points.points import Points
 from control.model.arm import Arm
@@ -70,11 +69,11 @@ def _answer(case: MockCase, arm: Arm, recording: Points | Log, without: Sequence
     began = time.process_time()
     if isinstance(recording, Points):
         found: GapFinding = find_in_poses(arm, recording, without=without).finding
-        could = {one.name for one in found.nameable if is_nameable(one)}
+        could = {one.name for one in found.nameable if one.is_nameable}
     else:
         names = [name for name in EFFECTS if name not in without] if without else None
         found = find_in_motion(arm, recording, candidates=names)
-        could = {one.name for one in found.nameable if is_nameable(one)}
+        could = {one.name for one in found.nameable if one.is_nameable}
     truth = replace(case.truth, is_listed=not without)
     return answer(str(case), truth, found, could, time.process_time() - began)
 

@@ -13,7 +13,6 @@ from benchmarks.gap.static.cases import Design, designed
 from benchmarks.gap.static.draws import drawn, drawn_design, drawn_foreign, drawn_pair
 from calib.gap.finding import EffectName
 from calib.gap.poses.find import find
-from calib.gap.posterior.nameable import is_nameable
 
 FIRST_SEED = 3000
 SORTS = ("nothing", "one", "two", "left out", "foreign")
@@ -52,7 +51,7 @@ def asked(case: StaticAsked) -> list[Answer]:
     began = time.process_time()
     found = find(arm, points, without=without).finding
     seconds = time.process_time() - began
-    could = {one.name for one in found.nameable if is_nameable(one)}
+    could = {one.name for one in found.nameable if one.is_nameable}
     names = tuple(Hidden(EffectName(one.effect, one.joint), _parameters(one)) for one in hidden)
     truth = Truth(names, case.sort not in ("left out", "foreign"), is_crooked=True)
     return [answer(str(case), truth, found, could, seconds)]

@@ -16,7 +16,6 @@ import numpy as np
 from benchmarks.gap.static.rough_cases import PARAMETER, Case, case
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.poses.find import find
-from calib.gap.posterior.nameable import is_nameable
 
 SORTS = ("exact", "rough", "many", "null", "foreign", "known")
 
@@ -68,7 +67,7 @@ def _judge(
 ) -> None:
     wanted = {EffectName(h.effect, h.joint): h for h in one.hidden} if one.is_listed else {}
     got = {e.name: e for e in found.effects if e.name.effect != "link_geometry"}
-    could = {n.name for n in found.nameable if is_nameable(n)}
+    could = {n.name for n in found.nameable if n.is_nameable}
     in_set = {name for names in found.ambiguous for name in names}
     right, wrong = wanted.keys() & got.keys(), got.keys() - wanted.keys()
     is_exact = got.keys() == wanted.keys()

@@ -21,7 +21,6 @@ from benchmarks.gap.static.physics import Hidden
 from calib.gap.finding import EffectName
 from calib.gap.poses.find import find
 from calib.gap.poses.outcome import StaticGap
-from calib.gap.posterior.nameable import is_nameable
 
 FIRST_SEED = 2000
 FIRST_PARAMETER = {"base_frame": "x_m"}
@@ -59,7 +58,7 @@ def score_named(first: int, cases: int) -> None:
         hidden = drawn(np.random.default_rng(seed))
         found, took_s = _found(seed, (hidden,))
         wanted, got = name_of(hidden), names(found)
-        could = {one.name: is_nameable(one) for one in found.finding.nameable}.get(wanted, False)
+        could = {one.name: one.is_nameable for one in found.finding.nameable}.get(wanted, False)
         matrix[_short(wanted), _answer(found)] += 1
         tally.update(
             nameable=could, right=wanted in got, exact=got == [wanted],
@@ -93,7 +92,7 @@ def score_several(first: int, cases: int, count: int) -> None:
         hidden = drawn_pair(np.random.default_rng(seed), count)
         found, _ = _found(seed, hidden)
         wanted, got = {name_of(one) for one in hidden}, set(names(found))
-        could = {one.name for one in found.finding.nameable if is_nameable(one)}
+        could = {one.name for one in found.finding.nameable if one.is_nameable}
         reported = got | {name for names_ in found.finding.ambiguous for name in names_}
         tally.update(
             exact=got == wanted, no_wrong=got <= wanted, some=bool(got & wanted), honest=wanted <= reported,

@@ -9,7 +9,6 @@ import numpy as np
 from calib.gap.finding import Nameable
 from calib.gap.plan.plan import AVERAGE_s, RecordingPlan, Visit
 from calib.gap.poses.find import find
-from calib.gap.posterior.nameable import is_nameable
 from calib.points.points import Points, make_points
 from control.dynamics.static_pose import ASSUMED_FRICTION, gravity_Nm, torque_per_A
 from control.errors import MissingModel
@@ -84,12 +83,12 @@ def in_words(arm: Arm, plan: RecordingPlan, payload_kg: float) -> tuple[str, ...
     sentences.append(f"Collision-free box: {ranges} deg; a few poses outside it are reached from its middle.")
     could = foreseen(arm, plan)
     if could:
-        yes = [str(one.name) for one in could if is_nameable(one)]
+        yes = [str(one.name) for one in could if one.is_nameable]
         sentences.append(f"Of usual size, the poses could name: {', '.join(yes) or 'nothing'}.")
         sentences += [
             f"They could not name {one.name}: {_why(one, payload_kg)}."
             for one in could
-            if not is_nameable(one)
+            if not one.is_nameable
         ]
     kinds = dict.fromkeys(run.kind for run in plan.runs)
     if kinds:

@@ -25,27 +25,23 @@ from calib.gap.finding import (
 from calib.gap.poses.cautions import about_fit
 from calib.gap.poses.currents import Currents
 from calib.gap.poses.drawn_laws import drawn_laws
+from calib.gap.poses.effects.frame import FRAME
 from calib.gap.poses.effects.scene import load_of
 from calib.gap.poses.experiments import next_experiment, open_questions
 from calib.gap.poses.floor import Floor, noise_floor
-from calib.gap.poses.held_out import holds_on_others
+from calib.gap.poses.held_out import holds_on_others, shows_in_others
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.recordings import Split
 from calib.gap.poses.state import Around
-from calib.gap.posterior.constants import DEPARTURES, GEOMETRY_PAYS, CHANGED_sd
+from calib.gap.posterior.constants import GEOMETRY_PAYS, LAW_MOST, UNMEASURED, UNSURE, CHANGED_sd
 from calib.gap.posterior.decide import Decision, left_with, share_of
 from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.parameters import Estimated, estimated
 from calib.gap.posterior.search import Weighed
-from calib.gap.posterior.term import Block, Term
+from calib.gap.posterior.term import Block, Key, Term
 from calib.points.points import Points
-from control.model.arm import Arm
+from control.model.arm import Arm, Effect
 
-UNMEASURED = 1.0  # doubt of a floor that nothing measured
-LAW_MOST = 2.0 * max(
-    DEPARTURES
-)  # a law that departs more than two standard deviations of the roughest part is another law
-UNSURE = 0.025  # variance of the play over its width squared: one pose in twenty on the other flank
 KINDS = ("d_m", "theta_rad", "L_m", "alpha_rad")
 
 
@@ -86,7 +82,7 @@ def answered(
 ) -> StaticGap:
     """The finding of a decision, with what its report draws."""
     best, points, parts = decision.best, looked.points, looked.parts
-    decision, estimates = _held_by_their_laws(around, decision)
+    decision, estimates, reasons = _borne_out(looked, around, decision)
     x, residual = around.fitted(best)
     floor = looked.refloored(residual).floor
     if floor.doubt >= UNMEASURED:
@@ -104,7 +100,7 @@ def answered(
         gap = rms(geometry, sure) / floor.tip_m
         effects.insert(0, NamedEffect(EffectName(GEOMETRY), _geometry(around, best, x), gap))
     sizes = rms(nominal, sure), rms(stages[-1] if stages else geometry, sure)
-    finding = _finding(looked, around, decision, tuple(effects), floor, sizes, source)
+    finding = _finding(looked, around, decision, reasons, tuple(effects), floor, sizes, source)
     problem = around.state.posed()
     warnings += tuple(about_fit(looked.arm, problem, x, floor, around.noise_m * best.kappa))
     grown = [(str(one.name), one.residual_m) for one in named]
@@ -115,12 +111,12 @@ def answered(
 
 
 def _finding(
-    looked: Looked, around: Around, decision: Decision, effects: tuple[NamedEffect, ...], floor: Floor,
-    sizes: tuple[float, float], source: str,
+    looked: Looked, around: Around, decision: Decision, reasons: Mapping[EffectName, str],
+    effects: tuple[NamedEffect, ...], floor: Floor, sizes: tuple[float, float], source: str,
 ) -> GapFinding:  # fmt: skip
     """`sizes`: root mean square of the tip [m] at the poses that report, before and after."""
     before, after = sizes
-    remainder, unknown = _remainder(around, decision), _unknown(around, decision)
+    remainder, unknown = _remainder(around, decision, reasons), _unknown(around, decision, reasons)
     could = nameable(around.evidence)
     has_free = "free" in looked.points.setup
     return GapFinding(
@@ -138,31 +134,68 @@ def rms(residual_m: Array, rows: Mask) -> float:
     return float(np.sqrt(np.mean(residual_m[rows] ** 2)))
 
 
-def _held_by_their_laws(
-    around: Around, decision: Decision
-) -> tuple[Decision, Mapping[EffectName, Estimated]]:
-    """Names whose law departs too far from the textbook's, hardly acts, or helps no recording but its own are remainders."""
+def _borne_out(
+    looked: Looked, around: Around, decision: Decision
+) -> tuple[Decision, Mapping[EffectName, Estimated], Mapping[EffectName, str]]:
+    """Without names that the data do not bear out, which become remainders, each with its reason; without blocks that no
+    pose that was left out shows.
+    """
     best = decision.best
     estimates = {name: estimated(around.evidence, best, name) for name in decision.names}
-    bent = [
-        name
+    reasons = {
+        name: why
         for name, own in estimates.items()
-        if own.departure > LAW_MOST
-        or float(np.linalg.norm(own.value / own.sd)) < CHANGED_sd
-        or not holds_on_others(around, best, name)
-    ]
-    names = tuple(name for name in decision.names if name not in bent)
-    remainders = (*decision.remainders, *((name,) for name in bent))
-    return dataclasses.replace(decision, names=names, remainders=remainders), estimates
+        if (why := _why_not(around, best, name, own, _known(looked.arm, name) is not None))
+    }
+    kept = [group for group in decision.remainders if _shows_elsewhere(around, best, group)]
+    names = tuple(name for name in decision.names if name not in reasons)
+    remainders = (*kept, *((name,) for name in reasons))
+    return dataclasses.replace(decision, names=names, remainders=remainders), estimates, reasons
+
+
+def _why_not(around: Around, best: Weighed, name: EffectName, own: Estimated, is_known: bool) -> str:
+    """Why a name is not given; empty if it is. What the arm's file has is a total, and may be nothing."""
+    if _is_nothing(own):
+        return (
+            ""
+            if is_known or name.effect == FRAME
+            else f"{name} acts, but these poses do not tell how large it is"
+        )
+    if own.departure > LAW_MOST:
+        return f"{name} departs too far from its law"
+    if not holds_on_others(around, best, name):
+        return f"{name} does not hold on poses that it was not fitted to"
+    return ""
+
+
+def _is_nothing(own: Estimated) -> bool:
+    """Whether the size that was found may as well be none."""
+    return float(np.linalg.norm(own.value / own.sd)) < CHANGED_sd
+
+
+def _shows_elsewhere(around: Around, best: Weighed, group: tuple[Key, ...]) -> bool:
+    """Whether the blocks of a remainder that are in the best set help poses that they were not fitted to."""
+    present = {around.terms[k].key for k, _ in best.members}
+    blocks = [key for key in group if isinstance(key, Block) and key in present]
+    return not blocks or any(shows_in_others(around, best, key) for key in blocks)
+
+
+def _known(arm: Arm, name: EffectName) -> Effect | None:
+    """What the arm's file has of this name."""
+    return next((one for one in arm.effects if (one.effect, one.joint) == (name.effect, name.joint)), None)
 
 
 def _is_new(arm: Arm, name: EffectName, found: Estimated) -> bool:
     """Whether the total differs from what the arm's file has."""
-    known = next((one for one in arm.effects if (one.effect, one.joint) == (name.effect, name.joint)), None)
+    known = _known(arm, name)
     if known is None:
-        return True
+        return not _is_nothing(found)  # the frame of a camera is always looked for
+    before = None
     if name.effect in LAWS:
         before = np.array(LAWS[name.effect].linear(known.parameters))
+    elif name.effect == "link_flexure":  # its law is linear in the softness, whose none is 0
+        before = np.array([1.0 / known.parameters["EI_Nm2"]])
+    if before is not None:
         return bool(np.any(np.abs(found.value - before) > CHANGED_sd * found.sd))
     return any(
         key not in known.parameters or not abs(value - known.parameters[key]) <= CHANGED_sd * sd
@@ -216,11 +249,16 @@ def _stages(
 def _named(around: Around, decision: Decision, one: Named, floor: Floor, sure: Mask) -> NamedEffect:
     numbers = {around.terms[k].key: k for k, _ in decision.best.members}
     return NamedEffect(
-        one.name, one.found.parameters, rms(one.residual_m, sure) / floor.tip_m,
+        one.name, _parameters(one), rms(one.residual_m, sure) / floor.tip_m,
         probability=decision.probability[one.name],
         share=share_of(around.evidence, decision.best, [numbers[one.name]]),
-        departure=one.found.departure, variable=one.found.variable,
+        departure=one.found.departure, variable=one.found.variable, is_nothing=_is_nothing(one.found),
     )  # fmt: skip
+
+
+def _parameters(one: Named) -> Parameters:
+    """As estimated; of an effect that is not there none: a stiffness is then anything from some size on."""
+    return {} if _is_nothing(one.found) else one.found.parameters
 
 
 def _geometry(around: Around, best: Weighed, x: Array) -> Parameters:
@@ -235,7 +273,9 @@ def _geometry(around: Around, best: Weighed, x: Array) -> Parameters:
     }
 
 
-def _remainder(around: Around, decision: Decision) -> tuple[Remainder, ...]:
+def _remainder(
+    around: Around, decision: Decision, reasons: Mapping[EffectName, str]
+) -> tuple[Remainder, ...]:
     """What is left without one name, the largest first: blocks, sets that are ambiguous, laws that do not hold."""
     best = decision.best
     numbers = {around.terms[k].key: k for k, _ in best.members}
@@ -248,13 +288,13 @@ def _remainder(around: Around, decision: Decision) -> tuple[Remainder, ...]:
         size = {"tip_m": rms(move, around.rows)} if move.any() else {}
         blocks = [around.terms[k].words for k in own if not around.terms[k].is_name]
         names = " or ".join(str(key) for key in group if isinstance(key, EffectName))
-        unnamed = blocks[0] if blocks else f"{names} departs too far from its law"
+        unnamed = blocks[0] if blocks else "; ".join(why for key, why in reasons.items() if key in group)
         where = names if group in decision.ambiguous else unnamed
         found.append(Remainder(where, share_of(around.evidence, best, own), size))
     return tuple(sorted(found, key=lambda one: -one.share))
 
 
-def _unknown(around: Around, decision: Decision) -> Unknown | None:
+def _unknown(around: Around, decision: Decision, reasons: Mapping[EffectName, str]) -> Unknown | None:
     """The remainder without a name that explains most, if there is one."""
     if not decision.remainders:
         return None
@@ -272,7 +312,7 @@ def _unknown(around: Around, decision: Decision) -> Unknown | None:
     elif blocks:
         where = terms[around.evidence.of_key[blocks[0]][0]].words
     else:
-        where = f"{names[0]} departs too far from its law"
+        where = reasons[names[0]]
     return Unknown(where, *_nearest(around, decision))
 
 

@@ -15,7 +15,7 @@ from calib.errors import UnusablePointsError
 from calib.gap.poses.currents import SATURATED
 from calib.gap.poses.effects.scene import load_of
 from calib.gap.poses.floor import Floor
-from calib.gap.poses.recordings import RECORDINGS_LEAST, recordings
+from calib.gap.poses.recordings import EVERY, RECORDINGS_LEAST, recordings, split
 from calib.points.points import Points
 from control.model.arm import Arm
 
@@ -84,10 +84,18 @@ def _about_recordings(points: Points) -> Iterator[str]:
             f'all poses are of one setup, "{points.setup[0]}": what the geometry and an effect do alike there cannot be told'
             " apart; take free poses away from the table, or tilt the board"
         )
-    if count < RECORDINGS_LEAST:
+    parts = split(points)
+    if not parts.is_divided:
+        yield f"{len(points)} poses are too few to keep some apart: the gap is that of the poses which were fitted"
+    elif parts.is_by_pose:
+        why = (
+            f"it takes {RECORDINGS_LEAST} to keep one apart"
+            if count < RECORDINGS_LEAST
+            else "none can be kept apart as a whole"
+        )
         yield (
-            f"{count} recording{'s' if count > 1 else ''} (setup, payload, approach), and it takes {RECORDINGS_LEAST}"
-            " to keep some apart: nothing is held out, and the gap is that of the poses which were fitted"
+            f"{count} recording{'s' if count > 1 else ''} (setup, payload, approach), and {why}: every {EVERY}th pose of each"
+            " setup is held out, and what a setup's poses share is not checked"
         )
     last = points.direction
     if not last.any():
@@ -136,6 +144,13 @@ def _about_currents(arm: Arm, points: Points) -> Iterator[str]:
 
 def _about_loads(arm: Arm, points: Points) -> Iterator[str]:
     has_masses = any(link.mass_kg for link in arm.links)
+    without = [j for j in range(1, points.joint_count + 1) if all(drive.joint != j for drive in arm.drives)]
+    if has_masses and without:
+        joints = ", ".join(map(str, without))
+        yield (
+            f"arm {arm.name} has no [[drive]] of joint{'s' if len(without) > 1 else ''} {joints}: compliance, flexure and play"
+            " are tried by gravity alone; what the motors hold, and with it payload, masses and torque constants, is not"
+        )
     if not has_masses:
         yield (
             f"arm {arm.name} has no masses: backlash, compliance, flexure and loads are not tried, and would be unknown"

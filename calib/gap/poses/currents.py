@@ -58,7 +58,7 @@ def _beside(base: Array, columns: Array) -> Array:
 
 
 def holding_currents(arm: Arm, points: Points, columns_Nm: Array) -> Currents | None:
-    """None where the arm's file lacks masses or drives, or the data currents; columns_Nm (c, m, n) of all that may act."""
+    """None where the arm's file lacks masses, or the data currents; columns_Nm (c, m, n) of all that may act."""
     try:
         gravity, per_A = gravity_Nm(arm, points.q_rad, stated_kg(points)), torque_per_A(arm)
     except MissingModel:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calib.gap.finding import EffectName, Nameable, OpenQuestion, Remainder, Unknown
-from calib.gap.posterior.nameable import is_nameable
 
 TOLD_APART_BY = {
     "backlash": "the same poses from both approaches, some where gravity on that joint changes its sign",
@@ -35,7 +34,7 @@ def next_experiment(
         return _apart(ambiguous[0])
     if unknown is not None:
         return f"What is left ({unknown.where}) is not in the list of effects. {AGAIN}"
-    hidden = [one for one in could if not is_nameable(one)]
+    hidden = [one for one in could if not one.is_nameable]
     if not hidden:
         return None
     names = _listed([str(one.name) for one in hidden[:4]]) + (" and others" if len(hidden) > 4 else "")

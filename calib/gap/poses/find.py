@@ -8,25 +8,26 @@ from collections.abc import Collection
 
 import numpy as np
 
-from calib.arm_problem.assembly import problem_of
+from calib.arm_problem.assembly import BASE, Choice, problem_of
 from calib.arm_problem.joint_laws import LAWS
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask
 from calib.errors import UnusablePointsError
 from calib.gap.finding import EffectName
-from calib.gap.poses.answer import UNMEASURED, Looked, answered
+from calib.gap.poses.answer import Looked, answered
 from calib.gap.poses.cautions import about_data, about_outliers, cleaned, require_posed
 from calib.gap.poses.currents import holding_currents
 from calib.gap.poses.effects.catalogue import terms_of
+from calib.gap.poses.effects.frame import FRAME
 from calib.gap.poses.effects.loads import LOADS
 from calib.gap.poses.effects.scene import Scene
-from calib.gap.poses.floor import Floor, noise_floor
+from calib.gap.poses.floor import FINEST_m, Floor, noise_floor
 from calib.gap.poses.linear import Linear
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.outlying import outlying
 from calib.gap.poses.recordings import Split, split
 from calib.gap.poses.state import Around, State
-from calib.gap.posterior.constants import FLOOR_DOUBT
+from calib.gap.posterior.constants import FLOOR_DOUBT, UNMEASURED
 from calib.gap.posterior.decide import Decision, decide
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Key, Term
@@ -114,7 +115,7 @@ def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
 
     UnusablePointsError where the poses are too few for that.
     """
-    scale = float(np.sqrt(np.mean(residual_m[parts.known] ** 2)))
+    scale = max(float(np.sqrt(np.mean(residual_m[parts.known] ** 2))), FINEST_m)
     gram = linear.projected(parts.known, scale)
     freedom = 3 * int(parts.known.sum()) - linear.base.shape[1] - len(gram.pull)
     if freedom < FREEDOM_LEAST:
@@ -124,7 +125,7 @@ def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
     size = np.linalg.solve(np.eye(len(gram.pull)) + gram.tip, gram.pull)
     left = gram.left - 2.0 * size @ gram.pull + size @ gram.tip @ size
     return Floor(
-        scale * math.sqrt(left / freedom),
+        max(scale * math.sqrt(max(left, 0.0) / freedom), FINEST_m),
         "what the best explanation leaves: there are no repeats and no camera's noise, so that an effect beyond the list would"
         " pass for noise",
         UNMEASURED,
@@ -134,6 +135,8 @@ def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
 def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tuple[Looked, Around, Decision]:
     """Look, linearise anew around what was found, with the noise that repeats then show, and look again until it stays."""
     forced = [EffectName(one.effect, one.joint) for one in looked.arm.effects if one.effect in TOTALS]
+    if BASE in Choice().for_points(looked.arm, looked.points).freed and FRAME not in without:
+        forced.append(EffectName(FRAME))  # a camera's or tracker's frame is never known to the noise
     state = State.bare(looked.problem, looked.x, looked.loaded)
     known: list[frozenset[Key]] = []
     blocks: tuple[Term, ...] = ()

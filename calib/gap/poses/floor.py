@@ -19,6 +19,7 @@ QUARTILE_CHANCE = (
     3.0 * 0.745
 )  # three standard deviations of its root, as a share, times the root of the count
 AGREE = 0.2  # share by which two estimates of the same may differ
+FINEST_m = 1e-7  # repeats that are closer are copies of each other: no camera or tracker measures finer
 SHEET_WORTH = 200  # pairs that a data sheet counts for, where repeats bear it out
 
 
@@ -60,7 +61,13 @@ def noise_floor(arm: Arm, points: Points, residual_m: Array, out: Mask | None = 
             sheet_m, "the camera's data sheet in arm.toml; repeats whose approach is unknown may hold play"
         )
     apart = residual_m[[a for a, _ in pairs]] - residual_m[[b for _, b in pairs]]
-    return _with_sheet(_scatter_m(apart), len(pairs), sheet_m)
+    scatter_m = _scatter_m(apart)
+    if scatter_m < FINEST_m:
+        copies = f"the {len(pairs)} repeats are copies of each other"
+        if sheet_m > 0.0:
+            return Floor(sheet_m, f"the camera's data sheet in arm.toml; {copies}")
+        return Floor(math.nan, f"nothing: {copies}, and there is no camera noise in arm.toml")
+    return _with_sheet(scatter_m, len(pairs), sheet_m)
 
 
 def _is_same_pose(points: Points, a: int, b: int) -> bool:

@@ -6,14 +6,15 @@ import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName
-from calib.gap.poses.recordings import recordings
+from calib.gap.poses.recordings import parts
 from calib.gap.poses.state import Around
+from calib.gap.posterior.constants import FOLDS
 from calib.gap.posterior.search import Weighed
-
-FOLDS = 5
+from calib.gap.posterior.term import Block, Key
 
 
 def holds_on_others(around: Around, best: Weighed, name: EffectName) -> bool:
@@ -21,8 +22,22 @@ def holds_on_others(around: Around, best: Weighed, name: EffectName) -> bool:
 
     True where nothing can be left out, and where the tips do not show the effect.
     """
-    own = [one for one in best.members if around.terms[one[0]].key == name]
-    folds = list(_folds(around))
+    return _helps(around, best, name, parts(around.points, FOLDS))
+
+
+def shows_in_others(around: Around, best: Weighed, block: Block) -> bool:
+    """Whether the set predicts single poses that were left out better with a block than without it.
+
+    What has no name may be of one recording alone; what is there shows in the poses between those that were left out, and
+    what a rich fit made of its own noise does not.
+    """
+    count = len(around.points)
+    return _helps(around, best, block, np.array([f"{row % FOLDS}" for row in range(count)]))
+
+
+def _helps(around: Around, best: Weighed, key: Key, labels: npt.NDArray[np.str_]) -> bool:
+    own = [one for one in best.members if around.terms[one[0]].key == key]
+    folds = list(_folds(around, labels))
     if len(folds) < 2 or not around.moved_m(best, [k for k, _ in own]).any():
         return True
     without = dataclasses.replace(best, members=tuple(one for one in best.members if one not in own))
@@ -31,9 +46,8 @@ def holds_on_others(around: Around, best: Weighed, name: EffectName) -> bool:
     )
 
 
-def _folds(around: Around) -> Iterator[tuple[Mask, Mask]]:
-    """Poses (m,) that are fitted and those that are left out: every recording once, several at a time where there are many."""
-    labels = recordings(around.points)
+def _folds(around: Around, labels: npt.NDArray[np.str_]) -> Iterator[tuple[Mask, Mask]]:
+    """Poses (m,) that are fitted and those that are left out: every label once, several at a time where there are many."""
     names = list(dict.fromkeys(labels[around.rows].tolist()))
     for first in range(min(FOLDS, len(names))):
         out = np.isin(labels, names[first::FOLDS])

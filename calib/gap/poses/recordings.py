@@ -22,12 +22,16 @@ EVERY = 4  # pose of a setup reports where no whole recording can
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """Masks (m,) of the poses that are fitted and those that only report; `is_divided` is False where all do both."""
+    """Masks (m,) of the poses that are fitted and those that only report; `is_divided` is False where all do both.
+
+    `is_by_pose`: no whole recording could be spared, and single poses of each setup report.
+    """
 
     known: Mask
     report: Mask
     is_divided: bool
     recordings_count: int
+    is_by_pose: bool = False
 
     def without(self, out: Mask) -> Split:
         """The same, some poses (m,) left out of everything."""
@@ -50,11 +54,26 @@ def split(points: Points) -> Split:
         report |= (labels == own[-1]) & (len(own) > 1)
     if not report.any():  # every setup is one recording
         report = labels == names[-1]
-    unplaced = np.asarray(np.isnan(points.tip_m).any(axis=1))
-    for setup in dict.fromkeys(points.setup):
-        if report[setups == setup].all() and unplaced[setups == setup].any():
+    for setup in unplaced_setups(points):
+        if report[setups == setup].all():
             return _alternating(points)
     return Split(~report, report, True, len(names))
+
+
+def unplaced_setups(points: Points) -> tuple[str, ...]:
+    """Setups with poses whose reference is a board, which has to be placed by other poses of the same setup."""
+    unmeasured = np.flatnonzero(np.isnan(points.tip_m).any(axis=1))
+    return tuple(dict.fromkeys(points.setup[k] for k in unmeasured.tolist()))
+
+
+def parts(points: Points, count: int) -> npt.NDArray[np.str_]:
+    """What can be left out in turn, (m,) labels: recordings; of a setup on a board, one pose in `count`, as none places it."""
+    labels = recordings(points).astype(object)
+    setups = np.array(points.setup)
+    for setup in unplaced_setups(points):
+        rows = np.flatnonzero(setups == setup)
+        labels[rows] = [f"part {place % count + 1}" for place in range(len(rows))]
+    return labels.astype(str)
 
 
 def _alternating(points: Points) -> Split:
@@ -64,7 +83,7 @@ def _alternating(points: Points) -> Split:
         report[np.flatnonzero(setups == name)[EVERY - 1 :: EVERY]] = True
     if not report.any():
         return Split(~report, ~report, False, len(set(points.setup)))
-    return Split(~report, report, True, len(set(points.setup)))
+    return Split(~report, report, True, len(set(points.setup)), is_by_pose=True)
 
 
 def recordings(points: Points) -> npt.NDArray[np.str_]:

@@ -1,4 +1,8 @@
-"""Every constant that decides anything, with its reason. Nothing else in this folder has a threshold."""
+"""What decides in poses, and in whatever else the posterior looks at: every threshold with its unit and its reason.
+
+Elsewhere stand the effort of the search (`search.py`: how many sets are tried), the sizes and shapes of effects and blocks (their
+records), what measurements are like (`poses/floor.py`, `currents.py`), and when a sentence is worth saying (`poses/cautions.py`).
+"""
 
 from __future__ import annotations
 
@@ -28,3 +32,21 @@ LAW_LEAST: Final = 0.3
 CHANGED_sd: Final = 3.0
 # Chi-square beyond its count that a refitted geometry must gain before the nominal one is called wrong.
 GEOMETRY_PAYS: Final = 40.0
+# A law that departs more than two standard deviations of the roughest part is another law.
+LAW_MOST: Final = 2.0 * max(DEPARTURES)
+# Probability that a further member of a set of "one of these" must add: less is no candidate of anybody's.
+CREDIBLE_LEAST: Final = 0.005
+# Log evidence below the best at which a variant or size of an effect no longer counts in its parameters.
+NEGLIGIBLE: Final = 5.0
+# Log evidence that an unknown size costs an effect which just stands out.
+SIZE_COST: Final = 1.5
+# Noise adds one standard deviation to how far an effect stands out: enough standard deviations in 97 of 100 recordings.
+MOSTLY_sd: Final = 1.88
+# Doubt of a noise floor that nothing measured, as FLOOR_DOUBT: anything from a third to three times.
+UNMEASURED: Final = 1.0
+# Variance of the play over its width squared, from which on a pose does not report: one in twenty on the other flank.
+UNSURE: Final = 0.025
+# Parts in which recordings are left out in turn: each is predicted from four fifths of the others.
+FOLDS: Final = 5
+# Cosine of two shapes from which on they are one: what a block could then show is the effect that it looks like.
+SAME: Final = 0.999

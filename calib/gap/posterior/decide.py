@@ -9,17 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.gap.finding import EffectName
-from calib.gap.posterior.constants import CERTAIN, DEPARTURES
+from calib.gap.posterior.constants import CERTAIN, CREDIBLE_LEAST, LAW_MOST
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Block, Key
 
-COUPLED = 3  # the joint that the belt moves
 OWN_VARIABLE = {  # of an effect's law, as the blocks of its joint say it
     "encoder_scale": "q{j}", "encoder_eccentricity": "q{j}", "belt_coupling": "other angles", "backlash": "direction",
     "joint_compliance": "load", "thermal_drift": "time",
 }  # fmt: skip
-WORTH = 0.005  # probability that a further member of a credible set must add
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +75,7 @@ def _credible(
                 if k not in done
             }
             best = max(gains, key=lambda k: gains[k], default=None)
-            if best is None or gains[best] < WORTH:
+            if best is None or gains[best] < CREDIBLE_LEAST:
                 break
             group.append(best)
             has |= np.array([best in keys for keys in sets])
@@ -94,7 +92,7 @@ def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
     """
     if not isinstance(key, EffectName) or key.effect not in OWN_VARIABLE:
         return ()
-    joint, own = key.joint or COUPLED, OWN_VARIABLE[key.effect].format(j=key.joint)
+    joint, own = key.acts_on, OWN_VARIABLE[key.effect].format(j=key.joint)
     moves = _moves(evidence, best)
     law = moves.get(key, 0.0)
     return tuple(
@@ -103,7 +101,7 @@ def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
         if isinstance(block, Block)
         and block.joint == joint
         and block.variable.startswith(own)
-        and move > 2.0 * max(DEPARTURES) * law
+        and move > LAW_MOST * law
     )
 
 

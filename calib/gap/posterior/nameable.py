@@ -11,13 +11,9 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName, Nameable
-from calib.gap.posterior.constants import CERTAIN, DEPARTURES, NAME_PRIOR, SIZE_LEVELS
+from calib.gap.posterior.constants import CERTAIN, DEPARTURES, NAME_PRIOR, SIZE_COST, SIZE_LEVELS, MOSTLY_sd
 from calib.gap.posterior.evidence import Evidence
 
-SIZE_COST = 1.5  # log evidence that an unknown size costs an effect which just stands out
-MOSTLY_sd = (
-    1.88  # noise adds one standard deviation to how far an effect stands out: enough in 97 of 100 recordings
-)
 _ODDS = math.log(CERTAIN / (1.0 - CERTAIN))
 # Standard deviations at which the expected log evidence, half their square, pays a name, and its margin over a rival:
 NAMEABLE_sd = math.sqrt(2.0 * (_ODDS - math.log(NAME_PRIOR) + SIZE_COST)) + MOSTLY_sd
@@ -44,13 +40,8 @@ def nameable(evidence: Evidence) -> tuple[Nameable, ...]:
             and alone >= TOLD_APART_sd
             and _detectability(_beside(evidence, gram, own, k)) < TOLD_APART_sd
         ]
-        found.append(Nameable(key, round(alone, 2), tuple(rivals)))
+        found.append(Nameable(key, round(alone, 2), tuple(rivals), needed_sd=NAMEABLE_sd))
     return tuple(found)
-
-
-def is_nameable(one: Nameable) -> bool:
-    """Whether an effect of usual size would be named."""
-    return one.detectability >= NAMEABLE_sd and not one.confusable_with
 
 
 def _beside(evidence: Evidence, gram: Array, own: Array, rival: int) -> Array:

@@ -8,11 +8,10 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import Parameters
+from calib.gap.posterior.constants import NEGLIGIBLE
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Key, Term
-
-NEGLIGIBLE = 5.0  # log evidence below the best at which a variant or a size does not count
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.parameters import is_exact
 from calib.gap.posterior.term import Block, Key
+from calib.gap.residuals.sizes import is_worth_a_name
 from calib.gap.series.blocks import CAMERA
 from calib.gap.series.constants import GROWS, REMAINS, SILENT_MOST, SURE_sd
 from calib.gap.series.effects import SAMPLING
@@ -26,10 +27,16 @@ from calib.gap.series.split import Picked
 from calib.gap.series.term import SeriesTerm
 from calib.gap.signals import forms
 from calib.gap.signals.recording import Recording
-from calib.gap.signals.sizes import is_worth_a_name
 from calib.gap.signals.terms import Term as Law
 from control.model.effects import EFFECTS
 
+THINNED = (
+    0.35,
+    0.65,
+)  # of a sample: what a voltage lies off on the whole that changed in steps nobody recorded
+OF_THE_TIP = (
+    "backlash", "joint_compliance", "link_flexure", "encoder_scale", "encoder_eccentricity", "belt_coupling",
+)  # fmt: skip
 NEGLIGIBLE = 0.005  # of all weight: a size of it does not count
 # What departs more than two standard deviations of the roughest part has another law.
 LAW_MOST = 2.0 * max(DEPARTURES)
@@ -167,6 +174,11 @@ def _correction(look: Look, one: Member) -> str:
         return f"the camera's times are {abs(time_ms):.2f} ms {way}: taken into account"
     if isinstance(one.term.key, EffectName) and one.term.key.effect == SAMPLING and one.term.law is not None:
         time_ms = 1e3 * one.term.law(one.size).values[0]
+        if THINNED[0] < 1e-3 * time_ms * look.around.scene.recording.filters.rate_Hz < THINNED[1]:
+            return (
+                "other voltages were held between these samples, half a sample away on the whole: was the log thinned out? Taken"
+                " into account; record every sample"
+            )
         than = (
             "after the voltage of their line took effect"
             if look.around.scene.recording.has_voltage
@@ -379,7 +391,8 @@ def next_experiment(
     if sets:
         return _to_separate(recording, sets[0])
     if unknown is not None:
-        return f"more of where the unknown shows ({unknown.where}): {_advice(recording)}"
+        advice = _advice(recording, unknown.where.startswith("the tip"))
+        return f"To see more of what is left ({unknown.where}), record {advice}."
     return None
 
 
@@ -390,17 +403,23 @@ def open_questions(recording: Recording, told: Judged) -> tuple[OpenQuestion, ..
         for names in told.ambiguous
     ]
     rest = [
-        OpenQuestion(f"What is it that shows in {one.where}?", _advice(recording)) for one in told.remainder
+        OpenQuestion(
+            f"What is it that shows in {one.where}?",
+            f"Record {_advice(recording, one.where.startswith('the tip'))}.",
+        )
+        for one in told.remainder
     ]
     return (*sets, *rest)
 
 
 def _to_separate(recording: Recording, names: Sequence[EffectName]) -> str:
-    return f"a recording that separates {', '.join(map(str, names))}: {_advice(recording)}"
+    is_of_tip = any(name.effect in OF_THE_TIP for name in names)
+    return f"To separate {', '.join(map(str, names))}, record {_advice(recording, is_of_tip)}."
 
 
-def _advice(recording: Recording) -> str:
-    if not recording.has_tip:
+def _advice(recording: Recording, is_of_tip: bool = True) -> str:
+    """What these runs lack; a camera only where it would see what is asked."""
+    if is_of_tip and not recording.has_tip:
         return "the same runs with the camera on the tip"
     if not recording.has_current:
         return "the same runs with the motor currents"

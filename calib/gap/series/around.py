@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from calib.arrays import Array
 from calib.gap.finding import EffectName
 from calib.gap.posterior.term import Key
+from calib.gap.residuals.sizes import typical
 from calib.gap.series.constants import USUAL, USUAL_OF
 from calib.gap.series.departures import VARIABLE, departures
 from calib.gap.series.scene import Response, Scene
 from calib.gap.series.term import SeriesTerm, stacked
-from calib.gap.signals.sizes import typical
 from calib.gap.signals.terms import Term as Law
 
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.posterior.term import Block
+from calib.gap.residuals.sizes import smallest, typical
 from calib.gap.series.around import Around
 from calib.gap.series.constants import USUAL
 from calib.gap.series.scene import Beside, Response, Scene
 from calib.gap.series.term import SeriesTerm
-from calib.gap.signals.sizes import smallest, typical
 
 SMOOTH = 5
 PRESLIDING_rad = (0.001, 0.003, 0.01)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-# The usual size of an effect, in smallest sizes worth a name (calib.gap.signals.sizes): these are what a careful builder would
+# The usual size of an effect, in smallest sizes worth a name (calib.gap.residuals.sizes): these are what a careful builder would
 # still correct, and what is met is about ten times that. Of the frictions that every gear has, much more.
 USUAL: Final = 10.0
 USUAL_OF: Final = {"coulomb_friction": 20.0, "viscous_friction": 20.0}

@@ -7,6 +7,7 @@ from collections.abc import Collection
 from calib.arrays import Array
 from calib.gap.finding import GapFinding
 from calib.gap.log import Log
+from calib.gap.residuals.rows import Rows, without_motion
 from calib.gap.series.answer import (
     Judged,
     judged,
@@ -26,7 +27,6 @@ from calib.gap.signals import forms
 from calib.gap.signals.motion import motion_gaps
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import Recording, prepare
-from calib.gap.signals.rows import Rows
 from control.model.arm import Arm
 from control.progress import Advance
 from control.progress import silent as quiet
@@ -51,6 +51,7 @@ def examine(
     recording = plausible(arm, prepare(arm, log))
     known = forms.known_terms(arm)
     rows = Rows(Physics(arm, recording), known)
+    unmoved = without_motion(rows.table)
     parts = split(recording, rows.table)
     scene = Scene(rows, known)
     look = looked(scene, known, parts, candidates, told)
@@ -62,6 +63,7 @@ def examine(
     finding = _finding(arm, log, recording, look, told_of, parts, (before, after))
     told("done", 1.0)
     said = (
+        *unmoved,
         *doubts(before, rows.table),
         *left_out(scene.kept, rows.table),
         *told_of.warnings,

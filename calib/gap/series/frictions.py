@@ -8,11 +8,11 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName
+from calib.gap.residuals.sizes import typical
 from calib.gap.series.around import Around, made, size_of_law
 from calib.gap.series.constants import USUAL
 from calib.gap.series.scene import Response
 from calib.gap.series.term import SeriesTerm, scaled
-from calib.gap.signals.sizes import typical
 from calib.gap.signals.terms import Term as Law
 
 FRICTION = ("coulomb_friction", "viscous_friction", "load_friction", "asymmetric_friction")

@@ -9,9 +9,9 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import GapFinding
+from calib.gap.residuals.rows import Cell, RowTable
 from calib.gap.series.split import Picked, Split
 from calib.gap.signals.motion import MotionGap
-from calib.gap.signals.rows import Cell, RowTable
 from control.model.arm import Arm
 
 FAR_OFF = 20.0  # floors

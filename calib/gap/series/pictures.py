@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
@@ -9,8 +10,8 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName, NamedEffect
+from calib.gap.residuals.rows import Cell
 from calib.gap.series.outcome import DynamicOutcome
-from calib.gap.signals.rows import Cell
 from calib.report.drawing import AFTER, BEFORE, PLANNED, svg
 from calib.report.page import Section, bullets, paragraph
 
@@ -27,11 +28,12 @@ TITLES = {
 MOST_CELLS = 4  # drawn in time
 HIGHEST_ORDER = 24.0  # periods per motor turn
 FEWEST_ROWS = 60
+DOT, FEW_DOT, FEW_DOTS = 1.8, 4.0, 200  # sizes of dots, and up to how many they are large
 POINTS = 1500  # of a cloud: more are not seen, and the page stays small
 
 
 def dynamic_sections(outcome: DynamicOutcome) -> Iterator[Section]:
-    """How the gap shrank, which run and channel show most, and what is left along what was named."""
+    """The gap by channel, which run and channel show most, and what is left along what was named."""
     yield Section("Time series: the gap by channel", _about(outcome) + gap_picture(outcome))
     cells = _worst_cells(outcome)
     if cells:
@@ -58,8 +60,10 @@ def _about(outcome: DynamicOutcome) -> str:
 
 
 def gap_picture(outcome: DynamicOutcome) -> str:
-    """Left: the gap after each name. Right: every cell before and after, on the held-out runs."""
-    return svg((10.4, 3.2), lambda figure: _draw_gap(figure, outcome))
+    """Every cell before and after, on the held-out runs; a sentence where there is none."""
+    if not math.isfinite(outcome.finding.gap_before):
+        return paragraph("No row of the held-out runs counts: there is no gap to draw.")
+    return svg((10.4, 3.2), lambda figure: _draw_cells(figure, outcome))
 
 
 def time_picture(outcome: DynamicOutcome, run: int, cells: Sequence[Cell]) -> str:
@@ -85,24 +89,6 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
 
-def _draw_gap(figure: Figure, outcome: DynamicOutcome) -> None:
-    left, right = figure.subplots(1, 2, width_ratios=(2, 3))
-    figure.subplots_adjust(left=0.07, right=0.99, top=0.89, bottom=0.24, wspace=0.18)
-    found = outcome.finding
-    steps = ["as it is", *(str(effect.name).replace(" on joint ", " ") for effect in found.effects)]
-    gaps = [found.gap_before, *(effect.gap_after for effect in found.effects)]
-    left.plot(np.arange(len(steps)), gaps, "o-", color=AFTER, ms=6)
-    for k, value in enumerate(gaps):
-        left.annotate(f"{value:.2f}", (k, value), (0, 5), textcoords="offset points", ha="center", size=8)
-    left.set_xticks(np.arange(len(steps)), steps, rotation=20, ha="right", size=8)
-    left.set(ylabel="gap, RMS over the noise", xlim=(-0.5, len(steps) - 0.5))
-    left.set_ylim(0.8 * min(1.0, *gaps), 1.6 * max(gaps))
-    _times(left)
-    left.axhline(1.0, color=PLANNED, lw=1.0, ls="--")
-    left.set_title("the model as it grows")
-    _draw_cells(right, outcome)
-
-
 def _times(axes: Axes) -> None:
     """A logarithmic axis whose ticks are plain numbers."""
     from matplotlib.ticker import NullFormatter, StrMethodFormatter
@@ -112,16 +98,20 @@ def _times(axes: Axes) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _draw_cells(axes: Axes, outcome: DynamicOutcome) -> None:
-    cells, picked = outcome.rows.cells, outcome.split.reporting
+def _draw_cells(figure: Figure, outcome: DynamicOutcome) -> None:
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.07, right=0.99, top=0.89, bottom=0.24)
+    picked = outcome.split.reporting
+    cells = [cell for cell in outcome.rows.cells if picked[cell.rows].any()]
     place = np.arange(len(cells))
     for residual, colour, mark, shift, label in (
-        (outcome.before, BEFORE, "s", -0.12, "before"),
-        (outcome.after, AFTER, "o", 0.12, "after"),
+        (outcome.before, BEFORE, "s", -0.06, "before"),
+        (outcome.after, AFTER, "o", 0.06, "after"),
     ):
         each = [_rms(residual[cell.rows][picked[cell.rows]]) for cell in cells]
         axes.plot(place + shift, each, mark, color=colour, ms=6, label=label)
     axes.set_xticks(place, [_short(cell) for cell in cells], rotation=20, ha="right", size=8)
+    axes.set_xlim(-0.6, len(cells) - 0.4)
     _times(axes)
     axes.axhline(1.0, color=PLANNED, lw=1.0, ls="--")
     axes.legend(loc="best", fontsize=8)
@@ -158,10 +148,11 @@ def _draw_time(figure: Figure, outcome: DynamicOutcome, run: int, cells: Sequenc
             (outcome.after, AFTER, "after", "."),
         ):
             values = factor * cell.floor * residual[cell.rows][mine]
-            axes.plot(t, values, mark, ms=2.2 if colour == BEFORE else 1.6, color=colour, label=label, mew=0)
+            size = DOT if len(t) > FEW_DOTS else FEW_DOT
+            axes.plot(t, values, mark, ms=size, color=colour, label=label, mew=0)
         axes.set_ylabel(f"[{unit}]")
         axes.set_title(TITLES[cell.channel].format(joint=cell.joint + 1), fontsize=9, fontweight="normal")
-    all_axes[0].legend(loc="upper right", fontsize=8, markerscale=4, ncols=2)
+    all_axes[0].legend(loc="upper right", fontsize=8, markerscale=2, ncols=2)
     all_axes[-1].set_xlabel("time [s]")
 
 

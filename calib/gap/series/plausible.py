@@ -14,12 +14,14 @@ from calib.arrays import Array
 from calib.gap.signals.body import Body, Load
 from calib.gap.signals.held import not_held
 from calib.gap.signals.recording import Recording, UnusableLogError
+from calib.gap.signals.sampling import is_resampled
+from calib.gap.units import UNITS, amperes_per
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 
 TOGETHER = 0.6  # correlation from which the factor between two signals means something
 WITHIN = 2.5  # factor that no effect of the list reaches
-AS_TORQUE = 1.4  # factor within which torques are those that the motion needs: friction adds to them
+AS_UNIT = 1.4  # factor within which a column is what the motion needs in another unit: friction under load adds to it
 THOUSAND = (200.0, 5000.0)
 SLOWEST_s, FASTEST_s = 0.1, 2e-5  # between samples
 MOVES_rad = 1e-3
@@ -44,7 +46,8 @@ def plausible(arm: Arm, recording: Recording) -> Recording:
     if current:
         current = not _found(said, _wrong_current(arm, recording))
     if voltage and current:
-        voltage = not _found(said, _wrong_voltage(arm, recording) or not_held(arm, recording))
+        wrong = _resampled(recording) or _wrong_voltage(arm, recording) or not_held(arm, recording)
+        voltage = not _found(said, wrong)
     tip = recording.has_tip and not _found(said, _wrong_tip(arm, recording))
     if not (current or voltage or tip):
         what = "; ".join(said) or "no currents, voltages or tips"
@@ -64,6 +67,15 @@ def _found(said: list[str], sentence: str) -> bool:
     return bool(sentence)
 
 
+def _resampled(recording: Recording) -> str:
+    if not is_resampled([run.current_raw_A for run in recording.runs]):
+        return ""
+    return (
+        "many samples lie on a line between others: the log was brought to another rate, and which voltages were held between"
+        " the measured samples is lost; the voltages are not used; record every sample as it is"
+    )
+
+
 def _check_time(recording: Recording) -> None:
     period = 1.0 / recording.filters.rate_Hz
     if period > SLOWEST_s:
@@ -74,14 +86,20 @@ def _check_time(recording: Recording) -> None:
 
 
 def _is_silent(recording: Recording, column: str, said: list[str]) -> bool:
-    """A sensor whose value never changes while its joint moves."""
+    """A sensor whose value never changes while its joint moves; with the driver off, nothing else is expected of it."""
     is_current = column.startswith("i")
     for j in range(recording.runs[0].q.shape[1]):
         runs = [run for run in recording.runs if np.ptp(run.q_raw[:, j]) > MOVES_rad]
-        parts = [(run.current_raw_A if is_current else run.voltage_V)[:, j] for run in runs]
-        if parts and all(np.ptp(part) == 0.0 for part in parts):
+        parts = [
+            (run.current_raw_A if is_current else run.voltage_V)[~run.is_off[:, j], j]
+            if recording.has_voltage
+            else run.current_raw_A[:, j]
+            for run in runs
+        ]
+        driven = [part for part in parts if len(part)]
+        if driven and all(np.ptp(part) == 0.0 for part in driven):
             name = column.format(j + 1)
-            said.append(f"{name} is {parts[0][0]:g} throughout while the joint moves: its kind is not used")
+            said.append(f"{name} is {driven[0][0]:g} throughout while the joint moves: its kind is not used")
             return True
     return False
 
@@ -89,11 +107,9 @@ def _is_silent(recording: Recording, column: str, said: list[str]) -> bool:
 def _wrong_current(arm: Arm, recording: Recording) -> str:
     """Currents beside those that the motion needs."""
     fits = _current_fits(arm, recording)
-    if _are_torques(arm, fits):
-        return (
-            "i1_A ... look like torques of the joints in N m, not currents: divide each by its drive's torque constant and gear"
-            " ratio; the currents are not used"
-        )
+    sentence = _another_unit(arm, fits)
+    if sentence:
+        return sentence
     for joint, fit in fits.items():
         sentence = _factor_in_words(f"i{joint}_A", "the motion needs", fit)
         if sentence:
@@ -101,38 +117,51 @@ def _wrong_current(arm: Arm, recording: Recording) -> str:
     return ""
 
 
-def _are_torques(arm: Arm, fits: Mapping[int, _Fit]) -> bool:
-    """Whether the joints' torques explain the columns, and currents do not."""
+def _another_unit(arm: Arm, fits: Mapping[int, _Fit]) -> str:
+    """What the columns of currents look like, if all joints say that they are no amperes; empty if they may be."""
     known = {joint: fit.factor for joint, fit in fits.items() if fit.correlation > TOGETHER}
     if not known:
-        return False
-    as_current = np.log(list(known.values()))
-    drives = [arm.drive(joint) for joint in known]
-    as_torque = as_current - np.log([drive.torque_constant_Nm_A * drive.gear_ratio for drive in drives])
-    return bool(
-        np.abs(as_torque).max() < np.log(AS_TORQUE)
-        and np.abs(as_current).min() > 2.0 * np.abs(as_torque).max()
-        and np.abs(as_current).min() > np.log(AS_TORQUE)
-    )
+        return ""
+    size = np.log(list(known.values()))
+    places = [joint - 1 for joint in known]
+    off = {unit: size + np.log(amperes_per(arm, unit)[places]) for unit in UNITS}
+    nearest = min(off, key=lambda unit: float(np.abs(off[unit]).max()))
+    far = float(np.abs(off[nearest]).max())
+    is_no_current = float(np.abs(off["A"]).min()) > max(2.0 * far, np.log(AS_UNIT))
+    columns = ", ".join(f"i{joint}_A" for joint in known)
+    if is_no_current and far < np.log(AS_UNIT):
+        return f"{columns} look like {UNITS[nearest]}, not amperes: give --current-unit {nearest}; the currents are not used"
+    if (
+        len(known) > 1
+        and float(np.abs(size).min()) > np.log(WITHIN)
+        and float(np.ptp(size)) < np.log(AS_UNIT)
+    ):
+        return (
+            f"{columns} are {np.exp(size.mean()):.2g} times what the motion needs, the same on all joints: another unit? See"
+            " --current-unit; the currents are not used"
+        )
+    return ""
 
 
 def _current_fits(arm: Arm, recording: Recording) -> dict[int, _Fit]:
-    """Measured currents as factors of those that the motion needs, by joint (1-based)."""
+    """Measured currents as factors of those that the motion needs, by joint (1-based); its friction is left free."""
     fits = {}
-    body = Body(arm, recording)
+    body, filters = Body(arm, recording), recording.filters
     torques = body.link_torques(Load())
     for drive in arm.drives:
         j = drive.joint - 1
-        known = {e.effect: e.parameters for e in arm.effects if e.joint == drive.joint}
-        dry = known.get("coulomb_friction", {}).get("torque_Nm", 0.0)
-        wet = known.get("viscous_friction", {}).get("coefficient_Nm_s_rad", 0.0)
-        expected, measured = [], []
+        parts = []
         for run, torque in zip(recording.runs, torques, strict=True):
-            v, keep = run.speed[:, j], np.abs(run.speed[:, j]) > MOVING_rad_s
-            whole = torque[:, j] + body.rotor_kg_m2[j] * run.acceleration[:, j] + dry * np.sign(v) + wet * v
-            expected.append(whole[keep] / (drive.torque_constant_Nm_A * drive.gear_ratio))
-            measured.append(run.current_A[keep, j])
-        fits[drive.joint] = _fit(expected, measured)
+            v = run.speed[:, j]
+            needed = (torque[:, j] + body.rotor_kg_m2[j] * run.acceleration[:, j]) / drive.gear_ratio
+            columns = np.stack(
+                (needed / drive.torque_constant_Nm_A, run.current_A[:, j], np.sign(v), v), axis=1
+            )
+            parts.append(filters.rows(columns)[np.abs(filters.rows(v)) > MOVING_rad_s])
+        expected, measured, *friction = np.concatenate(parts).T
+        beside = np.linalg.qr(np.stack(friction, axis=1))[0]
+        rest = [own - beside @ (beside.T @ own) for own in (expected, measured)]
+        fits[drive.joint] = _fit(*([own] for own in rest))
     return fits
 
 

@@ -11,12 +11,12 @@ import numpy.typing as npt
 from scipy import sparse
 
 from calib.arrays import Array
+from calib.gap.residuals.rows import Cell, Rows
 from calib.gap.series.whitening import Series
 from calib.gap.signals.body import Load
 from calib.gap.signals.laws import sampled_friction_Nm
 from calib.gap.signals.parts import sorted_terms
 from calib.gap.signals.physics import Physics
-from calib.gap.signals.rows import Cell, Rows
 from calib.gap.signals.terms import Term as Law
 
 Response = Mapping[int, Array]  # of each cell (number) that something changes: (its rows, columns)

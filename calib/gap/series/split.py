@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from calib.gap.residuals.rows import RowTable
 from calib.gap.signals.recording import Recording
-from calib.gap.signals.rows import RowTable
 
 Picked = npt.NDArray[np.bool_]
 MANY = 12  # groups of one load: more than one of them reports
@@ -35,7 +35,7 @@ def split(recording: Recording, table: RowTable) -> Split:
     """Report on a group of repeats of middling speed and on one run of each load that others carry too."""
     if len(recording.runs) == 1:
         return _by_time(recording, table)
-    report = _report_groups(recording)
+    report = _report_groups(recording, {int(k) for k in np.unique(table.run)})
     groups = [g for k, g in enumerate(recording.repeats) if k not in report]
     reporting = np.isin(table.run, [r for k in report for r in recording.repeats[k]])
     names = tuple(recording.runs[r].name for k in report for r in recording.repeats[k])
@@ -43,7 +43,8 @@ def split(recording: Recording, table: RowTable) -> Split:
     return Split(picked, ~reporting, reporting, names)
 
 
-def _report_groups(recording: Recording) -> list[int]:
+def _report_groups(recording: Recording, with_rows: set[int]) -> list[int]:
+    """Places in `recording.repeats`, of groups whose runs have rows that count."""
     speeds = [
         float(np.mean([np.sqrt(np.mean(recording.runs[r].speed ** 2)) for r in group]))
         for group in recording.repeats
@@ -52,7 +53,7 @@ def _report_groups(recording: Recording) -> list[int]:
     most = max(1, int(REPORT_SHARE * len(speeds)))
     chosen: list[int] = []
     for load in sorted(set(loads), key=lambda one: -loads.count(one)):
-        own = [k for k, value in enumerate(loads) if value == load]
+        own = [k for k, value in enumerate(loads) if value == load and with_rows & {*recording.repeats[k]}]
         if len(own) < 2 or len(chosen) >= most:
             continue
         own.sort(key=lambda k: speeds[k])
@@ -63,7 +64,7 @@ def _report_groups(recording: Recording) -> list[int]:
         repeated = [k for k in own[1:-1] if len(recording.repeats[k]) > 1]
         near = min(repeated, key=lambda k: abs(speeds[k] - speeds[middle])) if repeated else middle
         chosen.append(near)
-    return chosen or [len(speeds) - 1]
+    return chosen or [k for k in range(len(speeds)) if with_rows & {*recording.repeats[k]}][-1:]
 
 
 def _by_time(recording: Recording, table: RowTable) -> Split:

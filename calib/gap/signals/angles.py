@@ -16,6 +16,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.signals.recording import Motion
 from calib.gap.signals.terms import Term
+from control.model.effects import COUPLED, COUPLED_TO
 
 BEHIND: Final = " behind"  # of a form: between motor and link
 SEEN: Final = " seen"  # of a form: by the camera alone
@@ -68,7 +69,8 @@ def angle_error(terms: Sequence[Term], run: Motion) -> tuple[MotorAhead, tuple[A
 
 def place(term: Term) -> tuple[int, int]:
     """The joint (0-based) that is elsewhere, and the one whose angle says how far."""
-    return (2, 1) if term.name.effect == "belt_coupling" else (term.index, term.index)
+    is_belt = term.name.effect == "belt_coupling"
+    return (COUPLED - 1, COUPLED_TO - 1) if is_belt else (term.index, term.index)
 
 
 def plain(form: str) -> str:

@@ -17,6 +17,9 @@ from control.model.arm import Arm
 
 SLOPE_rad = 1e-4
 TORQUES_KEPT = 24
+LIGHTEST_kg_m2 = (
+    1e-7  # of a link: one that the file gives no inertia follows at once, and nothing is divided by nought
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +35,7 @@ class Body:
     """Rigid-body torques of one arm on one recording."""
 
     def __init__(self, arm: Arm, recording: Recording) -> None:
-        self._arm, self._recording = arm, recording
+        self._arm, self._recording = _with_inertia(arm), recording
         self._loaded: dict[Load, Dynamics] = {}
         self._torques: dict[Load, list[Array]] = {}
         self.rotor_kg_m2 = np.array([d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives])
@@ -82,6 +85,18 @@ class Body:
                 self._loaded.clear()
             self._loaded[key] = Dynamics(_loaded(self._arm, load))
         return self._loaded[key]
+
+
+def _with_inertia(arm: Arm) -> Arm:
+    """The arm with at least the lightest inertia about every axis of every link that has any."""
+    links = []
+    for link in arm.links:
+        if link.inertia_kg_m2 is not None:
+            x, y, z = (max(own, LIGHTEST_kg_m2) for own in link.inertia_kg_m2)
+            links.append(dataclasses.replace(link, inertia_kg_m2=(x, y, z)))
+        else:
+            links.append(link)
+    return dataclasses.replace(arm, links=tuple(links))
 
 
 def _loaded(arm: Arm, load: Load) -> Arm:

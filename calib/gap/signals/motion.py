@@ -9,6 +9,7 @@ arm's own loop would leave them. Both are checks in radians of what was named fr
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,6 +26,7 @@ from control.errors import MissingModel
 Places = npt.NDArray[np.intp]
 WINDOW_s, BETWEEN_s = 0.2, 0.25
 FEWEST_WINDOWS = 3  # of the held-out runs
+RUNAWAY_rad = 100.0  # off: a simulated arm that is 16 turns away has left the recording for good
 OPEN, CLOSED = "q_rad", "q_loop_rad"
 
 
@@ -45,7 +47,8 @@ def motion_gaps(
         return {}
     kept = [k for k, run in enumerate(physics.recording.runs) if run.name in report]
     found: dict[str, Windows | Loop] = {OPEN: Windows(physics, kept), CLOSED: Loop(physics, kept)}
-    return {name: part.gap(known, model) for name, part in found.items() if part.suffices}
+    gaps = {name: part.gap(known, model) for name, part in found.items() if part.suffices}
+    return {name: one for name, one in gaps.items() if math.isfinite(one.before_rad + one.after_rad)}
 
 
 class Windows:
@@ -86,6 +89,9 @@ class Windows:
         result = np.empty((self.length, *state.q.shape))
         for s in range(self.length):
             result[s] = state.motor - self._at("q_raw", s)
+            if _runs_away(result[s]):
+                result[s:] = np.inf
+                break
             newer, older = (self._at("voltage_V", s - whole - back) for back in (0, 1))
             forward.advance(state, newer, older, self._at("is_off", s).astype(bool))
         return result
@@ -99,11 +105,11 @@ class Windows:
     def _floor(self, errors: Array) -> float:
         """From repeats, in windows that begin at the same sample, and what the encoders' steps leave of a first speed."""
         grown = max(1.0, self._physics.recording.filters.speed_gain * WINDOW_s / np.sqrt(3.0))
-        differences = []
+        differences: list[Array] = []
         for one, other in _pairs(self._physics, self.run.tolist()):
             a, b = np.flatnonzero(self.run == one), np.flatnonzero(self.run == other)
             _, in_a, in_b = np.intersect1d(self.start[a], self.start[b], return_indices=True)
-            differences.append((errors[:, a[in_a]] - errors[:, b[in_b]]).ravel())
+            differences.append(_apart(errors[:, a[in_a]], errors[:, b[in_b]]))
         return _floor(self._physics, differences, grown)
 
 
@@ -136,7 +142,7 @@ class Loop:
         for one, other in _pairs(self._physics, self._runs):
             a, b = (after[self._runs.index(k)] for k in (one, other))
             common = min(len(a), len(b))
-            differences.append((a[:common] - b[:common]).ravel())
+            differences.append(_apart(a[:common], b[:common]))
         floor = _floor(self._physics, differences, 1.0)
         return MotionGap(floor, _rms(np.concatenate(before)), _rms(np.concatenate(after)))
 
@@ -161,6 +167,9 @@ class Loop:
 
         for s in range(longest):
             result[s] = state.motor - at("q_raw", s)
+            if _runs_away(result[s]):
+                result[s:] = np.inf
+                break
             sum_rad_s -= self._period * result[s]
             feedback = kp * -result[s] + ki * sum_rad_s + kd * (at("speed", s) - state.motor_speed)
             back = [feedback, *back[:-1]]
@@ -168,6 +177,11 @@ class Loop:
             older = at("voltage_V", s - whole - 1) + back[whole + 1]
             forward.advance(state, newer, older, np.zeros(state.q.shape, dtype=bool))
         return [result[:length, w] for w, length in enumerate(self._lengths)]
+
+
+def _runs_away(error_rad: Array) -> bool:
+    """Whether a model has lost its recording: gains of a fast loop do not hold an arm at a slow log's rate."""
+    return not float(np.abs(error_rad).max()) < RUNAWAY_rad
 
 
 def _gains(physics: Physics) -> tuple[Array, Array, Array] | None:
@@ -191,10 +205,16 @@ def _pairs(physics: Physics, runs: Sequence[int]) -> list[tuple[int, int]]:
     return [pair for group in groups for pair in itertools.pairwise(group)]
 
 
+def _apart(one: Array, other: Array) -> Array:
+    """Their difference; not a number where both have run away."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(one - other).ravel()
+
+
 def _floor(physics: Physics, differences: Sequence[Array], grown: float) -> float:
     steps = [2.0 * np.pi / (d.encoder_counts_per_rev * d.gear_ratio) for d in physics.arm.drives]
     by_steps = grown * float(np.sqrt(np.mean(np.square(steps)) / 12.0))
-    found = [part for part in differences if part.size]
+    found = [part for part in differences if part.size and np.isfinite(part).all()]
     repeated = _rms(np.concatenate(found)) / float(np.sqrt(2.0)) if found else 0.0
     return float(np.hypot(repeated, by_steps))
 

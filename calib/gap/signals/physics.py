@@ -26,6 +26,7 @@ from calib.gap.signals.staircase import Staircase, Winding, settled_shares
 from calib.gap.signals.terms import Term
 from calib.gap.signals.tips import Tips
 from control.model.arm import Arm
+from control.model.effects import COUPLED, COUPLED_TO
 
 MOST_OF_PERIOD = 0.999  # later than that, a sample is the next one
 INERTIA_EVERY = 25  # samples: how heavy a joint is, on the whole
@@ -134,8 +135,10 @@ class Physics:
                 ahead, turns = angle_error(parts.angles, run)
                 link = link - torques[k] + self.body.moved(parts.load, run, *turns)
                 for term in parts.angles:
-                    if term.form == "belt_coupling" + BEHIND:  # motor 3 pulls at joint 2 through its belt
-                        link[:, 1] += term.values[0] * link[:, 2]
+                    if (
+                        term.form == "belt_coupling" + BEHIND
+                    ):  # the motor pulls at the other joint through its belt
+                        link[:, COUPLED_TO - 1] += term.values[0] * link[:, COUPLED - 1]
             mechanical = self._current(parts, run, k, link, ahead)
             result.append((mechanical, self._electrical(parts, run, k, ahead), offset))
         return result
@@ -161,7 +164,7 @@ class Physics:
             return np.where(run.is_off, 0.0, current)
         if self.recording.has_voltage:
             return np.asarray(run.current_A + self._staircase.of_mean_current(parts.delay_s)[k])
-        ahead = 0.5 * self._period - self._lag + min(parts.delay_s, 0.0)
+        ahead = 0.5 * self.recording.held_s - self._lag + min(parts.delay_s, 0.0)
         return np.asarray(run.current_A + ahead * (run.current_slope + K * run.acceleration / self._R))
 
     def _electrical(self, parts: Parts, run: Motion, k: int, ahead: MotorAhead) -> Array:

@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from calib.arrays import Array
+from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
 from calib.gap.log import Log, Run
 from calib.gap.signals.filters import Filters, filters_for
+from calib.gap.signals.part import part_of
+from calib.gap.signals.sampling import GAP, averaged, common_period, evened, measured, period_of
 from control.model.arm import Arm
 
 Flags = npt.NDArray[np.bool_]
 JITTER = 0.02  # of the period: less is the clock's printing
-GAP = 2.5  # periods between samples: more is a gap, and its neighbourhood is not used
+SOUND_LEAST = 0.3  # of the samples must not lie in or beside gaps: else these are events, and no time series
+BESIDE_GAP_s = 0.04  # the reach of a row's filter
+UNEVEN_SHARE = 0.01  # of the samples: fewer are lost ones, and not worth a word
+SINCE_1970_s = 1e8  # three years: no clock that began with the arm
 AT_LIMIT = 0.985  # of the current limit
 ANOTHER_UNIT = 1.5  # times a limit
 SHORTEST_s = 0.5
 SETTLING_s = 1.5  # how the arm came to rest before a run is not known: what it rings with has gone by then
 SETTLING_SHARE = 0.2  # of a run at most
+NAMES_MOST = 4  # of runs in a sentence
 
 
 class UnusableLogError(CalibrationError):
@@ -59,7 +65,10 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """All runs, which repeat each other, and sentences about what is wrong with them."""
+    """All runs, which repeat each other, and sentences about what is wrong with them.
+
+    `held_s`: how long the controller holds a voltage, its own sampling period, where samples were averaged afterwards.
+    """
 
     runs: tuple[Motion, ...]
     repeats: tuple[tuple[int, ...], ...]
@@ -68,47 +77,64 @@ class Recording:
     has_voltage: bool
     has_tip: bool
     warnings: tuple[str, ...]
+    held_s: float
 
 
 def prepare(arm: Arm, log: Log) -> Recording:
     """Return the recording of this arm; UnusableLogError if it cannot be one."""
     _check(arm, log)
-    warnings: list[str] = []
-    long_enough = [k for k, run in enumerate(log.runs) if run.t_s[-1] - run.t_s[0] >= SHORTEST_s]
-    if not long_enough:
-        raise UnusableLogError(
-            f"log: every run is shorter than {SHORTEST_s} s: expected recordings of seconds"
-        )
-    warnings += [
-        f"run {run.name}: {run.t_s[-1] - run.t_s[0]:.2f} s is too short and not used"
-        for k, run in enumerate(log.runs)
-        if k not in long_enough
-    ]
-    period = float(np.median(np.concatenate([np.diff(log.runs[k].t_s) for k in long_enough])))
+    kept, warnings = _long_enough(log)
+    given, said, averaged_count = _as_sampled([_from_its_beginning(run) for run in kept])
+    warnings += said
+    repeats = Log(given).repeats()
+    period, rates = common_period(given)
     filters = filters_for(1.0 / period)
-    runs = tuple(_motion(arm, log.runs[k], filters, period, warnings) for k in long_enough)
-    warnings += _saturation(arm, [log.runs[k] for k in long_enough])
-    new_index = {k: place for place, k in enumerate(long_enough)}
-    repeats = tuple(
-        tuple(new_index[k] for k in group if k in new_index)
-        for group in log.repeats()
-        if any(k in new_index for k in group)
-    )
+    warnings += [*_about_gaps(given, period), *([rates] if rates else _about_steps(given, period))]
+    warnings += _saturation(arm, given)
+    _require_a_rate(given, period)
+    runs = tuple(_motion(arm, run, filters, period) for run in given)
     if len(runs) > 1 and all(len(group) == 1 for group in repeats):
         warnings.append("no run repeats another: the noise floor comes from what the filters take off")
     if len(runs) == 1:
         warnings.append("one run only: nothing can be held out from it but its later parts")
-    has_current = all(np.isfinite(log.runs[k].current_A).all() for k in long_enough)
-    has_voltage = all(np.isfinite(log.runs[k].voltage_V).any() for k in long_enough)
-    return Recording(
-        runs,
-        repeats,
-        filters,
-        has_current,
-        has_voltage,
-        all(len(run.frames) > 20 for run in runs),
-        tuple(warnings),
-    )
+    has_current = all(np.isfinite(run.current_A).all() for run in given)
+    has_voltage = all(run.is_commanded or np.isfinite(run.voltage_V).any() for run in given)
+    has_tip = all(len(run.frames) > 20 for run in runs)
+    held_s = period / averaged_count
+    return Recording(runs, repeats, filters, has_current, has_voltage, has_tip, tuple(warnings), held_s)
+
+
+def _long_enough(log: Log) -> tuple[list[Run], list[str]]:
+    """The runs that are long enough, and a sentence about the others."""
+    kept = [run for run in log.runs if run.t_s[-1] - run.t_s[0] >= SHORTEST_s]
+    if not kept:
+        raise UnusableLogError(
+            f"log: every run is shorter than {SHORTEST_s} s: expected recordings of seconds"
+        )
+    short = [run.name for run in log.runs if run.t_s[-1] - run.t_s[0] < SHORTEST_s]
+    return kept, [f"{_runs(short)}: shorter than {SHORTEST_s} s, not used"] if short else []
+
+
+def _as_sampled(runs: Sequence[Run]) -> tuple[tuple[Run, ...], list[str], int]:
+    """Samples that were measured, at their times, as many as are looked at; sentences about that; how many a mean is of."""
+    given, computed = measured(runs)
+    given, fast, count = averaged(tuple(evened(run, period_of([run])) for run in given))
+    part, long = part_of(Log(given))
+    return part.runs, [sentence for sentence in (computed, fast, long) if sentence], count
+
+
+def _from_its_beginning(run: Run) -> Run:
+    """A run whose clock counts from 1970 begins at 0: when the arm was started, such a clock does not say."""
+    if run.t_s[0] < SINCE_1970_s:
+        return run
+    return replace(run, t_s=frozen(run.t_s - run.t_s[0]))
+
+
+def _runs(names: Sequence[str]) -> str:
+    """As `run 3`, or `4 runs (1, 2, 5 and others)`."""
+    if len(names) == 1:
+        return f"run {names[0]}"
+    return f"{len(names)} runs ({', '.join(names[:NAMES_MOST])}{' and others' if len(names) > NAMES_MOST else ''})"
 
 
 def _check(arm: Arm, log: Log) -> None:
@@ -119,7 +145,8 @@ def _check(arm: Arm, log: Log) -> None:
     missing = [j for j in range(1, arm.joint_count + 1) if all(d.joint != j for d in arm.drives)]
     if missing:
         raise UnusableLogError(
-            f"arm {arm.name}: no [[drive]] of joint {missing[0]}: the time series need motor and gear"
+            f"arm {arm.name}: no [[drive]] of joint {missing[0]}: currents and voltages say nothing without motor and gear;"
+            " torques of the joints do (--current-unit Nm)"
         )
     for drive in arm.drives:
         angles = np.concatenate([run.q_rad[:, drive.joint - 1] for run in log.runs])
@@ -143,8 +170,8 @@ def _check_angles(joint: int, q: Array, lower: float, upper: float) -> None:
     )
 
 
-def _motion(arm: Arm, run: Run, filters: Filters, period: float, warnings: list[str]) -> Motion:
-    times, sound = _grid(run, period, warnings)
+def _motion(arm: Arm, run: Run, filters: Filters, period: float) -> Motion:
+    times, sound = _grid(run, period)
 
     def at(values: Array) -> Array:
         """Linear between samples; the columns of a run without jitter or gap are left as they are."""
@@ -185,27 +212,57 @@ def _motion(arm: Arm, run: Run, filters: Filters, period: float, warnings: list[
     )
 
 
-def _grid(run: Run, period: float, warnings: list[str]) -> tuple[Array, Flags]:
+def _grid(run: Run, period: float) -> tuple[Array, Flags]:
     """Equal steps over the run, and which of them are not in or beside a gap."""
-    steps = np.diff(run.t_s)
     count = round(float(run.t_s[-1] - run.t_s[0]) / period) + 1
     times = run.t_s[0] + period * np.arange(count)
     sound = np.ones(count, dtype=bool)
-    holes = np.flatnonzero(steps > GAP * period)
-    for k in holes:
-        near = (times > run.t_s[k] - 0.04) & (times < run.t_s[k + 1] + 0.04)
-        sound &= ~near
-    if len(holes):
-        warnings.append(
-            f"run {run.name}: {len(holes)} gaps, the longest {steps.max():.3f} s at {run.t_s[int(steps.argmax())]:.3f} s: "
-            "the samples around them are not used"
-        )
-    uneven = np.abs(np.delete(steps, holes) - period) > JITTER * period
-    if np.mean(uneven) > 0.01:
-        warnings.append(
-            f"run {run.name}: {np.mean(uneven):.0%} of the samples are not {period:.4g} s apart: interpolated"
-        )
+    for k in _gaps(run, period):
+        sound &= ~((times > run.t_s[k] - BESIDE_GAP_s) & (times < run.t_s[k + 1] + BESIDE_GAP_s))
     return times, sound
+
+
+def _require_a_rate(runs: Sequence[Run], period: float) -> None:
+    """UnusableLogError for samples that come when something happens: between them nothing is known of a motion."""
+    share = float(np.mean(np.concatenate([_grid(run, period)[1] for run in runs])))
+    if share < SOUND_LEAST:
+        steps = np.concatenate([np.diff(run.t_s) for run in runs])
+        raise UnusableLogError(
+            f"log: only {share:.0%} of the time has samples at a rate: they lie {1e3 * steps.min():.3g} ms to {steps.max():.3g} s"
+            " apart, as events do and time series do not: record every cycle of the controller, as it comes"
+        )
+
+
+def _gaps(run: Run, period: float) -> npt.NDArray[np.intp]:
+    """The last sample before each gap."""
+    return np.flatnonzero(np.diff(run.t_s) > GAP * period)
+
+
+def _about_gaps(runs: Sequence[Run], period: float) -> Iterator[str]:
+    """One sentence about all gaps."""
+    found = {run.name: _gaps(run, period) for run in runs}
+    count = sum(map(len, found.values()))
+    if count:
+        worst = max(runs, key=lambda run: float(np.diff(run.t_s).max()))
+        steps = np.diff(worst.t_s)
+        yield (
+            f"{_runs([name for name, gaps in found.items() if len(gaps)])}: {count} gaps, the longest {steps.max():.3f} s in run"
+            f" {worst.name} at {worst.t_s[int(steps.argmax())]:.3f} s: the samples around them are not used"
+        )
+
+
+def _about_steps(runs: Sequence[Run], period: float) -> Iterator[str]:
+    """One sentence about all samples that are not a period apart."""
+    shares = {}
+    for run in runs:
+        steps = np.delete(np.diff(run.t_s), _gaps(run, period))
+        shares[run.name] = float(np.mean(np.abs(steps - period) > JITTER * period))
+    uneven = {name: share for name, share in shares.items() if share > UNEVEN_SHARE}
+    if uneven:
+        yield (
+            f"{_runs(list(uneven))}: up to {max(uneven.values()):.0%} of the samples are not {1e3 * period:.4g} ms apart:"
+            " interpolated"
+        )
 
 
 def _limited(arm: Arm, run: Run) -> Flags:

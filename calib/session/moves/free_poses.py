@@ -20,6 +20,7 @@ from control.model.arm import Arm
 CANDIDATES = 4000
 MARGIN = 0.1  # of each joint's range, kept free at either end
 CLEARANCE_m = 0.12  # of tip and elbow above the floor and the board: an uncalibrated arm is some 3 cm off
+STILL_m = 1e-9  # a height that changes by less over all candidates does not depend on the joints
 REACH = 0.95  # of the longest reach among the candidates: a stretched arm is hard to see
 WAY_STEPS = 25
 UNLIMITED_rad = math.pi / 2  # range taken for a joint without limits
@@ -29,10 +30,10 @@ def chosen_free_poses(arm: Arm, count: int) -> dict[str, tuple[float, ...]]:
     """`count` poses by name f1, f2, ..., in an order with short paths; SessionError if there is no room."""
     lower, upper = _ranges(arm)
     unit = np.random.default_rng(count).uniform(0.0, 1.0, (CANDIDATES, arm.joint_count))
-    kinematics = Kinematics(arm)
     q_rad = lower + unit * (upper - lower)
-    is_clear = _clearance_m(arm, kinematics, q_rad) > 0.0
-    reach_m = np.linalg.norm(kinematics.tips(q_rad), axis=1)
+    space = _Space(arm, q_rad)
+    is_clear = space.clearance_m(q_rad) > 0.0
+    reach_m = np.linalg.norm(space.kinematics.tips(q_rad), axis=1)
     is_clear &= reach_m < REACH * reach_m.max()
     if is_clear.sum() < count:
         raise SessionError(
@@ -40,7 +41,7 @@ def chosen_free_poses(arm: Arm, count: int) -> dict[str, tuple[float, ...]]:
             f" {CLEARANCE_m:g} m above the table: give the poses in a file"
         )
     rows = _spread(unit[is_clear], count)
-    ordered = _ordered(arm, kinematics, q_rad[is_clear][rows])
+    ordered = _ordered(space, q_rad[is_clear][rows])
     return {f"f{k + 1}": tuple(round(float(q), 4) for q in pose) for k, pose in enumerate(ordered)}
 
 
@@ -78,12 +79,31 @@ def _ranges(arm: Arm) -> tuple[Array, Array]:
     return limits[:, 0] + room, limits[:, 1] - room
 
 
-def _clearance_m(arm: Arm, kinematics: Kinematics, q_rad: Array) -> Array:
-    """Height of the lowest of tip and joints beyond the second frame above floor and board, minus the required one."""
-    floor_m = max(arm.limits.floor_z_m, _board_top_m(arm))
-    links = kinematics.link_transforms(q_rad)[:, 2:, 2, 3]
-    lowest = np.minimum(links.min(axis=1), kinematics.tips(q_rad)[:, 2])
-    return np.asarray(lowest - floor_m - CLEARANCE_m)
+class _Space:
+    """How far the arm is above the floor and the board."""
+
+    def __init__(self, arm: Arm, candidates_rad: Array) -> None:
+        self.kinematics = Kinematics(arm)
+        self._lowest_m = max(arm.limits.floor_z_m, _board_top_m(arm)) + CLEARANCE_m
+        heights_m = self._heights_m(candidates_rad)
+        # An origin that no joint raises or lowers, such as the shoulder, belongs to the stand: it limits no pose.
+        self._moving = np.ptp(heights_m, axis=0) > STILL_m
+
+    def _heights_m(self, q_rad: Array) -> Array:
+        """Heights of the links' origins and of the tip, shape (poses, links + 1)."""
+        links = self.kinematics.link_transforms(q_rad)[:, :, 2, 3]
+        return np.column_stack([links, self.kinematics.tips(q_rad)[:, 2]])
+
+    def clearance_m(self, q_rad: Array) -> Array:
+        """Height of the lowest moving point above floor and board, minus the required one, shape (poses,)."""
+        heights_m = self._heights_m(q_rad)[:, self._moving]
+        return np.asarray(heights_m.min(axis=1, initial=math.inf) - self._lowest_m)
+
+    def is_clear(self, start_rad: Array, end_rad: Array) -> bool:
+        """Whether a joint move stays half the clearance above the table."""
+        shares = np.linspace(0.0, 1.0, WAY_STEPS)[:, None]
+        way_rad = start_rad + shares * (end_rad - start_rad)
+        return bool((self.clearance_m(way_rad) > -0.5 * CLEARANCE_m).all())
 
 
 def _board_top_m(arm: Arm) -> float:
@@ -101,19 +121,13 @@ def _spread(unit: Array, count: int) -> list[int]:
     return rows
 
 
-def _ordered(arm: Arm, kinematics: Kinematics, q_rad: Array) -> list[Array]:
+def _ordered(space: _Space, q_rad: Array) -> list[Array]:
     """Order the poses: each next one is the nearest with a clear path."""
     left, ordered = list(q_rad), list[Array]()
     here = left[0]
     while left:
         left.sort(key=lambda pose: float(np.linalg.norm(pose - here)))
-        clear = [k for k, pose in enumerate(left) if not ordered or _is_clear(arm, kinematics, here, pose)]
+        clear = [k for k, pose in enumerate(left) if not ordered or space.is_clear(here, pose)]
         here = left.pop(clear[0] if clear else 0)
         ordered.append(here)
     return ordered
-
-
-def _is_clear(arm: Arm, kinematics: Kinematics, start: Array, end: Array) -> bool:
-    """Whether a joint move stays half the clearance above the table."""
-    shares = np.linspace(0.0, 1.0, WAY_STEPS)[:, None]
-    return bool((_clearance_m(arm, kinematics, start + shares * (end - start)) > -0.5 * CLEARANCE_m).all())

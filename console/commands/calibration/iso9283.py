@@ -10,11 +10,12 @@ from calib.iso9283.cube import TestCube
 from calib.iso9283.page import summary_text
 from calib.iso9283.programme import PROGRAMMES, Extent
 from calib.iso9283.workspace import largest_cube
-from console.commands.connection import connected
+from console.commands.connection import in_control
 from console.commands.progress import Bar
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
+from control.motion.plan import require_paths
 from control.server.client import ArmClient
 from procedures.folders import require_writable
 from procedures.iso9283 import recording
@@ -43,12 +44,13 @@ def run(given: argparse.Namespace) -> int:
     _require_within(given.speed, "--speed", 1.0, "a fraction of the joints' limits")
     _require_within(given.rated_speed, "--rated-speed", arm.limits.tip_speed_m_s, "a rated path speed in m/s")
     is_real = given.record and not given.plan_only
-    with contextlib.closing(connected(given)) if is_real else contextlib.nullcontext() as client:
+    with contextlib.closing(in_control(given)) if is_real else contextlib.nullcontext() as client:
         return _record_and_evaluate(given, arm, client)
 
 
 def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient | None) -> int:
     """Plan, print the plan, record on `client`'s arm or on a mock, evaluate."""
+    require_paths(arm)
     out = Path(given.out)
     extent, cube = _extent(given, arm), _cube(given, arm)
     rated_m_s = given.rated_speed or recording.rated_speed_m_s(arm, cube)

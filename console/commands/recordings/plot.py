@@ -14,22 +14,32 @@ from console.visualisation.series import Series, chosen
 from console.visualisation.sheets import FORMS, show, write_each, write_sheet
 from control.errors import ArmError
 from control.model.description import load_arm
-from procedures.folders import free_folder
+from procedures.folders import free_folder, require_writable
 
 USUAL_OUT = Path("out/plot")
 
 
 def run(given: argparse.Namespace) -> int:
     """Read, select, draw, print."""
+    out = None if given.window or (given.json and not given.out) else _place(given.out)
     series, joints = _series(given)
     pictures = _pictures(given.what, series)
     files: list[Path] = []
     if given.window:
         show(pictures, series, joints)
-    elif given.out or not given.json:
-        files = _written(given.out, pictures, series, joints)
+    elif out is not None:
+        files = _written(out, pictures, series, joints)
     _say(given, series, metrics_of(series), joints, files)
     return 0
+
+
+def _place(out: str | None) -> Path:
+    """The folder or the file to write, which is tried before anything is read and drawn."""
+    path = Path(out) if out else free_folder(USUAL_OUT)
+    if path.suffix and path.suffix not in FORMS and not path.is_dir():
+        raise ArmError(f"--out: expected a folder, or a file that ends in {', '.join(FORMS)}; got {out}")
+    require_writable(path.parent if path.suffix in FORMS else path)
+    return path
 
 
 def _series(given: argparse.Namespace) -> tuple[Series, Sequence[int]]:
@@ -70,23 +80,12 @@ def _pictures(text: str | None, series: Series) -> Sequence[Picture]:
     return [by_name[name] for name in dict.fromkeys(names)]
 
 
-def _written(
-    out: str | None, pictures: Sequence[Picture], series: Series, joints: Sequence[int]
-) -> list[Path]:
+def _written(out: Path, pictures: Sequence[Picture], series: Series, joints: Sequence[int]) -> list[Path]:
     """Write files into a folder, or one file if `out` names one."""
-    if out is None:
-        return _drawn(free_folder(USUAL_OUT), pictures, series, joints)
-    path = Path(out)
-    if path.suffix in FORMS:
-        return write_sheet(path, pictures, series, joints)
-    if path.suffix and not path.is_dir():
-        raise ArmError(f"--out: expected a folder, or a file that ends in {', '.join(FORMS)}; got {out}")
-    return _drawn(path, pictures, series, joints)
-
-
-def _drawn(folder: Path, pictures: Sequence[Picture], series: Series, joints: Sequence[int]) -> list[Path]:
+    if out.suffix in FORMS:
+        return write_sheet(out, pictures, series, joints)
     with Bar("draw") as bar:
-        return write_each(folder, pictures, series, joints, bar.advance)
+        return write_each(out, pictures, series, joints, bar.advance)
 
 
 def _say(

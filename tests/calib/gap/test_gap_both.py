@@ -1,6 +1,7 @@
 """Poses and time series of one arm: they must agree about what both can see, and one resolves what the other leaves open."""
 
 import math
+from functools import partial
 
 import pytest
 
@@ -11,7 +12,8 @@ from calib.gap.words import in_words
 PLAY, SPRING = EffectName("backlash", 1), EffectName("joint_compliance", 1)
 DRAG, SCALE = EffectName("coulomb_friction", 2), EffectName("encoder_scale", 1)
 GEOMETRY = EffectName("link_geometry")
-SEES_PLAY, SEES_SPRING = Nameable(PLAY, 100.0), Nameable(SPRING, 100.0)
+seen = partial(Nameable, needed_sd=6.0)
+SEES_PLAY, SEES_SPRING = seen(PLAY, 100.0), seen(SPRING, 100.0)
 
 
 def finding(channel: str, effects=(), nameable=(), unknown=None, gap=(2.0, 1.0), ambiguous=()) -> GapFinding:
@@ -67,11 +69,11 @@ def test_the_gap_of_both_is_their_root_mean_square() -> None:
 def test_what_either_cannot_explain_stays_unknown_and_nameable_is_what_either_sees() -> None:
     unknown = Unknown("joint 2: steps at 10 s", None, 0.0)
     both, _ = brought_together(
-        finding("tip_m", nameable=[Nameable(PLAY, 3.0), Nameable(SPRING, 90.0, (PLAY,))]),
-        finding("current_A", nameable=[Nameable(PLAY, 30.0), Nameable(SPRING, 20.0)], unknown=unknown),
+        finding("tip_m", nameable=[seen(PLAY, 3.0), seen(SPRING, 90.0, (PLAY,))]),
+        finding("current_A", nameable=[seen(PLAY, 30.0), seen(SPRING, 20.0)], unknown=unknown),
     )
     assert both.unknown == Unknown("joint 2: steps at 10 s", None, 0.0)
-    assert both.nameable == (Nameable(PLAY, 30.0), Nameable(SPRING, 20.0))  # told apart counts more than size
+    assert both.nameable == (seen(PLAY, 30.0), seen(SPRING, 20.0))  # told apart counts more than size
 
 
 @pytest.mark.parametrize(("width", "sd", "count"), [(0.0052, 1e-5, 0), (0.0080, 1e-5, 1), (0.0080, 2e-3, 0)])
@@ -169,8 +171,8 @@ def test_a_level_that_surely_would_see_an_effect_and_does_not_takes_its_name_awa
 @pytest.mark.parametrize(
     "silent",
     [
-        finding("current_A", [], [Nameable(PLAY, 6.0)]),  # it might just miss it
-        finding("current_A", [], [Nameable(PLAY, 100.0, (SPRING,))]),  # it cannot tell it from another
+        finding("current_A", [], [seen(PLAY, 6.0)]),  # it might just miss it
+        finding("current_A", [], [seen(PLAY, 100.0, (SPRING,))]),  # it cannot tell it from another
         finding("current_A"),  # it does not know of it
         finding("current_A", [], [SEES_PLAY], Unknown("the tip", None, 0.0)),  # it sees something
         finding("current_A", [], [SEES_PLAY], gap=(9.0, 3.0)),  # much of what it shows is not explained
@@ -188,7 +190,7 @@ def test_the_geometry_of_the_poses_is_never_contradicted() -> None:
         finding(
             "current_A",
             [NamedEffect(GEOMETRY, {"link1_d_m": (0.009, 1e-6)}, 1.0)],
-            [Nameable(GEOMETRY, 100.0)],
+            [seen(GEOMETRY, 100.0)],
         ),
     )
     assert names(both) == [GEOMETRY]

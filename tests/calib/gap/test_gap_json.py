@@ -46,6 +46,7 @@ class Named(msgspec.Struct, forbid_unknown_fields=True):
     joint: int | None
     parameters: dict[str, Value]
     gap_after: float | None
+    is_nothing: bool
     probability: float | None
     share: float | None
     law_departure: Departure | None
@@ -70,6 +71,7 @@ class Could(msgspec.Struct, forbid_unknown_fields=True):
     joint: int | None
     detectability: float | None
     confusable_with: list[Name]
+    is_nameable: bool
 
 
 class Rest(msgspec.Struct, forbid_unknown_fields=True):
@@ -118,7 +120,7 @@ def full() -> GapFinding:
         ),
         ((play, spring),),
         Unknown("joint 2: in steps", spring, 0.3),
-        (Nameable(play, 12.0, (spring,)), Nameable(EffectName("payload"), 5.0)),
+        (Nameable(play, 12.0, (spring,), needed_sd=6.0), Nameable(EffectName("payload"), 5.0, needed_sd=6.0)),
         "Record more.",
         remainder=(Remainder("joint 2: in steps", 0.1, {"tip_m": 3e-4}),),
         open_questions=(OpenQuestion("joint 2?", "Record more."),),

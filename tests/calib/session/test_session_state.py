@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
@@ -24,10 +25,12 @@ from calib.session.plan import (
     to_json,
 )
 from calib.session.state import AFTER, Event, Mark, SessionState
+from control.files import NotWritten
 from control.model.arm import Camera
 from control.model.description import save_arm
 from tests.calib.session.session_arm import RIGHT
 from tests.calib.session.session_killer import KEYS, PLAN, record
+from tests.control.test_files import files_up_to
 
 
 def in_state(mark: Mark) -> SessionState:
@@ -228,6 +231,51 @@ def test_what_is_acknowledged_was_forced_to_the_disk(tmp_path: Path, monkeypatch
             for name in ("session.json", "points.csv", "journal.jsonl"):
                 stat = (tmp_path / name).stat()
                 assert forced.get(stat.st_ino, 0) == stat.st_size, name
+
+
+@pytest.mark.parametrize("room", [0, 1, 40, 90, 160, 400])
+def test_a_disk_that_fills_anywhere_loses_no_acknowledged_record_and_the_session_opens_again(
+    tmp_path: Path, room: int
+) -> None:
+    """The kernel's own short writes: what is refused is in no file, what was accepted in exactly one place."""
+    accepted: set[tuple[str, str, int]] = set()
+    with SessionFolder(tmp_path, PLAN) as folder:
+        folder.record(record(KEYS[0]))
+        accepted.add(KEYS[0])
+        size = max((tmp_path / name).stat().st_size for name in ("points.csv", "journal.jsonl"))
+        with files_up_to(size + room):
+            for key in KEYS[1:4]:
+                with contextlib.suppress(NotWritten):
+                    folder.record(record(key))
+                    accepted.add(key)
+                with contextlib.suppress(NotWritten):
+                    folder.note("a remark of the operator " * 4, key)
+            with contextlib.suppress(NotWritten):
+                folder.happen(Event.REDO, KEYS[0])
+        folder.record(record(KEYS[4]))  # there is room again
+        accepted.add(KEYS[4])
+    with SessionFolder(tmp_path) as again:
+        left = {key for key, mark in again.state.marks.items() if mark is Mark.DONE}
+        assert accepted - {KEYS[0]} <= left
+        assert again.warnings == ()
+
+
+def test_a_line_that_could_not_be_taken_back_is_not_appended_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk took half of a record, and not its removal either: the next record would have become part of it."""
+    with SessionFolder(tmp_path, PLAN) as folder:
+        folder.record(record(KEYS[0]))
+        monkeypatch.setattr(os, "ftruncate", lambda fd, size: (_ for _ in ()).throw(OSError(5, "I/O error")))
+        size = (tmp_path / "points.csv").stat().st_size
+        with files_up_to(size + 20), pytest.raises(NotWritten):
+            folder.record(record(KEYS[1]))
+        with pytest.raises(NotWritten, match="its last line is incomplete"):
+            folder.record(record(KEYS[2]))
+    monkeypatch.undo()
+    with SessionFolder(tmp_path) as again:
+        assert [key for key, mark in again.state.marks.items() if mark is Mark.DONE] == [KEYS[0]]
+        again.record(record(KEYS[1]))
 
 
 def test_a_kill_before_any_line_of_the_writing_code_loses_nothing_that_was_acknowledged(

@@ -18,7 +18,7 @@ from console.specs.table import COMMANDS
 from control.model.arm import Effect
 from control.safety.table import Mode
 from hil_mocks.scenario import EffectTable
-from tests.cell import RIGHT, STRETCHED, Cell, holding_cell, scenario
+from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell, scenario
 
 GRAMMAR = Grammar(COMMANDS, {"arm": "right", "socket": None})
 
@@ -121,7 +121,7 @@ def test_nothing_follows_a_motion_that_somebody_stopped() -> None:
 
         def stop_in_between() -> None:
             if cell.mode is Mode.MOVING and cell.rig.clock.now_s() - begun_s > 0.3:
-                cell.assembly.requests.handle({"do": "stop"}, 9)
+                handled(cell, {"do": "stop"}, 9)
 
         cell.watchers.append(stop_in_between)
         outcomes = played(cell, "move --joints 0.9 -0.3 0.6 --speed 1", "move --joints 0 -0.6 0.2")
@@ -169,14 +169,14 @@ def test_a_place_that_is_marked_is_where_the_joints_are_and_not_their_encoders(t
         cell.client.home()
         outcomes = played(
             cell,
-            "move --joints 0.2 -1.2 0.3",
+            "move --joints 0.2 -0.9 0.3",
             f"mark here --places {places}",
             "move --joints 0.3 -0.6 0.2",
             f"go here --places {places}",
             f"mark here --places {places}",
         )
         assert [outcome.status for outcome in outcomes] == [0] * 5
-        assert cell.rig.joint_rad() == pytest.approx((0.2, -1.2, 0.3), abs=2e-3)
+        assert cell.rig.joint_rad() == pytest.approx((0.2, -0.9, 0.3), abs=2e-3)
         assert "replacing another" in outcomes[4].transcript
         assert "replacing another" not in outcomes[1].transcript
 
@@ -222,7 +222,7 @@ def test_json_carries_status_and_words_of_every_line(
     file = tmp_path / "lines.txt"
     file.write_text("status\nmove --joints 9 9 9\nstop\n")
     with holding_cell() as cell:
-        monkeypatch.setattr(script, "connected", lambda given: cell.client)
+        monkeypatch.setattr(script, "in_control", lambda given: cell.client)
         given = argparse.Namespace(file=str(file), arm="right", socket=None, check=False, json=True)
         assert script.run(given) == 2
     told = json.loads(capsys.readouterr().out)
@@ -238,7 +238,7 @@ homed = true
 [plant]
 timestep_s = 0.001
 [hand]
-speed_m_s = 1.0
+speed_m_s = 0.8
 seating_noise_m = 0.00005
 """
 

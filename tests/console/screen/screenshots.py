@@ -18,7 +18,7 @@ from textual.pilot import Pilot
 
 from console.screen.app import ConsoleApp
 from console.screen.drawing.panel import Panel
-from tests.cell import Cell, holding_cell, scenario
+from tests.cell import Cell, handled, holding_cell, scenario
 from tests.console.screen.console_rig import Served, console_on, press, said, shown, until
 
 FONT = "DejaVu Sans Mono"  # it has braille
@@ -57,8 +57,8 @@ async def _moves_and_pauses(app: ConsoleApp, pilot: Pilot[Any], served: Served) 
     """Three motions, the last one paused on its way."""
     for goal in GOALS:
         await until(pilot, lambda: _mode(app) == "HOLDING", LIMIT_s)
-        answer = served.cell.assembly.requests.handle(
-            {"do": "move_joints", "q_rad": list(goal), "speed": 0.25}, 99
+        answer = handled(
+            served.cell, {"do": "move_joints", "q_rad": list(goal), "speed": 0.25, "detached": True}, 99
         )
         if not answer["ok"]:
             raise RuntimeError(answer["error"])

@@ -16,7 +16,7 @@ from console.screen.dialogs import Choose
 from console.screen.widgets import CommandBox
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
-from tests.cell import STRETCHED, Cell, holding_cell
+from tests.cell import STRETCHED, Cell, handled, holding_cell
 from tests.console.screen.console_rig import (
     LIMIT_S,
     Served,
@@ -58,8 +58,8 @@ def jogs(served: Served) -> bool:
 
 def start_move(served: Served) -> None:
     """A motion of somebody else, 3 s long."""
-    answer = served.cell.assembly.requests.handle(
-        {"do": "move_joints", "q_rad": [1.2, -0.2, 0.9], "speed": 0.3}, 99
+    answer = handled(
+        served.cell, {"do": "move_joints", "q_rad": [1.2, -0.2, 0.9], "speed": 0.3, "detached": True}, 99
     )
     assert answer["ok"], answer
 
@@ -286,6 +286,21 @@ def test_every_panel_is_there_and_says_what_the_arm_does(tmp_path: Path, size: t
 
 
 # ---- lines and keys
+
+
+def test_what_is_typed_before_a_line_is_handled_belongs_to_the_next_line(tmp_path: Path) -> None:
+    async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
+        await press(pilot, "colon")
+        await until(pilot, lambda: app.focused is not None)
+        box = app.screen.query_one(CommandBox)
+        for line in ("override 0.5", "override 0.7"):  # no message is handled in between
+            box.value = line
+            await box.action_submit()
+        await until(pilot, lambda: served.cell.runtime.override == 0.7)
+        transcript = tmp_path / "kept.txt"
+        await until(pilot, lambda: transcript.read_text().splitlines() == ["override 0.5", "override 0.7"])
+
+    played(tmp_path, play)
 
 
 def test_keys_and_the_command_box_do_what_lines_do(tmp_path: Path) -> None:

@@ -359,3 +359,13 @@ def test_columns_that_are_absent_are_nan() -> None:
     assert np.isnan(series.current_A).all()
     assert replace(series, notes=("a",)).notes == ("a",)
     assert (series.mode == -1).all()
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_anything_is_drawn(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    blocked = tmp_path / "a_file"
+    blocked.touch()
+    for out in (blocked / "sheet.png", blocked / "folder"):
+        assert main(["plot", str(recording), "--out", str(out)]) == 2
+        assert "cannot write there" in capsys.readouterr().err

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -40,3 +42,13 @@ def test_poses_that_all_look_unloaded_still_count() -> None:
     gravity = gravity_Nm(RIGHT, q)
     level, _ = friction_Nm(RIGHT, -1.5 * gravity, gravity)
     assert level[1] == pytest.approx(1.5 * abs(gravity[0, 1]))
+
+
+def test_without_drives_gravity_alone_says_what_gears_carry() -> None:
+    arm = load_arm("right")
+    q = np.array([[0.2, -0.6, 0.4], [0.5, 0.3, -0.2]])
+    last = np.ones_like(q)
+    bare = resting(replace(arm, drives=()), q, last, np.full_like(q, 0.5))
+    np.testing.assert_allclose(bare.gravity_Nm, gravity_Nm(arm, q))
+    np.testing.assert_array_equal(bare.held_Nm, 0.0)  # currents say nothing without a motor's constant
+    np.testing.assert_array_equal(bare.flank[:, 1:], np.sign(gravity_Nm(arm, q))[:, 1:])

@@ -193,6 +193,17 @@ def test_drives_come_in_the_order_of_the_joints_whatever_the_file_has() -> None:
         ),
         ("q_rad = [0.0, 0.15, 0.75]", "q_rad = [0.0, 0.9, 0.75]", "rest.q_rad", "joint 2 within", "0.9"),
         ("q_rad = [0.0, 0.15, 0.75]", "q_rad = [0.0]", "rest.q_rad", "3 joint angles", "1 of them"),
+        ("watchdog_s = 0.2", "watchdog_s = 9.0", "limits.watchdog_s", "from 0.005 to 1 s", "9.0"),
+        (
+            "following_error_rad = 0.05",
+            "following_error_rad = 100.0",
+            "limits.following_error_rad",
+            "up to 0.5 rad",
+            "100.0",
+        ),
+        ("stale_s = 0.02", "stale_s = 2.0", "limits.stale_s", "up to 0.5 s", "2.0"),
+        ('name = "right"', 'name = "../../up"', "name", "without / and", "'../../up'"),
+        ('name = "right"', 'name = ".hidden"', "name", "does not begin with .", "'.hidden'"),
         ("[camera]", "[camera]\nlens = 1", "camera.lens", "one of the keys", "an unknown key"),
         ("[can]", "[cam]", "cam", "one of the keys", "an unknown key"),
         ("[[link]]", "[link]", "", "valid TOML", ""),
@@ -234,7 +245,7 @@ def test_a_table_in_place_of_a_list_of_tables_gets_the_remedy() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "text"),
+        ("", "a name"),
         ('name = "x"', "a list"),
         ('name = "x"\nlink = []', "at least one [[link]]"),
         (

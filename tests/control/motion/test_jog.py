@@ -11,11 +11,19 @@ from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
 from control.loop.jogging import Jogging, JointSpeeds, JointStep, TipStep, TipVelocity
 from control.model.description import load_arm
+from control.motion.errors import MotionError
+from control.motion.guard import Guard
 from control.motion.jog_limits import JogLimits, UNHOMED_SPEED_rad_s, reaches_m
+from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import JointMove
 from control.motion.setpoint import at_rest
 from control.safety.limits import SetPointLimits, limit_set_point
 
 ARM = load_arm("right")
+ANYWHERE = Guard(  # neither floor nor table nor base: what they do is in tests/control/loop/test_room.py
+    replace(ARM, table=None, limits=replace(ARM.limits, floor_z_m=-9.0, base_radius_m=0.0)),
+    JointLimits.of(ARM),
+)
 INVERSE = InverseKinematics(ARM)
 TIP = INVERSE.kinematics.tip
 LIMITS = JogLimits.of(ARM)
@@ -37,7 +45,7 @@ class Hand:
 
     def __init__(self, q_rad, is_homed=True):
         self.is_homed = is_homed
-        self.jogging = Jogging(LIMITS, INVERSE, is_homed)
+        self.jogging = Jogging(LIMITS, INVERSE, ANYWHERE if is_homed else None)
         self.state = at_rest(tuple(q_rad))
         self.guards = GUARDS
         self.now_s = 0.0
@@ -68,6 +76,29 @@ class Hand:
 
     def tips(self):
         return [TIP(*state.q_rad) for state in self.states]
+
+
+def test_a_result_that_ruckig_does_not_know_is_one_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its Python binding raises "-101 is not a valid Result" where it finds no target."""
+    import ruckig
+
+    class Lost:
+        def __init__(self, joints: int) -> None:
+            pass
+
+        def calculate(self, asked: object, trajectory: object) -> None:
+            raise ValueError("-101 is not a valid Result")
+
+    monkeypatch.setattr(ruckig, "Ruckig", Lost)
+    here = at_rest((0.1, -0.6, 0.2))
+    for begin in (
+        lambda: JointMove(here, (0.2, -0.5, 0.2), JointLimits.of(ARM)),
+        lambda: Jogging(LIMITS, INVERSE, ANYWHERE).ask(0.0, JointSpeeds((0.1, 0.0, 0.0)), here),
+        lambda: Jogging(LIMITS, INVERSE, ANYWHERE).ask(0.0, TipVelocity((0.1, 0.0, 0.0)), here),
+    ):
+        with pytest.raises(MotionError, match="there is no jerk-limited motion") as error:
+            begin()
+        assert "-101" not in str(error.value)
 
 
 def test_a_joint_turns_at_the_speed_asked_for_and_rests_when_the_hand_lets_go():
@@ -124,7 +155,7 @@ def with_elbow_to(upper_rad):
 def test_before_a_stretched_pose_the_tip_slows_down_and_stops_in_words(speed_m_s):
     hand = Hand(OVER_TABLE)
     hand.guards = [*GUARDS[:2], replace(GUARDS[2], upper_rad=1.7)]
-    hand.jogging = Jogging(*with_elbow_to(1.7), True)
+    hand.jogging = Jogging(*with_elbow_to(1.7), ANYWHERE)
     hand.ask(TipVelocity((speed_m_s, 0.0, 0.0)))
     hand.hold(0.6 / speed_m_s)
     assert "the jog stopped: " in hand.jogging.limited
@@ -166,13 +197,13 @@ def test_a_step_out_of_range_or_reach_is_refused_and_nothing_moves():
 def test_a_singular_pose_lets_joints_be_jogged_and_says_so():
     hand = Hand((0.0, -0.5, math.pi / 2 - 0.04))
     hand.guards = [*GUARDS[:2], replace(GUARDS[2], upper_rad=1.7)]
-    hand.jogging = Jogging(*with_elbow_to(1.7), True)
+    hand.jogging = Jogging(*with_elbow_to(1.7), ANYWHERE)
     with pytest.raises(ArmError, match=r"nearly stretched .* jog joints away"):
         hand.ask(TipVelocity((-0.1, 0.0, 0.0)))
     hand.ask(JointStep(2, -0.2, 1.0))
     hand.hold(1.0)
     assert hand.jogging.is_over
-    hand.jogging = Jogging(*with_elbow_to(1.7), True)
+    hand.jogging = Jogging(*with_elbow_to(1.7), ANYWHERE)
     hand.ask(TipVelocity((-0.1, 0.0, 0.0)))
     hand.hold(0.5)
     assert hand.jogging.limited == ""
@@ -244,5 +275,5 @@ def test_whatever_is_asked_for_in_whatever_pose_all_limits_hold(seed):
             continue
         hand.hold(draw.choice([0.02, 0.1, 0.5, 1.0]), renews=draw.random() < 0.8)
         if hand.jogging.is_over:
-            hand.jogging = Jogging(LIMITS, INVERSE, True)
+            hand.jogging = Jogging(LIMITS, INVERSE, ANYWHERE)
             hand.state = at_rest(hand.state.q_rad)

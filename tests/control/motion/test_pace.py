@@ -122,3 +122,25 @@ def test_the_speed_that_a_set_point_says_is_the_one_that_it_moves_at():
             said = 0.5 * (after.speed_rad_s[joint] + before.speed_rad_s[joint])
             # half a cycle of the largest acceleration
             assert moved == pytest.approx(said, abs=0.5 * PERIOD_S * 10.5 + 1e-6)
+
+
+def test_a_motion_tells_whether_it_can_rest_on_its_path_in_time() -> None:
+    from control.motion.setpoint import SetPoint
+
+    class Even:
+        duration_s = 10.0
+
+        def at(self, time_s: float) -> SetPoint:
+            return SetPoint((time_s,), (1.0,), (0.0,))
+
+    class Broken(Even):
+        def at(self, time_s: float) -> SetPoint:
+            raise ValueError("no way")
+
+    paced = Paced(Even(), [10.0], 1.0)
+    paced.advance(0.5, 1.0)
+    assert paced.can_rest(0.4)
+    assert not paced.can_rest(0.2)
+    assert (paced.time_s, paced.pace) == (0.5, 1.0)
+    assert not Paced(Even(), [1e-3], 1.0).can_rest(0.4)
+    assert not Paced(Broken(), [10.0], 1.0).can_rest(0.4)

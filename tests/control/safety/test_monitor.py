@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from control.safety.fault import Fault, Reaction
+from control.safety.fault import LOSES_ZERO, Fault, Reaction
 from control.safety.monitor import IllegalTransition, Monitor
 from control.safety.table import TRANSITIONS, Event, Mode, as_markdown, legal_events, next_towards_off
 from tests.places import ROOT
@@ -297,3 +297,59 @@ def test_the_document_shows_every_transition_and_leaves_illegal_ones_empty():
         for mode, cell in zip(Mode, cells, strict=True):
             following = TRANSITIONS.get((mode, event))
             assert cell == (following.name if following else "")
+
+
+# ---- the boards hold; doubted zeros
+
+HOLD = Fault("encoder_stale", "board enc0", "no report for 0.05 s", "check its cable", Reaction.HOLD)
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_the_boards_hold_only_an_arm_that_was_controlled(mode):
+    monitor = _monitor(mode)
+    monitor.fault(HOLD)
+    monitor.fault(HOLD)  # the next cycle finds it again
+    is_controlled = mode not in (Mode.OFF, Mode.BRAKED, Mode.GUIDING)
+    assert monitor.reaction is (Reaction.HOLD if is_controlled else Reaction.BRAKE)
+    assert not monitor.is_held_fault
+    assert monitor.acknowledge()
+    assert monitor.mode in (Mode.BRAKED, Mode.OFF)
+
+
+def test_of_two_faults_the_severer_reaction_wins_in_either_order():
+    for order in itertools.permutations((CONTROLLED, HOLD, BRAKE)):
+        monitor = _monitor(Mode.MOVING)
+        reactions = []
+        for fault in order:
+            monitor.fault(fault)
+            reactions.append(monitor.reaction)
+        assert reactions == list(itertools.accumulate((fault.reaction for fault in order), max))
+
+
+@pytest.mark.parametrize("code", sorted(LOSES_ZERO))
+def test_a_count_that_went_wrong_takes_the_zero_until_homing_has_found_it(code):
+    monitor = _monitor(Mode.HOLDING)
+    monitor.fault(Fault(code, "joint 1", "it is off", "home it", Reaction.BRAKE))
+    assert (monitor.is_homed, monitor.is_zero_doubted) == (False, True)
+    monitor.acknowledge()
+    monitor.on(Event.ENABLE)
+    with pytest.raises(IllegalTransition, match="home"):
+        monitor.on(Event.MOVE)
+    monitor.on(Event.HOME)
+    assert monitor.is_zero_doubted
+    monitor.on(Event.HOMED)
+    assert (monitor.is_homed, monitor.is_zero_doubted) == (True, False)
+
+
+@pytest.mark.parametrize("code", ["following_error", "overspeed", "drive_silent", "supply"])
+def test_other_faults_leave_the_zero(code):
+    monitor = _monitor(Mode.HOLDING)
+    monitor.fault(Fault(code, "joint 1", "it is off", "mend it", Reaction.BRAKE))
+    assert (monitor.is_homed, monitor.is_zero_doubted) == (True, False)
+
+
+def test_the_faults_that_take_the_zero_are_those_of_the_page():
+    page = (ROOT / "docs" / "safety.md").read_text()
+    rows = [line for line in page.splitlines() if line.rstrip().endswith("zero lost |")]
+    named = {row.split("`")[1] for row in rows}
+    assert named | {"zero_lost", "encoder_signal", "encoder_miscount"} == LOSES_ZERO

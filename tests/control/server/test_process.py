@@ -193,8 +193,10 @@ def test_without_its_writer_the_loop_goes_on_and_says_that_rows_are_lost(served:
         os.kill(pid, signal.SIGKILL)
     served.until(lambda: served.client.status()["lost_rows"] > 10)
     status = served.client.status()
-    assert status["mode"] in ("MOVING", "HOLDING")
+    assert status["mode"] in ("MOVING", "STOPPING", "HOLDING")
     assert any("not recorded" in warning for warning in status["warnings"])
+    served.until(lambda: served.client.status()["mode"] == "HOLDING")  # nothing moves unrecorded
+    assert served.client.status()["was_stopped"]
     served.client.off(quit_runtime=True)
     assert served.process.wait(LIMIT_s) == 0
 

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from control.motion.plan import plan_path
 from control.safety.table import Mode
+from control.server import messages, requests
 from control.server.requests import Requests
-from tests.cell import RIGHT, STRETCHED, Cell, holding_cell, open_cell, scenario
+from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell, open_cell, scenario
 from tests.places import ROOT
 
 DOCUMENT = (ROOT / "docs" / "socket.md").read_text("utf-8")
@@ -85,7 +86,7 @@ def test_a_request_that_is_wrong_is_refused_with_a_reason_and_changes_nothing(
     held: Cell, request_: dict[str, Any]
 ) -> None:
     before = snapshot(held)
-    answer = held.assembly.requests.handle(request_, 7)
+    answer = handled(held, request_, 7)
     assert answer["ok"] is False
     assert len(answer["error"]) > 10
     assert "Traceback" not in answer["error"]
@@ -137,7 +138,7 @@ def values() -> st.SearchStrategy[Any]:
 def test_whatever_json_says_it_is_answered_and_never_raises(
     held: Cell, do: Any, keys: dict[str, Any]
 ) -> None:
-    answer = held.assembly.requests.handle({"do": do, **keys}, 7)
+    answer = handled(held, {"do": do, **keys}, 7)
     assert isinstance(answer["ok"], bool)
     msgspec.json.encode(answer)
 
@@ -147,7 +148,7 @@ def test_whatever_json_says_it_is_answered_and_never_raises(
 def test_a_path_with_a_part_that_is_wrong_is_refused(held: Cell, key: str, value: object) -> None:
     path = {**PATH, key: value}
     before = snapshot(held)
-    answer = held.assembly.requests.handle({"do": "run_path", "path": path}, 7)
+    answer = handled(held, {"do": "run_path", "path": path}, 7)
     if key in ("branch", "slowdowns") and answer["ok"]:
         pytest.fail(f"a path with {key} = {value!r} was run")
     assert not answer["ok"]
@@ -160,7 +161,7 @@ PATH = json.loads(
 
 
 def test_a_path_is_refused_where_the_arm_does_not_stand_at_its_first_point(held: Cell) -> None:
-    error = held.assembly.requests.handle({"do": "run_path", "path": PATH}, 7)["error"]
+    error = handled(held, {"do": "run_path", "path": PATH}, 7)["error"]
     assert "move there first" in error
     assert "rad away from the path's first point" in error
 
@@ -239,8 +240,8 @@ def documented(heading: str) -> dict[str, str]:
 
 
 def test_every_request_is_documented_and_every_documented_one_exists(held: Cell) -> None:
-    requests: Requests = held.assembly.requests
-    assert {name.strip("`") for name in documented("| `do` | arguments |")} == set(requests.names)
+    served: Requests = held.assembly.requests
+    assert {name.strip("`") for name in documented("| `do` | arguments |")} == set(served.names)
 
 
 def test_every_key_of_the_status_is_documented_and_every_documented_one_is_there(held: Cell) -> None:
@@ -250,11 +251,12 @@ def test_every_key_of_the_status_is_documented_and_every_documented_one_is_there
 
 
 def test_every_argument_of_a_request_is_documented() -> None:
-    folder = ROOT / "control" / "server"
-    source = "".join((folder / name).read_text("utf-8") for name in ("requests.py", "jog_requests.py"))
-    asked = set(re.findall(r'request(?:\.get\(|\[)"(\w+)"', source)) | set(
-        re.findall(r'\b(?:numbers?|flag)\(request, "(\w+)"', source)
-    )
+    kinds = [
+        kind
+        for kind in vars(messages).values()
+        if isinstance(kind, type) and issubclass(kind, messages._Message)
+    ]
+    asked = {name for kind in kinds for name in kind.__struct_fields__}
     said = set(re.findall(r"`(\w+)`", DOCUMENT)) | set(re.findall(r'"(\w+)": true', DOCUMENT))
     assert asked <= said
     assert asked >= {
@@ -269,3 +271,104 @@ def test_every_argument_of_a_request_is_documented() -> None:
         "do",
         "by_rad",
     }
+
+
+# ---- strict types
+
+
+@pytest.mark.parametrize(
+    ("request_", "complaint"),
+    [
+        ({"do": "move_joints", "q_rad": [0, 0, 0.5], "detached": "false"}, 'detached: expected true or false, got "false"'),
+        ({"do": "off", "quit": 1}, "quit: expected true or false, got 1"),
+        ({"do": "override", "fraction": 2}, "fraction: expected a number <= 1.0, got 2"),
+        ({"do": "stop", "now": True}, "unknown field `now`"),
+        ({"do": "average"}, "missing required field `duration_s`"),
+        ({"do": "jog", "joint": 1.5, "by_rad": 0.1}, "joint: expected a whole number, got 1.5"),
+        ({"do": "payload", "mass_kg": 100.0}, "expected mass_kg from 0 to 5 kg ([limits] payload_limit_kg), got 100"),
+    ],
+)  # fmt: skip
+def test_a_refusal_names_the_key_what_was_expected_and_what_came(
+    held: Cell, request_: dict[str, Any], complaint: str
+) -> None:
+    assert complaint in handled(held, request_, 7)["error"]
+
+
+def test_a_path_is_not_read_while_the_arm_moves(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    cell.start_move((0.3, -0.5, 0.3))
+    cell.run(0.05)
+    monkeypatch.setattr(requests, "decoded", lambda request: pytest.fail("it was read"))
+    assert "MOVING" in handled(cell, {"do": "run_path", "path": PATH, "id": 1})["error"]
+    assert "control" in handled(cell, {"do": "run_path", "path": PATH}, 9)["error"]
+
+
+# ---- one client is in control
+
+
+COMMANDS = [
+    {"do": "override", "fraction": 1.0}, {"do": "resume"}, {"do": "payload", "mass_kg": 1.0}, {"do": "guide"}, {"do": "enable"},
+    {"do": "move_joints", "q_rad": [0.0, 0.0, 0.5]}, {"do": "home"}, {"do": "average", "duration_s": 1.0}, {"do": "hold"},
+    {"do": "jog", "joint": 1, "by_rad": 0.1}, {"do": "control", "take": True},
+]  # fmt: skip
+
+
+def test_while_one_client_moves_the_arm_another_may_watch_and_stop_only(cell: Cell) -> None:
+    cell.start_move((0.6, -0.3, 0.5), speed=0.3)
+    cell.run(0.1)
+    before = snapshot(cell)
+    for command in COMMANDS:
+        assert "client 0 has control" in handled(cell, command, 9)["error"], command
+    assert snapshot(cell) == before
+    assert handled(cell, {"do": "status"}, 9)["in_control"] == 0
+    assert handled(cell, {"do": "pause"}, 9)["ok"]
+    assert "client 0 has control" in handled(cell, {"do": "resume"}, 9)["error"]
+    assert handled(cell, {"do": "stop"}, 9)["ok"]
+    cell.until(lambda: cell.mode is Mode.HOLDING, 1.0)
+    assert handled(cell, {"do": "override", "fraction": 0.5}, 9)[
+        "ok"
+    ]  # nothing goes on: the next command is free
+
+
+def test_control_that_was_taken_lasts_between_motions_until_its_connection_ends(cell: Cell) -> None:
+    cell.client.take_control()
+    for command in COMMANDS:
+        assert "client 0 has taken control" in handled(cell, command, 9)["error"], command
+    assert handled(cell, {"do": "stop"}, 9)["ok"]
+    cell.channel.close()
+    assert handled(cell, {"do": "control", "take": True}, 9)["in_control"] == 9
+    assert handled(cell, {"do": "control", "take": False}, 9)["in_control"] is None
+
+
+def test_connections_with_one_key_are_one_client(cell: Cell) -> None:
+    for client in (0, 9):
+        handled(cell, {"do": "control", "key": "0123456789"}, client)
+    handled(cell, {"do": "control", "key": "9876543210"}, 8)
+    cell.start_move((0.6, -0.3, 0.5), speed=0.3)
+    assert handled(cell, {"do": "override", "fraction": 0.5}, 9)["ok"]
+    assert not handled(cell, {"do": "override", "fraction": 0.5}, 8)["ok"]
+    cell.assembly.requests.on_gone(9)  # the motion is the other one's
+    cell.run(0.05)
+    assert cell.mode is Mode.MOVING
+
+
+def test_hand_guiding_ends_with_its_client_and_everybody_may_hold(cell: Cell) -> None:
+    cell.client.guide()
+    assert "client 0" in handled(cell, {"do": "payload", "mass_kg": 1.0}, 9)["error"]
+    cell.channel.close()
+    assert cell.mode is Mode.BRAKED
+    cell.client.hold()
+    cell.client.guide()
+    assert handled(cell, {"do": "hold"}, 9)["ok"]
+    cell.until(lambda: cell.mode is Mode.HOLDING, 0.5)
+
+
+def test_a_payload_that_is_stated_wrongly_moves_the_arm_slowly_and_little(cell: Cell) -> None:
+    """At once, 5 kg would be 30 Nm more on joint 2 in one cycle."""
+    before, speeds = cell.rig.tip_m(), cell.true_speeds()
+    cell.client.ask("payload", mass_kg=2.0)
+    assert cell.runtime.stated_payload_kg == 2.0
+    cell.run(2.2)
+    assert cell.mode is Mode.HOLDING
+    assert cell.runtime.payload_kg() == 2.0
+    assert max(speeds) < 0.05
+    assert math.dist(before, cell.rig.tip_m()) < 5e-3

@@ -16,10 +16,15 @@ from typing import Any
 
 import pytest
 
+from control.errors import ArmError
 from control.safety.table import Mode
+from control.server import sockets
 from control.server.client import RuntimeGone, SocketChannel
+from control.server.messages import Asked
 from control.server.server import (
+    CLIENT_LIMIT,
     QUEUE_LIMIT,
+    STOP_PLACES,
     CHUNK_bytes,
     Handle,
     LINE_LIMIT_bytes,
@@ -28,6 +33,7 @@ from control.server.server import (
     default_path,
     encoded,
 )
+from control.server.sockets import ForeignFolder
 from tests.cell import Cell
 
 
@@ -46,7 +52,8 @@ class Bench:
         self.server = Server(path, serve or self.serve, on_gone or self.gone.append)
         self.sockets: list[socket.socket] = []
 
-    def serve(self, request: dict[str, Any], client: int) -> dict[str, Any]:
+    def serve(self, asked: Asked, client: int) -> dict[str, Any]:
+        request = json.loads(asked.line)
         self.asked.append((request, client))
         return self.handle(request)
 
@@ -101,8 +108,10 @@ def test_a_poll_without_anything_to_do_returns_at_once(bench: Bench) -> None:
 
 def test_an_id_comes_back_with_its_answer(bench: Bench) -> None:
     one = bench.client()
-    one.sendall(b'{"do": "a", "id": [1, {"x": null}]}\n')
-    assert bench.answer(one)["id"] == [1, {"x": None}]
+    one.sendall(b'{"do": "a", "id": 7}\n')
+    assert bench.answer(one)["id"] == 7
+    one.sendall(b'{"do": "a", "id": "seven"}\n')
+    assert bench.answer(one)["id"] == "seven"
 
 
 GARBAGE = [
@@ -245,7 +254,7 @@ def test_hundreds_of_connections_do_not_exhaust_the_loops_files(bench: Bench) ->
         with contextlib.suppress(OSError):
             crowd.append(bench.client())
         bench.poll(1)
-    assert len(bench.server.clients) <= 32
+    assert len(bench.server.clients) <= CLIENT_LIMIT + STOP_PLACES
     for one in crowd:
         one.close()
     bench.poll(50)
@@ -292,6 +301,89 @@ def test_only_the_user_who_started_the_runtime_can_open_its_socket(
     assert default_path("right") == Path("/run/user/5/armwright/right.sock")
 
 
+# ---- a stop has a place of its own
+
+
+def test_a_stop_overtakes_what_waits_and_commands_before_it_are_refused(bench: Bench) -> None:
+    flood, other = bench.client(), bench.client()
+    flood.sendall(b'{"do": "move", "id": 1}\n' * 40)
+    bench.poll(2)
+    other.sendall(b'{"do": "move", "id": 2}\n{"do": "stop", "id": 3}\n{"do": "move", "id": 4}\n')
+    bench.poll(1)
+    assert [request["do"] for request, _ in bench.asked].count("stop") == 1
+    bench.poll(60)
+    begun = [request["id"] for request, _ in bench.asked if request["do"] == "move"]
+    assert 2 not in begun
+    assert begun[-1] == 4  # it came after the stop
+    assert begun.count(1) <= 2
+    answers = {answer["id"]: answer for answer in map(json.loads, other.recv(1 << 16).splitlines())}
+    assert answers[3]["ok"]
+    assert "a stop came before it was served" in answers[2]["error"]
+
+
+def test_a_stop_is_served_however_many_idle_clients_there_are(bench: Bench) -> None:
+    for _ in range(CLIENT_LIMIT + 3 * STOP_PLACES):
+        bench.client()
+        bench.poll(1)
+    late = bench.client()
+    late.sendall(b'{"do": "move"}\n')
+    assert f"{CLIENT_LIMIT} clients are connected" in bench.answer(late)["error"]
+    late.sendall(b'{"do": "status"}\n')
+    assert bench.answer(late)["ok"]
+    late.sendall(b'{"do": "stop"}\n')
+    assert bench.answer(late)["ok"]
+    assert len(bench.server.clients) <= CLIENT_LIMIT + STOP_PLACES
+
+
+# ---- whose socket it is
+
+
+def test_a_folder_of_somebody_else_is_used_by_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another user made the predictable folder in /tmp first."""
+    folder = tmp_path / "armwright"
+    folder.mkdir(mode=0o700)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    Bench(folder / "arm.sock").close()
+    left = socket.socket(socket.AF_UNIX)
+    left.bind(str(folder / "right.sock"))
+    assert folder / "right.sock" in sockets.find_sockets("right")
+    for spoil in (lambda: folder.chmod(0o777), lambda: monkeypatch.setattr(os, "getuid", lambda: 12345)):
+        spoil()
+        with pytest.raises(ForeignFolder, match="not used for sockets"):
+            Bench(folder / "arm.sock")
+        assert folder / "right.sock" not in sockets.find_sockets("right")
+        assert str(folder) in str(sockets.foreign_folders()[0])
+        folder.chmod(0o700)
+    left.close()
+
+
+def test_a_folder_that_is_a_link_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "elsewhere").mkdir(mode=0o700)
+    (tmp_path / "armwright").symlink_to(tmp_path / "elsewhere")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with pytest.raises(ForeignFolder, match="a link or a file"):
+        Bench(tmp_path / "armwright" / "arm.sock")
+
+
+def test_a_socket_in_a_folder_that_everybody_may_write_to_is_refused(tmp_path: Path) -> None:
+    tmp_path.chmod(0o777)
+    with pytest.raises(ForeignFolder, match="others may write to it"):
+        Bench(tmp_path / "arm.sock")
+    tmp_path.chmod(0o1777)  # as /tmp: nobody removes another one's file
+    Bench(tmp_path / "arm.sock").close()
+
+
+def test_a_client_sends_nothing_to_the_runtime_of_another_user(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "getuid", lambda: 12345)
+    monkeypatch.setattr(os, "geteuid", lambda: 12345)
+    with pytest.raises(RuntimeGone, match="runs as user"):
+        SocketChannel(bench.server.path)
+    bench.server._accept()
+    assert bench.asked == []
+
+
 # ---- with a runtime behind it
 
 
@@ -309,6 +401,22 @@ def served(cell: Cell, tmp_path: Path) -> Iterator[Bench]:
     made.poll = poll  # type: ignore[method-assign]
     yield made
     made.close()
+
+
+def test_no_line_ends_the_runtime(served: Bench, cell: Cell) -> None:
+    """6 kB of nested lists as `id` were decoded, and failed when they were encoded again."""
+    arm = served.client()
+    for text in (
+        '{"do": "status", "id": %s}',
+        '{"do": "move_joints", "q_rad": %s}',
+        '{"do": %s}',
+        '{"do": "run_path", "path": %s}',
+    ):
+        for depth in (100, 990, 3000):
+            arm.sendall((text % ("[" * depth + "]" * depth)).encode() + b"\n")
+            served.poll(10)
+            assert json.loads(arm.recv(1 << 20).splitlines()[-1])["ok"] is False
+    assert cell.mode is Mode.HOLDING
 
 
 def test_a_program_of_somebody_else_moves_the_arm_in_ten_lines(served: Bench, cell: Cell) -> None:
@@ -379,3 +487,10 @@ def test_a_file_name_that_is_no_text_ends_no_runtime() -> None:
     }
     name = "/log/prüfung".encode().decode("ascii", "surrogateescape")  # of a process with LC_ALL=C
     assert json.loads(encoded({"recording": name})) == {"recording": "/log/prüfung"}
+
+
+@pytest.mark.parametrize("name", ["../../..", "", "a/b", ".", "x" * 65, "a\nb"])
+def test_an_arm_s_name_leads_to_no_other_folder(name: str) -> None:
+    with pytest.raises(ArmError, match="sockets and recordings are named after the arm"):
+        default_path(name)
+    assert sockets.find_sockets(name) == []

@@ -51,6 +51,18 @@ def test_a_hand_moves_it_and_it_stays_where_it_is_left() -> None:
         assert cell.mode is Mode.HOLDING
 
 
+def test_an_arm_that_falls_because_nobody_holds_it_is_braked() -> None:
+    """Circuits open, and no hand: gravity alone takes joint 2 beyond 1.5 times its speed limit on the way to the table."""
+    with holding_cell(scenario()) as cell:
+        speeds = cell.true_speeds()
+        cell.client.guide()
+        cell.until_fault(2.0)
+        assert cell.faults[0][0] == "guided_too_fast"
+        assert max(speeds) < 1.3 * 3.0  # 1.5 times the joints' speed limit
+        cell.run(1.0)
+        assert max(speeds[-100:]) < 0.5  # shorted windings
+
+
 def test_a_payload_that_nobody_told_of_runs_away_slowly_and_is_braked() -> None:
     with holding_cell(scenario()) as cell:
         cell.rig.set_payload(1.5)
@@ -67,7 +79,7 @@ def test_a_payload_that_is_told_is_carried() -> None:
     with holding_cell(scenario()) as cell:
         cell.rig.set_payload(0.8)
         cell.client.ask("payload", mass_kg=0.8)
-        cell.run(0.5)
+        cell.run(1.0)
         cell.client.guide(weightless=True)
         assert sag_rad(cell, 0.5) < 0.02
 
@@ -75,7 +87,7 @@ def test_a_payload_that_is_told_is_carried() -> None:
 def test_only_true_switches_the_carrying_on() -> None:
     with holding_cell(scenario()) as cell:
         for value in ("no", 1, None, [True]):
-            assert "expected weightless to be true or false" in cell.refusal(do="guide", weightless=value)
+            assert "weightless: expected true or false, got" in cell.refusal(do="guide", weightless=value)
         assert cell.mode is Mode.HOLDING
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,10 +15,12 @@ from console.main import main
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Table
 from control.model.description import load_arm
+from control.motion.errors import PathError
+from procedures.demo import gap
 from procedures.demo.job import Outcome, run
 from procedures.verify.places import places, ways
 from procedures.verify.survey import Programme
-from tests.places import RIGHT_TOML, ROOT
+from tests.places import ARMS, RIGHT_TOML, ROOT
 
 DEMO = ROOT / "hil_mocks" / "scenarios" / "demo.toml"
 
@@ -154,3 +157,10 @@ def test_a_seed_is_kept_with_the_results() -> None:
     scenario = tomllib.loads(demo_command.seeded_scenario("demo", 77, was_homed=False).decode())
     assert scenario["seed"] == 77
     assert scenario["true_dh"]["theta_rad"] > 0.0
+
+
+def test_an_arm_that_cannot_run_paths_is_refused_before_anything_is_recorded(tmp_path: Path) -> None:
+    nothing: Any = None  # neither bench nor mock is looked at
+    with pytest.raises(PathError, match="need 3 joints, it has 7"):
+        gap.run(load_arm(ARMS / "panda.toml"), nothing, nothing, tmp_path, nothing)
+    assert not list(tmp_path.iterdir())

@@ -23,7 +23,7 @@ from control.model.description import load_arm
 from control.server.client import Average
 from procedures.iso9283.recording import AVERAGE_S, Bench, plan, rated_speed_m_s, record
 from procedures.mock.bench import SteppedBench
-from tests.places import ROOT
+from tests.places import ARMS, ROOT
 
 DEMO = ROOT / "hil_mocks" / "scenarios" / "demo.toml"
 CUBE = TestCube((0.40, 0.0, 0.30), 0.2)
@@ -214,4 +214,13 @@ def test_wrong_input_is_one_message_and_nothing_moves(
     out = tmp_path / "d"
     assert main(["iso9283", *arguments, "--out", str(out)]) == 2
     assert says in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_an_arm_that_cannot_run_paths_is_refused_before_anything_is_planned(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["iso9283", "--arm", str(ARMS / "panda.toml"), "--mock", "--out", str(out)]) == 2
+    assert "Cartesian paths need 3 joints, it has 7" in capsys.readouterr().err
     assert not out.exists()

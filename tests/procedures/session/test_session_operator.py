@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from calib.session.plan import SessionPlan, board_targets, free_targets
 from calib.session.residual_watch import Verdict
 from calib.session.state import Mark, SessionState
 from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm, Link
 from control.model.description import load_arm
 from control.model.table import board_cavities, table_of
 from procedures.session.dialogue import HELP, Auto, BadCommand, View, parse_command
@@ -128,6 +130,20 @@ def test_free_poses_are_spread_clear_of_the_table_and_always_the_same() -> None:
     assert kinematics.tips(ways)[:, 2].min() > 0.05, "on the way from one to the next, too"
     apart = np.linalg.norm(q_rad[:, None] - q_rad[None], axis=2) + 9.0 * np.eye(12)
     assert apart.min() > 0.8
+
+
+def in_modified_dh(arm: Arm) -> Arm:
+    """The same arm written by Craig's convention: each link takes L and alpha of the one before it."""
+    before = [Link("fixed", 0.0, 0.0, 0.0, 0.0), *arm.links]
+    rows = [
+        replace(link, L_m=last.L_m, alpha_rad=last.alpha_rad, mass_kg=None, com_m=None, inertia_kg_m2=None)
+        for last, link in itertools.pairwise(before)
+    ]
+    return replace(arm, dh_convention="modified", links=tuple(rows))
+
+
+def test_free_poses_do_not_depend_on_how_the_arm_is_written_down() -> None:
+    assert chosen_free_poses(in_modified_dh(RIGHT), 12) == chosen_free_poses(RIGHT, 12)
 
 
 def test_free_poses_of_a_file_are_read_strictly(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from control.model.arm import Arm
 
 FRAME = "base_frame"
 SHIFT_m, TURN_rad = 0.002, 0.005
+ROUNDING = 1e-12  # m or rad, of turns that are taken apart again
 _AXES_OF = {2: (1,), 4: (0, 1)}  # base axes that the geometry cannot take over, by the number of columns
 
 
@@ -56,7 +57,7 @@ def _total(arm: Arm) -> ToParameters:
         return {
             name: (float(v), float(s))
             for name, v, s in zip(BASE_FRAME, total, sd, strict=True)
-            if v != 0.0 or s > 0.0
+            if abs(v) > ROUNDING or s > 0.0
         }
 
     return made

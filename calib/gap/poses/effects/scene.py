@@ -17,7 +17,7 @@ from control.model.arm import Arm
 class Scene:
     """Poses of the arm at its fitted geometry under the loads found so far.
 
-    `nominal`: the same geometry without those loads; `pose`: what the gears transmit, None without masses or drives.
+    `nominal`: the same geometry without those loads; `pose`: what the gears transmit, None without masses.
     """
 
     nominal: Arm

@@ -17,10 +17,10 @@ from calib.arrays import Array
 from calib.gap.poses.effects.scene import Scene
 from calib.gap.poses.nameless.of_joints import shapes
 from calib.gap.poses.nameless.shape import SIZE_m, SIZE_rad, edges
+from calib.gap.posterior.constants import SAME
 from calib.gap.posterior.term import Block, Term, on_joint
 
 SMOOTH = 5  # columns of a smooth function
-SAME = 0.999  # cosine of two shapes that are one
 SHARE = 0.1  # of a joint's torque: the size of a block in holding currents
 
 # Laws of the list itself: what follows them is that effect.

@@ -37,7 +37,7 @@ def shapes(arm: Arm, points: Points) -> tuple[Shape, ...]:
 
 
 def held_of(arm: Arm, points: Points) -> Array | None:
-    """What the motors hold beyond gravity, (m, n); None for an arm without masses or drives."""
+    """What the motors hold beyond gravity, (m, n); None for an arm without masses."""
     try:
         found = resting(arm, points.q_rad, points.direction, points.current_A, stated_kg(points))
     except MissingModel:

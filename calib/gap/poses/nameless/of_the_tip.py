@@ -25,7 +25,8 @@ RIGID_POSES_LEAST = 4
 def of_the_tip(arm: Arm, points: Points) -> Iterator[Shape]:
     """All of them, at the nominal geometry."""
     frames = link_frames(ArmModel(arm), arm.dh, points.q_rad)
-    yield from _of_the_camera(points, frames.tip_m)
+    if np.isfinite(points.tip_m).all():
+        yield from _of_the_camera(points, frames.tip_m)
     yield from _of_setups(points, frames.tip_m)
     yield from _of_the_axes(arm, points, frames)
     yield from _of_the_tool(arm, points, frames)

@@ -6,7 +6,6 @@ import pytest
 from benchmarks.gap.static.cases import ARM, DESIGNS, Design, FRICTION_Nm, Hidden, case, designed, gravity_Nm
 from calib.gap.finding import EffectName
 from calib.gap.poses.find import find
-from calib.gap.posterior.nameable import is_nameable
 from control.dynamics.dynamics import Dynamics
 
 HIDDEN = [
@@ -124,7 +123,7 @@ def test_two_or_three_effects_at_once_are_both_found(pair) -> None:
 def test_a_level_board_from_one_side_cannot_tell_and_says_so() -> None:
     found = find(ARM, case(15, (Hidden("joint_compliance", 2, 780.0),), "level"))
     assert names(found) == []
-    could = {one.name: is_nameable(one) for one in found.finding.nameable}
+    could = {one.name: one.is_nameable for one in found.finding.nameable}
     assert not could[EffectName("joint_compliance", 2)]
     assert not could[EffectName("backlash", 2)]
     assert "free poses away from the table" in str(found.finding.next_experiment)

@@ -2,13 +2,16 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
-from benchmarks.gap.static.cases import ARM, Hidden, case
+from benchmarks.gap.static.cases import ARM, Design, Hidden, case, designed
 from calib.gap.finding import EffectName
+from calib.gap.model_update import updated_arm
 from calib.gap.poses.find import find
 from calib.gap.poses.outcome import StaticGap
-from control.model.arm import Effect
+from calib.gap.words import in_words
+from control.model.arm import Calibration, Effect
 
 
 def names(found: StaticGap) -> set[EffectName]:
@@ -54,9 +57,58 @@ def test_an_effect_that_the_file_has_right_is_not_missing() -> None:
     assert names(find(known, case(34, (Hidden("encoder_scale", 2, 0.006),)))) == set()
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        Effect("encoder_scale", 2, {"scale": 0.004}),
+        Effect("joint_compliance", 2, {"stiffness_Nm_rad": 600.0}),
+        Effect("link_flexure", 2, {"EI_Nm2": 400.0}),
+    ],
+    ids=lambda one: one.effect,
+)
+def test_an_effect_that_the_file_has_and_the_arm_has_not_is_a_total_of_none(wrong: Effect) -> None:
+    arm = dataclasses.replace(ARM, effects=(wrong,))
+    found = find(arm, case(34))
+    (gone,) = (one for one in found.finding.effects if one.name.effect != "link_geometry")
+    assert (gone.name.effect, gone.is_nothing) == (wrong.effect, True)
+    assert found.finding.unknown is None
+    assert found.finding.gap_after < 1.1
+    assert any("Not there" in sentence for sentence in in_words(found.finding))
+    made = Calibration("a", {}, "2026-01-01", "gap workflow", "x")
+    assert updated_arm(arm, found.finding, found.dh, made).effects == ()
+
+
 def test_what_is_named_says_its_probability_and_how_far_it_departs_from_its_law() -> None:
     found = find(ARM, case(35, (Hidden("belt_coupling", None, 0.012),)))
     belt = next(one for one in found.finding.effects if one.name.effect == "belt_coupling")
     assert belt.probability > 0.95
     assert belt.share > 0.9
     assert (belt.departure, belt.variable) == (pytest.approx(0.0, abs=0.05), "q2")
+
+
+def test_an_arm_whose_drives_nobody_knows_shows_what_its_masses_allow() -> None:
+    """Without [[drive]], or with placeholders in it: without currents, they say nothing that a pose shows."""
+    _, points = designed(36, (Hidden("joint_compliance", 2, 500.0),), Design(step=6))
+    points = dataclasses.replace(points, current_A=np.full_like(points.current_A, np.nan))
+    bare = dataclasses.replace(ARM, drives=())
+    placeholders = dataclasses.replace(
+        ARM,
+        drives=tuple(
+            dataclasses.replace(d, torque_constant_Nm_A=0.5, current_limit_A=np.inf) for d in ARM.drives
+        ),
+    )
+    found = [find(arm, points) for arm in (bare, placeholders)]
+    for one in found:
+        assert EffectName("joint_compliance", 2) in names(one)
+        assert value(one, "joint_compliance", "stiffness_Nm_rad")[0] == pytest.approx(500.0, rel=0.1)
+    assert any("no [[drive]] of joints 1, 2, 3" in sentence for sentence in found[0].warnings)
+
+
+def test_a_cameras_frame_that_nothing_ties_to_the_arm_is_named_where_it_is_off() -> None:
+    arm, points = designed(
+        37, (Hidden("base_frame", None, 0.004, 0.01),), Design(rig="planar", free=30, visits=4)
+    )
+    found = find(arm, points)
+    assert names(found) == {EffectName("base_frame")}
+    assert found.finding.unknown is None
+    assert found.finding.gap_after < 1.2

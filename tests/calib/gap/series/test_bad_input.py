@@ -44,7 +44,7 @@ def test_a_sound_log_keeps_every_channel_without_a_word() -> None:
 
 def test_currents_in_milliamperes_are_said_and_not_used() -> None:
     recording = checked(lambda run: replace(run, current_A=1000.0 * run.current_A))
-    assert "thousandths of its unit" in said(recording)
+    assert "milliamperes" in said(recording)
     assert not recording.has_current
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from calib.gap.finding import EffectName
+from calib.gap.residuals.rows import Cell
 from calib.gap.series.around import Around
 from calib.gap.series.linear import Linear
 from calib.gap.series.scene import Thin
 from calib.gap.series.term import SeriesTerm
-from calib.gap.signals.rows import Cell
 from calib.gap.signals.terms import Term as Law
 
 ROWS = 6

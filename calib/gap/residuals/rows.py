@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array
+from calib.gap.residuals.floor import Block, floors
 from calib.gap.signals.body import Load
-from calib.gap.signals.floor import Block, floors
 from calib.gap.signals.laws import sampled_friction_Nm
 from calib.gap.signals.physics import Physics, Prediction
-from calib.gap.signals.recording import Flags, Motion, Recording
+from calib.gap.signals.recording import Flags, Motion, Recording, UnusableLogError
 from calib.gap.signals.terms import Term
 
 SLOW_rad_s = 0.008  # below, friction of real joints is pre-sliding, and no law here speaks of that
@@ -153,6 +153,20 @@ class Rows:
                 )
         t, q, speed, torque, scale = np.concatenate(columns, axis=1)
         return RowTable(tuple(cells), np.concatenate(run).astype(np.intp), t, q, speed, torque, scale, source)
+
+
+def without_motion(table: RowTable) -> tuple[str, ...]:
+    """A sentence about cells without a single row; UnusableLogError where there is no row at all."""
+    empty = [cell for cell in table.cells if cell.rows.start == cell.rows.stop]
+    if not empty:
+        return ()
+    why = (
+        f"no stretch in which the joint moves one way, faster than {1e3 * SLOW_rad_s:g} mrad/s and than its encoder's steps show:"
+        " slower, friction follows no law; record faster motions"
+    )
+    if len(empty) == len(table.cells):
+        raise UnusableLogError(f"log: {why}")
+    return (f"{', '.join(map(str, empty))}: {why}",)
 
 
 def _sound_rows(recording: Recording, run: Motion) -> Flags:

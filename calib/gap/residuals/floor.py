@@ -46,6 +46,8 @@ def _from_repeats(physics: Physics, by_run: dict[int, tuple[Places, Array]], axe
     pooled = np.concatenate(found)
     robust = NORMAL * float(np.median(np.abs(pooled - np.median(pooled))))
     plain = float(np.sqrt(np.mean(pooled**2)))
+    if plain == 0.0:  # copies of one run repeat nothing
+        return None
     # Where a few rows differ by far more (a stick-slip that falls differently) the middle is the noise.
     return float((robust if plain > 1.3 * robust else plain) / np.sqrt(2.0))
 

@@ -1,0 +1,26 @@
+"""`armwright drill`: one named fault on a mock arm, or all of them, and what the arm did."""
+
+import argparse
+import sys
+
+from control.errors import ArmError
+from procedures.drills.catalogue import drill_named, drills
+from procedures.drills.table import header, in_words, row, verdict
+
+
+def run(given: argparse.Namespace) -> int:
+    """Run the drills; exit status 1 if a promise was not kept."""
+    if not given.mock:
+        raise ArmError("drills break things on purpose and run on a mock arm only: add --mock")
+    if given.name is not None:
+        outcome = drill_named(given.name).run()
+        sys.stdout.write(in_words(outcome) + "\n")
+        return 1 if outcome.broken else 0
+    outcomes = []
+    sys.stdout.write(header() + "\n")
+    for drill in drills().values():
+        outcomes.append(drill.run())
+        sys.stdout.write(row(outcomes[-1]) + "\n")
+        sys.stdout.flush()
+    sys.stdout.write(verdict(outcomes) + "\n")
+    return 1 if any(outcome.broken for outcome in outcomes) else 0

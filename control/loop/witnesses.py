@@ -1,0 +1,293 @@
+"""What each cycle says a second time: motors against encoders, torques against the model, supply, current, temperature.
+
+`control.loop.watch` compares measured values with what was wanted. Here they are compared with each other, so that an encoder
+or a board that is wrong and plausible is found.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from control.hardware.interface import Feedback
+from control.loop.homing_sequence import HOME_SWITCH
+from control.safety.fault import Fault, Reaction
+from control.safety.witness import Lasting, SpeedWitness, TorqueWitness
+from control.servo.servo import Motor
+
+LASTS_S = 0.02  # of a value outside of its limits: ten cycles at 500 Hz
+WARNING = 0x80  # bit of the statusword: the board limits its output, docs/motor_board.md
+OPEN_CURRENT = 1.5  # of the current limit, where boards trip
+
+
+@dataclass(frozen=True, slots=True)
+class WitnessLimits:
+    """Limits of an arm, from [limits]: see docs/safety.md."""
+
+    speed_contradiction_rad_s: float
+    unexplained_torque: float  # share of the torque at the current limit
+    supply_low: float  # shares of the drive's supply_V
+    supply_high: float
+    temperature_degC: float
+
+
+class Joint:
+    """The witnesses of one joint."""
+
+    __slots__ = ("current", "motor", "name", "speed", "supply", "temperature", "torque")
+
+    def __init__(self, name: str, motor: Motor, limits: WitnessLimits) -> None:
+        self.name, self.motor = name, motor
+        self.speed = SpeedWitness(
+            motor.resistance_ohm, motor.volts_per_rad_s, limits.speed_contradiction_rad_s
+        )
+        self.torque = TorqueWitness(limits.unexplained_torque * motor.current_limit_A)
+        most_A = OPEN_CURRENT * motor.current_limit_A
+        self.current = Lasting(-most_A, most_A, LASTS_S)
+        self.supply = Lasting(
+            limits.supply_low * motor.supply_V, limits.supply_high * motor.supply_V, LASTS_S
+        )
+        self.temperature = Lasting(-math.inf, limits.temperature_degC, LASTS_S)
+
+
+class Witnesses:
+    """The witnesses of all joints; `look` costs some microseconds a cycle and builds texts for faults only."""
+
+    def __init__(self, motors: Sequence[Motor], limits: WitnessLimits, names: Sequence[str]) -> None:
+        self._joints = tuple(Joint(name, motor, limits) for name, motor in zip(names, motors, strict=True))
+
+    def forget(self) -> None:
+        """Start anew, after a time in which the loop did not look."""
+        for joint in self._joints:
+            joint.speed.forget()
+            joint.torque.forget()
+
+    def look(
+        self,
+        elapsed_s: float,
+        feedback: Feedback,
+        speed_rad_s: Sequence[float],
+        model_A: Sequence[float] | None,
+    ) -> list[Fault]:
+        """Return the contradictions of this cycle. `model_A`: currents that the model expects; None: it expects nothing."""
+        faults: list[Fault] = []
+        for number, joint in enumerate(self._joints):
+            supply_V, current_A = feedback.supply_V[number], feedback.current_A[number]
+            temperature = feedback.temperature_C[number]
+            if not joint.supply.update(elapsed_s, supply_V):
+                faults.append(_of_supply(joint, supply_V))
+            if not joint.current.update(elapsed_s, current_A):
+                faults.append(_of_current(joint, current_A))
+            if not joint.temperature.update(elapsed_s, temperature):
+                faults.append(_of_temperature(joint, temperature))
+            sent_V = math.nan if feedback.statusword[number] & WARNING else feedback.sent_V[number]
+            supply_off = abs(supply_V / joint.motor.supply_V - 1.0)
+            if not joint.speed.update(elapsed_s, sent_V, current_A, speed_rad_s[number], supply_off):
+                faults.append(_of_speed(joint, speed_rad_s[number]))
+            if model_A is None:
+                joint.torque.forget()
+            elif not joint.torque.update(elapsed_s, current_A, model_A[number]):
+                faults.append(_of_torque(joint))
+        return faults
+
+
+def _of_speed(joint: Joint, speed_rad_s: float) -> Fault:
+    witness = joint.speed
+    return Fault(
+        "encoder_contradicted",
+        joint.name,
+        f"its encoder says {speed_rad_s:.3f} rad/s, its motor's voltage and current say"
+        f" {speed_rad_s + witness.excess_rad_s:.3f} rad/s (difference allowed {witness.allowed_rad_s:.3f} rad/s)",
+        "check the encoder's cable and coupling and the motor's wires, then home again; at the first start also"
+        " resistance_ohm, torque_constant_Nm_A and the signs in arm.toml",
+        Reaction.BRAKE,
+    )
+
+
+def _of_torque(joint: Joint) -> Fault:
+    witness, newton_metres = joint.torque, 1.0 / joint.motor.amperes_per_Nm
+    return Fault(
+        "unexplained_torque",
+        joint.name,
+        f"its motor gives {abs(witness.excess_A) * newton_metres:.1f} N m that weight and motion do not explain"
+        f" (limit {witness.allowed_A * newton_metres:.1f} N m)",
+        "check for a collision, the payload that is stated, gear_ratio and the masses in arm.toml",
+        Reaction.CONTROLLED,
+    )
+
+
+def _of_supply(joint: Joint, supply_V: float) -> Fault:
+    return Fault(
+        "supply",
+        joint.name,
+        f"its drive's supply is {supply_V:.1f} V (limits {joint.supply.lower:.1f} to {joint.supply.upper:.1f} V)",
+        "check the supply, the emergency-stop switch and the brake resistor",
+        Reaction.BRAKE,
+    )
+
+
+def _of_current(joint: Joint, current_A: float) -> Fault:
+    return Fault(
+        "over_current",
+        joint.name,
+        f"its motor draws {current_A:.1f} A (limit {joint.current.upper:.1f} A)",
+        "check for a blocked joint or a short circuit, and the board's current limit",
+        Reaction.BRAKE,
+    )
+
+
+def _of_temperature(joint: Joint, temperature_degC: float) -> Fault:
+    return Fault(
+        "over_temperature",
+        joint.name,
+        f"its drive's power stage is at {temperature_degC:.0f} degC (limit {joint.temperature.upper:.0f} degC)",
+        "let it cool; check the load and the fan",
+        Reaction.CONTROLLED,
+    )
+
+
+class MotorCountWatch:
+    """Compares how far a joint has turned by its encoder board and by its motor board's own encoder.
+
+    The boards stop and hold by theirs when the loop is gone, so it must be alive and count the right way.
+    """
+
+    LEAST_counts = 16
+    SHARE = 0.25
+    LATE_S = 0.007  # within which a board answers
+
+    def __init__(
+        self, counts_per_radian: Sequence[float], counter_bits: Sequence[int], names: Sequence[str]
+    ) -> None:
+        """`counter_bits`: width of the encoder boards' counters; the motor boards have 32."""
+        self._counts_per_radian = tuple(abs(value) for value in counts_per_radian)
+        self._bits = tuple(counter_bits)
+        self._names = names
+        self._last: list[tuple[int, int, float] | None] = [None] * len(names)
+
+    def forget(self) -> None:
+        """Start anew: a board was off."""
+        self._last = [None] * len(self._last)
+
+    def look(self, pairs: Sequence[tuple[int, int, int]], speed_rad_s: Sequence[float]) -> list[Fault]:
+        """Return a fault for each (joint, count, motor board's count) that has turned otherwise since its last one."""
+        faults = []
+        for joint, count, motor_count in pairs:
+            speed_counts_s = abs(speed_rad_s[joint]) * self._counts_per_radian[joint]
+            last = self._last[joint]
+            self._last[joint] = (count, motor_count, speed_counts_s)
+            if last is None:
+                continue
+            motor_turned = _wrapped(motor_count - last[1], 32)
+            off = _wrapped(count - last[0] - motor_turned, self._bits[joint])
+            late = self.LATE_S * max(speed_counts_s, last[2])
+            if abs(off) > self.LEAST_counts + self.SHARE * abs(motor_turned) + late:
+                faults.append(_of_counts(self._names[joint], motor_turned + off, motor_turned))
+        return faults
+
+
+def _wrapped(count: int, bits: int) -> int:
+    half = 1 << (bits - 1)
+    return (count + half) % (2 * half) - half
+
+
+def _of_counts(where: str, turned: int, motor_turned: int) -> Fault:
+    return Fault(
+        "encoders_differ",
+        where,
+        f"its encoder board has counted {turned}, its motor board {motor_turned} in the same time",
+        "check the encoder's plugs at both boards, and the signs in arm.toml, then home again",
+        Reaction.BRAKE,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SwitchPlace:
+    """A joint's home switch: active beyond `switch_rad` in the direction `sense` (1 or -1), which is good to `tolerance_rad`."""
+
+    name: str
+    switch_rad: float
+    sense: float
+    tolerance_rad: float
+
+
+class SwitchWatch:
+    """Compares each home switch with the side on which its joint is: an encoder that slipped on its shaft, with its index."""
+
+    def __init__(self, places: Sequence[SwitchPlace | None]) -> None:
+        self._places = tuple(places)
+        self._lasting = tuple(Lasting(0.0, 0.0, LASTS_S) for _ in places)
+
+    def look(self, elapsed_s: float, q_rad: Sequence[float], channel_flags: Sequence[int]) -> list[Fault]:
+        """Return a fault for each joint that is clearly on one side of its switch while the switch says the other."""
+        faults = []
+        for joint, place in enumerate(self._places):
+            if place is None:
+                continue
+            beyond_rad = (q_rad[joint] - place.switch_rad) * place.sense
+            is_active = bool(channel_flags[joint] & HOME_SWITCH)
+            wrong_rad = -beyond_rad if is_active else beyond_rad
+            if not self._lasting[joint].update(elapsed_s, 0.0 if wrong_rad <= place.tolerance_rad else 1.0):
+                faults.append(_of_switch(place, q_rad[joint], is_active))
+        return faults
+
+
+def _of_switch(place: SwitchPlace, q_rad: float, is_active: bool) -> Fault:
+    return Fault(
+        "switch_off",
+        place.name,
+        f"it is at {q_rad:.3f} rad by its encoder, but its home switch, which changes at {place.switch_rad:.3f} rad"
+        f" (tolerance {place.tolerance_rad:.3f} rad), is {'active' if is_active else 'not active'}",
+        "check the encoder's coupling on its shaft and the switch, then home again",
+        Reaction.CONTROLLED,
+    )
+
+
+class IndexWatch:
+    """Compares each index pulse with the one that belongs there: an encoder that lost or gained counts is found in a turn.
+
+    The reference of a joint is its index in arm.toml, or the first pulse after its zero became known.
+    """
+
+    TOLERANCE_turns = 0.02  # of the motor: an index is some counts wide, and the two sides differ
+    LEAST_counts = 4
+
+    def __init__(
+        self,
+        counts_per_turn: Sequence[int],
+        index_count: Sequence[int | None],
+        unwrapped: Callable[[int, int], int],
+        names: Sequence[str],
+    ) -> None:
+        """`unwrapped(joint, count)` unwraps a raw count from near the present position."""
+        self._counts_per_turn, self._given = tuple(counts_per_turn), tuple(index_count)
+        self._unwrapped, self._names = unwrapped, names
+        self._reference = list(index_count)
+
+    def forget(self) -> None:
+        """The zero is not known, or is a new one."""
+        self._reference = list(self._given)
+
+    def look(self, passed: Sequence[tuple[int, int]]) -> list[Fault]:
+        """Return a fault for each pulse (joint, raw count) that came elsewhere than it should."""
+        faults = []
+        for joint, raw_count in passed:
+            count, turn = self._unwrapped(joint, raw_count), self._counts_per_turn[joint]
+            reference = self._reference[joint]
+            if reference is None:
+                self._reference[joint] = count
+                continue
+            off = (count - reference + turn // 2) % turn - turn // 2
+            allowed = max(self.LEAST_counts, round(self.TOLERANCE_turns * turn))
+            if abs(off) > allowed:
+                faults.append(self._slipped(joint, off, allowed))
+        return faults
+
+    def _slipped(self, joint: int, off: int, allowed: int) -> Fault:
+        return Fault(
+            "index_off",
+            self._names[joint],
+            f"its index pulse came {abs(off)} counts from its place (allowed {allowed}): its zero is not valid any more",
+            "check the encoder's coupling, cable and shield, encoder_counts_per_rev and [drive.home] in arm.toml, then"
+            " home again",
+            Reaction.CONTROLLED,
+        )

@@ -1,0 +1,218 @@
+"""Requests of the socket as strict types: an unknown key, another type or a value out of range is refused.
+
+The server reads only `do` and `id` of a line; the rest is decoded when the client's right and the arm's mode allow the
+request, so that a long path costs nothing that could be refused without it.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple
+
+import msgspec
+from msgspec import Meta
+
+from control.errors import ArmError
+
+LONGEST_ID = 64  # characters
+LARGEST_ID = (1 << 53) - 1  # what a client's JSON can hold exactly
+SHOWN = 80  # characters of a wrong value in a message
+LONGEST_AVERAGE_S = 60.0
+LEAST_OVERRIDE = 0.01  # slower would be a pause
+LARGEST_STEP_rad, LARGEST_STEP_m = 7.0, 1.0  # more is a mistake in the unit
+
+# Watching and stopping are everybody's; all other requests are those of the client in control (control.server.control_right).
+STOPPING = frozenset(("stop", "brake", "pause", "off", "acknowledge"))
+WATCHING = frozenset(("status", "mode", "average_result", "fault_cycles", "control"))
+AT_ONCE = frozenset(("stop", "brake"))  # overtake what waits
+
+_IN_WORDS = {
+    "`float`": "a number", "`int`": "a whole number", "`bool`": "true or false", "`str`": "text", "`array`": "a list",
+    "`object`": "a JSON object",
+}  # fmt: skip
+
+Id = Annotated[int, Meta(ge=-LARGEST_ID, le=LARGEST_ID)] | Annotated[str, Meta(max_length=LONGEST_ID)] | None
+Share = Annotated[float, Meta(ge=1e-3, le=1.0)]
+Numbers = tuple[float, ...]
+
+
+class _Message(msgspec.Struct, kw_only=True, forbid_unknown_fields=True, tag_field="do"):
+    id: Id = None
+
+
+class Plain(_Message, kw_only=True, tag=False):
+    """A request without arguments."""
+
+    do: str
+
+
+class Owned(_Message, kw_only=True):
+    """Begins something that belongs to its connection, unless it is detached."""
+
+    detached: bool = False
+
+
+class Home(Owned, tag="home", kw_only=True):
+    """Search the zeros."""
+
+    again: bool = False
+
+
+class MoveJoints(Owned, tag="move_joints", kw_only=True):
+    """A joint move."""
+
+    q_rad: Numbers
+    speed: Share = 1.0
+    as_encoders: bool = False
+
+
+class RunPath(Owned, tag="run_path", kw_only=True):
+    """A planned path of the tip; read by control.motion.plan."""
+
+    path: dict[str, Any]
+    as_encoders: bool = False
+
+
+class RunJoints(Owned, tag="run_joints", kw_only=True):
+    """A path of the joints; read by control.motion.joint_path."""
+
+    path: dict[str, Any]
+    as_encoders: bool = False
+
+
+class Jog(_Message, tag="jog", kw_only=True):
+    """A velocity, or a step; control.server.jog_requests checks which keys belong together."""
+
+    joint_speed_rad_s: Numbers | msgspec.UnsetType = msgspec.UNSET
+    tip_velocity_m_s: tuple[float, float, float] | msgspec.UnsetType = msgspec.UNSET
+    joint: int | msgspec.UnsetType = msgspec.UNSET
+    by_rad: Annotated[float, Meta(ge=-LARGEST_STEP_rad, le=LARGEST_STEP_rad)] | msgspec.UnsetType = (
+        msgspec.UNSET
+    )
+    speed_rad_s: Annotated[float, Meta(ge=1e-3, le=100.0)] = 100.0
+    axis: str | msgspec.UnsetType = msgspec.UNSET
+    by_m: Annotated[float, Meta(ge=-LARGEST_STEP_m, le=LARGEST_STEP_m)] | msgspec.UnsetType = msgspec.UNSET
+    speed_m_s: Annotated[float, Meta(ge=1e-4, le=10.0)] = 10.0
+
+
+class Override(_Message, tag="override", kw_only=True):
+    """Pace of motions."""
+
+    fraction: Annotated[float, Meta(ge=LEAST_OVERRIDE, le=1.0)]
+
+
+class Guide(Owned, tag="guide", kw_only=True):
+    """Hand guiding."""
+
+    weightless: bool = False
+
+
+class Average(_Message, tag="average", kw_only=True):
+    """Start an average."""
+
+    duration_s: Annotated[float, Meta(ge=0.01, le=LONGEST_AVERAGE_S)]
+
+
+class Payload(_Message, tag="payload", kw_only=True):
+    """Mass in the gripper."""
+
+    mass_kg: Annotated[float, Meta(ge=0.0)]
+
+
+class Off(_Message, tag="off", kw_only=True):
+    """Shutdown."""
+
+    quit: bool = False
+
+
+class Control(_Message, tag="control", kw_only=True):
+    """Take or release control, or join those who share a key."""
+
+    take: bool | None = None
+    key: Annotated[str, Meta(min_length=8, max_length=LONGEST_ID)] | None = None
+
+
+class Asked(NamedTuple):
+    """One request as it came: its name, its number for the answer, and the whole line."""
+
+    do: str
+    id: int | str | None
+    line: bytes
+
+
+class _Envelope(msgspec.Struct):
+    do: str
+    id: Id = None
+
+
+_ENVELOPE = msgspec.json.Decoder(_Envelope)
+_KINDS: Mapping[str, type[_Message]] = {
+    str(kind.__struct_config__.tag): kind
+    for kind in (Home, MoveJoints, RunPath, RunJoints, Jog, Override, Guide, Average, Payload, Off, Control)
+}
+_DECODERS = {do: msgspec.json.Decoder(kind) for do, kind in _KINDS.items()}
+_PLAIN = msgspec.json.Decoder(Plain)
+
+
+def asked(line: bytes) -> Asked:
+    """Read name and number of a request; ArmError says what a request looks like."""
+    try:
+        envelope = _ENVELOPE.decode(line)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ArmError(
+            f"request: expected one JSON object a line with the name of the request as `do`, got {line[:SHOWN]!r}"
+            f" ({_reason(error)})"
+        ) from None
+    return Asked(envelope.do, envelope.id, line)
+
+
+def is_at_once(line: bytes) -> bool:
+    """Whether a line is a stop; long lines are not looked into."""
+    if len(line) > 4 * LONGEST_ID or not any(name.encode() in line for name in AT_ONCE):
+        return False
+    try:
+        return asked(line).do in AT_ONCE
+    except ArmError:
+        return False
+
+
+def decoded(request: Asked) -> Any:
+    """Decode the whole request to its type. ArmError names the key, what was expected and what came."""
+    decoder = _DECODERS.get(request.do, _PLAIN)
+    try:
+        return decoder.decode(request.line)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ArmError(f"request {request.do!r}: {_complaint(request.line, error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    return "nested too deeply" if isinstance(error, RecursionError) else str(error)
+
+
+def _complaint(line: bytes, error: Exception) -> str:
+    """`speed: expected a number <= 1.0, got 2`, from the decoder's message and the value at its path."""
+    if not isinstance(error, msgspec.ValidationError):
+        return _reason(error)
+    what, _, path = str(error).partition(" - at `$.")
+    what = what[0].lower() + what[1:]
+    for word, plain in _IN_WORDS.items():
+        what = what.replace(word, plain)
+    if not path:
+        return what
+    path = path.rstrip("`")
+    key = path.partition("[")[0].partition(".")[0]
+    return f"{path}: {what.partition(', got ')[0]}, got {_shown(line, key)}"
+
+
+def _shown(line: bytes, key: str) -> str:
+    try:
+        text = msgspec.json.encode(msgspec.json.decode(line)[key]).decode()
+    except (msgspec.DecodeError, RecursionError, KeyError, TypeError):
+        return "another value"
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+
+
+def numbers(name: str, values: Numbers, count: int) -> Numbers:
+    """`values` if they are `count` finite numbers; ArmError names them."""
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise ArmError(f"{name}: expected {count} finite numbers, got {len(values)}: {str(values)[:SHOWN]}")
+    return values

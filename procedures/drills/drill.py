@@ -1,0 +1,49 @@
+"""A drill on the stepped clock."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from procedures.drills.promise import Outcome, Promise, length_m, stood_s
+from procedures.drills.stage import MOVE, THINNED, Stage, asked_way, off_way_m, stage
+
+WATCHED_S = 2.0  # after the fault
+LOOKED = 10  # cycles between two looks at the speed of the tip
+
+
+def _nothing(played: Stage) -> None:
+    """No fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drill(Promise):
+    """A fault that is injected into a stage."""
+
+    inject: Callable[[Stage], None] = field(default=_nothing)
+
+    def run(self) -> Outcome:
+        """Run it on a fresh arm, and let the arm recover."""
+        with stage() as played:
+            played.begin(self.during)
+            begun_s = played.now_s
+            played.way = played.way[-1:]
+            self.inject(played)
+            played.run(max(0.0, begun_s + WATCHED_S - played.now_s))
+            way, noticed_s, found, message = played.way.copy(), played.noticed_s, played.found, played.message
+            played.recover()
+            asked = asked_way(self.during, WATCHED_S)
+            return Outcome(
+                self,
+                max(off_way_m(tip, asked) for _, tip in (*way[::THINNED], way[-1])) * 1e3,
+                length_m(way) * 1e3,
+                None if noticed_s is None else noticed_s - begun_s,
+                stood_s(way, begun_s, LOOKED),
+                self._lost(played, found),
+                found,
+                message,
+                played.wrong_rad() * 1e3,
+            )
+
+    def _lost(self, played: Stage, found: tuple[str, ...]) -> str:
+        if not played.assembly.runtime.monitor.is_homed:
+            return "the zero"
+        return "the motion" if self.during == MOVE and found else "nothing"

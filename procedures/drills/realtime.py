@@ -1,0 +1,92 @@
+"""Drills in real time: the loop's own process is killed or paused by a signal, mock arm and boards in another process."""
+
+import os
+import signal
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from control.kinematics.kinematics import Kinematics
+from control.model.description import load_arm
+from control.server.client import ArmClient, RuntimeGone
+from procedures.drills.promise import Outcome, Promise, length_m, stood_s
+from procedures.drills.stage import off_way_m
+from procedures.mock.bench import RealTimeBench
+
+FROM_rad, TO_rad = (-1.0, -0.6, 0.2), (1.2, -0.6, 0.2)
+FAST_FROM_rad = -0.2  # joint 1 is at full speed from here on
+LOOK_S = 0.005
+SECTIONS = 500
+WATCHED_S = 1.0
+ARRIVES_S = 4.0
+GONE = "runtime gone"
+
+
+@dataclass(frozen=True, slots=True)
+class RealTimeDrill(Promise):
+    """The loop's process is paused for a while, or killed."""
+
+    pause_s: float | None = None  # None: killed
+
+    def run(self) -> Outcome:
+        """Run it on a fresh mock arm."""
+        with tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
+            scenario = Path(folder) / "scenario.toml"
+            scenario.write_text(f'name = "drill"\n[start]\nq_rad = {list(FROM_rad)}\nhomed = true\n')
+            bench = RealTimeBench("right", scenario, Path(folder) / "log")
+            try:
+                return self._played(bench)
+            finally:
+                bench.close()
+
+    def _played(self, bench: RealTimeBench) -> Outcome:
+        arm = load_arm("right")
+        client = bench.start(arm)
+        client.enable()
+        start = bench.rig.joint_rad()
+        client.move_joints(TO_rad, waits=False)
+        end_s = time.monotonic() + ARRIVES_S
+        while bench.rig.joint_rad()[0] < FAST_FROM_rad and time.monotonic() < end_s:
+            time.sleep(LOOK_S)
+        way, begun_s = [(time.monotonic(), bench.rig.tip_m())], time.monotonic()
+        self._strike(bench.runtime_pid)
+        found, message = self._found(client)
+        noticed_s = time.monotonic() - begun_s
+        while time.monotonic() - begun_s < (WATCHED_S if self.pause_s is None else ARRIVES_S):
+            way.append((time.monotonic(), bench.rig.tip_m()))
+            time.sleep(LOOK_S)
+        if not found:
+            found, message = self._found(client)
+        tips = Kinematics(arm)
+        shares = [k / SECTIONS for k in range(SECTIONS + 1)]  # a joint move is a straight line of the joints
+        asked = [
+            tips.tip(*(a + share * (b - a) for a, b in zip(start, TO_rad, strict=True))) for share in shares
+        ]
+        return Outcome(
+            self,
+            max(off_way_m(tip, asked) for _, tip in way[::4]) * 1e3,
+            length_m(way) * 1e3,
+            noticed_s if found else None,
+            stood_s(way, way[0][0], looked=4),
+            "the motion" if found else "nothing",
+            (found,) if found else (),
+            message,
+            0.0,
+        )
+
+    def _strike(self, pid: int) -> None:
+        if self.pause_s is None:
+            os.kill(pid, signal.SIGKILL)
+            return
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(self.pause_s)
+        os.kill(pid, signal.SIGCONT)
+
+    @staticmethod
+    def _found(client: ArmClient) -> tuple[str, str]:
+        try:
+            faults = client.status()["faults"]
+        except (RuntimeGone, OSError) as gone:
+            return GONE, str(gone)
+        return (faults[0]["code"], faults[0]["message"]) if faults else ("", "")

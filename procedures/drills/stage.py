@@ -1,0 +1,171 @@
+"""The stage of a drill: a mock arm on the stepped clock with the whole runtime, and the true way of its tip.
+
+What nobody asked for is measured against a twin: the same arm, scenario and motion without the fault.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import cache
+from itertools import pairwise
+
+import msgspec
+
+from control.errors import ArmError
+from control.hardware.connect import Connection, connect
+from control.model.arm import Arm, CanBus
+from control.model.description import load_arm
+from control.safety.table import Mode
+from control.server.assemble import Assembly, assemble
+from control.server.client import ArmClient
+from control.server.in_process import InProcessChannel
+from firmware_iface.errors import LinkError
+from hil_mocks.plant.hand import Point
+from hil_mocks.rig import SteppedRig
+from hil_mocks.scenario import FaultTable, Scenario, Start, load_scenario
+
+PERIOD_S = 0.002
+FROM_rad, TO_rad = (-0.8, -0.6, 0.2), (0.8, -0.3, 0.6)
+UNDER_WAY_S = 0.35  # of the motion when the fault comes: joint 1 is at full speed
+SETTLED_S = 0.4  # at rest before the fault
+THINNED = 4  # cycles: 10 mm of way at full speed, whose chord is 0.03 mm off its arc
+REST, MOVE = "at rest", "in motion"
+
+
+@dataclass(slots=True)
+class Stage:
+    """One arm, one runtime; `way` grows while time passes: (time [s], true tip [m])."""
+
+    rig: SteppedRig
+    connection: Connection
+    assembly: Assembly
+    channel: InProcessChannel
+    client: ArmClient
+    way: list[tuple[float, Point]] = field(default_factory=list)
+    noticed_s: float | None = None
+    found: tuple[str, ...] = ()
+    message: str = ""
+
+    @property
+    def now_s(self) -> float:
+        """The simulation's time."""
+        return self.rig.clock.now_s()
+
+    @property
+    def mode(self) -> Mode:
+        """The arm's mode."""
+        return self.assembly.runtime.monitor.mode
+
+    def inject(self, kind: str, board: str, **keys: float) -> None:
+        """Inject a fault of docs/mock_robot.md."""
+        self.rig.inject(msgspec.convert({"kind": kind, "board": board, **keys}, FaultTable))
+
+    def run(self, duration_s: float) -> None:
+        """Run cycles, and note tip and faults after each."""
+        end_s = self.now_s + duration_s
+        while self.now_s < end_s - 1e-9:
+            self.channel.wait(PERIOD_S)
+            self._note()
+
+    def away(self, duration_s: float) -> None:
+        """Let time pass without the loop: it is paused, or dead."""
+        end_s = self.now_s + duration_s
+        while self.now_s < end_s - 1e-9:
+            self.rig.clock.wait_until_s(self.now_s + PERIOD_S)
+            self.way.append((self.now_s, self.rig.tip_m()))
+
+    def _note(self) -> None:
+        self.way.append((self.now_s, self.rig.tip_m()))
+        monitor = self.assembly.runtime.monitor
+        if monitor.faults and self.noticed_s is None:
+            self.noticed_s, self.message = self.now_s, str(monitor.faults[0])
+        if monitor.faults:
+            self.found = tuple(dict.fromkeys((*self.found, *(fault.code for fault in monitor.faults))))
+
+    def begin(self, during: str) -> None:
+        """Bring the arm to where the fault finds it."""
+        self.client.enable()
+        self.run(SETTLED_S)
+        if during == MOVE:
+            self.client.move_joints(TO_rad, waits=False)
+            self.run(UNDER_WAY_S)
+
+    def recover(self) -> None:
+        """The cause is mended, the operator acknowledges and holds the arm."""
+        self.rig.clear_faults()
+        self.run(0.2)
+        with suppress(ArmError, LinkError):
+            if self.mode is Mode.FAULT:
+                self.client.acknowledge()
+            self.client.hold()
+        self.run(0.3)
+
+    def wrong_rad(self) -> float:
+        """By how much an arm that takes itself for homed is elsewhere than it says; 0 if it does not."""
+        runtime = self.assembly.runtime
+        if not runtime.monitor.is_homed or runtime.monitor.mode is Mode.FAULT:
+            return 0.0
+        measured = runtime.parts.measurement.q_rad
+        return max(abs(true - said) for true, said in zip(self.rig.joint_rad(), measured, strict=True))
+
+
+def drill_scenario() -> Scenario:
+    """The demo's arm, homed, with its friction and play."""
+    demo = load_scenario("demo")
+    return msgspec.structs.replace(demo, start=Start(q_rad=FROM_rad, homed=True))
+
+
+@contextmanager
+def stage(arm: Arm | None = None, scenario: Scenario | None = None) -> Iterator[Stage]:
+    """Open a stage; its drives are off. Limits are those of a real arm."""
+    built = arm or load_arm("right")
+    with SteppedRig(built, scenario or drill_scenario()) as rig:
+        model = _wired(built, rig)
+        connection = connect(model, rig.clock, PERIOD_S)
+        assembly = assemble(model, connection.hardware, PERIOD_S, stopwatch_s=rig.clock.now_s)
+        channel = InProcessChannel(assembly, rig.clock)
+        opened = Stage(rig, connection, assembly, channel, ArmClient(channel))
+        try:
+            opened.run(0.02)
+            yield opened
+        finally:
+            with suppress(LinkError):
+                connection.close()
+
+
+def _wired(arm: Arm, rig: SteppedRig) -> Arm:
+    """The arm on the rig's wires. Its limits stay: on the stepped clock no program keeps the boards waiting."""
+    boards = tuple(
+        replace(board, port=url) for board, url in zip(arm.encoder_boards, rig.encoder_urls, strict=True)
+    )
+    return replace(
+        arm, encoder_boards=boards, can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options)
+    )
+
+
+@cache
+def asked_way(during: str, duration_s: float) -> tuple[Point, ...]:
+    """The true way of the twin's tip, from a little before the fault on."""
+    with stage() as twin:
+        twin.begin(during)
+        twin.way = twin.way[-10:]
+        twin.run(duration_s)
+        return tuple(tip for _, tip in twin.way[::THINNED])
+
+
+def off_way_m(tip: Point, way: Sequence[Point]) -> float:
+    """Distance of a point from a polyline."""
+    if len(way) == 1:
+        return math.dist(tip, way[0])
+    return min(_from_section_m(tip, start, end) for start, end in pairwise(way))
+
+
+def _from_section_m(tip: Point, start: Point, end: Point) -> float:
+    along = [b - a for a, b in zip(start, end, strict=True)]
+    length2 = sum(value * value for value in along)
+    if length2 == 0.0:
+        return math.dist(tip, start)
+    share = sum((p - a) * d for p, a, d in zip(tip, start, along, strict=True)) / length2
+    share = min(max(share, 0.0), 1.0)
+    return math.dist(tip, [a + share * d for a, d in zip(start, along, strict=True)])

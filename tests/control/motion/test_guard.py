@@ -1,0 +1,183 @@
+"""The last guard: floor, table and own base, for whole motions, each set-point, and the rest of a jog."""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from control.kinematics.corners import Corners
+from control.kinematics.kinematics import Kinematics
+from control.motion.errors import MotionError
+from control.motion.guard import Guard, stopping_distance
+from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import JointMove, Stop
+from control.motion.setpoint import SetPoint, at_rest
+from control.safety.room import Room
+from tests.cell import RIGHT
+
+LIMITS = JointLimits.of(RIGHT)
+LOW = (0.0, -1.0, -0.35)  # the tip over the board, 0.1 m above it
+
+
+def with_limits(**changes: Any) -> Any:
+    return replace(RIGHT, limits=replace(RIGHT.limits, **changes))
+
+
+def poses(count: int) -> np.ndarray[Any, Any]:
+    lower, upper = np.array(RIGHT.limits_rad).T
+    return np.random.default_rng(3).uniform(lower, upper, (count, 3))
+
+
+def test_corners_are_the_frames_origins_and_the_tip_scalar_and_in_batches() -> None:
+    corners, kinematics = Corners(RIGHT), Kinematics(RIGHT)
+    for q, *batch in zip(poses(20), *(c.T for c in corners.batch(poses(20))), strict=True):
+        found = corners.at(*q)
+        frames = kinematics.link_transforms([q])[0, :, :3, 3]
+        assert found[0] == pytest.approx(frames[2], abs=1e-12)  # the elbow; the shoulder never moves
+        assert found[-1] == pytest.approx(kinematics.tip(*q), abs=1e-12)
+        assert np.allclose(found, batch, atol=1e-12)
+
+
+def test_a_calibrated_arm_does_not_meet_its_base_with_the_link_that_hangs_on_it() -> None:
+    """No length of a calibrated arm is exactly zero, so its shoulder moves a little about axis 1."""
+    arm = with_limits(base_radius_m=0.06).with_dh(RIGHT.dh + 1e-3)
+    guard, nominal = Guard(arm, LIMITS), Guard(with_limits(base_radius_m=0.06), LIMITS)
+    corners = guard._corners
+    assert len(corners.at(0.1, 0.2, 0.3)) == len(nominal._corners.at(0.1, 0.2, 0.3)) + 1
+    elbow = corners.at(0.1, 0.2, 0.3)[corners.first_free]
+    assert elbow == pytest.approx(nominal._corners.at(0.1, 0.2, 0.3)[nominal._corners.first_free], abs=5e-3)
+    for q in poses(300):
+        found, expected = guard.clearance(tuple(q)), nominal.clearance(tuple(q))
+        if abs(expected.distance_m) > 5e-3:
+            assert (found.distance_m < 0.0) == (expected.distance_m < 0.0), q
+    moved(guard, (0.0, 0.15, 0.75), (0.4, -0.6, 0.2))
+
+
+def test_a_tool_is_a_corner_of_its_own() -> None:
+    arm = replace(RIGHT, tool=replace(RIGHT.tool, position_m=(0.0, 0.0, 0.2)))
+    assert len(Corners(arm).at(0.1, 0.2, 0.3)) == len(Corners(RIGHT).at(0.1, 0.2, 0.3)) + 1
+    assert Corners(arm).at(0.1, 0.2, 0.3)[-1] == pytest.approx(Kinematics(arm).tip(0.1, 0.2, 0.3))
+
+
+# ---- the room
+
+
+def room(**changes: Any) -> Room:
+    return replace(Room.of(RIGHT), **changes)
+
+
+def height_m(x: float, y: float, z: float, where: Room) -> float:
+    return where.clearance([(x, y, 0.9), (x, y, z)]).distance_m
+
+
+def test_the_floor_counts_beside_the_board_and_the_tilted_board_over_it() -> None:
+    where = room(tolerance_m=0.0, base_radius_m=0.0)
+    assert height_m(0.3, 0.4, -0.05, where) == pytest.approx(-0.05)
+    assert (
+        where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.05)]).what
+        == "the tip would be below the floor or table"
+    )
+    slope = math.tan(RIGHT.table.roll_tilt_rad)
+    assert height_m(0.5, -0.09, -0.05, where) == pytest.approx(
+        -0.05 + 0.09 * slope
+    )  # tilted away from the arm's tip
+    assert height_m(0.5, 0.0, -0.05, where) == pytest.approx(-0.05)
+    assert height_m(0.5, -0.13, -0.05, where) == pytest.approx(-0.05)  # beyond the board
+
+
+def test_the_tolerance_is_for_what_the_model_does_not_know() -> None:
+    where = room(tolerance_m=0.01, base_radius_m=0.0)
+    assert where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.0099)]).distance_m >= 0.0
+    assert where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.0101)]).distance_m < 0.0
+
+
+def test_a_forearm_is_held_above_the_floor_between_its_ends() -> None:
+    where = room(tolerance_m=0.0, base_radius_m=0.0, floor_z_m=0.0)
+    low_elbow = where.clearance([(0.3, 0.4, -0.02), (0.3, 0.4, 0.3)])
+    assert low_elbow.distance_m == pytest.approx(-0.02)
+    assert low_elbow.what == "the arm would be below the floor or table"
+
+
+def test_the_distance_from_the_base_is_that_of_two_segments() -> None:
+    """Against a search along both."""
+    where, source = room(base_top_m=0.1, base_radius_m=10.0, floor_z_m=-9.0), random.Random(5)
+    for _ in range(200):
+        ends = [tuple(source.uniform(-0.4, 0.4) for _ in range(3)) for _ in range(2)]
+        along = np.linspace(0.0, 1.0, 2001)[:, None]
+        points = np.array(ends[0]) + along * (np.array(ends[1]) - np.array(ends[0]))
+        heights = np.clip(points[:, 2], 0.0, 0.1)
+        true = float(np.hypot(np.hypot(points[:, 0], points[:, 1]), points[:, 2] - heights).min())
+        found = where.clearance(ends)
+        assert found.distance_m + 10.0 == pytest.approx(true, abs=3e-4)
+        assert found.what == "the arm would meet its own base"
+
+
+def test_arrays_and_floats_say_the_same() -> None:
+    guard = Guard(with_limits(base_radius_m=0.1), LIMITS)
+    batch = guard._corners.batch(poses(300))
+    free = guard._corners.first_free
+    least = np.min([distances for distances, _ in guard._room.clearances(batch, free)], axis=0)
+    near = 0
+    for q, expected in zip(poses(300), least, strict=True):
+        if (found := guard.clearance(tuple(q)).distance_m) < math.inf:
+            near += 1
+            assert found == pytest.approx(expected, abs=1e-12) or found > 0.0
+            assert (found < 0.0) == (expected < 0.0)
+    assert near > 50
+
+
+def test_a_position_that_is_not_a_number_is_an_error() -> None:
+    with pytest.raises(Exception, match="finite positions"):
+        room().clearance([(0.3, math.nan, 0.9), (0.3, 0.4, 0.1)])
+
+
+# ---- motions
+
+
+def moved(guard: Guard, start: tuple[float, ...], end: tuple[float, ...]) -> None:
+    guard.require_move(JointMove(start, end, LIMITS), at_rest(start), end)
+
+
+def test_a_joint_move_is_refused_by_what_lies_on_its_way_and_not_only_at_its_end() -> None:
+    guard = Guard(RIGHT, LIMITS)
+    moved(guard, (0.0, 0.15, 0.75), (1.0, -0.9, -0.25))
+    with pytest.raises(
+        MotionError, match=r"the tip would be below the floor or table, 0\.\d+ m deeper than allowed"
+    ):
+        moved(guard, (0.0, 0.15, 0.75), (0.0, -1.9, -0.6))
+    with pytest.raises(MotionError, match=r"after .* s; nothing was moved"):
+        moved(guard, (0.0, -0.9, -0.3), (0.0, -1.1, -1.2))
+
+
+def test_an_arm_that_is_too_low_may_come_up_but_goes_no_deeper() -> None:
+    guard = Guard(
+        replace(with_limits(floor_z_m=0.5), table=None), LIMITS
+    )  # a floor that was raised by mistake
+    low, lower, high = (0.0, -0.6, 0.2), (0.0, -0.7, 0.2), (0.0, -0.2, 0.2)
+    assert guard.clearance(low).distance_m < 0.0
+    moved(guard, low, high)
+    with pytest.raises(MotionError, match="below the floor"):
+        moved(guard, low, lower)
+    assert guard.objection(high, low) == ""
+    assert "below the floor" in guard.objection(lower, low)
+
+
+def test_a_stop_takes_as_far_as_its_closed_form_says() -> None:
+    source, endless = random.Random(1), JointLimits((-1e3,), (1e3,), (100.0,), (10.0,), (200.0,))
+    compared = 0
+    for _ in range(300):
+        speed, acceleration = source.uniform(-2.0, 2.0), source.uniform(-10.0, 10.0)
+        if speed * acceleration < 0.0 and abs(speed) < acceleration**2 / 400.0:
+            continue  # it would turn back: the closed form says where it stands still first
+        stop = Stop(SetPoint((0.0,), (speed,), (acceleration,)), endless)
+        assert stopping_distance(speed, acceleration, 10.0, 200.0) == pytest.approx(
+            stop.at(9.0).q_rad[0], abs=1e-9
+        )
+        compared += 1
+    assert compared > 200
+    assert stopping_distance(0.0, 0.0, 10.0, 200.0) == 0.0

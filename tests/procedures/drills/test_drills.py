@@ -1,0 +1,51 @@
+"""Drills: the table's promises on some of them, and what a drill measures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from console.main import main
+from procedures.drills.catalogue import drills
+from procedures.drills.stage import off_way_m
+from procedures.drills.table import HEADER, header, row, verdict
+
+SAFETY = Path(__file__).parents[3] / "docs" / "safety.md"
+
+
+@pytest.mark.parametrize("name", ["pause-100-motion", "drift-20000-rest", "serial-gone-motion"])
+def test_a_drill_goes_as_promised(name: str) -> None:
+    outcome = drills()[name].run()
+    assert outcome.broken == ()
+    assert outcome.drill.name in row(outcome)
+
+
+def test_a_promise_that_is_not_kept_is_said() -> None:
+    strict = replace(drills()["stop-0-motion"], codes=frozenset({"overspeed"}), most_mm=-1.0)
+    outcome = strict.run()
+    assert outcome.broken == ("expected overspeed", "more than -1 mm off its path")
+    assert "BROKEN: expected overspeed" in row(outcome)
+    assert verdict([outcome]) == "1 drills, 0 as promised, 1 not"
+    assert header().split()[: len(HEADER)][0] == "drill"
+
+
+def test_the_distance_from_a_way_is_that_from_its_sections() -> None:
+    way = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0))
+    assert off_way_m((0.5, 0.1, 0.0), way) == pytest.approx(0.1)
+    assert off_way_m((1.3, 1.4, 0.0), way) == pytest.approx(0.5)
+    assert off_way_m((0.0, 0.0, 2.0), way[:1]) == pytest.approx(2.0)
+
+
+def test_the_page_lists_every_drill_and_no_other() -> None:
+    rows = [line.split("|")[1] for line in SAFETY.read_text().splitlines() if line.startswith("| `")]
+    named = {name.strip(" `") for cell in rows for name in cell.split(",")}
+    assert set(drills()) <= named
+
+
+def test_drills_run_on_a_mock_only(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["drill", "stop-0-motion"]) == 2
+    assert "--mock" in capsys.readouterr().err
+    assert main(["drill", "nothing", "--mock"]) == 2
+    assert "expected one of serial-lost-rest" in capsys.readouterr().err
