@@ -61,6 +61,11 @@ class Witnesses:
             joint.speed.forget()
             joint.torque.forget()
 
+    def forget_speeds(self) -> None:
+        """Start anew with the motors' speeds: after missed deadlines, current and speed are of different moments."""
+        for joint in self._joints:
+            joint.speed.forget()
+
     def look(
         self,
         elapsed_s: float,

@@ -100,3 +100,16 @@ def test_a_pause_beyond_the_watchdog_is_a_fault_and_the_arm_has_not_sunk() -> No
         cell.until_fault(0.05)
         assert {code for code, _ in cell.faults} >= {"drive_fault"}
         assert cell.rig.joint_rad() == pytest.approx(held, abs=1e-4)
+
+
+@pytest.mark.parametrize("pause_s", [0.008, 0.02, 0.04])
+def test_a_host_that_stumbles_again_and_again_trips_nothing(pause_s: float) -> None:
+    with moving_cell() as cell:
+        cell.start_move((0.6, -0.2, 0.7))
+        for _ in range(300):
+            cell.run(0.014)
+            away(cell, pause_s)
+            if cell.mode is Mode.HOLDING:
+                break
+        assert (cell.mode, cell.faults) == (Mode.HOLDING, [])
+        assert cell.rig.joint_rad() == pytest.approx((0.6, -0.2, 0.7), abs=5e-3)
