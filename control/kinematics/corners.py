@@ -1,9 +1,8 @@
-"""Corners of an arm: the origins of its link frames that leave the base, and the tip; straight lines between them are its body.
+"""Corners of an arm: the origins of its link frames that move, and the tip; straight lines between them are its body.
 
 Scalar for the control cycle, and in batches for the check of a whole motion. From the same chain as the tip.
 """
 
-import math
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
@@ -16,14 +15,19 @@ from control.kinematics.straight_line import compile_function
 from control.kinematics.tracing import Graph, Symbol
 from control.model.arm import Arm, Vector3
 
-_SAME_m = 1e-9
-
 
 class Corners:
-    """Corner positions [m] in the base frame, from the base to the tip."""
+    """Corner positions [m] in the base frame, from the base to the tip.
+
+    `first_free`: index of the first corner that is not on the base or on the link that joint 2 hangs on to it.
+    """
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
+        graph = Graph()
+        names = [graph.variable(f"q{i}") for i in range(1, arm.joint_count + 1)]
+        self._inputs = names
+        self._traced, self.first_free = _traced(arm, names)
 
     @cached_property
     def at(self) -> Callable[..., tuple[Vector3, ...]]:
@@ -41,41 +45,29 @@ class Corners:
         return self._compiled("corners", np)
 
     def _compiled(self, name: str, library: Any) -> Callable[..., Any]:
-        graph = Graph()
-        q = [graph.variable(f"q{i}") for i in range(1, self._arm.joint_count + 1)]
-        outputs = tuple(self._traced(q))
+        q, outputs = self._inputs, tuple(self._traced)
         return (
             compile_function(name, q, outputs)
             if library is None
             else compile_function(name, q, outputs, library)
         )
 
-    def _traced(self, q: list[Symbol]) -> list[tuple[Any, ...]]:
-        """The corners as expressions; those that stay in the base, and those that equal the one before, are left out."""
-        arm, found = self._arm, list[tuple[Any, ...]]()
-        rows, turns = arm.dh.tolist(), arm.joints
-        for count in range(1, len(rows) + 1):
-            steps = chain.steps(rows[:count], turns[:count], arm.dh_convention)
-            is_last = count == len(rows)
-            corner = chain.tip(steps, q, (0.0, 0.0, 0.0))
-            does_move = any(isinstance(x, Symbol) for x in corner) and not self._is_of_the_base(steps)
-            if does_move and (not found or not _is_same(rows[count - 1])):
-                found.append(corner)
-            if is_last and any(arm.tool.position_m):
-                found.append(chain.tip(steps, q, arm.tool.position_m))
-        return found
 
-    def _is_of_the_base(self, steps: list[chain.Step]) -> bool:
-        """Whether a frame's origin turns with joint 1 within the base: the place of joint 2, also on an arm whose calibration
-        put it beside axis 1.
-        """
-        n, limits = self._arm.joint_count, self._arm.limits
-        if n == 1:
-            return False
-        x, y, z = chain.tip(steps, [0.0] * n, (0.0, 0.0, 0.0))
-        elsewhere = chain.tip(steps, [0.0, *(1.0 + k for k in range(1, n))], (0.0, 0.0, 0.0))
-        is_of_joint_1 = math.dist((x, y, z), elsewhere) < _SAME_m
-        return is_of_joint_1 and math.hypot(x, y) <= limits.base_radius_m + limits.floor_tolerance_m
+def _traced(arm: Arm, q: list[Symbol]) -> tuple[list[tuple[Any, ...]], int]:
+    """The corners as expressions, without those that never move or equal the one before; and `first_free`."""
+    found: list[tuple[Any, ...]] = []
+    rows, turns = arm.dh.tolist(), arm.joints
+    first_free: int | None = None
+    for count in range(1, len(rows) + 1):
+        steps = chain.steps(rows[:count], turns[:count], arm.dh_convention)
+        corner = chain.tip(steps, q, (0.0, 0.0, 0.0))
+        if any(isinstance(x, Symbol) for x in corner) and not (found and _is_same(rows[count - 1])):
+            found.append(corner)
+        if first_free is None and sum(turns[:count]) >= 2:
+            first_free = max(len(found) - 1, 0)
+        if count == len(rows) and any(arm.tool.position_m):
+            found.append(chain.tip(steps, q, arm.tool.position_m))
+    return found, len(found) if first_free is None else first_free
 
 
 def _is_same(row: list[float]) -> bool:

@@ -37,7 +37,7 @@ class Guard:
 
     def clearance(self, q_rad: Sequence[float]) -> Clearance:
         """The least clearance of a pose; below 0: the arm is inside of something."""
-        return self._room.clearance(self._corners.at(*q_rad))
+        return self._room.clearance(self._corners.at(*q_rad), self._corners.first_free)
 
     def objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float]) -> str:
         """Why the arm must not get to `wanted_rad` from `here_rad`, as text; empty if it may."""
@@ -98,7 +98,7 @@ class Guard:
     ) -> None:
         allowed_m = min(0.0, here.distance_m - _DEEPER_m)
         worst_m, what, at_s = math.inf, "", 0.0
-        for distances, name in self._room.clearances(corners):
+        for distances, name in self._room.clearances(corners, self._corners.first_free):
             k = int(np.argmin(distances))
             if distances[k] < min(worst_m, allowed_m):
                 worst_m, what, at_s = float(distances[k]), name, float(times_s[k])

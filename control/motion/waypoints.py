@@ -50,11 +50,8 @@ def read_waypoints(path: str | Path) -> Waypoints:
             if any(cell.strip() for cell in row)
         ]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = (
-            error.strerror
-            if isinstance(error, OSError)
-            else f"it is not comma-separated UTF-8 text ({error})"
-        )
+        text = "comma-separated" if isinstance(error, csv.Error) else "UTF-8"
+        reason = error.strerror if isinstance(error, OSError) else f"it is not {text} text"
         raise WaypointFileError(f"{file}: cannot read way-points: {reason}") from None
     if not rows:
         raise WaypointFileError(

@@ -75,27 +75,32 @@ class Room:
             limits.base_radius_m,
         )
 
-    def clearance(self, corners: Sequence[Point]) -> Clearance:
-        """The least clearance of an arm whose body runs along `corners` (floats). ArmError if one is not finite."""
+    def clearance(self, corners: Sequence[Point], first_free: int = 0) -> Clearance:
+        """The least clearance of an arm whose body runs along `corners` (floats). ArmError if one is not finite.
+
+        `first_free`: the body before this corner hangs on the base and always meets it.
+        """
         least_m, about = math.inf, ""
         for corner in corners:
             if (total := sum(corner)) - total != 0.0:
                 raise ArmError(f"room: expected finite positions of the arm, got {corners}")
-        for distance_m, what in self._clearances(corners, _FLOATS):
+        for distance_m, what in self._clearances(corners, first_free, _FLOATS):
             if distance_m < least_m:
                 least_m, about = distance_m, what
         return Clearance(least_m, about)
 
-    def clearances(self, corners: Sequence[Any]) -> Iterator[tuple[Any, str]]:
+    def clearances(self, corners: Sequence[Any], first_free: int = 0) -> Iterator[tuple[Any, str]]:
         """For arrays: the clearances [m] of what may be near at all, and what each is about."""
-        return self._clearances(corners, _ARRAYS)
+        return self._clearances(corners, first_free, _ARRAYS)
 
-    def _clearances(self, corners: Sequence[Point], of: _Library) -> Iterator[tuple[Any, str]]:
+    def _clearances(
+        self, corners: Sequence[Point], first_free: int, of: _Library
+    ) -> Iterator[tuple[Any, str]]:
         lowest_m = of.lowest([corner[2] for corner in corners])
         if not lowest_m >= self.floor_z_m - self.tolerance_m:
             yield from self._above_ground(corners, of)
         if self.base_radius_m > 0.0 and not lowest_m > self.base_top_m + self.base_radius_m:
-            for start, end in pairwise(corners):
+            for start, end in pairwise(corners[first_free:]):
                 yield _distance_to_axis(self.base_top_m, start, end, of) - self.base_radius_m, _BASE
 
     def _above_ground(self, corners: Sequence[Point], of: _Library) -> Iterator[tuple[Any, str]]:

@@ -86,15 +86,13 @@ def assemble(
         watch=Watch(_watch_limits(arm, period_s), names),
         witnesses=Witnesses(_motors(arm), _witness_limits(arm), names),
         indices=_indices(arm, measurement, names),
-        motor_counts=MotorCountWatch(
-            [JointMap(drive).counts_per_radian for drive in arm.drives],
-            [d.encoder_bits for d in arm.drives],
-            names,
-        ),
+        motor_counts=_motor_counts(arm, names),
         switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),
-        gravity_compensation=GravityCompensation(_motors(arm), servo.torque_model, names, limits.speed_rad_s),
+        gravity_compensation=GravityCompensation(
+            _motors(arm), servo.torque_model, names, [OVERSPEED * limit for limit in limits.speed_rad_s]
+        ),
         jogging=lambda is_homed: Jogging(jog_limits, inverse, guard if is_homed else None),
         stop_from=lambda state: Stop(state, limits),
         guard=guard,
@@ -112,6 +110,12 @@ def assemble(
     )
     runtime = Runtime(parts)
     return Assembly(runtime, Requests(runtime, limits, kinematics, {"arm": arm.name, **(about or {})}))
+
+
+def _motor_counts(arm: Arm, names: Sequence[str]) -> MotorCountWatch:
+    """The comparison of both boards' counts."""
+    per_radian = [JointMap(drive).counts_per_radian for drive in arm.drives]
+    return MotorCountWatch(per_radian, [drive.encoder_bits for drive in arm.drives], names)
 
 
 def _does_counter_span(drive: Drive) -> bool:

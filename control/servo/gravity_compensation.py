@@ -29,7 +29,7 @@ class GravityCompensation:
         joint_names: Sequence[str],
         free_limits_rad_s: Sequence[float],
     ) -> None:
-        """`free_limits_rad_s`: of joints with open circuits, which a hand moves faster; those of every motion."""
+        """`free_limits_rad_s`: of joints with open circuits, which a hand moves faster."""
         self._limits = {True: [FASTEST_rad_s] * len(motors), False: list(free_limits_rad_s)}
         self._motors = motors
         self._torque_model = torque_model

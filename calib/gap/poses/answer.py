@@ -25,6 +25,7 @@ from calib.gap.finding import (
 from calib.gap.poses.cautions import about_fit
 from calib.gap.poses.currents import Currents
 from calib.gap.poses.drawn_laws import drawn_laws
+from calib.gap.poses.effects.frame import FRAME
 from calib.gap.poses.effects.scene import load_of
 from calib.gap.poses.experiments import next_experiment, open_questions
 from calib.gap.poses.floor import Floor, noise_floor
@@ -155,7 +156,11 @@ def _borne_out(
 def _why_not(around: Around, best: Weighed, name: EffectName, own: Estimated, is_known: bool) -> str:
     """Why a name is not given; empty if it is. What the arm's file has is a total, and may be nothing."""
     if _is_nothing(own):
-        return "" if is_known else f"{name} acts, but these poses do not tell how large it is"
+        return (
+            ""
+            if is_known or name.effect == FRAME
+            else f"{name} acts, but these poses do not tell how large it is"
+        )
     if own.departure > LAW_MOST:
         return f"{name} departs too far from its law"
     if not holds_on_others(around, best, name):
@@ -184,7 +189,7 @@ def _is_new(arm: Arm, name: EffectName, found: Estimated) -> bool:
     """Whether the total differs from what the arm's file has."""
     known = _known(arm, name)
     if known is None:
-        return True
+        return not _is_nothing(found)  # the frame of a camera is always looked for
     before = None
     if name.effect in LAWS:
         before = np.array(LAWS[name.effect].linear(known.parameters))

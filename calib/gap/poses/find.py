@@ -8,7 +8,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from calib.arm_problem.assembly import problem_of
+from calib.arm_problem.assembly import BASE, Choice, problem_of
 from calib.arm_problem.joint_laws import LAWS
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask
@@ -18,6 +18,7 @@ from calib.gap.poses.answer import Looked, answered
 from calib.gap.poses.cautions import about_data, about_outliers, cleaned, require_posed
 from calib.gap.poses.currents import holding_currents
 from calib.gap.poses.effects.catalogue import terms_of
+from calib.gap.poses.effects.frame import FRAME
 from calib.gap.poses.effects.loads import LOADS
 from calib.gap.poses.effects.scene import Scene
 from calib.gap.poses.floor import FINEST_m, Floor, noise_floor
@@ -134,6 +135,8 @@ def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
 def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tuple[Looked, Around, Decision]:
     """Look, linearise anew around what was found, with the noise that repeats then show, and look again until it stays."""
     forced = [EffectName(one.effect, one.joint) for one in looked.arm.effects if one.effect in TOTALS]
+    if BASE in Choice().for_points(looked.arm, looked.points).freed and FRAME not in without:
+        forced.append(EffectName(FRAME))  # a camera's or tracker's frame is never known to the noise
     state = State.bare(looked.problem, looked.x, looked.loaded)
     known: list[frozenset[Key]] = []
     blocks: tuple[Term, ...] = ()

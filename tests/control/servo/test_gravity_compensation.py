@@ -52,13 +52,13 @@ def test_a_hand_moves_it_and_it_stays_where_it_is_left() -> None:
 
 
 def test_an_arm_that_falls_because_nobody_holds_it_is_braked() -> None:
-    """Circuits open, and no hand: gravity alone takes joint 2 beyond its speed limit on the way to the table."""
+    """Circuits open, and no hand: gravity alone takes joint 2 beyond 1.5 times its speed limit on the way to the table."""
     with holding_cell(scenario()) as cell:
         speeds = cell.true_speeds()
         cell.client.guide()
         cell.until_fault(2.0)
         assert cell.faults[0][0] == "guided_too_fast"
-        assert max(speeds) < 1.3 * 2.0  # the joints' speed limit
+        assert max(speeds) < 1.3 * 3.0  # 1.5 times the joints' speed limit
         cell.run(1.0)
         assert max(speeds[-100:]) < 0.5  # shorted windings
 

@@ -14,7 +14,13 @@ from calib.gap.posterior.coefficients import inverse
 from calib.gap.posterior.constants import WOUND_SHARE
 from calib.gap.posterior.term import Term, like, on_joint
 from control.dynamics.effect_laws import backlash_rad, compliance_rad
-from control.dynamics.static_pose import CURRENT_NOISE_A, GRAVITY_ERROR, RestingPose, known_torque_per_A
+from control.dynamics.static_pose import (
+    CURRENT_NOISE_A,
+    GRAVITY_ERROR,
+    RestingPose,
+    gravity_Nm,
+    known_torque_per_A,
+)
 
 CLEAR_SHARE = 0.5  # of the poses must lie on a known flank: else a play fits anything
 TILT_rad = 0.003  # accuracy of a fitted link's direction: where gravity turns round, its sign is uncertain
@@ -86,18 +92,25 @@ def _behind_the_gear(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tup
 def _compliance(record: EffectRecord, scene: Scene) -> Iterator[Term]:
     if scene.pose is None:
         return
+    unstated = tip_mass_Nm(scene)
     for j in range(scene.points.joint_count):
         torque, held = scene.pose.gravity_Nm[:, j], scene.pose.held_Nm[:, j]
         if np.abs(torque).max() <= NO_TORQUE_Nm:
             continue
         law = compliance_rad(torque, 1.0)
-        departs = like(law, [law * np.abs(torque), law * torque**2])
+        departs = like(law, [law * np.abs(torque), law * torque**2, compliance_rad(unstated[:, j], 1.0)])
         for more in _wound(held):
             columns = on_joint(np.array([law, *departs, *more]), j, scene.points.joint_count)
             yield record.term(
                 j + 1, 1, columns, len(departs), is_positive=True, parameters=inverse(record.parameter), variable="load",
                 variant=float(len(more)),
             )  # fmt: skip
+
+
+def tip_mass_Nm(scene: Scene) -> Array:
+    """What a mass at the tip that no file states adds to the joints' torques, (m, n): no part has the masses of its CAD."""
+    q = scene.points.q_rad
+    return gravity_Nm(scene.arm, q, 1.0) - gravity_Nm(scene.arm, q, 0.0)
 
 
 def _wound(held_Nm: Array) -> list[list[Array]]:

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks.gap.static.cases import ARM, Hidden, case
+from benchmarks.gap.static.cases import ARM, Design, Hidden, case, designed
 from calib.gap.finding import EffectName
 from calib.gap.model_update import updated_arm
 from calib.gap.poses.find import find
@@ -88,7 +88,7 @@ def test_what_is_named_says_its_probability_and_how_far_it_departs_from_its_law(
 
 def test_an_arm_whose_drives_nobody_knows_shows_what_its_masses_allow() -> None:
     """Without [[drive]], or with placeholders in it: without currents, they say nothing that a pose shows."""
-    points = case(36, (Hidden("joint_compliance", 3, 400.0),))
+    _, points = designed(36, (Hidden("joint_compliance", 2, 500.0),), Design(step=6))
     points = dataclasses.replace(points, current_A=np.full_like(points.current_A, np.nan))
     bare = dataclasses.replace(ARM, drives=())
     placeholders = dataclasses.replace(
@@ -99,6 +99,16 @@ def test_an_arm_whose_drives_nobody_knows_shows_what_its_masses_allow() -> None:
     )
     found = [find(arm, points) for arm in (bare, placeholders)]
     for one in found:
-        assert EffectName("joint_compliance", 3) in names(one)
-        assert value(one, "joint_compliance", "stiffness_Nm_rad")[0] == pytest.approx(400.0, rel=0.1)
+        assert EffectName("joint_compliance", 2) in names(one)
+        assert value(one, "joint_compliance", "stiffness_Nm_rad")[0] == pytest.approx(500.0, rel=0.1)
     assert any("no [[drive]] of joints 1, 2, 3" in sentence for sentence in found[0].warnings)
+
+
+def test_a_cameras_frame_that_nothing_ties_to_the_arm_is_named_where_it_is_off() -> None:
+    arm, points = designed(
+        37, (Hidden("base_frame", None, 0.004, 0.01),), Design(rig="planar", free=30, visits=4)
+    )
+    found = find(arm, points)
+    assert names(found) == {EffectName("base_frame")}
+    assert found.finding.unknown is None
+    assert found.finding.gap_after < 1.2
