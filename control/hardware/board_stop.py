@@ -8,7 +8,7 @@ motion up where and as fast as it then is. Nothing leaps ahead to where it would
 import math
 from typing import Final, NamedTuple
 
-from control.model.arm import Arm
+from control.model.arm import Arm, Drive
 
 STOP_AFTER_CYCLES: Final = 12
 STOP_AFTER_LEAST_S: Final = 0.01
@@ -17,6 +17,7 @@ HARDER: Final = (
     2.0  # a board's stop brakes by this times the joint's acceleration limit, from its speed limit
 )
 
+BRAKED_STOP_S: Final = 0.04  # twice the time constant of shorted windings on the reference arm
 DEFAULT_STOP_S: Final = 0.1  # of an arm whose drives have no limits
 
 
@@ -47,6 +48,11 @@ class BoardStop(NamedTuple):
         return Bridge(self.after_s + 0.5 * over_s * (1.0 + share), share)
 
 
+def can_hold(drive: Drive) -> bool:
+    """Whether the motor board may control the joint by its own encoder; else it brakes where it would hold."""
+    return drive.board_holds or drive.pid.mode == "position"
+
+
 def stop_after_s(period_s: float) -> float:
     """How long a board waits for the next command: some cycles, whatever the rate of the loop."""
     return min(max(STOP_AFTER_CYCLES * period_s, STOP_AFTER_LEAST_S), STOP_AFTER_MOST_S)
@@ -58,6 +64,8 @@ def board_stop(arm: Arm, period_s: float) -> BoardStop:
         drive.joint_speed_limit_rad_s / (HARDER * drive.joint_acceleration_limit_rad_s2)
         for drive in arm.drives
     ]
+    if not all(can_hold(drive) for drive in arm.drives):
+        return BoardStop(stop_after_s(period_s), BRAKED_STOP_S)
     finite_s = [time_s for time_s in times_s if 0.0 < time_s < math.inf]
     follows = all(drive.pid.mode != "position" for drive in arm.drives)
     return BoardStop(stop_after_s(period_s), max(finite_s, default=DEFAULT_STOP_S), follows)

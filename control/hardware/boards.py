@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from control.dynamics.gains import Gains
-from control.hardware.board_stop import board_stop
+from control.hardware.board_stop import board_stop, can_hold
 from control.hardware.interface import Feedback, OutputMode
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
@@ -24,6 +24,7 @@ from firmware_iface.motor.wire import Mode, Output, Parameter
 REPORT_WAIT_S = 0.05  # a stream runs at 500 Hz or more; only a pause of the host lasts longer
 ASK_COUNT_S = 0.04  # between two questions for a motor board's own count: 3 % of a 500 Hz bus
 FRESH_CYCLES = 2  # age of a count that is compared with one of another board
+NO_GAINS = Gains(0.0, 0.0, 0.0, 0.001)  # a board without gains brakes
 FULL_INTEGRAL = 0.5  # of the supply: limit of the board's integral in position mode
 
 
@@ -115,7 +116,9 @@ class BoardHardware:
         if self._ask_in > 0 or not self._is_wanted_enabled:
             return
         joint = (self._ask_joint + 1) % len(self._wiring)
-        if self._clock.now_s() - self.feedback.reported_at_s[joint] <= FRESH_CYCLES * self._period_s:
+        if not can_hold(self._wiring[joint].drive):
+            self._ask_joint = joint
+        elif self._clock.now_s() - self.feedback.reported_at_s[joint] <= FRESH_CYCLES * self._period_s:
             self._ask_in, self._ask_joint = self._ask_every, joint
             self._asked = (joint, self.feedback.count[joint] - self.feedback.shift_count[joint])
             self._wiring[joint].motor.ask_count()
@@ -258,7 +261,8 @@ class BoardHardware:
 
     def _parameters(self, joint: int) -> list[tuple[Parameter, int]]:
         """Parameters of a board: limits, what it does without the host, and its PID in volts per count of its own encoder."""
-        drive, gains = self._wiring[joint].drive, self._wiring[joint].gains
+        drive = self._wiring[joint].drive
+        gains = self._wiring[joint].gains if can_hold(drive) else NO_GAINS
         per_count = abs(self._maps[joint].radians_per_count)
         volts_per_rad_s = drive.gear_ratio * drive.torque_constant_Nm_A
         parameters = [

@@ -33,6 +33,7 @@ class ArmState:
         self.elapsed_s = (
             parts.period_s
         )  # since the last cycle, by the cycle timer; of a pause, what `bridge` leaves
+        self.has_missed = False  # deadlines, before this cycle
         self.bridge: Bridge | None = None  # what the pause before this cycle meant, if the boards had to stop
         self.cycles = 0
         self.has_waited = False  # for boards, outside of a cycle: deadlines missed meanwhile do not count

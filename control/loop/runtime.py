@@ -49,6 +49,7 @@ class Runtime(ArmState):
         if self.bridge is not None:
             self.elapsed_s = self.parts.period_s
         self.punctuality.begin(late_s, missed)
+        self.has_missed = missed > 0
         if missed:
             self.parts.watch.note_pause(now_s, missed * self.parts.period_s)
         try:
@@ -99,6 +100,8 @@ class Runtime(ArmState):
             parts.witnesses.forget()
             parts.motor_counts.forget()
             return []
+        if self.has_missed:
+            parts.witnesses.forget_speeds()
         model_A = parts.servo.model_A
         faults = parts.witnesses.look(self.elapsed_s, feedback, parts.measurement.speed_rad_s, model_A)
         faults += parts.motor_counts.look(feedback.motor_counts, parts.measurement.speed_rad_s)

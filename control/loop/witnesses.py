@@ -61,6 +61,11 @@ class Witnesses:
             joint.speed.forget()
             joint.torque.forget()
 
+    def forget_speeds(self) -> None:
+        """Start anew with the motors' speeds: after missed deadlines, current and speed are of different moments."""
+        for joint in self._joints:
+            joint.speed.forget()
+
     def look(
         self,
         elapsed_s: float,
@@ -195,7 +200,8 @@ def _of_counts(where: str, turned: int, motor_turned: int) -> Fault:
         "encoders_differ",
         where,
         f"its encoder board has counted {turned}, its motor board {motor_turned} in the same time",
-        "check the encoder's plugs at both boards, and the signs in arm.toml, then home again",
+        "check the encoder's plugs at both boards and the motor's leads, then home again; board_holds = false in arm.toml"
+        " leaves out a motor board without an encoder",
         Reaction.BRAKE,
     )
 

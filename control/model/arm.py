@@ -110,6 +110,7 @@ class Drive:
     motor_direction: Direction = 1
     motor_serial_number: Annotated[int, ZERO_OR_MORE] | None = None
     zero_count: int = 0
+    board_holds: bool = True  # the motor board's own encoder is connected and counts up with positive voltage
     pid: DrivePid = DrivePid()
     home: Home | None = None
 

@@ -61,6 +61,7 @@ def rewired(draft: Drive, wiring: JointWiring) -> Drive:
         encoder_board=wiring.channel[0],
         encoder_channel=wiring.channel[1],
         encoder_direction=wiring.encoder_direction,
+        board_holds=wiring.board_holds,
     )
 
 

@@ -22,6 +22,7 @@ class JointWiring:
     motor_direction: int
     channel: Channel
     encoder_direction: int
+    board_holds: bool
 
 
 @dataclass(slots=True)
@@ -109,13 +110,19 @@ def _take(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
         )
     encoder_direction = pulse.direction * (1 if pulse.moved_count > 0 else -1)
     found.joints[pulse.joint] = JointWiring(
-        pulse.joint, pulse.node, pulse.direction, pulse.channel, encoder_direction
+        pulse.joint, pulse.node, pulse.direction, pulse.channel, encoder_direction, _can_board_hold(pulse)
     )
     _compare_motor_board(found, pulse, drive)
 
 
+def _can_board_hold(pulse: Pulse) -> bool:
+    """Whether the motor board's own counter follows the joint with the sign of the voltage."""
+    counted, moved = pulse.motor_board_count, abs(pulse.moved_count)
+    return counted > 10 and math.isclose(counted, moved, rel_tol=SAME_COUNT, abs_tol=50)
+
+
 def _compare_motor_board(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
-    """The motor board's own counter of the same encoder matters in position mode only."""
+    """The motor board's own counter of the same encoder: needed in position mode, and to hold when the loop is gone."""
     counted = pulse.motor_board_count
     name = f"joint {pulse.joint}: motor board {pulse.node}"
     is_position = drive.pid.mode == "position"
@@ -132,7 +139,7 @@ def _compare_motor_board(found: WiringFound, pulse: Pulse, drive: Drive) -> None
         if is_position:
             found.problems.append(f"{text}: connect it, or choose another [drive.pid] mode")
         else:
-            found.notes.append(f'{text}; only mode = "position" needs it')
+            found.notes.append(f"{text}; without it the board brakes when the loop is gone, and cannot hold")
     elif not math.isclose(abs(counted), abs(pulse.moved_count), rel_tol=SAME_COUNT, abs_tol=50):
         found.notes.append(
             f"{name}: the board's own encoder counted {counted:+d}, the encoder board {pulse.moved_count:+d}: check"
@@ -170,6 +177,15 @@ def _changes(found: JointWiring, drive: Drive) -> list[str]:
         changes.append(
             f"{name}: REVERSED MOTOR: positive voltage turns it in the {_way(found.motor_direction)} direction:"
             f" motor_direction = {found.motor_direction}"
+        )
+    if found.board_holds != drive.board_holds:
+        able = (
+            "can hold the joint by its own encoder"
+            if found.board_holds
+            else "cannot hold the joint and will brake"
+        )
+        changes.append(
+            f"{name}: without the loop its motor board {able}: board_holds = {str(found.board_holds).lower()}"
         )
     if found.encoder_direction != drive.encoder_direction:
         changes.append(

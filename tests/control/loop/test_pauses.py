@@ -92,6 +92,18 @@ def test_when_the_loop_dies_the_boards_stop_the_arm_and_hold_it(mode: str) -> No
         assert cell.rig.joint_rad() == pytest.approx(stood, abs=6e-3)  # a position mode's PID swings a little
 
 
+def test_a_board_that_cannot_hold_brakes_and_a_pause_still_trips_nothing() -> None:
+    with holding_cell(scenario(START), with_drives(RIGHT, board_holds=False)) as cell:
+        cell.start_move((1.4, -0.6, 0.2))
+        cell.run(0.6)
+        begun = cell.rig.joint_rad()[0]
+        away(cell, 0.1)
+        assert cell.rig.joint_rad()[0] - begun < 0.12
+        assert [board.output for board in cell.rig.robot.motor_boards] == [("voltage", 0.0)] * 3
+        cell.until(lambda: cell.mode is Mode.HOLDING, 2.5)
+        assert not cell.faults
+
+
 def test_a_pause_beyond_the_watchdog_is_a_fault_and_the_arm_has_not_sunk() -> None:
     with moving_cell() as cell:
         cell.run(0.3)
@@ -100,3 +112,16 @@ def test_a_pause_beyond_the_watchdog_is_a_fault_and_the_arm_has_not_sunk() -> No
         cell.until_fault(0.05)
         assert {code for code, _ in cell.faults} >= {"drive_fault"}
         assert cell.rig.joint_rad() == pytest.approx(held, abs=1e-4)
+
+
+@pytest.mark.parametrize("pause_s", [0.008, 0.02, 0.04])
+def test_a_host_that_stumbles_again_and_again_trips_nothing(pause_s: float) -> None:
+    with moving_cell() as cell:
+        cell.start_move((0.6, -0.2, 0.7))
+        for _ in range(300):
+            cell.run(0.014)
+            away(cell, pause_s)
+            if cell.mode is Mode.HOLDING:
+                break
+        assert (cell.mode, cell.faults) == (Mode.HOLDING, [])
+        assert cell.rig.joint_rad() == pytest.approx((0.6, -0.2, 0.7), abs=5e-3)

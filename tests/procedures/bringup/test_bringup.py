@@ -227,6 +227,7 @@ def test_the_rewired_arm_homes(tmp_path: Path) -> None:
     outcome, _ = brought(tmp_path, *faults, options=SURVEY)
     assert outcome.problems == []
     drives = [rewired(RIGHT.drive(joint), found) for joint, found in sorted(outcome.wiring.joints.items())]
+    assert [drive.board_holds for drive in drives] == [True, False, True]  # the leads of motor 2 are swapped
     with homing(replace(RIGHT, drives=tuple(drives)), *faults):
         pass
 
