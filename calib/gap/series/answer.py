@@ -173,7 +173,8 @@ def _correction(look: Look, one: Member) -> str:
         way = "late" if time_ms < 0.0 else "early"
         return f"the camera's times are {abs(time_ms):.2f} ms {way}: taken into account"
     if isinstance(one.term.key, EffectName) and one.term.key.effect == SAMPLING and one.term.law is not None:
-        time_ms = 1e3 * one.term.law(one.size).values[0]
+        # as the refit has it; beside what is always there, a command that is late by as little says the same
+        time_ms = 1e3 * look.around.found.get(one.term.key, one.term.law(one.size)).values[0]
         if THINNED[0] < 1e-3 * time_ms * look.around.scene.recording.filters.rate_Hz < THINNED[1]:
             return (
                 "other voltages were held between these samples, half a sample away on the whole: was the log thinned out? Taken"
