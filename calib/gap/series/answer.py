@@ -30,10 +30,8 @@ from calib.gap.signals.recording import Recording
 from calib.gap.signals.terms import Term as Law
 from control.model.effects import EFFECTS
 
-THINNED = (
-    0.35,
-    0.65,
-)  # of a sample: what a voltage lies off on the whole that changed in steps nobody recorded
+# Of a sample: what a voltage lies off on the whole that changed in steps nobody recorded.
+THINNED = (0.43, 0.57)
 OF_THE_TIP = (
     "backlash", "joint_compliance", "link_flexure", "encoder_scale", "encoder_eccentricity", "belt_coupling",
 )  # fmt: skip
