@@ -28,10 +28,8 @@ from control.model.arm import Arm
 from control.progress import Advance, silent
 
 FAR_OFF = 20.0  # floors
-THINNED = (
-    0.35,
-    0.65,
-)  # of a sample: what a voltage lies off on the whole that changed in steps nobody recorded
+# Of a sample: what a voltage lies off on the whole that changed in steps nobody recorded.
+THINNED = (0.43, 0.57)
 OF_THE_TIP = (
     "backlash",
     "joint_compliance",

@@ -31,7 +31,7 @@ def quick_hand(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("scenario") / "quick.toml"
     text = DEMO.read_text("utf-8")
     assert "[hand]" in text
-    path.write_text(text.replace("[hand]", "[hand]\nspeed_m_s = 1.0"), encoding="utf-8")
+    path.write_text(text.replace("[hand]", "[hand]\nspeed_m_s = 0.7"), encoding="utf-8")
     return path
 
 

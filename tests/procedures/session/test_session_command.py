@@ -35,7 +35,7 @@ effect = "backlash"
 joint = 1
 parameters = { width_rad = 0.0006 }
 [hand]
-speed_m_s = 1.0
+speed_m_s = 0.7
 seating_noise_m = 0.00005
 """
 
