@@ -208,6 +208,8 @@ def _merged(
         nameable=_nameable(static, dynamic),
         next_experiment=" ".join(_ended(s) for s in sentences) or None,
         is_held_out=static.is_held_out and dynamic.is_held_out,
+        remainder=(*static.remainder, *dynamic.remainder),
+        open_questions=(*static.open_questions, *dynamic.open_questions),
     )
 
 

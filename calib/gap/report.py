@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.gap.dynamic.find import DynamicOutcome
-from calib.gap.dynamic.pictures import dynamic_sections
 from calib.gap.finding import GapFinding, NamedEffect
 from calib.gap.ladder import in_units, ladder
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.pictures import joint_picture, law_picture, places_picture, recordings_picture
+from calib.gap.series.outcome import DynamicOutcome
+from calib.gap.series.pictures import dynamic_sections
 from calib.gap.words import in_words, listed
 from calib.report.page import Section, bullets, page, paragraph, table, tiles, verdict
 
@@ -189,7 +189,7 @@ def _nameable(found: GapFinding) -> Section:
         "Effects that this data could name",
         paragraph(
             "Detectability: an effect's size over its standard deviation, with the geometry free; computed before any residual is"
-            " used. The size is the usual one in poses, the smallest that is worth a name in time series; each has its own need."
+            " used. The size is the usual one; each has its own need."
         )
         + table(header, rows),
     )

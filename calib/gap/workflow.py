@@ -12,13 +12,14 @@ from pathlib import Path
 from calib.errors import CalibrationError
 from calib.gap.both import brought_together
 from calib.gap.consistent import consistent
-from calib.gap.dynamic.find import DynamicOutcome, examine
 from calib.gap.finding import GapFinding, write_gap_json
 from calib.gap.log import Log, joined_logs, read_log
 from calib.gap.model_update import as_totals, updated_arm
 from calib.gap.poses.find import find
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.report import GapReport, gap_page
+from calib.gap.series.find import examine
+from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.units import (
     AMPERES,
     NEED_DRIVES,

@@ -27,9 +27,9 @@ import numpy as np
 from benchmarks.gap.dynamic.cases import USUAL, Asked, Case, Conditions, made
 from benchmarks.gap.dynamic.hidden import FOREIGN, LISTED, LISTED_BY_JOINT
 from benchmarks.gap.matrix import Answer, Hidden, Truth, answer
-from calib.gap.dynamic.find import examine
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log, Run, read_log
+from calib.gap.series.find import examine
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.effects import EFFECTS
@@ -144,7 +144,7 @@ def _key(entry: dict[str, Any]) -> tuple[str, int | None]:
 
 
 def _is_nameable(found: GapFinding, entry: dict[str, Any], arm: Arm) -> bool:
-    """Whether the workflow predicts this effect as nameable, at the hidden size."""
+    """Whether the workflow predicts this effect as nameable, of usual size."""
     effect, joint = _key(entry)
     return any(
         (one.name.effect, one.name.joint) == (effect, joint) and one.is_nameable for one in found.nameable

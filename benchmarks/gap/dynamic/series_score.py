@@ -1,7 +1,6 @@
-"""Scores the posterior of time series beside the engine before it, on the same cases: exact and rough laws, many at once, nulls,
-what no list names.
+"""Scores the posterior of time series: exact and rough laws, many at once, nulls, what no list names.
 
-    python -m benchmarks.gap.dynamic.series_score --sorts rough many --cases 60 --first-seed 90000 --engines new old
+python -m benchmarks.gap.dynamic.series_score --sorts rough many --cases 60 --first-seed 90000
 """
 
 from __future__ import annotations
@@ -18,13 +17,11 @@ import numpy as np
 from benchmarks.gap.dynamic.cases import Asked, Case, made
 from benchmarks.gap.dynamic.hidden import FOREIGN, LISTED, LISTED_BY_JOINT
 from benchmarks.gap.dynamic.score import arm_of, log_of
-from calib.gap.dynamic.find import DynamicOutcome
-from calib.gap.dynamic.find import examine as old
 from calib.gap.finding import EffectName
-from calib.gap.series.find import examine as new
+from calib.gap.series.find import examine
+from calib.gap.series.outcome import DynamicOutcome
 from control.model.effects import EFFECTS
 
-ENGINES = {"new": new, "old": old}
 SORTS = ("exact", "rough", "many", "null", "foreign")
 ROUGH, ROUGH_MANY = 0.08, 0.08
 MANY = (
@@ -66,16 +63,15 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=60)
     parser.add_argument("--first-seed", type=int, default=90_000)
     parser.add_argument("--sorts", nargs="*", choices=SORTS, default=list(SORTS))
-    parser.add_argument("--engines", nargs="*", choices=tuple(ENGINES), default=["new"])
     given = parser.parse_args()
     for k, sort in enumerate(SORTS):
         if sort in given.sorts:
             first = given.first_seed + 1000 * k if given.first_seed >= 10_000 else given.first_seed + 100 * k
-            _score(sort, given.engines, [asked(sort, first + n) for n in range(given.cases)])
+            _score(sort, [asked(sort, first + n) for n in range(given.cases)])
 
 
 class Tally:
-    """What is counted of one sort and engine."""
+    """What is counted of one sort."""
 
     def __init__(self) -> None:
         self.count: Counter[str] = Counter()
@@ -96,16 +92,14 @@ class Tally:
         return text
 
 
-def _score(sort: str, engines: Sequence[str], some: Sequence[Asked]) -> None:
-    tallies = {engine: Tally() for engine in engines}
+def _score(sort: str, some: Sequence[Asked]) -> None:
+    tally = Tally()
     for case in made(some):
-        for engine in engines:
-            began = time.process_time()
-            outcome = ENGINES[engine](arm_of(case.arm_toml), log_of(case))
-            tallies[engine].took.append(time.process_time() - began)
-            _judge(case, outcome, tallies[engine], f"{sort} {engine} {case.asked.seed}")
-    for engine, tally in tallies.items():
-        _say(f"== {sort} {engine} {len(some)}: {tally.line()}")
+        began = time.process_time()
+        outcome = examine(arm_of(case.arm_toml), log_of(case))
+        tally.took.append(time.process_time() - began)
+        _judge(case, outcome, tally, f"{sort} {case.asked.seed}")
+    _say(f"== {sort} {len(some)}: {tally.line()}")
 
 
 def _key(entry: dict[str, Any]) -> EffectName:

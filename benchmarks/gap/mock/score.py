@@ -32,10 +32,10 @@ from benchmarks.gap.mock.cases import (
 )  # fmt: skip
 from benchmarks.gap.mock.motion import motion_case
 from benchmarks.gap.mock.static import static_case
-from calib.gap.dynamic.find import find as find_in_motion
 from calib.gap.finding import GapFinding
 from calib.gap.log import Log
 from calib.gap.poses.find import find as find_in_poses
+from calib.gap.series.find import find as find_in_motion
 from calib.points.points import Points
 from control.model.arm import Arm
 from control.model.description import load_arm

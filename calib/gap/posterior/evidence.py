@@ -35,6 +35,8 @@ class Batch:
     weight: Array
     laws: int
     is_positive: Array
+    least: Array
+    most: Array
     is_name: Array
     tip: Array
     current: Array
@@ -73,7 +75,9 @@ class Evidence:
         return Batch(
             np.array(own), within[places], np.array([self.scales[k][0] for k in own]), np.array([self.weights[k] for k in own]),
             laws,
-            np.array([self.terms[k].is_positive for k in own]), np.array([self.terms[k].is_name for k in own]),
+            np.array([self.terms[k].is_positive for k in own]),
+            np.array([self.terms[k].least for k in own]), np.array([self.terms[k].most for k in own]),
+            np.array([self.terms[k].is_name for k in own]),
             self.gram.tip[across], self.gram.current[across],
         )  # fmt: skip
 
@@ -115,11 +119,15 @@ class Evidence:
         sd = batch.sd
         whole = np.eye(sd.shape[2]) + sd[..., :, None] * seen[:, None] * sd[..., None, :]
         drawn = sd * pull[batch.places][:, None, :]
-        size = np.linalg.solve(whole, drawn[..., None])[..., 0]
+        inverse = np.linalg.inv(whole)
+        size = (inverse @ drawn[..., None])[..., 0]
         log = 0.5 * np.sum(drawn * size, axis=2) - 0.5 * np.linalg.slogdet(whole)[1] + batch.weight
-        width = np.sqrt(np.linalg.inv(whole)[..., 0, 0])
+        width = np.sqrt(inverse[..., 0, 0])
         if batch.is_positive.any():
-            sign = np.where(size[..., 0] > 0.0, log_ndtr(size[..., 0] / width) + math.log(2.0), NEVER)
+            above = size[..., 0] - batch.least[:, None] / sd[..., 0]  # sizes are counted in sd here
+            below = batch.most[:, None] / sd[..., 0] - size[..., 0]
+            inside = log_ndtr(above / width) + log_ndtr(below / width) + math.log(2.0)
+            sign = np.where((above > 0.0) & (below > 0.0), inside, NEVER)
             log = log + np.where(batch.is_positive[:, None], sign, 0.0)
         if sd.shape[2] > batch.laws:  # a departure is a share of the law: without the law there is none
             departs = np.any(sd[..., batch.laws :] > 0.0, axis=2) & batch.is_name[:, None]

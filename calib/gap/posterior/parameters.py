@@ -69,13 +69,14 @@ def _ways(
         (number, scale, evidence.value([*rest, (number, scale)], found.kappa))
         for number in evidence.of_key[key]
         for scale in range(len(evidence.weights[number]))
-        if not _is_exact(evidence, number, scale)
+        if not is_exact(evidence, number, scale)
     ]
     top = max(log for _, _, log in ways)
     return [(number, scale, log - top) for number, scale, log in ways if log > top - NEGLIGIBLE]
 
 
-def _is_exact(evidence: Evidence, number: int, scale: int) -> bool:
+def is_exact(evidence: Evidence, number: int, scale: int) -> bool:
+    """Whether a size leaves a law that may depart as the textbook has it."""
     term = evidence.terms[number]
     departs = evidence.scales[number][0][scale][term.laws : term.laws + term.departures]
     return term.departures > 0 and not departs.any()

@@ -94,6 +94,10 @@ class Search:
         some = [frozenset(key for key in names if key.effect == effect) for effect in STARTS]
         return [frozenset(), *some, some[0] | some[1]]
 
+    def may_join(self, key: Key, present: Collection[Key]) -> bool:
+        """Whether a key can be in one set with those present."""
+        return True
+
     def _plain(self, key: Key) -> Member:
         """Any variant and scales of a key, to be polished."""
         numbers = self.evidence.of_key[key]
@@ -129,7 +133,7 @@ class Search:
         gains: list[tuple[float, int]] = []
         blocks_count = sum(not isinstance(key, EffectName) for key in present)
         for key, numbers in self.evidence.of_key.items():
-            if key not in present and key != but:
+            if key not in present and key != but and self.may_join(key, present):
                 own = added.log[numbers]
                 top = int(np.argmax(own))
                 gain = float(own[top] + math.log(np.sum(np.exp(own - own[top]))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -38,7 +39,8 @@ class Term:
 
     Of joints `slope_rad` (c, m, n), of the tip `slope_m` (c, m, 3), of holding torques `slope_Nm` (c, m, n); None where nothing
     moves. `size` is the usual coefficient of the law; departure and nuisance columns are scaled to it already. `variant`: what
-    sets this one apart, `doubt_rad` (m,) the variance of the joint's angle per squared coefficient where the flank is uncertain.
+    sets this one apart, `least` and `most` what a positive coefficient lies between, in usual sizes, `doubt_rad` (m,) the
+    variance of the joint's angle per squared coefficient where the flank is uncertain.
     """
 
     key: Key
@@ -51,6 +53,8 @@ class Term:
     slope_Nm: Array | None = None
     variant: float = 0.0
     is_positive: bool = False
+    least: float = 0.0
+    most: float = math.inf
     parameters: Callable[[Array, Array], Parameters] | None = None
     variable: str = ""
     doubt: Array | None = None

@@ -13,18 +13,23 @@ import numpy as np
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import DEPARTURES
 from calib.gap.posterior.term import Block, Key
-from calib.gap.series.departures import departures
-from calib.gap.series.effects import FRICTION, Around, usual
+from calib.gap.series.around import Around, usual
+from calib.gap.series.constants import IMMATERIAL
+from calib.gap.series.departures import GEARS, departures
+from calib.gap.series.frictions import FRICTION
 from calib.gap.series.term import SeriesTerm, scaled
 from calib.gap.signals.terms import Term as Law
 
-IMMATERIAL = 0.4  # of the smallest size that is worth a name: to this the nominal values are known
 KNOWN_DEPARTURE = DEPARTURES[2]
 ALWAYS = Block(0, "always")
 
 
 def always(around: Around, terms: Sequence[SeriesTerm]) -> Iterator[SeriesTerm]:
-    """Terms of prior standard deviation one."""
+    """Terms of prior standard deviation one.
+
+    Of a gear that gives way a little only what the tip shows: what its link does to the currents follows the noise of the
+    measured accelerations, which the residual has, too.
+    """
     variants: dict[tuple[Key, str], list[SeriesTerm]] = {}
     for one in terms:
         variants.setdefault((one.key, one.words), []).append(one)
@@ -32,9 +37,15 @@ def always(around: Around, terms: Sequence[SeriesTerm]) -> Iterator[SeriesTerm]:
         one = some[len(some) // 2]
         is_small = isinstance(one.key, EffectName) and one.key.effect != "cogging"
         if is_small or (isinstance(one.key, Block) and one.count == 1):
-            own = {cell: columns[:, : one.laws] for cell, columns in one.response.items()}
+            own = {
+                cell: columns[:, : one.laws]
+                for cell, columns in one.response.items()
+                if not (isinstance(one.key, EffectName) and one.key.effect in GEARS)
+                or around.scene.cells[cell].joint < 0
+            }
             effect = one.key.effect if isinstance(one.key, EffectName) else one.key.variable
-            yield _always(str(one.key), scaled(own, IMMATERIAL / usual(effect)), one.laws)
+            if own:
+                yield _always(str(one.key), scaled(own, IMMATERIAL / usual(effect)), one.laws)
     for law in around.known:
         yield from _departing(around, law)
 

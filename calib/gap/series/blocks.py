@@ -11,9 +11,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.dynamic.sizes import smallest
 from calib.gap.posterior.term import Block
-from calib.gap.series.effects import USUAL, Around
+from calib.gap.residuals.sizes import smallest, typical
+from calib.gap.series.around import Around
+from calib.gap.series.constants import USUAL
 from calib.gap.series.scene import Beside, Response, Scene
 from calib.gap.series.term import SeriesTerm
 
@@ -47,6 +48,11 @@ def _unit(columns: Array) -> Array:
     return np.asarray(columns / np.where(sizes > 0.0, sizes, 1.0))
 
 
+def _beside(columns: Array, laws: Array) -> Array:
+    """Rows of columns (c, m) without what laws (l, m) explain of them."""
+    return np.asarray(columns - np.linalg.lstsq(laws.T, columns.T, rcond=None)[0].T @ laws)
+
+
 def _block(joint: int, variable: str, words: str, response: Response) -> Iterator[SeriesTerm]:
     if not response:
         return
@@ -60,7 +66,7 @@ def _torques(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
     if number is None:
         return
     at, j = scene.whole, joint - 1
-    size = USUAL * smallest(scene.arm, "coulomb_friction", j)
+    size = USUAL * typical(scene.arm, "coulomb_friction", j)
     for variable, words, columns in _of_torque(at, j, scene.arm.joint_count):
         if columns.size and np.ptp(columns) > 0.0:
             said = f"the current of joint {joint}, {words}"
@@ -72,21 +78,23 @@ def _of_torque(at: Beside, j: int, n: int) -> Iterator[tuple[str, str, Array]]:
     q, v, a, load, way = (own[:, j] for own in (at.q, at.speed, at.acceleration, at.load_Nm, at.direction))
     current = at.current_A[:, j]
     speed = v / max(float(np.sqrt(np.mean(v**2))), 1e-9)
+    even = np.ones((1, len(q)))  # friction that changes has a mean, too, which is not Coulomb's
     yield "angle", "a torque that depends on its angle, as of a spring", smooth(q)
     yield "turn", "a torque that depends on its angle, once a turn", np.array([np.sin(q), np.cos(q)])
     yield "offset", "constant", np.ones((1, len(q)))
-    yield "friction angle", "friction that changes with its angle", way * np.vstack([smooth(q, 8)])
+    yield "friction angle", "friction that changes with its angle", way * np.vstack([even, smooth(q, 8)])
     yield "speed", "growing with the square of its speed", np.array([speed * np.abs(speed)])
     yield "speed", "growing with the cube of its speed", np.array([speed**3])
     roots = np.array(
         [way * np.abs(speed) ** 0.5, speed * np.abs(speed), speed**3, way * np.exp(-np.abs(speed))]
     )
-    yield "speed", "a smooth function of its speed", roots
+    # what is left of it beside the two laws of every gear, so that it stands beside them and not for them
+    yield "speed", "a smooth function of its speed", _beside(roots, np.array([way, speed]))
     yield "slow", "changing near rest", np.array([way * np.exp(-np.abs(v) / s) for s in (0.015, 0.05, 0.15)])
     driven = way * np.array([np.maximum(load * way, 0.0), np.maximum(-load * way, 0.0)])
     yield "load", "friction that follows its load one way", driven
     yield "load", "a smooth function of its load", np.vstack([smooth(load, 3), way * smooth(np.abs(load), 3)])
-    yield "time", "changing during a run", np.vstack([way * smooth(at.t_s, 3), smooth(at.t_s, 3)])
+    yield "time", "changing during a run", np.vstack([way, way * smooth(at.t_s, 3), smooth(at.t_s, 3)])
     yield "acceleration", "in proportion to its acceleration", np.array([a])
     turned = at.turned_rad[:, j]
     hysteresis = [way * np.exp(-turned / reach) for reach in PRESLIDING_rad]
@@ -105,7 +113,7 @@ def _of_torque(at: Beside, j: int, n: int) -> Iterator[tuple[str, str, Array]]:
 
 def _of_others(at: Beside, j: int, n: int) -> Iterator[tuple[str, str, Array]]:
     """The same with what other joints do."""
-    way = at.direction[:, j]
+    way, even = at.direction[:, j], np.ones((1, len(at.run)))
     for i in range(n):
         if i != j:
             yield (
@@ -118,7 +126,7 @@ def _of_others(at: Beside, j: int, n: int) -> Iterator[tuple[str, str, Array]]:
             yield (
                 f"joint {i + 1}",
                 f"friction that changes with the angle of joint {i + 1}",
-                way * smooth(at.q[:, i], 4),
+                way * np.vstack([even, smooth(at.q[:, i], 4)]),
             )
 
 
@@ -130,7 +138,9 @@ def _windings(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
     at, j = scene.beside[number], joint - 1
     current, v, q = at.current_A[:, j], at.speed[:, j], at.q[:, j]
     size = SHARE * max(float(np.sqrt(np.mean(current**2))), 1e-3) / scene.cells[number].floor
-    slope = _slopes(scene, number, j)
+    # a current's slope is rough: between the rows it is another
+    slopes = np.concatenate([run.current_slope[:, j] for run in scene.recording.runs])
+    slope = scene.filtered(number, slopes[None])[:, 0]
     for variable, words, columns in (
         ("resistance", "in proportion to its current: another winding resistance", np.array([current])),
         ("current offset", "constant: an offset of its current sensor", np.ones((1, len(q)))),
@@ -141,7 +151,8 @@ def _windings(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
             np.array([np.tanh(current / 0.05), np.tanh(current / 0.3)]),
         ),
         ("current", "a curved function of its current", np.array([current * np.abs(current), current**3])),
-        ("speed", "a smooth function of its speed", smooth(v, 4)),
+        # in proportion to speed it is the motor's constant
+        ("speed", "a curved function of its speed", np.array([v * v, v * np.abs(v), v**3])),
         ("angle", "a smooth function of its angle", smooth(q, 4)),
         ("time", "changing during a run", np.vstack([smooth(at.t_s, 3), current * smooth(at.t_s, 3)])),
     ):
@@ -154,14 +165,6 @@ def _windings(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
 
 
 SHARE = 0.1  # of a joint's current: the size of a block of its winding
-
-
-def _slopes(scene: Scene, number: int, j: int) -> Array:
-    at, found = scene.beside[number], np.zeros(len(scene.beside[number].run))
-    for k, run in enumerate(scene.recording.runs):
-        mine = at.run == k
-        found[mine] = run.current_slope[at.sample[mine], j]
-    return found
 
 
 def _angles(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
@@ -242,8 +245,9 @@ def _clocks(around: Around) -> Iterator[SeriesTerm]:
     if number is not None:
         speeds = scene.beside[number].speed
         moved = sum(scene.lever_m(j) * speeds[:, j] for j in range(scene.arm.joint_count))
-        size = USUAL * smallest(scene.arm, "camera time", -1) / scene.cells[number].floor
-        yield from _block(0, "camera time", CAMERA, {number: size * np.asarray(moved)[:, None]})
+        size = USUAL * smallest(scene.arm, "camera time", -1)
+        columns = size / scene.cells[number].floor * np.asarray(moved)[:, None]
+        yield SeriesTerm(Block(0, "camera time"), CAMERA, 1, 0, size, response={number: columns}, width=1)
 
 
 CAMERA = "the tip, in proportion to its speed: the camera's times are offset"

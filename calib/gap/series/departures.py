@@ -10,6 +10,7 @@ from calib.arrays import Array
 from calib.gap.series.scene import Beside, Response, Scene
 from calib.gap.series.term import departed, stacked
 
+GEARS = ("joint_compliance", "backlash")
 Shape = Callable[[Beside, int], Array]  # (c, rows), from what stands beside and the joint
 
 
@@ -54,7 +55,7 @@ def by_currents(at: Beside, j: int) -> Array:
 
 
 OF_EFFECT: Mapping[str, tuple[Shape, ...]] = {
-    "coulomb_friction": (by_angle, by_direction),  # with speed it is viscous friction
+    "coulomb_friction": (by_angle,),  # with speed it is viscous friction, with direction asymmetric
     "viscous_friction": (by_speed, by_angle, by_direction),
     "load_friction": (by_load, by_angle),
     "stribeck_friction": (by_speed, by_angle),
@@ -77,21 +78,22 @@ VARIABLE = {
 
 
 def departures(scene: Scene, effect: str, joint: int, law: Response) -> dict[int, Array]:
-    """Columns of an effect's departures on a joint (0-based), each as large as its law; tip and currents each for themselves.
+    """Columns of an effect's departures on a joint (0-based), each as large as its law; every channel for itself.
 
-    What the tip shows of a gear is its angle, what the currents show is mostly how that angle changes: not the same law's shape.
+    A motor that saturates gives less torque, and its back-EMF is as before. What currents show of a gear is mostly how its angle
+    changes, with the noise of that: where the tip shows the angle, it alone says how the gear departs.
     """
     shapes = OF_EFFECT.get(effect, ())
     if not shapes or not law:
         return {}
     parts = []
-    for is_tip in (True, False):
-        own = {cell: columns for cell, columns in law.items() if (scene.cells[cell].joint < 0) == is_tip}
-        if own:
-            wanted = {
-                cell: np.concatenate([one(scene.beside[cell], joint) for one in shapes]) for cell in own
-            }
-            bent = departed(own, wanted)
-            if bent:
-                parts.append(bent)
+    channels = list(dict.fromkeys(scene.cells[cell].channel for cell in law))
+    if effect in GEARS and "tip_m" in channels:
+        channels = ["tip_m"]
+    for channel in channels:
+        own = {cell: columns for cell, columns in law.items() if scene.cells[cell].channel == channel}
+        wanted = {cell: np.concatenate([one(scene.beside[cell], joint) for one in shapes]) for cell in own}
+        bent = departed(own, wanted)
+        if bent:
+            parts.append(bent)
     return stacked(parts) if parts else {}

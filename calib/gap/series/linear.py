@@ -2,120 +2,169 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from calib.arrays import Array
-from calib.gap.dynamic.split import Picked
 from calib.gap.posterior.gram import Gram
-from calib.gap.series.effects import Around
+from calib.gap.series.around import Around
 from calib.gap.series.scene import Scene
+from calib.gap.series.split import Picked
 from calib.gap.series.term import SeriesTerm
 from calib.gap.series.whitening import Noise, fitted
+
+Places = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """What moves one cell: `columns` (its rows, 1 + c), y first, and the place of each other one among all columns."""
+
+    columns: Array
+    places: Places
 
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """Terms, and y (rows,): what the arm does beyond what is known, as if no term were in the model yet."""
+    """Terms, and y (rows,): what the arm does beyond what is known, as if no term were in the model yet.
+
+    Columns are counted with those of `always` first. `stacks`: one a cell, of thin rows, as `thin_y` (thin rows,) is.
+    """
 
     scene: Scene
     terms: tuple[SeriesTerm, ...]
     always: tuple[SeriesTerm, ...]
     y: Array
+    thin_y: Array
+    stacks: tuple[Stack, ...]
+    places: tuple[Places, ...]  # of each term's columns
 
     @classmethod
     def around(cls, around: Around, terms: Sequence[SeriesTerm], always: Sequence[SeriesTerm] = ()) -> Linear:
         """Terms of the model are added to what it leaves, at what they are there."""
         y = -around.residual.copy()
         for one in terms:
-            if one.now is not None:
-                for cell, own in one.response.items():
-                    y[around.scene.cells[cell].rows] += own[:, : len(one.now)] @ one.now
-        return cls(around.scene, tuple(terms), tuple(always), y)
+            if one.now is not None and one.key in around.found:
+                for number, own in one.response.items():
+                    y[around.scene.cells[number].rows] += own[:, : len(one.now)] @ one.now
+        whole = (*always, *terms)
+        ends = np.cumsum([0, *(one.count for one in whole)]).tolist()
+        places = [np.arange(first, end) for first, end in itertools.pairwise(ends)]
+        stacks = []
+        for k, (cell, thin) in enumerate(zip(around.scene.cells, around.scene.thinned, strict=True)):
+            moving = [number for number, one in enumerate(whole) if k in one.response]
+            parts = (y[cell.rows][:, None], *(whole[number].response[k] for number in moving))
+            columns = np.hstack([thin.of(part) for part in parts])
+            stacks.append(
+                Stack(columns, np.concatenate([np.zeros(0, np.intp), *(places[number] for number in moving)]))
+            )
+        thin_y = np.concatenate([stack.columns[:, 0] for stack in stacks])
+        own_places = tuple(places[len(always) :])
+        return cls(around.scene, tuple(terms), tuple(always), y, thin_y, tuple(stacks), own_places)
+
+    @property
+    def first(self) -> int:
+        """How many columns are always there."""
+        return sum(one.count for one in self.always)
+
+    def at(self, numbers: Sequence[int]) -> Places:
+        """Places of the columns of terms by number, after those that are always there."""
+        return np.concatenate([np.arange(self.first), *(self.places[number] for number in numbers)])
 
     def gram(self, noises: Sequence[Noise], rows: Picked) -> Gram:
-        """What evidence needs, from the picked rows; each cell whitened by its own noise, what is always there integrated out."""
-        terms = (*self.always, *self.terms)
-        ends = np.cumsum([one.count for one in terms])
-        places = [np.arange(end - one.count, end) for one, end in zip(terms, ends.tolist(), strict=True)]
-        total = int(ends[-1])
+        """What evidence needs, from the picked thin rows, each cell whitened by its own noise; `always` is not integrated out."""
+        total = self.first + sum(one.count for one in self.terms)
         seen, pull, left, count = np.zeros((total, total)), np.zeros(total), 0.0, 0
-        for k, cell in enumerate(self.scene.cells):
-            picked = rows[cell.rows]
+        for k, thin in enumerate(self.scene.thin):
+            picked = rows[thin]
             if not picked.any():
                 continue
-            own = [number for number, one in enumerate(terms) if k in one.response]
-            columns = np.hstack([self.y[cell.rows][:, None], *(terms[number].response[k] for number in own)])
-            columns = self.scene.series[k].whitened(columns, noises[k])[picked]
-            inner = columns.T @ columns
-            at = np.concatenate([np.zeros(0, dtype=int), *(places[number] for number in own)])
-            seen[np.ix_(at, at)] += inner[1:, 1:]
+            columns = self.scene.series[k].whitener(noises[k], picked) @ self.stacks[k].columns
+            inner, at = columns.T @ columns, self.stacks[k].places
+            seen[np.ix_(at, at)] = seen[np.ix_(at, at)] + inner[1:, 1:]
             pull[at] += inner[1:, 0]
             left += float(inner[0, 0])
             count += int(picked.sum())
-        first = sum(one.count for one in self.always)
-        if not first:
-            return Gram(seen, pull, np.zeros_like(seen), np.zeros(len(pull)), left, float(count))
-        root = np.linalg.cholesky(np.eye(first) + seen[:first, :first])
-        taken = solve_triangular(root, np.column_stack((seen[:first, first:], pull[:first])), lower=True)
-        seen = seen[first:, first:] - taken[:, :-1].T @ taken[:, :-1]
-        pull = pull[first:] - taken[:, :-1].T @ taken[:, -1]
-        left -= float(taken[:, -1] @ taken[:, -1])
-        return Gram(seen, pull, np.zeros_like(seen), np.zeros(len(pull)), left, float(count))
+        return Gram(seen, pull, np.zeros_like(seen), np.zeros(total), left, float(count))
 
-    def columns_of(self, terms: Sequence[SeriesTerm]) -> Array:
-        """What some terms do to all rows, (rows, c)."""
-        found = np.zeros((len(self.y), sum(one.count for one in terms)))
-        first = 0
-        for one in terms:
+    def thin_columns(self, places: Places) -> Array:
+        """What some columns do to all thin rows, (thin rows, c)."""
+        found = np.zeros((len(self.thin_y), len(places)))
+        for rows, stack in zip(self.scene.thin, self.stacks, strict=True):
+            _, here, there = np.intersect1d(places, stack.places, return_indices=True)
+            found[rows, here] = stack.columns[:, 1 + there]
+        return found
+
+    def explained(self, numbers: Sequence[int], size: Array) -> Array:
+        """What terms by number and those that are always there do to all rows, with coefficients of their columns, (rows,)."""
+        found, first = np.zeros(len(self.y)), 0
+        for one in (*self.always, *(self.terms[number] for number in numbers)):
             for cell, own in one.response.items():
-                found[self.scene.cells[cell].rows, first : first + one.count] = own
+                found[self.scene.cells[cell].rows] += own @ size[first : first + one.count]
             first += one.count
         return found
 
-    def columns(self, numbers: Sequence[int]) -> Array:
-        """`columns_of` terms by number."""
-        return self.columns_of([self.terms[number] for number in numbers])
-
     def whitened(self, values: Array, noises: Sequence[Noise]) -> Array:
-        """Values (rows, c), each cell by its own noise."""
+        """Values (thin rows, c), each cell by its own noise."""
         result = np.empty_like(values)
-        for k, cell in enumerate(self.scene.cells):
-            result[cell.rows] = self.scene.series[k].whitened(values[cell.rows], noises[k])
+        for k, thin in enumerate(self.scene.thin):
+            result[thin] = self.scene.series[k].whitened(values[thin], noises[k])
         return result
+
+
+def without_first(gram: Gram, first: int) -> Gram:
+    """The first columns, of prior standard deviation one, integrated out."""
+    if not first:
+        return gram
+    root = np.linalg.cholesky(np.eye(first) + gram.tip[:first, :first])
+    taken = solve_triangular(root, np.column_stack((gram.tip[:first, first:], gram.pull[:first])), lower=True)
+    seen = gram.tip[first:, first:] - taken[:, :-1].T @ taken[:, :-1]
+    pull = gram.pull[first:] - taken[:, :-1].T @ taken[:, -1]
+    left = gram.left - float(taken[:, -1] @ taken[:, -1])
+    return Gram(seen, pull, np.zeros_like(seen), np.zeros(len(pull)), left, gram.freedom)
+
+
+def only(gram: Gram, at: Places) -> Gram:
+    """Of some columns."""
+    across = np.ix_(at, at)
+    return Gram(
+        gram.tip[across], gram.pull[at], gram.current[across], gram.current_pull[at], gram.left, gram.freedom
+    )
 
 
 def foretold(
     linear: Linear, numbers: Sequence[int], sd: Array, noises: Sequence[Noise], groups: Sequence[Picked]
 ) -> Array:
-    """What a set leaves of every group of rows with the coefficients that the other groups give: (rows,).
+    """What a set leaves of every group of thin rows with the coefficients that the other groups give: (rows,).
 
     What a set only soaks up is left here, so that it is noise; what it explains is not. Rows of no group are nought.
     """
-    columns = np.hstack((linear.columns(numbers), linear.columns_of(linear.always)))
-    sd = np.concatenate((sd, np.ones(columns.shape[1] - len(sd))))
-    white = linear.whitened(np.column_stack((columns, linear.y)), noises)
-    rest = np.zeros(len(linear.y))
+    columns = linear.thin_columns(linear.at(numbers))
+    sd = np.concatenate((np.ones(linear.first), sd))
+    white = linear.whitened(np.column_stack((columns, linear.thin_y)), noises)
+    rest = np.zeros(len(linear.thin_y))
     grams = [white[g].T @ white[g] for g in groups]
     whole = np.sum(grams, axis=0)
     for group, own in zip(groups, grams, strict=True):
         other = whole - own if len(groups) > 1 else whole
         inner = np.eye(len(sd)) + sd[:, None] * other[:-1, :-1] * sd
         size = sd * np.linalg.solve(inner, sd * other[:-1, -1]) if len(sd) else np.zeros(0)
-        rest[group] = linear.y[group] - columns[group] @ size
+        rest[group] = linear.thin_y[group] - columns[group] @ size
     return rest
 
 
 def noises_of(scene: Scene, rest: Array, rows: Picked) -> list[Noise]:
-    """Each cell's noise from what is left on the picked rows."""
+    """Each cell's noise from what is left on the picked thin rows."""
     found = []
-    for k, cell in enumerate(scene.cells):
-        picked = rows[cell.rows]
+    for k, thin in enumerate(scene.thin):
+        picked = rows[thin]
         found.append(
-            fitted(scene.series[k], rest[cell.rows], picked)
+            fitted(scene.series[k], rest[thin], picked)
             if picked.any()
             else Noise.white(len(scene.recording.runs))
         )

@@ -8,39 +8,42 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.dynamic.fit import bounded
-from calib.gap.dynamic.split import Picked, Split
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import DEPARTURES, FLOOR_DOUBT, SIZE_LEVELS
 from calib.gap.posterior.decide import Decision, decide
 from calib.gap.posterior.evidence import Evidence
+from calib.gap.posterior.gram import Gram
+from calib.gap.posterior.merging import MergingSearch
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Key
 from calib.gap.series.always import always
+from calib.gap.series.around import Around
 from calib.gap.series.blocks import blocks_of
-from calib.gap.series.effects import Around, terms_of
-from calib.gap.series.linear import Linear, foretold, noises_of
+from calib.gap.series.constants import ALWAYS_MOST, UNTOLD
+from calib.gap.series.departures import GEARS
+from calib.gap.series.effects import terms_of
+from calib.gap.series.linear import Linear, foretold, noises_of, without_first
 from calib.gap.series.scene import Scene
-from calib.gap.series.search import SeriesSearch
+from calib.gap.series.split import Picked, Split
 from calib.gap.series.term import SeriesTerm
 from calib.gap.series.whitening import Noise
-from calib.gap.signals.terms import STEP
+from calib.gap.signals.terms import STEP, bounded
 from calib.gap.signals.terms import Term as Law
 from control.progress import Advance
 
 LOOKS = 3  # linearisations, at most
-UNTOLD = 1.05  # times the floor: what the first look leaves above it is noise that nobody has measured yet
 SETTLINGS = 5  # refits of laws that bend
 SETTLED = 0.01  # of a value
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """One linearisation, the noise around it, and what was decided."""
+    """One linearisation, the noise around it, and what was decided; `gram` with what is always there, on the rows."""
 
     around: Around
     linear: Linear
     noises: tuple[Noise, ...]
+    gram: Gram
     evidence: Evidence
     decision: Decision
     rows: Picked
@@ -74,11 +77,12 @@ def looked(
     around = Around(scene, tuple(known), {}, scene.rows.residual(tuple(known)))
     starts: list[frozenset[Key]] = []
     noises = [Noise.white(len(scene.recording.runs)) for _ in scene.cells]
-    terms: list[SeriesTerm] = []
+    first: list[SeriesTerm] = []
     blocks = list(blocks_of(around))
     for count in range(LOOKS):
         advance("what every effect would do", 0.1 + 0.28 * count)
-        terms = [*terms_of(around, names, terms), *blocks]
+        terms = [*terms_of(around, names, first), *blocks]
+        first = first or terms
         linear = Linear.around(around, terms, tuple(always(around, terms)))
         advance("weighing effects", 0.2 + 0.28 * count)
         look = _weighed(around, linear, noises, split, starts)
@@ -92,8 +96,21 @@ def looked(
             return look
         starts = [keys, frozenset(key for key in keys if isinstance(key, EffectName))]
         advance("settling what bends", 0.36 + 0.28 * count)
-        around = settled(look, split)
+        kept = scene.kept
+        after = settled(look, split)
+        if _remains(after, look) > _remains(around, look):  # no better place to look from
+            scene.keep(kept)
+            return look
+        around = after
     return look
+
+
+def _remains(around: Around, look: Look) -> float:
+    """What a model leaves of the rows that decide, each cell by its noise; blocks are in no model."""
+    thin = zip(around.scene.thinned, around.scene.cells, strict=True)
+    left = np.concatenate([one.of(around.residual[cell.rows]) for one, cell in thin])
+    white = look.linear.whitened(left[:, None], look.noises)[look.rows]
+    return float(np.sum(white**2))
 
 
 def _bounded(law: Law) -> Law:
@@ -113,7 +130,7 @@ def settled(look: Look, split: Split) -> Around:
             break
         terms = [one for one in terms_of(around, keys=laws.keys()) if one.now is not None]
         linear = Linear.around(around, [*terms, *blocks])
-        gram = linear.gram(look.noises, split.deciding & scene.kept)
+        gram = linear.gram(look.noises, scene.picked(split.deciding & scene.kept))
         sd = np.concatenate([_usual(one) for one in linear.terms])
         inner = np.eye(len(sd)) + sd[:, None] * gram.tip * sd
         size, first = sd * np.linalg.solve(inner, sd * gram.pull), 0
@@ -127,8 +144,11 @@ def settled(look: Look, split: Split) -> Around:
                 continue
             moved[one.key] = _bounded(one.law(own))
             if laws[one.key].form in STEP:
-                now = laws[one.key].values[0]
-                largest = max(largest, abs(moved[one.key].values[0] / now - 1.0) if now else 0.0)
+                counted = (
+                    1 if one.key.effect in GEARS else 2
+                )  # damping and a friction's share are never known well
+                pairs = zip(moved[one.key].values[:counted], laws[one.key].values, strict=False)
+                largest = max(largest, *(abs(new / now - 1.0) if now else 0.0 for new, now in pairs))
         laws = moved
         if largest < SETTLED:
             model = (*known, *laws.values())
@@ -155,34 +175,30 @@ def _usual(one: SeriesTerm) -> Array:
 def _weighed(
     around: Around, linear: Linear, noises: Sequence[Noise], split: Split, starts: Sequence[frozenset[Key]]
 ) -> Look:
-    rows = split.deciding & around.scene.kept
-    evidence = Evidence(linear.gram(noises, rows), linear.terms, FLOOR_DOUBT)
-    found = SeriesSearch(evidence).run(starts)
-    return Look(around, linear, tuple(noises), evidence, decide(evidence, found), rows)
+    rows = around.scene.picked(split.deciding & around.scene.kept)
+    gram = linear.gram(noises, rows)
+    evidence = Evidence(without_first(gram, linear.first), linear.terms, FLOOR_DOUBT)
+    found = MergingSearch(evidence).run(starts)
+    return Look(around, linear, tuple(noises), gram, evidence, decide(evidence, found), rows)
 
 
 def measured(look: Look, split: Split) -> list[Noise]:
     """The noise of every cell: what the best set leaves of recordings that it was not fitted to."""
     scene, members = look.around.scene, look.best.members
     sd = np.concatenate([look.evidence.scales[k][0][h] for k, h in members] or [np.zeros(0)])
-    groups = [group & scene.kept for group in split.groups]
+    groups = [scene.picked(group & scene.kept) for group in split.groups]
     rest = foretold(look.linear, look.numbers, sd, look.noises, groups)
     return noises_of(scene, rest, look.rows)
 
 
 def left(look: Look, numbers: Sequence[int], drop: Collection[int] = ()) -> Array:
     """What terms of the best set leave of all rows (rows,), refitted beside what is always there, without those of `drop`."""
-    scales = dict(look.best.members)
-    sd = np.concatenate([np.zeros(0), *(look.evidence.scales[k][0][scales[k]] for k in numbers)])
-    terms = [*(look.linear.terms[k] for k in numbers), *look.linear.always]
-    columns = look.linear.columns_of(terms)
-    sd = np.concatenate((sd, np.ones(columns.shape[1] - len(sd))))
-    white = (
-        look.linear.whitened(np.column_stack((columns, look.linear.y)), look.noises)[look.rows]
-        / look.best.kappa
-    )
-    gram = white.T @ white
-    size = sd * np.linalg.solve(np.eye(len(sd)) + sd[:, None] * gram[:-1, :-1] * sd, sd * gram[:-1, -1])
-    kept = [np.full(one.count, k not in drop) for k, one in zip(numbers, terms, strict=False)]
-    size *= np.concatenate([*kept, *(np.ones(one.count, dtype=bool) for one in look.linear.always)])
-    return np.asarray(look.linear.y - columns @ size)
+    linear, scales = look.linear, dict(look.best.members)
+    at = linear.at(numbers)
+    sd = np.concatenate([np.ones(linear.first), *(look.evidence.scales[k][0][scales[k]] for k in numbers)])
+    seen, pull = (part / look.best.kappa**2 for part in (look.gram.tip[np.ix_(at, at)], look.gram.pull[at]))
+    size = sd * np.linalg.solve(np.eye(len(sd)) + sd[:, None] * seen * sd, sd * pull)
+    kept = [np.full(linear.terms[k].count, k not in drop) for k in numbers]
+    size[: linear.first] = np.clip(size[: linear.first], -ALWAYS_MOST, ALWAYS_MOST)
+    size *= np.concatenate([np.ones(linear.first), *kept])
+    return np.asarray(linear.y - linear.explained(numbers, size))

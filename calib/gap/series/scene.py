@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
 from calib.arrays import Array
-from calib.gap.dynamic.rows import Cell, Rows
+from calib.gap.residuals.rows import Cell, Rows
 from calib.gap.series.whitening import Series
 from calib.gap.signals.body import Load
 from calib.gap.signals.laws import sampled_friction_Nm
@@ -19,6 +21,8 @@ from calib.gap.signals.terms import Term as Law
 
 Response = Mapping[int, Array]  # of each cell (number) that something changes: (its rows, columns)
 REST_rad_s = 0.003
+TIP_ROW_s = 0.03  # frames within it are one row of the evidence: joints move at up to some 7 Hz
+AXES = 3
 Places = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
 
@@ -45,6 +49,52 @@ class Beside:
         return np.asarray(np.tanh(self.speed / REST_rad_s))
 
 
+@dataclass(frozen=True, slots=True)
+class Thin:
+    """The rows of a cell as evidence counts them: each a sum of some, over the root of their count, so that noise stays as it is.
+
+    `mix` (thin rows, rows); None where each is its own. `step`: samples from one to the next, `stride` of them side by side.
+    """
+
+    run: Places
+    sample: Places
+    step: int
+    stride: int
+    mix: sparse.csr_array | None
+
+    @classmethod
+    def each(cls, run: Places, sample: Places, step: int) -> Thin:
+        """All as they are."""
+        return cls(run, sample, step, 1, None)
+
+    @classmethod
+    def of_frames(cls, run: Places, sample: Places, step: int, together: int) -> Thin:
+        """Tips of three rows a frame, `together` frames that follow each other as one; what is left over is not used."""
+        if together == 1:
+            return cls(run, sample, step, AXES, None)
+        frames, of_run = sample[::AXES], run[::AXES]
+        begins = np.ones(len(frames), dtype=bool)
+        begins[1:] = (np.diff(of_run) != 0) | (np.diff(frames) > step)
+        count = np.arange(len(frames))
+        since = count - np.maximum.accumulate(np.where(begins, count, 0))
+        last = np.flatnonzero(since % together == together - 1)
+        members = (AXES * (last[:, None, None] - np.arange(together)) + np.arange(AXES)[:, None]).reshape(-1)
+        ends = np.arange(0, len(members) + 1, together)
+        mix = sparse.csr_array(
+            (np.full(len(members), together**-0.5), members, ends), shape=(len(ends) - 1, len(sample))
+        )
+        middle = np.repeat(last - together // 2, AXES)
+        return cls(of_run[middle], frames[middle], together * step, AXES, mix)
+
+    def of(self, values: Array) -> Array:
+        """Values (rows, ...) thinned."""
+        return values if self.mix is None else np.asarray(self.mix @ values)
+
+    def all_of(self, flags: Flags) -> Flags:
+        """Thin rows that consist of flagged ones alone."""
+        return flags if self.mix is None else np.asarray((self.mix > 0.0) @ ~flags == 0)
+
+
 class Scene:
     """Rows and what stands beside them."""
 
@@ -57,26 +107,35 @@ class Scene:
         turned = [_since_turn(run.q, run.speed) for run in self.recording.runs]
         self.beside = [self._beside(cell, load, current, turned) for cell in self.cells]
         self.whole = self._whole(load, current, turned)
-        self.kept = np.ones(len(rows.table.run), dtype=bool)
-        self.series = self._followed()
+        self.thinned = [self._thinned(cell, own) for cell, own in zip(self.cells, self.beside, strict=True)]
+        ends = np.cumsum([0, *(len(one.run) for one in self.thinned)]).tolist()
+        self.thin = [slice(first, end) for first, end in itertools.pairwise(ends)]
+        self.keep(np.ones(len(rows.table.run), dtype=bool))
 
     def keep(self, kept: Flags) -> None:
         """Rows (k,) that models can speak of from now on; the others are like gaps."""
         self.kept = kept
-        self.series = self._followed()
-
-    def _followed(self) -> list[Series]:
-        return [
-            Series.of(own.run, own.sample, self._step(cell), 3 if cell.joint < 0 else 1, self.kept[cell.rows])
-            for cell, own in zip(self.cells, self.beside, strict=True)
+        still = self.picked(kept)
+        self.series = [
+            Series.of(own.run, own.sample, own.step, own.stride, still[rows])
+            for own, rows in zip(self.thinned, self.thin, strict=True)
         ]
 
-    def _step(self, cell: Cell) -> int:
-        """Samples from a row of a cell to the next."""
+    def picked(self, rows: Flags) -> Flags:
+        """Thin rows all of whose rows (k,) are picked."""
+        return np.concatenate(
+            [own.all_of(rows[cell.rows]) for own, cell in zip(self.thinned, self.cells, strict=True)]
+        )
+
+    def _thinned(self, cell: Cell, beside: Beside) -> Thin:
+        """Rows of a current are thin already; frames of a quick camera are averaged, as far as a motion lets them."""
         if cell.joint >= 0:
-            return self.recording.filters.step
+            return Thin.each(beside.run, beside.sample, self.recording.filters.step)
         steps = np.concatenate([np.diff(run.frames) for run in self.recording.runs])
-        return int(np.median(steps)) if len(steps) else 1
+        step = int(np.median(steps)) if len(steps) else 1
+        return Thin.of_frames(
+            beside.run, beside.sample, step, max(1, round(TIP_ROW_s * self.recording.filters.rate_Hz / step))
+        )
 
     def _beside(self, cell: Cell, load: list[Array], current: list[Array], turned: list[Array]) -> Beside:
         table, runs = self.rows.table, self.recording.runs
@@ -138,15 +197,19 @@ class Scene:
         k = self.number("current_A", joint)
         if k is None:
             return {}
-        cell, beside = self.cells[k], self.beside[k]
-        found = np.empty((len(beside.run), len(torque_Nm)))
+        size = float(self.rows.physics.torque_per_A[joint]) * self.cells[k].floor
+        return {k: self.filtered(k, torque_Nm) / size}
+
+    def filtered(self, k: int, values: Array) -> Array:
+        """Values (c, samples) as the rows of a cell of currents are filtered, (its rows, c)."""
+        beside, filters = self.beside[k], self.recording.filters
+        found = np.empty((len(beside.run), len(values)))
         for number in range(len(self.recording.runs)):
             mine = beside.run == number
             if mine.any():
-                filters = self.recording.filters
-                rows = filters.rows(torque_Nm[:, self.whole.run == number].T)
+                rows = filters.rows(values[:, self.whole.run == number].T)
                 found[mine] = rows[(beside.sample[mine] - filters.reach) // filters.step]
-        return {k: found / (float(self.rows.physics.torque_per_A[joint]) * cell.floor)}
+        return found
 
     def ahead(self, joint: int, angle_rad: Array) -> dict[int, Array]:
         """The tips' response to a joint that is further than its encoder says by angles (c, tip rows)."""

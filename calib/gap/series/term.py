@@ -10,6 +10,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.posterior.constants import BLOCK_PRIOR, NAME_PRIOR
 from calib.gap.posterior.term import Term
+from calib.gap.series.constants import BENDS_LEAST, COMMON_PRIOR
 from calib.gap.series.scene import Response
 from calib.gap.signals.terms import Term as Law
 
@@ -25,7 +26,7 @@ class SeriesTerm(Term):
     width: int = 0
     law: Callable[[Array], Law] | None = None
     now: Array | None = None  # coefficients at which the model of this linearisation has it
-    is_common: bool = False  # as likely as not: every gear has it, and the file says nothing of it
+    is_common: bool = False  # every gear has it, and the file says nothing of it
 
     @property
     def count(self) -> int:
@@ -35,9 +36,7 @@ class SeriesTerm(Term):
     @property
     def log_odds(self) -> float:
         """Of its key, before any data."""
-        if self.is_common:
-            return 0.0
-        prior = NAME_PRIOR if self.is_name else BLOCK_PRIOR
+        prior = COMMON_PRIOR if self.is_common else NAME_PRIOR if self.is_name else BLOCK_PRIOR
         return float(np.log(prior / (1.0 - prior)))
 
 
@@ -88,8 +87,5 @@ def departed(law: Response, shapes: Mapping[int, Array]) -> dict[int, Array]:
     share = np.linalg.lstsq(gram, across, rcond=None)[0]
     rest = {cell: products[cell] - own @ share for cell, own in law.items()}
     sizes = size_of(rest)
-    kept = sizes > LEAST * whole
+    kept = sizes > BENDS_LEAST * whole
     return {cell: own[:, kept] * (whole / sizes[kept]) for cell, own in rest.items()} if kept.any() else {}
-
-
-LEAST = 0.03  # of the law, that a departure must differ by from it: less cannot be told from another size

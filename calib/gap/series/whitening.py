@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
 from calib.arrays import Array
+from calib.gap.series.constants import DRAWN, NOISE_LEAST, ORDER
 
-ORDER = 6
-DRAWN = 20  # rows that the mean of all runs counts for in a run of its own
-LEAST = 0.8  # of the floor: prediction errors below are a fit to too few rows
 Places = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
 
@@ -61,28 +60,27 @@ class Series:
         first = np.maximum.accumulate(np.where(follows, 0, count))
         return cls(np.repeat(count - first, stride), stride, run)
 
+    def whitener(self, noise: Noise, picked: Flags | None = None) -> sparse.csr_array:
+        """Prediction errors over their standard deviation as a matrix on the rows (m,): all of them, or those picked.
+
+        A band of as many diagonals as there are orders, so that it costs as much whatever gaps there are.
+        """
+        highest = len(noise.coefficients) - 1
+        weights = np.zeros((highest + 1, highest + 1))  # by order and lag
+        for order, own in enumerate(noise.coefficients):
+            weights[order, : order + 1] = np.concatenate(([1.0], -own)) / noise.sd[order]
+        at = np.arange(len(self.before)) if picked is None else np.flatnonzero(picked)
+        orders = np.minimum(self.before[at], highest)
+        lags = np.arange(highest + 1)
+        used = lags <= orders[:, None]
+        columns = (at[:, None] - lags * self.stride)[used]
+        values = (weights[orders] / noise.scale[self.run[at]][:, None])[used]
+        ends = np.concatenate(([0], np.cumsum(orders + 1)))
+        return sparse.csr_array((values, columns, ends), shape=(len(at), len(self.before)))
+
     def whitened(self, values: Array, noise: Noise) -> Array:
         """Prediction errors of values (m, c) over their standard deviation."""
-        values = values / noise.scale[self.run][:, None]
-        result = np.empty_like(values)
-        highest = len(noise.coefficients) - 1
-        order = np.minimum(self.before, highest)
-        for k in range(highest + 1):
-            at = np.flatnonzero(order == k)
-            if k == highest and k:  # nearly all rows
-                continue
-            own = values[at].copy()
-            for lag, share in enumerate(noise.coefficients[k].tolist(), start=1):
-                own -= share * values[at - lag * self.stride]
-            result[at] = own / noise.sd[k]
-        if highest:
-            whole = values.copy()
-            for lag, share in enumerate(noise.coefficients[highest].tolist(), start=1):
-                back = lag * self.stride
-                whole[back:] -= share * values[:-back]
-            at = np.flatnonzero(order == highest)
-            result[at] = whole[at] / noise.sd[highest]
-        return result
+        return np.asarray(self.whitener(noise) @ values)
 
     def covariances(self, values: Array, picked: Flags, orders: int) -> tuple[Array, Array]:
         """Sums of values (m,) times those k rows earlier, k = 0 .. orders, and of how many pairs."""
@@ -110,7 +108,7 @@ def fitted(series: Series, values: Array, picked: Flags, order: int = ORDER) -> 
         share = float(np.clip(missed / max(variance[-1], 1e-300), -0.98, 0.98))
         coefficients.append(np.append(last - share * last[::-1], share))
         variance.append(variance[-1] * (1.0 - share**2))
-    least = LEAST / float(np.sqrt(np.mean(scale[series.run[picked]] ** 2)))
+    least = NOISE_LEAST / float(np.sqrt(np.mean(scale[series.run[picked]] ** 2)))
     return Noise(tuple(coefficients), np.maximum(np.sqrt(variance), least), scale)
 
 

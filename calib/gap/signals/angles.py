@@ -22,9 +22,7 @@ BEHIND: Final = " behind"  # of a form: between motor and link
 SEEN: Final = " seen"  # of a form: by the camera alone
 AT_MOTOR: Final = ("encoder_eccentricity", "encoder_scale", "belt_coupling")
 ERRORS: Final = (*AT_MOTOR, "thermal_drift")
-ANGLES: Final = frozenset(
-    (*ERRORS, *(form + BEHIND for form in AT_MOTOR), *(form + SEEN for form in ERRORS), "zero", "zero" + SEEN)
-)
+ANGLES: Final = frozenset((*ERRORS, *(form + BEHIND for form in AT_MOTOR), *(form + SEEN for form in ERRORS)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +89,6 @@ def _turned(term: Term, q: Array, t_s: Array) -> tuple[Array, Array, Array]:
             return error, first * cosine - second * sine, -error
         case "encoder_scale" | "belt_coupling":
             return first * q, np.full_like(q, first), np.zeros_like(q)
-        case "zero":
-            return np.full_like(q, first), np.zeros_like(q), np.zeros_like(q)
         case "thermal_drift":
             # Warm-up begins where the clock of the log does.
             gone = np.exp(-t_s / term.values[1])

@@ -18,6 +18,7 @@ from calib.gap.signals.recording import Flags, Recording
 from calib.gap.signals.terms import Term
 
 SHORTEST_SPRING_rad_Nm = 1e-8
+LEAST_INERTIA = 0.1  # of the nominal one
 RESTING_rad_s = 0.002  # between link and motor: slower, a loose link lies on its flank
 TERMS_KEPT = 48  # motions of elastic joints, some 1.5 MB each
 MODELS_KEPT = 6
@@ -123,12 +124,17 @@ class Following:
             torques = [part[:, j] for part in self._body.link_torques(load)]
             self._follow[key] = Follower(
                 _side_by_side(torques),
-                _side_by_side(self._body.own_inertia(load, j)),
+                _side_by_side(self._turned(load, j)),
                 _side_by_side(self._body.gravity_slope(load, j)),
                 1.0 / self._recording.filters.rate_Hz,
                 _side_by_side([run.speed[:, j] for run in self._recording.runs]),
             )
         return self._follow[key]
+
+    def _turned(self, load: Load, j: int) -> list[Array]:
+        """The inertia that a joint turns; no load that is tried takes nearly all of it away: nothing could be followed then."""
+        own, nominal = self._body.own_inertia(load, j), self._body.own_inertia(Load(), j)
+        return [np.maximum(part, LEAST_INERTIA * known) for part, known in zip(own, nominal, strict=True)]
 
 
 def _side_by_side(columns: list[Array]) -> Array:

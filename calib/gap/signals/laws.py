@@ -1,7 +1,4 @@
-"""Friction and cogging as they act at a motor, along a measured motion; and laws that are in no list.
-
-The latter are there to be recognised as not in the list: what they explain better than any effect is `unknown`.
-"""
+"""Friction and cogging as they act at a motor, along a measured motion."""
 
 from __future__ import annotations
 
@@ -71,19 +68,5 @@ def friction_Nm(term: Term, run: Moving, j: int, link_Nm: Array, gear_ratio: flo
         case "cogging":
             angle = term.order * gear_ratio * q
             return np.asarray(first * np.sin(angle) + term.values[1] * np.cos(angle))
-        case "drag":
-            return np.asarray(first * speed * np.abs(speed))
-        case "cubic drag":
-            return np.asarray(first * speed**3)
-        case "position friction":
-            return np.asarray((first * np.sin(q) + term.values[1] * np.cos(q)) * sign)
-        case "position torque":
-            return np.asarray(first * q + term.values[1] * q**2)
-        case "joint turn torque":
-            return np.asarray(first * np.sin(q) + term.values[1] * np.cos(q))
-        case "warming":
-            return np.asarray(first * sign * (run.t_s - run.t_s[0]) / 10.0)
-        case "inertia":
-            return np.asarray(first * run.acceleration[:, j])
         case _:
             raise ValueError(f"no law {term.form}")

@@ -5,11 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from calib.gap.signals.angles import ANGLES
+from calib.gap.signals.angles import ANGLES, SEEN
 from calib.gap.signals.body import Load
 from calib.gap.signals.terms import Term
 
 SHARED = ("coulomb_friction", "viscous_friction")  # part of it may act behind an elastic or loose gear
+
+OF_TIP = ("link_geometry", "base_frame", "link_flexure")
+
+
+def is_seen_alone(term: Term) -> bool:
+    """Whether a term changes what the camera sees and nothing else."""
+    return term.form in OF_TIP or term.form.endswith(SEEN)
 
 
 @dataclass(slots=True)
@@ -23,7 +30,6 @@ class Parts:
     friction: list[Term] = field(default_factory=list)
     elastic: list[Term] = field(default_factory=list)
     angles: list[Term] = field(default_factory=list)
-    electrical: list[Term] = field(default_factory=list)
     tip: list[Term] = field(default_factory=list)
 
     def link_friction(self, j: int) -> tuple[float, float]:
@@ -65,10 +71,8 @@ def sorted_terms(model: Sequence[Term]) -> Parts:
                 parts.elastic.append(term)
             case form if form in ANGLES:
                 parts.angles.append(term)
-            case "link_geometry" | "base_frame" | "camera time" | "link_flexure":
+            case form if form in OF_TIP:
                 parts.tip.append(term)
-            case "resistance" | "current offset" | "inductance":
-                parts.electrical.append(term)
             case _:
                 parts.friction.append(term)
     parts.load = Load(payload, tuple(masses), tuple(inertias))

@@ -20,7 +20,7 @@ from calib.gap.signals.angles import BEHIND, STILL, MotorAhead, angle_error
 from calib.gap.signals.body import Body, Load
 from calib.gap.signals.following import Following
 from calib.gap.signals.laws import sampled_friction_Nm
-from calib.gap.signals.parts import Parts, sorted_terms
+from calib.gap.signals.parts import Parts, is_seen_alone, sorted_terms
 from calib.gap.signals.recording import Motion, Recording
 from calib.gap.signals.staircase import Staircase, Winding, settled_shares
 from calib.gap.signals.terms import Term
@@ -64,6 +64,7 @@ class Physics:
         )
         self.following = Following(recording, self.body)
         self.tips = Tips(arm, recording)
+        self._last_driven: tuple[tuple[Term, ...], list[tuple[Array, Array, Array]]] | None = None
 
     @property
     def torque_per_A(self) -> Array:
@@ -105,6 +106,22 @@ class Physics:
     def predict(self, model: Sequence[Term]) -> list[Prediction]:
         """The model's residuals on every run."""
         parts = sorted_terms(model)
+        driven = self._driven(tuple(one for one in model if not is_seen_alone(one)))
+        return [
+            Prediction(current, voltage, self.tips.beside_camera(parts, run, k, offset))
+            for k, (run, (current, voltage, offset)) in enumerate(
+                zip(self.recording.runs, driven, strict=True)
+            )
+        ]
+
+    def _driven(self, model: tuple[Term, ...]) -> list[tuple[Array, Array, Array]]:
+        """Currents of motion and of voltage, and links' angles beyond their encoders, (m, n) of each run; kept."""
+        if self._last_driven is None or self._last_driven[0] != model:
+            self._last_driven = model, self._driven_anew(model)
+        return self._last_driven[1]
+
+    def _driven_anew(self, model: tuple[Term, ...]) -> list[tuple[Array, Array, Array]]:
+        parts = sorted_terms(model)
         parts.delay_s = max(parts.delay_s, -MOST_OF_PERIOD * self._period)
         torques = self.body.link_torques(parts.load)
         moved = self.following.all(parts) if parts.elastic else []
@@ -123,8 +140,7 @@ class Physics:
                     ):  # the motor pulls at the other joint through its belt
                         link[:, COUPLED_TO - 1] += term.values[0] * link[:, COUPLED - 1]
             mechanical = self._current(parts, run, k, link, ahead)
-            electrical = self._electrical(parts, run, k, ahead)
-            result.append(Prediction(mechanical, electrical, self.tips.beside_camera(parts, run, k, offset)))
+            result.append((mechanical, self._electrical(parts, run, k, ahead), offset))
         return result
 
     def _current(self, parts: Parts, run: Motion, k: int, link: Array, ahead: MotorAhead) -> Array:
@@ -161,14 +177,6 @@ class Physics:
         speed = run.speed + ahead.speed_rad_s - self._lag * run.acceleration
         expected = (seen - self._K * scale * speed) / self._R
         expected += self._staircase.of_sampled_current(parts.delay_s)[k]
-        for term in parts.electrical:
-            j = term.index
-            if term.form == "resistance":
-                expected[:, j] -= term.values[0] * run.current_A[:, j]
-            elif term.form == "current offset":
-                expected[:, j] += term.values[0]
-            elif term.form == "inductance":
-                expected[:, j] -= term.values[0] * run.current_slope[:, j]
         return np.asarray(expected - run.current_A)
 
     def _held(self, voltage: Array, delay_s: float) -> Array:

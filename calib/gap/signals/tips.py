@@ -49,10 +49,6 @@ class Tips:
         return np.asarray(expected - run.tip_m)
 
     def _shift(self, parts: Parts, term: Term, k: int, run: Motion) -> Array:
-        if term.form == "camera time":
-            return np.asarray(
-                np.einsum("mij,mj->mi", self.jacobians[k], run.speed[run.frames]) * term.values[0]
-            )
         if term.form == "link_flexure":
             return self._bent(term.name.joint or 1, parts.load.payload_kg)[k] * term.values[0]
         if term.form == "link_geometry":

@@ -17,10 +17,10 @@ from benchmarks.gap.mock.cases import arm_with_friction, entry, joints_of
 from benchmarks.gap.mock.motion import CURRENT_NOISE_A, motion_case
 from benchmarks.gap.mock.rig import MockRig, eased, effects_with
 from calib.arrays import Array
-from calib.gap.dynamic.find import find as find_in_motion
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log
 from calib.gap.poses.find import find as find_in_poses
+from calib.gap.series.find import find as find_in_motion
 from calib.points.points import Points, read_points
 from control.model.arm import Arm
 from control.model.description import load_arm

@@ -7,16 +7,17 @@ from calib.gap.finding import EffectName
 from calib.gap.posterior.decide import decide
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.gram import Gram
+from calib.gap.posterior.merging import MergingSearch
 from calib.gap.posterior.search import Search, Weighed
 from calib.gap.posterior.term import Block, Term
 
 ROWS = 240
 
 
-def _term(key, columns: int = 1, departures: int = 0, is_positive: bool = False) -> Term:
+def _term(key, columns: int = 1, departures: int = 0, is_positive: bool = False, **more: float) -> Term:
     slope = np.zeros((columns, 1, 1))
     return Term(
-        key, str(key), columns - departures, departures, 1.0, slope_rad=slope, is_positive=is_positive
+        key, str(key), columns - departures, departures, 1.0, slope_rad=slope, is_positive=is_positive, **more
     )
 
 
@@ -101,3 +102,23 @@ def test_an_effect_that_the_file_has_is_in_every_set() -> None:
     found = Search(evidence, [EffectName("encoder_scale", 2)]).run()
     assert all((1 in [k for k, _ in one.members]) for one in found)
     assert isinstance(found[0], Weighed)
+
+
+def test_a_secant_says_nothing_beyond_its_reach() -> None:
+    columns, y = _world(5, 1.0)
+    play = EffectName("backlash", 1)
+    for reach, speaks in (((0.5, 2.0), True), ((2.0, 8.0), False), ((0.1, 0.5), False)):
+        term = _term(play, is_positive=True, least=reach[0], most=reach[1])
+        found = Search(_evidence([term], columns[:, :1], y)).run()[0]
+        assert bool(found.members) == speaks, reach
+
+
+def test_a_spring_and_a_play_of_one_joint_are_never_in_one_set() -> None:
+    rng = np.random.default_rng(6)
+    columns = rng.normal(size=(ROWS, 3))
+    y = columns @ np.ones(3) + 0.1 * rng.normal(size=ROWS)
+    names = [EffectName("joint_compliance", 1), EffectName("backlash", 1), EffectName("backlash", 2)]
+    evidence = _evidence([_term(name, is_positive=True) for name in names], columns, y)
+    assert {evidence.terms[k].key for k, _ in Search(evidence).run()[0].members} == set(names)
+    for one in MergingSearch(evidence).run():
+        assert not {names[0], names[1]} <= {evidence.terms[k].key for k, _ in one.members}

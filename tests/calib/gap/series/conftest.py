@@ -11,5 +11,5 @@ import pytest
 def without_motion() -> Iterator[None]:
     """Leave out the motion simulated from voltages: it takes no part in naming, and half of the time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.gap.dynamic.find.motion_gaps", lambda *_: {})
+        patch.setattr("calib.gap.series.find.motion_gaps", lambda *_: {})
         yield

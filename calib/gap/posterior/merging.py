@@ -1,4 +1,4 @@
-"""The search of the poses, with one more step: two members make room for one other.
+"""The search with one more step: two members make room for one other.
 
 Friction laws of a joint look alike: two wrong ones that grew first (viscous, and Coulomb of the other sign) do what one
 nameless block (drag) does better, and no exchange of single members gets there.
@@ -6,22 +6,25 @@ nameless block (drag) does better, and no exchange of single members gets there.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from itertools import combinations
 
+from calib.gap.finding import EffectName
 from calib.gap.posterior.search import Search, Weighed
 from calib.gap.posterior.term import Key
 
+# A gear is soft or loose, and no model follows one that is both; a command is late, or what is read of it is.
+EITHER = (("joint_compliance", "backlash"), ("command_delay", "sampling time"))
 MERGES = 3
 BESIDE = 2  # terms that are tried in the place of two
 
 
-class SeriesSearch(Search):
+class MergingSearch(Search):
     """Over the sets of an Evidence."""
 
     def run(self, known: Iterable[frozenset[Key]] = ()) -> list[Weighed]:
         """All sets that were weighed, best first; `known`: sets to start from besides."""
-        found = super().run(known)
+        found = super().run(start & self.evidence.of_key.keys() for start in known)
         for _ in range(MERGES):
             best = found[0]
             for pair in combinations(best.members, 2):
@@ -35,6 +38,19 @@ class SeriesSearch(Search):
             if found[0] is best:
                 break
         return found
+
+    def may_join(self, key: Key, present: Collection[Key]) -> bool:
+        """Not two that are one thing: with both, each hides what the other does."""
+        if not isinstance(key, EffectName):
+            return True
+        either = next((some for some in EITHER if key.effect in some), ())
+        return not any(
+            isinstance(one, EffectName) and one != key and one.effect in either and one.joint == key.joint
+            for one in present
+        )
+
+    def _starts(self) -> list[frozenset[Key]]:
+        return [some for some in super()._starts() if all(self.may_join(key, some - {key}) for key in some)]
 
     def _joint(self, number: int) -> int:
         key = self.evidence.terms[number].key

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calib.gap.dynamic.rows import RowTable
+from calib.gap.residuals.rows import RowTable
 from calib.gap.signals.recording import Recording
 
 Picked = npt.NDArray[np.bool_]

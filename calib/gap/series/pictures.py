@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.dynamic.find import DynamicOutcome
-from calib.gap.dynamic.rows import Cell
 from calib.gap.finding import EffectName, NamedEffect
+from calib.gap.residuals.rows import Cell
+from calib.gap.series.outcome import DynamicOutcome
 from calib.report.drawing import AFTER, BEFORE, PLANNED, svg
 from calib.report.page import Section, bullets, paragraph
 

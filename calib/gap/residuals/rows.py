@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array
+from calib.gap.residuals.floor import Block, floors
 from calib.gap.signals.body import Load
-from calib.gap.signals.floor import Block, floors
 from calib.gap.signals.laws import sampled_friction_Nm
 from calib.gap.signals.physics import Physics, Prediction
 from calib.gap.signals.recording import Flags, Motion, Recording, UnusableLogError
@@ -95,19 +95,6 @@ class Rows:
         for cell in self.table.cells:
             if cell.channel == "current_A" and cell.joint == j:
                 result[cell.rows] = np.concatenate(parts) / (K * cell.floor)
-        return result
-
-    def at_rest_slope(self, form: str, joint: int) -> Array:
-        """Tip rows of a gear (0-based) that gives way by 1 rad/(N m), or has 1 rad of play, link and motor in step."""
-        physics, result = self.physics, np.zeros(len(self.table.run))
-        parts = []
-        for k, run in enumerate(self.recording.runs):
-            torque = physics.body.link_torques(Load())[k][run.frames, joint]
-            turned = -torque if form == "joint_compliance" else -0.5 * np.sign(torque)
-            parts.append((physics.tips.jacobians[k][:, :, joint] * turned[:, None]).ravel())
-        for cell in self.table.cells:
-            if cell.channel == "tip_m":
-                result[cell.rows] = np.concatenate(parts) / cell.floor
         return result
 
     def _raw(self, model: Sequence[Term]) -> Array:

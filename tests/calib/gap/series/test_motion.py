@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.dynamic.find import find
 from calib.gap.finding import EffectName
 from calib.gap.log import Log
+from calib.gap.series.find import find
 from calib.gap.signals.forms import known_terms
 from calib.gap.signals.forward import Forward, State
 from calib.gap.signals.motion import CLOSED, OPEN, motion_gaps
@@ -18,7 +18,7 @@ from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import prepare
 from calib.gap.signals.terms import Term
 from control.dynamics.dynamics import Dynamics
-from tests.calib.gap.dynamic.prescribed import arm_with_friction, log_of
+from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
 ARM = arm_with_friction()
 LOG = log_of(ARM)

@@ -11,7 +11,7 @@ from calib.arrays import Array
 from calib.gap.log import Log, Run
 from calib.gap.signals.held import not_held
 from calib.gap.signals.recording import prepare
-from tests.calib.gap.dynamic.prescribed import arm_with_friction
+from tests.calib.gap.series.prescribed import arm_with_friction
 
 ARM = arm_with_friction()
 FIELDS = ("t_s", "q_rad", "q_set_rad", "current_A", "voltage_V", "payload_kg", "tip_m")

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.dynamic.find import DynamicOutcome, examine
 from calib.gap.finding import EffectName
 from calib.gap.log import Log, Run
-from tests.calib.gap.dynamic.prescribed import arm_with_friction, log_of
+from calib.gap.series.find import examine
+from calib.gap.series.outcome import DynamicOutcome
+from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
 pytestmark = pytest.mark.usefixtures("without_motion")
 

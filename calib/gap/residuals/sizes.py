@@ -1,4 +1,4 @@
-"""The smallest size of each effect that is worth a name: below it nothing is named, and detectability is for it.
+"""The smallest size of each effect that is worth a name: below it nothing is named.
 
 About what a careful builder of such an arm would still correct: a tenth of a typical friction, a hundredth of a motor
 constant, half a milliradian.
@@ -39,29 +39,23 @@ SMALLEST = {
     "zero": 3e-4,
     "camera time": 5e-4,
     "sampling time": 5e-5,
-    "inertia": 0.01,
-    "current offset": 0.02,
-    "warming": 0.1,
-    "drag": 0.03,
-    "cubic drag": 0.03,
-    "position friction": 0.05,
-    "position torque": 0.05,
-    "joint turn torque": 0.05,
 }
-SAME_RESISTANCE = 0.03  # of the winding's
-SAME_INDUCTANCE = 0.5  # of the winding's, or of what a tenth of a sample's delay looks like
+MEANT_FOR_Nm = 30.0  # stall torque
 
 
 def smallest(arm: Arm, form: str, joint: int) -> float:
     """The size for a joint (0-based) of this arm; small drives have small frictions."""
-    if form == "resistance":
-        return SAME_RESISTANCE * arm.drives[joint].resistance_ohm
-    if form == "inductance":
-        drive = arm.drives[joint]
-        return max(SAME_INDUCTANCE * drive.inductance_H, 2e-4 * drive.resistance_ohm)
-    size = SMALLEST[plain(form)]
-    is_torque = form in _TORQUES and joint >= 0
-    return size * min(1.0, stall_Nm(arm, joint) / 30.0) if is_torque else size
+    return SMALLEST[plain(form)] * min(1.0, _of_drive(arm, form, joint))
+
+
+def typical(arm: Arm, form: str, joint: int) -> float:
+    """What `smallest` is a share of: the frictions of a large drive are larger, although as little is worth a name."""
+    return smallest(arm, form, joint) * max(1.0, _of_drive(arm, form, joint))
+
+
+def _of_drive(arm: Arm, form: str, joint: int) -> float:
+    """A joint's torque over that of the drives that the sizes of torques are meant for; 1 for what is no torque."""
+    return stall_Nm(arm, joint) / MEANT_FOR_Nm if form in _TORQUES and joint >= 0 else 1.0
 
 
 def stall_Nm(arm: Arm, joint: int) -> float:
@@ -78,13 +72,6 @@ _TORQUES = {
     "stribeck exponential",
     "asymmetric_friction",
     "cogging",
-    "inertia",
-    "warming",
-    "drag",
-    "cubic drag",
-    "position friction",
-    "position torque",
-    "joint turn torque",
 }
 
 
@@ -95,5 +82,3 @@ def is_worth_a_name(arm: Arm, term: Term) -> bool:
 
 
 _FIRST_COUNTS = {"stribeck_friction", "stribeck exponential", "joint_compliance", "backlash", "thermal_drift"}
-
-NAMEABLE_sd = 8.0  # of the smallest size worth a name

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.dynamic.plausible import plausible
-from calib.gap.dynamic.rows import Rows, without_motion
 from calib.gap.log import Log, Run
+from calib.gap.residuals.rows import Rows, without_motion
+from calib.gap.series.plausible import plausible
 from calib.gap.signals.body import Body, Load
 from calib.gap.signals.forms import known_terms
 from calib.gap.signals.motion import motion_gaps
@@ -22,7 +22,7 @@ from calib.gap.signals.sampling import period_of
 from calib.gap.signals.terms import Term
 from calib.gap.units import UNITS, amperes_per, log_in_amperes
 from control.model.description import load_arm
-from tests.calib.gap.dynamic.prescribed import arm_with_friction, log_of
+from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
 ARM = arm_with_friction()
 LOG = log_of(ARM)

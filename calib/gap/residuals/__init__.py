@@ -1,0 +1,1 @@
+"""Residuals of a model as rows over their noise floor, and which sizes of an effect are worth a name."""

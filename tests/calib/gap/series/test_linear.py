@@ -1,0 +1,50 @@
+"""A linearisation: what stays from an earlier one brings no coefficients, and frames are averaged without a change of noise."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib.gap.finding import EffectName
+from calib.gap.residuals.rows import Cell
+from calib.gap.series.around import Around
+from calib.gap.series.linear import Linear
+from calib.gap.series.scene import Thin
+from calib.gap.series.term import SeriesTerm
+from calib.gap.signals.terms import Term as Law
+
+ROWS = 6
+COULOMB = EffectName("coulomb_friction", 1)
+
+
+def around(found: dict[Any, Law]) -> Around:
+    run, sample = np.zeros(ROWS, dtype=int), np.arange(ROWS)
+    cell = Cell("current_A", 0, slice(0, ROWS), 1.0)
+    scene: Any = SimpleNamespace(cells=(cell,), thinned=[Thin.each(run, sample, 1)])
+    return Around(scene, (), found, np.linspace(-1.0, 1.0, ROWS))
+
+
+def term() -> SeriesTerm:
+    response = {0: np.ones((ROWS, 1))}
+    return SeriesTerm(COULOMB, "", 1, 0, 1.0, response=response, width=1, now=np.array([3.0]))
+
+
+def test_only_what_the_model_has_is_added_to_what_it_leaves() -> None:
+    law = Law(COULOMB, "coulomb_friction", (3.0,))
+    has, has_not = around({COULOMB: law}), around({})
+    np.testing.assert_allclose(Linear.around(has, [term()]).y, 3.0 - has.residual)
+    np.testing.assert_allclose(Linear.around(has_not, [term()]).y, -has_not.residual)
+
+
+def test_averaged_frames_keep_their_noise_and_do_not_reach_over_a_gap() -> None:
+    frames = np.concatenate([np.arange(0, 35, 5), np.arange(100, 2800, 5)])  # seven, a gap, many
+    run, sample = np.zeros(3 * len(frames), dtype=int), np.repeat(frames, 3)
+    thin = Thin.of_frames(run, sample, 5, 3)
+    assert thin.sample[:9:3].tolist() == [5, 20, 105]
+    noise = np.random.default_rng(1).normal(size=len(sample))
+    assert np.std(thin.of(noise)) == pytest.approx(1.0, rel=0.1)
+    assert not thin.all_of(np.arange(len(sample)) > 0)[0]
+    assert thin.all_of(np.arange(len(sample)) > 0)[1:].all()
