@@ -103,7 +103,9 @@ class Runtime(ArmState):
         if self.has_missed:
             parts.witnesses.forget_speeds()
         model_A = parts.servo.model_A
-        faults = parts.witnesses.look(self.elapsed_s, feedback, parts.measurement.speed_rad_s, model_A)
+        faults = parts.witnesses.look(
+            self.now_s, self.elapsed_s, feedback, parts.measurement.speed_rad_s, model_A
+        )
         faults += parts.motor_counts.look(feedback.motor_counts, parts.measurement.speed_rad_s)
         is_homed = self.monitor.is_homed
         parts.hardware.watch_indices(is_homed)

@@ -16,6 +16,10 @@ from control.servo.servo import Motor
 
 LASTS_S = 0.02  # of a value outside of its limits: ten cycles at 500 Hz
 WARNING = 0x80  # bit of the statusword: the board limits its output, docs/motor_board.md
+FRESH_REPLY, FRESH_COUNT = (
+    1.5,
+    3.0,
+)  # cycles; older values are of another moment than the voltage that was sent
 OPEN_CURRENT = 1.5  # of the current limit, where boards trip
 
 
@@ -68,6 +72,7 @@ class Witnesses:
 
     def look(
         self,
+        now_s: float,
         elapsed_s: float,
         feedback: Feedback,
         speed_rad_s: Sequence[float],
@@ -84,6 +89,12 @@ class Witnesses:
                 faults.append(_of_current(joint, current_A))
             if not joint.temperature.update(elapsed_s, temperature):
                 faults.append(_of_temperature(joint, temperature))
+            if (
+                now_s - feedback.reply_at_s[number] > FRESH_REPLY * elapsed_s
+                or now_s - feedback.reported_at_s[number] > FRESH_COUNT * elapsed_s
+            ):
+                joint.speed.forget()  # current, voltage and speed are of different moments
+                continue
             sent_V = math.nan if feedback.statusword[number] & WARNING else feedback.sent_V[number]
             supply_off = abs(supply_V / joint.motor.supply_V - 1.0)
             if not joint.speed.update(elapsed_s, sent_V, current_A, speed_rad_s[number], supply_off):
