@@ -18,9 +18,8 @@ from calib.gap.signals.terms import Term as Law
 FRICTION = ("coulomb_friction", "viscous_friction", "load_friction", "asymmetric_friction")
 COMMON = ("coulomb_friction", "viscous_friction")  # of every gear, where the file knows of neither
 STRIBECK_rad_s = (0.012, 0.022, 0.04, 0.07, 0.12, 0.22)
-ORDERS = tuple(
-    float(order) for order in range(4, 97)
-)  # fewer waves a motor turn are gravity's, or a bent shaft's
+ORDERS = tuple(float(order) for order in range(1, 97))  # waves a turn of the motor
+WAVES_LEAST = 4.0  # a turn of the joint: fewer are gravity's, or a bent shaft's
 ORDERS_WEIGHED = 6  # of a joint's cogging: the others stand out less
 
 
@@ -111,7 +110,8 @@ def _standing_out(around: Around, key: EffectName) -> list[float]:
         pull = waves @ left
         return float(pull @ np.linalg.lstsq(waves @ waves.T, pull, rcond=None)[0])
 
-    return sorted(ORDERS, key=lambda order: -taken(order))[:ORDERS_WEIGHED]
+    orders = [order for order in ORDERS if order * ratio >= WAVES_LEAST]
+    return sorted(orders, key=lambda order: -taken(order))[:ORDERS_WEIGHED]
 
 
 def _wave(around: Around, law: Law) -> Response:

@@ -85,11 +85,12 @@ def test_load_friction_is_named_with_its_joint_and_fraction() -> None:
     assert found.gap_after < 1.3 < found.gap_before
 
 
-def test_cogging_is_named_with_order_amplitude_and_phase() -> None:
-    found = hiding(on_joint(1, lambda j, q, speed, link: 0.4 * np.sin(7 * 100.0 * q + 0.8)))
+@pytest.mark.parametrize("order", [1, 7])
+def test_cogging_is_named_with_order_amplitude_and_phase(order: int) -> None:
+    found = hiding(on_joint(1, lambda j, q, speed, link: 0.4 * np.sin(order * 100.0 * q + 0.8)))
     assert names(found) == [EffectName("cogging", 1)]
     value = {name: pair[0] for name, pair in found.effects[0].parameters.items()}
-    assert value["order"] == 7
+    assert value["order"] == order
     assert value["amplitude_Nm"] == pytest.approx(0.4, rel=0.1)
     assert value["phase_rad"] == pytest.approx(0.8, abs=0.1)
 
