@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -42,7 +43,9 @@ LAW_MOST = 2.0 * max(DEPARTURES)
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """Something without a name: by how much the squared gap of a cell grows without it, its words, and a name that may be it."""
+    """Something without a name: by how much the squared gap of a cell grows without it, its words, its term, and a
+    name that may be it.
+    """
 
     worth: float
     words: str
@@ -64,6 +67,8 @@ class Judged:
     unknown: Unknown | None
     remainder: tuple[Remainder, ...]
     kept: frozenset[Key]
+    harming: tuple[Key, ...]
+    """What was withdrawn, as the runs kept apart are better without it."""
     warnings: tuple[str, ...]
 
 
@@ -125,7 +130,45 @@ def _members(look: Look) -> Iterator[Member]:
         yield Member(number, look.linear.terms[number], np.asarray(mean), np.asarray(covariance))
 
 
-def judged(look: Look, reporting: Picked) -> Judged:
+def borne_out(look: Look, reporting: Picked) -> tuple[Look, list[Key]]:
+    """The look whose best set is estimated without what does not help the runs kept apart, and the names that harm them.
+
+    The measured acceleration has noise, and the residual has it, too: blocks that follow it are drawn to a late command, or to
+    what else shifts the currents, and each cancels the other. So blocks are tried beside names that do no harm by themselves.
+    """
+    table, terms = look.around.scene.rows.table, look.linear.terms
+    corrections = [one.number for one in _members(look) if _correction(look, one)]
+    blocks = [k for k in look.numbers if isinstance(terms[k].key, Block) and k not in corrections]
+    names = [k for k in look.numbers if k not in blocks]
+    sound = _harmless(look, names, reporting)
+    helping: list[int] = []
+    while left_over := [k for k in blocks if k not in helping]:
+        here = left(look, [*sound, *helping])
+        tried = {k: left(look, [*sound, *helping, k]) for k in left_over}
+        best = min(left_over, key=lambda k: gap(tried[k], table, reporting))
+        if _grown(look, here, tried[best], reporting) <= REMAINS:
+            break
+        helping.append(best)
+    members = tuple(one for one in look.best.members if one[0] in (*sound, *helping))
+    best_set = dataclasses.replace(look.best, members=members)
+    harming = [terms[k].key for k in names if k not in sound]
+    return dataclasses.replace(look, decision=dataclasses.replace(look.decision, best=best_set)), harming
+
+
+def _harmless(look: Look, numbers: Sequence[int], reporting: Picked) -> list[int]:
+    """Those without which the gap on the runs kept apart does not shrink, each time estimated again."""
+    table, sound = look.around.scene.rows.table, list(numbers)
+    while sound:
+        size = gap(left(look, sound), table, reporting)
+        without = {k: gap(left(look, [one for one in sound if one != k]), table, reporting) for k in sound}
+        worst = min(sound, key=lambda k: without[k])
+        if not without[worst] ** 2 < (1.0 - GROWS) * size**2:
+            break
+        sound.remove(worst)
+    return sound
+
+
+def judged(look: Look, reporting: Picked, harming: Sequence[Key]) -> Judged:
     """Names that are of a size worth one, keep their law, and hold on recordings that were not fitted."""
     laws: dict[EffectName, Law] = {}
     spread: dict[EffectName, Array] = {}
@@ -152,16 +195,16 @@ def judged(look: Look, reporting: Picked) -> Judged:
                 continue
             laws[key], departs[key], spread[key] = law, one.departure, _of_values(one)
             kept.add(key)
-    for harm in _harming(look, kept, reporting):
-        said.append(f"{harm.words}: not taken into account")
-        other.append(harm)
-        kept.remove(look.linear.terms[harm.number].key)
-    laws = {name: law for name, law in laws.items() if name in kept}
+    said += [
+        f"{key} helps the runs that decide, but not those held out: not taken into account" for key in harming
+    ]
     other += _contested(look, reporting)
     sets = tuple(names for names in look.decision.ambiguous if _is_material(look, names))
     left_over = _remainder(look, other, reporting)
     unknown = _unknown(look, other, kept)
-    return Judged(laws, spread, departs, sets, unknown, left_over, frozenset(kept), tuple(said))
+    return Judged(
+        laws, spread, departs, sets, unknown, left_over, frozenset(kept), tuple(harming), tuple(said)
+    )
 
 
 def _correction(look: Look, one: Member) -> str:
@@ -199,22 +242,6 @@ def _against(look: Look, one: Member, reporting: Picked) -> Left | None:
     return None
 
 
-def _harming(look: Look, kept: Collection[Key], reporting: Picked) -> Iterator[Left]:
-    """Names and corrections with which the gap on the runs kept apart is larger than without them, the worst first."""
-    table, still = look.around.scene.rows.table, set(kept)
-    numbers = {look.linear.terms[k].key: k for k in look.numbers}
-    while still:
-        size = gap(what_is_left(look, still), table, reporting)
-        without = {key: gap(what_is_left(look, still - {key}), table, reporting) for key in still}
-        worst = min(without, key=lambda key: without[key])
-        if not without[worst] ** 2 < (1.0 - GROWS) * size**2:
-            return
-        still.remove(worst)
-        text = f"{worst} helps the runs that decide, but not those held out"
-        rival = worst if isinstance(worst, EffectName) and worst.effect in EFFECTS else None
-        yield Left(size**2 - without[worst] ** 2, text, numbers[worst], rival)
-
-
 def _contested(look: Look, reporting: Picked) -> Iterator[Left]:
     """Names of the best set in whose place something nameless may stand."""
     for group in look.decision.remainders:
@@ -244,7 +271,11 @@ def _of_values(one: Member) -> Array:
 
 def _worth(look: Look, number: int, reporting: Picked) -> float:
     """By how much the squared gap of a cell grows on the rows kept apart, at most, without a term; negative where it shrinks."""
-    whole, rest = left(look, look.numbers), left(look, look.numbers, [number])
+    return _grown(look, left(look, look.numbers, [number]), left(look, look.numbers), reporting)
+
+
+def _grown(look: Look, rest: Array, whole: Array, reporting: Picked) -> float:
+    """By how much the squared gap of a cell is larger with `rest` than with `whole`, on the rows kept apart, at most."""
     grown = []
     for cell in look.around.scene.cells:
         picked = reporting[cell.rows]
@@ -354,10 +385,12 @@ def stages(look: Look, told: Judged, reporting: Picked) -> tuple[NamedEffect, ..
     return tuple(found)
 
 
-def silent(look: Look, after: Array, reporting: Picked) -> Unknown | None:
-    """What is left above the floor although no block takes it: the worst cell."""
+def silent(look: Look, after: Array, reporting: Picked, harming: Sequence[Key] = ()) -> Unknown | None:
+    """What is left above the floor although no block takes it: the worst cell, and the name that was withdrawn, if one was."""
     scene = look.around.scene
-    if not reporting.any() or gap(after, scene.rows.table, reporting) < SILENT_MOST:
+    rivals = [key for key in harming if isinstance(key, EffectName) and key.effect in EFFECTS]
+    most = math.sqrt(1.0 + REMAINS) if rivals else SILENT_MOST
+    if not reporting.any() or gap(after, scene.rows.table, reporting) < most:
         return None
     size, words = max(
         (float(np.sqrt(np.mean(after[c.rows][reporting[c.rows]] ** 2))), str(c))
@@ -365,7 +398,9 @@ def silent(look: Look, after: Array, reporting: Picked) -> Unknown | None:
         if reporting[c.rows].any()
     )
     return Unknown(
-        f"the {words}: {size:.1f} times its noise is left, and follows nothing that was tried", None, 0.0
+        f"the {words}: {size:.1f} times its noise is left, and follows nothing that was tried",
+        rivals[0] if rivals else None,
+        0.0,
     )
 
 

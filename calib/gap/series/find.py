@@ -10,6 +10,7 @@ from calib.gap.log import Log
 from calib.gap.residuals.rows import Rows, without_motion
 from calib.gap.series.answer import (
     Judged,
+    borne_out,
     judged,
     nameable_effects,
     next_experiment,
@@ -57,7 +58,8 @@ def examine(
     look = looked(scene, known, parts, candidates, told)
     told("the gap on runs used for nothing else", 0.95)
     parts = parts.only(scene.kept)
-    told_of = judged(look, parts.reporting)
+    look, harming = borne_out(look, parts.reporting)
+    told_of = judged(look, parts.reporting, harming)
     before = rows.residual(known)
     after = what_is_left(look, told_of.kept) if told_of.kept else before  # nothing is added to the model
     finding = _finding(arm, log, recording, look, told_of, parts, (before, after))
@@ -83,7 +85,7 @@ def _finding(
     before, after = sizes
     rows, known, reporting = look.around.scene.rows, look.around.known, parts.reporting
     moved = motion_gaps(rows.physics, known, (*known, *told_of.laws.values()), parts.report_runs)
-    unknown = told_of.unknown or silent(look, what_is_left(look, told_of.kept), reporting)
+    unknown = told_of.unknown or silent(look, what_is_left(look, told_of.kept), reporting, told_of.harming)
     return GapFinding(
         arm=arm.name,
         data=log.sources,
