@@ -307,7 +307,7 @@ class Watch:
             "loop_late",
             "control loop",
             f"{missed_in_row} cycles missed in a row (limit {self._limits.missed_in_row})",
-            "stop other programs on this machine; give the operator real-time rights (see `armwright check`)",
+            "stop other programs on this machine; give the operator real-time rights (`armwright doctor` lists them)",
             Reaction.CONTROLLED,
         )
 

@@ -137,8 +137,7 @@ def borne_out(look: Look, reporting: Picked) -> tuple[Look, list[Key]]:
     what else shifts the currents, and each cancels the other. So blocks are tried beside names that do no harm by themselves.
     """
     table, terms = look.around.scene.rows.table, look.linear.terms
-    corrections = [one.number for one in _members(look) if _correction(look, one)]
-    blocks = [k for k in look.numbers if isinstance(terms[k].key, Block) and k not in corrections]
+    blocks = [k for k in look.numbers if isinstance(terms[k].key, Block) and terms[k].words != CAMERA]
     names = [k for k in look.numbers if k not in blocks]
     sound = _harmless(look, names, reporting)
     helping: list[int] = []
