@@ -128,27 +128,33 @@ def joint_rates(task: Task, jacobians: Array, tip_rates: Array, posture_rates: A
     """Joint rates (m, n) that move the tip by tip_rates (m, 6), and for the rest are nearest to posture_rates (m, n)."""
     exact = jacobians[:, task.exact]
     if not task.nearest:
-        return _held(exact, exact, tip_rates[:, task.exact], posture_rates)
+        return _held(exact, tip_rates[:, task.exact], posture_rates)
+    count, n = len(task.exact), jacobians.shape[2]
+    held = (
+        _held(exact, tip_rates[:, task.exact], np.zeros_like(posture_rates)) if count else 0.0 * posture_rates
+    )
+    # columns that leave the exact rows alone
+    free = np.swapaxes(np.linalg.svd(exact)[2][:, count:], 1, 2) if count else np.eye(n)[None]
     weight = np.array([TURN_LENGTH_M if row > 2 else 1.0 for row in task.nearest])
     nearest = jacobians[:, task.nearest] * weight[:, None]
-    wanted = tip_rates[:, task.nearest] * weight
-    transposed = np.swapaxes(nearest, 1, 2)
-    hessian = transposed @ nearest + _POSTURE_WEIGHT * np.eye(jacobians.shape[2])
-    gradient = (transposed @ wanted[:, :, None])[:, :, 0] + _POSTURE_WEIGHT * posture_rates
-    free = _solved(hessian, gradient)
-    if not task.exact:
-        return free
-    spread = np.swapaxes(np.linalg.solve(hessian, np.swapaxes(exact, 1, 2)), 1, 2)
-    return _held(exact, spread, tip_rates[:, task.exact], free)
+    missing = tip_rates[:, task.nearest] * weight - _times(nearest, held)
+    slope = nearest @ free
+    transposed = np.swapaxes(slope, 1, 2)
+    hessian = transposed @ slope + _POSTURE_WEIGHT * np.eye(slope.shape[2])
+    posture = _times(np.swapaxes(free, 1, 2), posture_rates - held)
+    gradient = _times(transposed, missing) + _POSTURE_WEIGHT * posture
+    return np.asarray(held + _times(free, _solved(hessian, gradient)))
 
 
-def _held(exact: Array, spread: Array, wanted: Array, free: Array) -> Array:
-    """Add H^-1 C' y to the free rates, with y so that C times the sum is what is wanted; `spread` is C H^-1."""
-    missing = wanted - (exact @ free[:, :, None])[:, :, 0]
-    gram = exact @ np.swapaxes(spread, 1, 2)
-    ridge = _RIDGE * np.maximum(1.0, np.trace(gram, axis1=1, axis2=2))
-    y = _solved(gram + ridge[:, None, None] * np.eye(exact.shape[1]), missing)
-    return np.asarray(free + (y[:, None, :] @ spread)[:, 0])
+def _held(exact: Array, wanted: Array, free: Array) -> Array:
+    """The rates nearest to the free ones with which the exact rows move as wanted: free + C' (C C')^-1 (wanted - C free)."""
+    transposed = np.swapaxes(exact, 1, 2)
+    gram = exact @ transposed + _RIDGE * np.eye(exact.shape[1])
+    return np.asarray(free + _times(transposed, _solved(gram, wanted - _times(exact, free))))
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
 def _solved(matrices: Array, right: Array) -> Array:

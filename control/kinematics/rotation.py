@@ -53,6 +53,21 @@ def quaternions(rotations: Array) -> Array:
     return np.column_stack((np.cos(half), 0.5 * np.sinc(half / np.pi)[:, None] * vectors))
 
 
+def quaternion_of(rows: Sequence[Sequence[float]]) -> Quaternion:
+    """Unit quaternion with w >= 0 of one rotation matrix, in plain floats: each square from the diagonal, the largest divides."""
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    squares = (1.0 + a + e + i, 1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i)
+    columns = (
+        (squares[0], h - f, c - g, d - b),
+        (h - f, squares[1], b + d, c + g),
+        (c - g, b + d, squares[2], f + h),
+        (d - b, c + g, f + h, squares[3]),
+    )
+    w, x, y, z = columns[max(range(4), key=squares.__getitem__)]
+    length = math.copysign(math.hypot(w, x, y, z), w if w else 1.0)
+    return w / length, x / length, y / length, z / length
+
+
 def logarithms(rotations: Array) -> Array:
     """Rotation vectors (m, 3), at most pi long, of rotation matrices (m, 3, 3)."""
     r = rotations
