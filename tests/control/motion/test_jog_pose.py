@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from benchmarks.arms import FIVE, FOUR, SEVEN, SIX, TWO
 from control.errors import ArmError
 from control.kinematics import rotation
 from control.kinematics.damped import DampedRates
@@ -23,7 +24,6 @@ from control.motion.jog_limits import JogLimits
 from control.motion.joint_limits import JointLimits
 from control.motion.setpoint import SetPoint, at_rest
 from control.safety.limits import SetPointLimits, limit_set_point
-from tests.arms import FIVE, FOUR, SEVEN, SIX, TWO
 from tests.cell import RIGHT
 
 PERIOD_S = 0.002

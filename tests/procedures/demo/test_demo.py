@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.arms import TWO
 from calib.arrays import norms
 from console.commands import demo as demo_command
 from console.main import main
@@ -20,7 +21,6 @@ from procedures.demo import gap
 from procedures.demo.job import Outcome, run
 from procedures.verify.places import places, ways
 from procedures.verify.survey import Programme
-from tests.arms import TWO
 from tests.places import RIGHT_TOML, ROOT
 
 DEMO = ROOT / "hil_mocks" / "scenarios" / "demo.toml"

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.arms import FOUR, SIX, TWO
 from calib.iso9283.criteria import pose
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
@@ -25,7 +26,6 @@ from control.model.description import load_arm, save_arm
 from control.server.client import Average
 from procedures.iso9283.recording import AVERAGE_S, Bench, plan, rated_speed_m_s, record
 from procedures.mock.bench import SteppedBench
-from tests.arms import FOUR, SIX, TWO
 from tests.places import ROOT
 
 DEMO = ROOT / "hil_mocks" / "scenarios" / "demo.toml"
