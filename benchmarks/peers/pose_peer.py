@@ -81,9 +81,9 @@ class Work:
     def answers(self) -> dict[str, Any]:
         """The results, for comparison."""
         found = self.follow()
-        placed = [self.forward(q)[0] for q in found]
         errors = [
-            np.abs(pin.log6(a.actInv(b)).vector).max() for a, b in zip(placed, self.targets, strict=True)
+            np.abs(pin.log6(self.forward(q)[0].actInv(target)).vector).max()
+            for q, target in zip(found, self.targets, strict=True)
         ]
         return {
             "q_rad": [q.tolist() for q in found],
