@@ -7,18 +7,30 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
 
 
 def run(given: argparse.Namespace) -> int:
-    """Print a summary of the file, or write it in another format."""
+    """Print a summary of the file, write it in another format, or write one from another format."""
+    if given.command == "arm" and (given.from_urdf or given.from_mjcf):
+        return _imported(given)
     arm = load_arm(given.arm)
     if given.command == "export-arm":
         return _export(arm, given.export, Path(given.out))
     text = json.dumps(summary(arm), indent=2) if given.json else described(arm)
     sys.stdout.write(f"{text}\n")
     return 0
+
+
+def _imported(given: argparse.Namespace) -> int:
+    """An arm.toml from a model, with a default for all that the model does not hold."""
+    from console.commands import new
+
+    if not given.out:
+        raise ArmError("--out: expected the arm.toml to write, got nothing")
+    return new.run(argparse.Namespace(**{**vars(given), "yes": True, "name": None}))
 
 
 def _export(arm: Arm, form: str, path: Path) -> int:
