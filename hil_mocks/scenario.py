@@ -34,11 +34,23 @@ class TrueDh(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class EffectTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One `[[effect]]`; `joint` is the link's number for an effect of a link."""
+    """One `[[effect]]`; `joint` is the link's number for an effect of a link. `arms`: whose it is by name; empty: any arm's."""
 
     effect: str
     joint: int = 0
     parameters: dict[str, float] = {}
+    arms: tuple[str, ...] = ()
+
+
+class EveryJoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """For arms of any number of joints: what each joint has that no `[[effect]]` gives it.
+
+    Torques are shares of the joint's torque at its current limit, so that the same scenario fits a wrist and a shoulder.
+    """
+
+    coulomb_share: NotNegative = 0.0
+    viscous_share_s_rad: NotNegative = 0.0  # viscous torque at 1 rad/s
+    backlash_rad: NotNegative = 0.0
 
 
 class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -115,6 +127,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tick_s: Positive = 1e-3  # of the boards
     true_dh: TrueDh = TrueDh()
     effect: tuple[EffectTable, ...] = ()
+    every_joint: EveryJoint = EveryJoint()
     start: Start = Start()
     plant: PlantTable = PlantTable()
     hand: HandTable = HandTable()
