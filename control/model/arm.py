@@ -200,6 +200,8 @@ class Limits:
     """Limits that the loop enforces. A joint's following error may be `a + b |speed|`."""
 
     tip_speed_m_s: Positive = 1.0
+    tip_turn_speed_rad_s: Positive = 2.0  # of the tip's orientation on a path
+    tip_turn_acceleration_rad_s2: Positive = 20.0
     following_error_rad: Annotated[float, FOLLOWING] = 0.05
     following_error_per_speed_s: Annotated[float, LAG] = 0.05
     floor_z_m: float = 0.0  # the arm stays above this height in the base frame: on what the base stands
