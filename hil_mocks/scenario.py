@@ -14,6 +14,7 @@ from typing import Annotated
 
 import msgspec
 
+from control.files import parsed_toml, read_text
 from hil_mocks.errors import ScenarioError
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -171,13 +172,17 @@ def load_scenario(path_or_name: str | Path) -> Scenario:
     if not path.is_file():
         known = ", ".join(shipped_scenarios())
         raise ScenarioError(f"scenario {where}: there is no such file; expected a file or one of {known}.")
-    return parse_scenario(path.read_text("utf-8"), where)
+    try:
+        text = read_text(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"scenario {where}: cannot be read as text: {error}.") from None
+    return parse_scenario(text, where)
 
 
 def parse_scenario(text: str, where: str) -> Scenario:
     """Scenario from TOML text; `where` names it in errors."""
     try:
-        document = tomllib.loads(text)
+        document = parsed_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"scenario {where}: not valid TOML: {error}.") from error
     _check_finite(document, where, "")
