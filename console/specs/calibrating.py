@@ -37,7 +37,13 @@ CALIBRATING = (
                 "--fix",
                 metavar="NAMES",
                 action="append",
-                help="parameters to keep fixed: theta4,tool_x; base: the tips are in the arm's base frame",
+                help="parameters to keep fixed: theta4,tool_x; base: the tips are in the arm's base frame; target: the axes of"
+                " measured orientations are the last link's",
+            ),
+            option(
+                "--orientation-noise",
+                metavar="ANGLE",
+                help="standard deviation of measured orientations, e.g. 0.5mrad (default: arm.toml's [camera], else 2mrad)",
             ),
             option(
                 "--free",

@@ -45,6 +45,7 @@ from control.model.rules import (
     STALE,
     TILT,
     TIP_SPEED,
+    TURN_NOISE,
     UDP_PORT,
     WATCHDOG,
     ZERO_OR_MORE,
@@ -197,6 +198,12 @@ class Camera:
     """The camera that measures the tip (docs/camera.md)."""
 
     position_noise_m: Annotated[NonNegative, CAMERA_NOISE, "standard deviation per axis"] = 0.0
+    orientation_noise_rad: Annotated[
+        NonNegative,
+        TURN_NOISE,
+        "standard deviation about each axis of measured orientations",
+        "0.002 is assumed",
+    ] = 0.0
     udp_port: Annotated[int, UDP_PORT, "on which its frames arrive"] = 47_310
 
 
