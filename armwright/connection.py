@@ -58,8 +58,18 @@ class RunningArm:
 
     def __init__(self, client: ArmClient, arm: Arm) -> None:
         """`arm`: the description used by the loop."""
-        self.arm = arm
+        self._arm = arm
         self._client = client
+
+    @property
+    def arm(self) -> Arm:
+        """The arm, with the tool on that the loop has on now."""
+        on = self._client.status()["tool"]
+        return self._arm.with_tool(on) if on else self._arm
+
+    def tool(self, name: str) -> None:
+        """Another of the arm's tools is on: the tip is its. The arm must be at rest, or RequestRefused."""
+        self._client.tool(name)
 
     def status(self) -> Status:
         """The present state of the arm."""
@@ -88,7 +98,7 @@ class RunningArm:
         """Present tip position (3,) [m] in the base frame by the model. ArmError before homing."""
         tip = self.status().tip_m
         if tip is None:
-            raise ArmError(f"arm {self.arm.name}: the tip position is unknown before homing: call home()")
+            raise ArmError(f"arm {self._arm.name}: the tip position is unknown before homing: call home()")
         return tip
 
     @property
@@ -112,7 +122,7 @@ class RunningArm:
 
         With `wait=False` it returns at once; `wait_until_holding` then waits for the end.
         """
-        self._client.move_joints(_numbers(joint_rad, self.arm.joint_count, "joint_rad"), speed, wait)
+        self._client.move_joints(_numbers(joint_rad, self._arm.joint_count, "joint_rad"), speed, wait)
 
     def move_tip(self, tip_m: Sequence[float] | Array, speed: float = 1.0, *, wait: bool = True) -> None:
         """Move the joints so that the tip ends at `tip_m` (3,) [m] in the base frame; the tip's path is not straight.
@@ -124,12 +134,15 @@ class RunningArm:
         self._client.move_joints(target, speed, wait)
 
     def run(self, trajectory: Trajectory, *, wait: bool = True) -> None:
-        """Move to the start of a planned path at half speed, then run the path.
+        """Move to the start of a planned path at half speed, then run the path; ArmError if it is another tool's.
 
         With `wait=False` it returns when the path has started.
         """
+        planned, on = trajectory.arm.tool.name, self._client.status()["tool"]
+        if planned != on:
+            raise ArmError(f"the path is for the tip of tool {planned!r}, and {on!r} is on: plan it again")
         self._client.move_joints(trajectory.start_rad, APPROACH_SPEED)
-        self._client.run_path(trajectory.path.to_message(), wait)
+        self._client.run_path(trajectory.path.to_message(), wait, tool=planned)
 
     def jog_joint(self, joint: int, by_rad: float) -> str:
         """Move one joint (1-based) by an angle; returns what limited the motion as text, or ""."""

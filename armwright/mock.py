@@ -37,6 +37,10 @@ class MockArm(RunningArm):
         """Attach a mass to the tip; 0 removes it."""
         self._rig.set_payload(mass_kg)
 
+    def mount(self, tool: str) -> None:
+        """Mount another of the arm's tools; `tool()` tells the loop."""
+        self._rig.set_tool(tool)
+
 
 @contextmanager
 def mock_arm(

@@ -99,6 +99,10 @@ class RealTimeRig:
         """Set the point mass at the tip."""
         self.ask("payload", mass_kg=mass_kg)
 
+    def set_tool(self, name: str) -> None:
+        """Mount another of the arm's tools."""
+        self.ask("tool", name=name)
+
     def inject(self, fault: FaultTable) -> None:
         """Inject a fault."""
         self.ask("inject", fault=msgspec.to_builtins(fault))

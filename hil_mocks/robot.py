@@ -15,10 +15,11 @@ from functools import partial
 from control.model.description import Arm
 from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
 from hil_mocks.devices.motor_board import OPEN, Frame, Output
-from hil_mocks.errors import ScenarioError
+from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.faults import FaultPlan, Frames, Line, check_fault
 from hil_mocks.miswiring import LOOSE_PART, LooseCoupling, as_built
 from hil_mocks.plant.hand import Hand, Point
+from hil_mocks.plant.parts import tool_parts
 from hil_mocks.scenario import FaultTable, Scenario
 from hil_mocks.wiring import Channels, wiring_of
 
@@ -34,6 +35,7 @@ class MockRobot:
         self._ticks, self._steps = 0, _steps_per_tick(scenario)
         where = f"scenario {scenario.path or scenario.name}"
         arm = as_built(arm, scenario)
+        self._tools = {tool.name: tool_parts(tool) for tool in arm.tools}
         self._dead: set[int] = set()  # joints whose motor has a broken wire
         self._loose: dict[int, LooseCoupling] = {}
         self._turn_rad = [2.0 * math.pi / drive.gear_ratio for drive in arm.drives]
@@ -83,6 +85,12 @@ class MockRobot:
     def joint_rad(self) -> tuple[float, ...]:
         """True joint angles."""
         return self.plant.joint_rad()
+
+    def set_tool(self, name: str) -> None:
+        """Mount another of the arm's tools. RigError lists them."""
+        if name not in self._tools:
+            raise RigError(f'mock arm: no tool "{name}"; there are {", ".join(self._tools)}.')
+        self.plant.set_tool(self._tools[name])
 
     def from_host_serial(self, board: int, received: bytes) -> None:
         """Process bytes from the host to an encoder board now."""

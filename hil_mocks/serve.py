@@ -163,6 +163,8 @@ class Server:
                 return {"state": hand.state, "residual_m": hand.residual_m(), "problem": hand.problem}
             case "payload":
                 robot.plant.set_payload(float(request["mass_kg"]))
+            case "tool":
+                robot.set_tool(str(request["name"]))
             case "inject":
                 robot.inject(msgspec.convert(request["fault"], FaultTable))
             case "clear_faults":

@@ -11,7 +11,9 @@ import pytest
 
 from console.main import parser
 from control.model import arm as arm_data
+from control.model import end_effector as end_data
 from control.model.effects import EFFECTS, parameter_names
+from control.recording.layout import END_FIELDS
 from control.recording.record import Layout
 from firmware_iface.installation import PACKAGES
 
@@ -255,12 +257,18 @@ def test_every_effect_and_its_parameters_are_in_the_formats(name: str) -> None:
 
 
 def test_every_key_of_an_arm_file_is_in_the_formats() -> None:
-    kinds = (kind for kind in vars(arm_data).values() if dataclasses.is_dataclass(kind))
-    sections = [kind for kind in kinds if kind.__module__ == arm_data.__name__]
+    modules = (arm_data, end_data)
+    kinds = [(kind, module) for module in modules for kind in vars(module).values()]
+    sections = [
+        kind
+        for kind, module in kinds
+        if isinstance(kind, type) and dataclasses.is_dataclass(kind) and kind.__module__ == module.__name__
+    ]
     keys = {field.metadata.get("key", field.name) for kind in sections for field in dataclasses.fields(kind)}
     known = words_of_the_formats() | {word.strip("[]").split(".")[-1] for word in words_of_the_formats()}
     assert sorted(keys - known - {""}) == []
 
 
 def test_every_column_of_a_recording_is_in_the_formats() -> None:
-    assert sorted(set(Layout.of(1, has_joint_side=True).names) - words_of_the_formats()) == []
+    layout = Layout.of(1, has_joint_side=True, more=END_FIELDS)
+    assert sorted(set(layout.names) - words_of_the_formats()) == []

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from console.commands.connection import connected
+from console.commands.connection import connected, with_present_tool
 from console.places import find_place, save_place
 from console.waiting import shown
 from control.errors import ArmError
@@ -45,7 +45,8 @@ def _joint_move(given: argparse.Namespace, q_rad: Any, tip_m: Any) -> int:
     if q_rad is None:
         from control.kinematics.inverse import InverseKinematics
 
-        q_rad = InverseKinematics(load_arm(given.arm)).nearest(tuple(tip_m), client.status()["joint_rad"])
+        arm = with_present_tool(load_arm(given.arm), client)
+        q_rad = InverseKinematics(arm).nearest(tuple(tip_m), client.status()["joint_rad"])
     with shown(client, given):
         client.move_joints(tuple(q_rad), given.speed, waits=_waits(given))
     return 0
@@ -59,13 +60,14 @@ def _run(given: argparse.Namespace) -> int:
         sys.stdout.write(described(plan_path(arm, waypoints, given.speed)))
         return 0
     client = connected(given)
+    arm = with_present_tool(arm, client)
     path = plan_path(arm, waypoints, given.speed, q_near_rad=client.status()["joint_rad"])
     sys.stdout.write(described(path))
     sys.stdout.flush()
     with shown(client, given, "run: to the first way-point"):
         client.move_joints(path.q_start_rad, 0.5)
     with shown(client, given):
-        client.run_path(path.to_message(), waits=_waits(given))
+        client.run_path(path.to_message(), waits=_waits(given), tool=arm.tool.name)
     return 0
 
 

@@ -33,4 +33,10 @@ def row_of(state: ArmState, late_s: float) -> list[float]:
         )  # fmt: skip
         if joints is not None:
             row += (joints[0][joint], joints[1][joint])
-    return row
+    return row + _end_of(state)
+
+
+def _end_of(state: ArmState) -> list[float]:
+    """The columns of control.recording.layout: what is at the end of the arm."""
+    tools = state.parts.tools
+    return [list(tools).index(state.parts.tool.tool.name)] if len(tools) > 1 else []

@@ -31,6 +31,11 @@ from firmware_iface.errors import BoardReset, LinkError
 # Feed-forward and PID share the weight: 1 kg at 0.75 m is 7 Nm, which the PID takes over in a second without being noticed.
 PAYLOAD_RATE_kg_s = 1.0
 RECORDING_LOOK_cycles = 50  # 0.1 s at 500 Hz; asking costs a system call
+TOOL_MODES = (
+    Mode.OFF,
+    Mode.BRAKED,
+    Mode.HOLDING,
+)  # in which nothing moves, so that the tip may be another one
 UNRECORDED_STOPS = (Mode.MOVING, Mode.HOMING)
 HOMING_CURRENT_FRACTION = 0.5  # during homing, and while joints without a zero are jogged
 
@@ -57,7 +62,7 @@ class Runtime(ArmState):
             if self.bridge is not None:
                 motion_modes.take_up(self, self.bridge)
             self._watch(missed_in_row)
-            self._follow_payload()
+            self._follow_loads()
             self._advance()
             self._aim()
             self._drive()
@@ -129,16 +134,12 @@ class Runtime(ArmState):
         if self.is_shutting_down:
             shutdown.follow(self)
 
-    def _follow_payload(self) -> None:
-        """Let the model's payload follow the stated one: at once while nothing depends on it, else slowly."""
-        model, stated_kg = self.parts.servo.torque_model, self.stated_payload_kg
-        if model.payload_kg == stated_kg:
-            return
+    def _follow_loads(self) -> None:
+        """Let the model's masses follow tool and payload as stated: at once while nothing depends on them, else slowly."""
         if self.monitor.mode in (Mode.OFF, Mode.BRAKED):
-            model.payload_kg = stated_kg
-            return
-        most_kg = PAYLOAD_RATE_kg_s * self.elapsed_s
-        model.payload_kg += min(max(stated_kg - model.payload_kg, -most_kg), most_kg)
+            self.parts.loads.take_at_once()
+        else:
+            self.parts.loads.follow(PAYLOAD_RATE_kg_s * self.elapsed_s)
 
     def _aim(self) -> None:
         if (clip := set_points.aim(self)) is not None:
@@ -249,6 +250,23 @@ class Runtime(ArmState):
                 f"payload: expected mass_kg from 0 to {most_kg:g} kg ([limits] payload_limit_kg), got {mass_kg:g}"
             )
         self.stated_payload_kg = mass_kg
+        self.parts.loads.state(self.parts.tool.tool, mass_kg)
+
+    def change_tool(self, name: str) -> None:
+        """Another tool is on: the tip, the masses and what the arm must not meet are its. ArmError if the arm is not at rest."""
+        if name not in self.parts.tools:
+            known = ", ".join(tool for tool in self.parts.tools if tool)
+            raise ArmError(
+                f"tool: no tool {name!r}: expected one of {known}"
+                if known
+                else f"tool: no tool {name!r}: arm.toml names none; add a [[tool]] for each, with a name"
+            )
+        if self.monitor.mode not in TOOL_MODES:
+            raise ArmError(
+                f"the arm is {self.monitor.mode.name}, so its tool cannot be changed: it must hold at rest, or be off"
+            )
+        self.parts = self.parts.with_tool(name)
+        self.parts.loads.state(self.parts.tool.tool, self.stated_payload_kg)
 
     def take_known_zeros(self) -> bool:
         """Use the boards' zeros if all of them were set since power-up; return whether they were."""

@@ -15,6 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from control.errors import ArmError, MissingModel
+from control.model.end_effector import NO_TOOL
+from control.model.end_effector import Tool as Tool
+from control.model.end_effector import Vector3 as Vector3
 from control.model.rules import (
     ANGLE,
     DIRECTION,
@@ -38,7 +41,6 @@ from control.model.rules import (
 )
 
 Convention = Literal["standard", "modified"]
-Vector3 = tuple[float, float, float]
 Direction = Annotated[int, DIRECTION]
 NonNegative = Annotated[float, NOT_NEGATIVE]
 Positive = Annotated[float, POSITIVE]
@@ -124,14 +126,6 @@ class Drive:
         ):
             if getattr(self, name) < 0:
                 object.__setattr__(self, name, default)
-
-
-@dataclass(frozen=True, slots=True)
-class Tool:
-    """Position of the tip in the last frame, and whether it is known or to be identified."""
-
-    position_m: Vector3 = (0.0, 0.0, 0.0)
-    known: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,14 +241,14 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """An arm: geometry, masses, drives, boards and limits, read from the file `path`."""
+    """An arm: geometry, masses, drives, boards and limits, read from the file `path`. `tool` is the one that is on."""
 
     name: Annotated[str, NAME]
     links: tuple[Link, ...] = field(metadata={"key": "link"})
     gravity_m_s2: Vector3 = (0.0, 0.0, -9.81)
     dh_convention: Convention = "standard"
     drives: tuple[Drive, ...] = field(default=(), metadata={"key": "drive"})
-    tool: Tool = Tool()
+    tool: Tool = NO_TOOL
     table: Table | None = None
     camera: Camera | None = None
     effects: tuple[Effect, ...] = field(default=(), metadata={"key": "effect"})
@@ -264,7 +258,28 @@ class Arm:
     limits: Limits = Limits()
     recording: RecordingPolicy = RecordingPolicy()
     calibration: Calibration | None = None
+    spare_tools: tuple[Tool, ...] = field(default=(), metadata={"key": ""})  # the other [[tool]]s of the file
     path: Path | None = field(default=None, compare=False, metadata={"key": ""})
+
+    @property
+    def tools(self) -> tuple[Tool, ...]:
+        """All tools; the first is on."""
+        return (self.tool, *self.spare_tools)
+
+    def with_tool(self, name: str) -> "Arm":
+        """Return the same arm with another of its tools on. ArmError lists the tools if there is none of this name."""
+        if name == self.tool.name:
+            return self
+        named = {tool.name: tool for tool in self.spare_tools}
+        if name not in named:
+            known = ", ".join(tool.name for tool in self.tools if tool.name)
+            raise ArmError(
+                f"arm {self.name}: no tool {name!r}: expected one of {known}"
+                if known
+                else f"arm {self.name}: no tool {name!r}: its file names none; add a [[tool]] for each, with a name"
+            )
+        others = tuple(tool for tool in self.tools if tool.name != name)
+        return dataclasses.replace(self, tool=named[name], spare_tools=others)
 
     @property
     def joints(self) -> tuple[bool, ...]:

@@ -36,6 +36,11 @@ NAME: Final = Rule(
     is_file_name,
     "sockets and recordings are named after the arm",
 )
+LONGEST_WORD = 32
+WORD: Final = Rule(
+    f"a name of 1 to {LONGEST_WORD} letters, digits, - and _, that begins with a letter",
+    lambda name: bool(re.fullmatch(rf"[A-Za-z][A-Za-z0-9_-]{{0,{LONGEST_WORD - 1}}}", name)),
+)
 # What protects the arm may be set wider than its default, but not without end.
 WATCHDOG: Final = Rule(
     "a time from 0.005 to 1 s",

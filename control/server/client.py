@@ -189,9 +189,14 @@ class ArmClient:
         if waits:
             self.arrive(answer["duration_s"] + 5.0)
 
-    def run_path(self, path: Message, waits: bool = True, as_encoders: bool = False) -> None:
-        """Run a planned path (PlannedPath.to_message()); the arm must stand at its first point. `as_encoders`: as move_joints."""
-        answer = self.ask("run_path", path=path, as_encoders=as_encoders)
+    def run_path(
+        self, path: Message, waits: bool = True, as_encoders: bool = False, tool: str | None = None
+    ) -> None:
+        """Run a planned path (PlannedPath.to_message()); the arm must stand at its first point. `as_encoders`: as move_joints.
+
+        `tool`: the one whose tip it was planned for, if that is to be checked.
+        """
+        answer = self.ask("run_path", path=path, as_encoders=as_encoders, tool=tool)
         if waits:
             self.arrive(answer["duration_s"] + 5.0)
 
@@ -238,6 +243,10 @@ class ArmClient:
         """Controlled stop; returns when the arm holds."""
         self.ask("stop")
         self.until(["HOLDING", "BRAKED", "OFF", "GUIDING"], 5.0)
+
+    def tool(self, name: str) -> None:
+        """Another of the arm's tools is on. RequestRefused unless the arm is at rest."""
+        self.ask("tool", name=name)
 
     def guide(self, weightless: bool = False) -> None:
         """Start hand guiding: open circuits, so somebody must hold the arm; or `weightless`, with gravity compensation."""

@@ -66,9 +66,10 @@ class MoveJoints(Owned, tag="move_joints", kw_only=True):
 
 
 class RunPath(Owned, tag="run_path", kw_only=True):
-    """A planned path of the tip; read by control.motion.plan."""
+    """A planned path of the tip (of `tool`, if that is given); read by control.motion.plan."""
 
     path: dict[str, Any]
+    tool: Annotated[str, Meta(max_length=LONGEST_ID)] | None = None
     as_encoders: bool = False
 
 
@@ -118,6 +119,12 @@ class Payload(_Message, tag="payload", kw_only=True):
     mass_kg: Annotated[float, Meta(ge=0.0)]
 
 
+class ChangeTool(_Message, tag="tool", kw_only=True):
+    """Another tool is on."""
+
+    name: Annotated[str, Meta(max_length=LONGEST_ID)]
+
+
 class Off(_Message, tag="off", kw_only=True):
     """Shutdown."""
 
@@ -147,7 +154,20 @@ class _Envelope(msgspec.Struct):
 _ENVELOPE = msgspec.json.Decoder(_Envelope)
 _KINDS: Mapping[str, type[_Message]] = {
     str(kind.__struct_config__.tag): kind
-    for kind in (Home, MoveJoints, RunPath, RunJoints, Jog, Override, Guide, Average, Payload, Off, Control)
+    for kind in (
+        Home,
+        MoveJoints,
+        RunPath,
+        RunJoints,
+        Jog,
+        Override,
+        Guide,
+        Average,
+        Payload,
+        ChangeTool,
+        Off,
+        Control,
+    )
 }
 _DECODERS = {do: msgspec.json.Decoder(kind) for do, kind in _KINDS.items()}
 _PLAIN = msgspec.json.Decoder(Plain)

@@ -11,7 +11,6 @@ from typing import Any, Protocol
 
 from control.errors import ArmError
 from control.hardware.averaging import Averaging
-from control.kinematics.kinematics import Kinematics
 from control.loop.runtime import Runtime
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
@@ -59,10 +58,9 @@ class Listener(Protocol):
 class Requests:
     """Serves the requests of all clients of one runtime, and knows which of them is in control."""
 
-    def __init__(self, runtime: Runtime, limits: JointLimits, kinematics: Kinematics, about: Message) -> None:
+    def __init__(self, runtime: Runtime, limits: JointLimits, about: Message) -> None:
         self._runtime = runtime
         self._limits = limits
-        self._kinematics = kinematics
         self._about = about
         self._right = ControlRight()
         self.events: Listener | None = None
@@ -87,6 +85,7 @@ class Requests:
             "average": self._average,
             "average_result": self._average_result,
             "payload": self._payload,
+            "tool": self._tool,
             "acknowledge": self._acknowledge,
             "fault_cycles": self._fault_cycles,
             "off": self._off,
@@ -137,7 +136,7 @@ class Requests:
 
     def _status(self, request: Any, client: int) -> Message:
         holder = self._right.holder(self._runtime.monitor.mode)
-        return {**self._about, **status_of(self._runtime, self._kinematics), "in_control": holder}
+        return {**self._about, **status_of(self._runtime), "in_control": holder}
 
     def _mode(self, request: Any, client: int) -> Message:
         runtime = self._runtime
@@ -178,21 +177,26 @@ class Requests:
         target = numbers("q_rad", request.q_rad, len(self._runtime.parts.joint_names))
         start = self._runtime.seen(request.as_encoders)
         move = JointMove(start, target, self._limits.scaled(request.speed))
-        self._runtime.parts.guard.require_move(move, start, target)
+        self._runtime.parts.tool.guard.require_move(move, start, target)
         return self._start(move, request.as_encoders, request, client)
 
     def _run_path(self, request: messages.RunPath, client: int) -> Message:
         path = PlannedPath.from_message(request.path)
+        tool = self._runtime.parts.tool
+        if request.tool is not None and request.tool != tool.tool.name:
+            raise ArmError(
+                f"the path is for the tip of tool {request.tool!r}, and {tool.tool.name!r} is on: plan it again"
+            )
         self._require_at(path.q_start_rad, request.as_encoders)
-        self._runtime.parts.guard.require_path(path)
-        motion = path.motion(self._runtime.parts.inverse, self._kinematics)
+        tool.guard.require_path(path)
+        motion = path.motion(tool.inverse, tool.kinematics)
         return self._start(motion, request.as_encoders, request, client)
 
     def _run_joints(self, request: messages.RunJoints, client: int) -> Message:
         path = JointPath.from_message(request.path)
         path.require_within(self._limits)
         self._require_at(path.knots[0].q_rad, request.as_encoders)
-        self._runtime.parts.guard.require_joint_path(path)
+        self._runtime.parts.tool.guard.require_joint_path(path)
         return self._start(path, request.as_encoders, request, client)
 
     def _require_at(self, first_rad: Sequence[float], as_encoders: bool) -> None:
@@ -266,6 +270,10 @@ class Requests:
     def _payload(self, request: messages.Payload, client: int) -> Message:
         self._runtime.state_payload(request.mass_kg)
         return {}
+
+    def _tool(self, request: messages.ChangeTool, client: int) -> Message:
+        self._runtime.change_tool(request.name)
+        return {"tool": request.name}
 
     def _acknowledge(self, request: Any, client: int) -> Message:
         return {"acknowledged": [fault.message for fault in self._runtime.acknowledge()]}

@@ -23,7 +23,7 @@ SHUTDOWN_STEPS = {
 NEAR = 0.9  # of a limit: warn below
 
 
-def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
+def status_of(runtime: Runtime) -> dict[str, Any]:
     """The complete state of the arm for operators and programs."""
     monitor = runtime.monitor
     recorder = runtime.parts.recorder.state()
@@ -33,7 +33,7 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
         "is_homed": monitor.is_homed,
         "t_s": runtime.now_s,
         "cycle": runtime.cycles,
-        **_angles(runtime, kinematics),
+        **_angles(runtime, runtime.parts.tool.kinematics),
         **_boards(runtime),
         "progress": runtime.progress(),
         "pace": runtime.pace(),
@@ -41,6 +41,9 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
         "step": step_of(runtime),
         "is_weightless": runtime.is_weightless and monitor.mode is Mode.GUIDING,
         "override": runtime.override,
+        "tool": runtime.parts.tool.tool.name,
+        "tools": [name for name in runtime.parts.tools if name],
+        "payload_kg": runtime.stated_payload_kg,
         "faults": [
             {"code": f.code, "where": f.where, "message": f.message, "remedy": f.remedy}
             for f in monitor.faults
