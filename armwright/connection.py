@@ -44,6 +44,21 @@ class Status:
     warnings: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class GripperState:
+    """What the gripper does.
+
+    `state` is one of OFF, HOLDING, MOVING, OPEN, CLOSED, GRIPPED, STOPPED, RELEASED, FAILED; `text` says it in words.
+    opening_m: None while unknown. force_N: by the motor's current, without friction. has_lost: what it held, since then.
+    """
+
+    state: str
+    text: str
+    opening_m: float | None
+    force_N: float
+    has_lost: bool
+
+
 class RunningArm:
     """A running arm, from `connect` or `mock_arm`; a context manager that disconnects on exit.
 
@@ -152,6 +167,32 @@ class RunningArm:
         """Move the tip along an axis of the base frame; returns what limited the motion as text, or ""."""
         return self._client.jog(axis=axis, by_m=by_m)
 
+    def grip(
+        self,
+        action: Literal["open", "close"] | None = None,
+        *,
+        opening_m: float | None = None,
+        force_N: float | None = None,
+        wait: bool = True,
+    ) -> GripperState:
+        """Open or close the gripper, or go to an opening, with a force [N]; by default that of the arm's file.
+
+        Returns its state when it has come to its end or holds something. Without arguments, nothing moves.
+        """
+        if action is None and opening_m is None:
+            return _gripper_state(self._client.status()["gripper"], self._arm)
+        if action is not None and opening_m is not None:
+            raise BadTarget("grip: give either an action or opening_m")
+        return _gripper_state(self._client.grip(action or "move", opening_m, force_N, wait), self._arm)
+
+    def digital(self) -> dict[str, bool | None]:
+        """Levels of the named pins; None while a board does not say."""
+        return {name: pin["level"] for name, pin in self._client.status()["digital"].items()}
+
+    def set_output(self, name: str, level: bool) -> None:
+        """Set a digital output. RequestRefused while the drives are off or the arm is in FAULT."""
+        self._client.set_output(name, level)
+
     def stop(self) -> None:
         """Controlled stop; returns when the arm holds. Not a replacement for an emergency stop."""
         self._client.stop()
@@ -227,6 +268,14 @@ def connect(arm: Arm | str | Path, socket: str | Path | None = None, timeout_s: 
     described = arm if isinstance(arm, Arm) else load_arm(arm)
     path = Path(socket) if socket is not None else default_path(described.name)
     return RunningArm(ArmClient(SocketChannel(path, timeout_s)), described)
+
+
+def _gripper_state(found: dict[str, Any] | None, arm: Arm) -> GripperState:
+    if found is None:
+        raise ArmError(f"arm {arm.name}: its file describes no gripper: add a [gripper]")
+    return GripperState(
+        found["state"], found["text"], found["opening_m"], found["force_N"], found["has_lost"]
+    )
 
 
 def _array(values: Any) -> Array:

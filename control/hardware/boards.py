@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from control.dynamics.gains import Gains
 from control.hardware.board_stop import board_stop, can_hold
-from control.hardware.interface import Feedback, OutputMode
+from control.hardware.interface import EndBoards, Feedback, OutputMode
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
@@ -24,6 +24,7 @@ from firmware_iface.motor.wire import Mode, Output, Parameter
 REPORT_WAIT_S = 0.05  # a stream runs at 500 Hz or more; only a pause of the host lasts longer
 ASK_COUNT_S = 0.04  # between two questions for a motor board's own count: 3 % of a 500 Hz bus
 FRESH_CYCLES = 2  # age of a count that is compared with one of another board
+NO_END = EndBoards()
 NO_GAINS = Gains(0.0, 0.0, 0.0, 0.001)  # a board without gains brakes
 FULL_INTEGRAL = 0.5  # of the supply: limit of the board's integral in position mode
 
@@ -51,9 +52,16 @@ class BoardHardware:
     """Implements `control.hardware.interface.Hardware` on boards; made and checked by control.hardware.connect."""
 
     def __init__(
-        self, arm: Arm, clock: Clock, bus: MotorBus, wiring: Sequence[JointWiring], period_s: float
+        self,
+        arm: Arm,
+        clock: Clock,
+        bus: MotorBus,
+        wiring: Sequence[JointWiring],
+        period_s: float,
+        end: EndBoards = NO_END,
     ) -> None:
         self.feedback = Feedback(len(wiring))
+        self.end = end
         self._clock = clock
         self._period_s = period_s
         self._bus = bus
@@ -187,11 +195,14 @@ class BoardHardware:
     def enable(self) -> None:
         """Upload the boards' parameters and let `write` bring them to OPERATION ENABLED."""
         self._configure()
+        self._configure_end()
         self._is_wanted_enabled = True
 
     def disable(self) -> None:
         """Let `write` bring the drives to SWITCH ON DISABLED, where the boards short the windings."""
         self._is_wanted_enabled = False
+        if self.end.gripper is not None:
+            self.end.gripper.disable()
 
     def reset_drive_faults(self) -> None:
         """Acknowledge the drives' faults and restore the state of boards that were reset. Raises BoardFaulted."""
@@ -202,6 +213,22 @@ class BoardHardware:
         for wired in self._wiring:
             wired.motor.acknowledge_fault()
         self._configure()
+        self.reset_gripper()
+
+    def reset_gripper(self) -> None:
+        """Let `write` acknowledge the fault of the gripper's board; a board that restarted gets its parameters. BoardSilent."""
+        if self.end.gripper is not None:
+            self.end.gripper.reset_fault()
+        if self._is_wanted_enabled:
+            self._configure_end()
+
+    def _configure_end(self) -> None:
+        """Gripper and pins: a gripper has its board enabled whenever the joints have."""
+        if self.end.pins is not None:
+            self.end.pins.configure()
+        if self.end.gripper is not None:
+            stop = self._board_stop
+            self.end.gripper.enable(self._watchdog_ms * 1e-3, stop.after_s, stop.time_s)
 
     def emergency_stop(self) -> None:
         """Broadcast the emergency stop. Never raises: the boards' watchdogs do the same a little later."""

@@ -10,6 +10,9 @@ from dataclasses import dataclass, field, replace
 from control.dynamics.gains import volt_gains_of
 from control.errors import MissingModel
 from control.hardware.boards import BoardHardware, JointWiring, start_stream
+from control.hardware.gripper_board import GripperBoard
+from control.hardware.interface import EndBoards
+from control.hardware.pins import NamedPins
 from control.model.arm import Arm, CanBus, EncoderBoardPort
 from firmware_iface.camera import CameraReceiver
 from firmware_iface.clock import Clock
@@ -17,6 +20,7 @@ from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import ConnectionFailed, LinkError, WrongIdentity
 from firmware_iface.link import open_can, open_serial
 from firmware_iface.motor.board import MotorBoard, MotorBus
+from firmware_iface.motor.digital_pins import DigitalPins
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +101,7 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
         if (board := _encoder(port, arm, clock, closers, failures)) is not None
     ]
     motors = _motors(arm, clock, closers, failures)
+    end = _end_boards(arm, motors, failures) if motors else EndBoards()
     attempted = len(arm.encoder_boards) + max(len(motors), 1)
     camera = None
     if not failures and camera_port is not None:
@@ -112,7 +117,7 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
             close()
         raise ConnectionFailed(failures, attempted)
     wiring = _wiring(arm, encoders, [board for _, board in motors])
-    hardware = BoardHardware(arm, clock, motors[0][0], wiring, period_s)
+    hardware = BoardHardware(arm, clock, motors[0][0], wiring, period_s, end)
     return Connection(hardware, camera, tuple(encoders), tuple(board for _, board in motors), closers)
 
 
@@ -189,6 +194,42 @@ def _motors(
                 )
                 motors.append((bus, board))
     return motors
+
+
+def _end_boards(
+    arm: Arm, motors: Sequence[tuple[MotorBus, MotorBoard]], failures: list[LinkError]
+) -> EndBoards:
+    """The gripper's board and the pins of all boards, checked against arm.toml."""
+    bus, boards = motors[0][0], {board.node: board for _, board in motors}
+    gripper: GripperBoard | None = None
+    if arm.gripper is not None:
+        problems: list[LinkError] = []
+        board = MotorBoard(bus, arm.gripper.motor_node, "gripper", problems)
+        with _collect(failures):
+            identity = board.identify(arm.gripper.motor_serial_number)
+            expected, got = arm.gripper.encoder_counts_per_rev, identity.encoder_counts_per_turn
+            if expected not in (0, got):
+                raise WrongIdentity(
+                    f"{board.where}: expected {expected} counts a motor turn (arm.toml, [gripper]), got {got}; correct"
+                    " arm.toml, or the board's settings"
+                )
+            boards[board.node] = board
+            gripper = GripperBoard(arm.gripper, board, problems)
+    return EndBoards(gripper, _pins(arm, bus, boards, failures))
+
+
+def _pins(
+    arm: Arm, bus: MotorBus, boards: Mapping[int, MotorBoard], failures: list[LinkError]
+) -> NamedPins | None:
+    """The pins; a board that was not found has failed already."""
+    wanted = {pin.board for pin in arm.digital} & boards.keys()
+    if not wanted:
+        return None
+    found = {node: DigitalPins(bus, boards[node]) for node in sorted(wanted)}
+    for node, pins in found.items():
+        with _collect(failures):
+            pins.require(1 + max(pin.pin for pin in arm.digital if pin.board == node))
+    return NamedPins(arm.digital, found)
 
 
 def _compare(where: str, what: str, joint: int, expected: int, got: int) -> None:

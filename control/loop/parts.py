@@ -7,6 +7,8 @@ from typing import Protocol
 
 from control.dynamics.joint_side import JointSide
 from control.dynamics.loads import Loads
+from control.end_effector.gripper import GripperControl
+from control.end_effector.outputs import Outputs
 from control.hardware.board_stop import BoardStop
 from control.hardware.interface import Hardware
 from control.hardware.measurement import Measurement
@@ -76,6 +78,8 @@ class Parts:
     payload_limit_kg: float = math.inf
     allows_unrecorded: bool = False  # motions while the recording has stopped
     aim_limits: tuple[SetPointLimits, ...] = ()  # of the encoders' set-points, for such an arm
+    gripper: GripperControl | None = None
+    outputs: Outputs | None = None
     joint_side: JointSide | None = None  # of an arm whose encoders do not say where its joints are
 
     def with_tool(self, name: str) -> "Parts":

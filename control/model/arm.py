@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from control.errors import ArmError, MissingModel
-from control.model.end_effector import NO_TOOL
+from control.model.end_effector import NO_TOOL, Digital, Gripper
 from control.model.end_effector import Tool as Tool
 from control.model.end_effector import Vector3 as Vector3
 from control.model.rules import (
@@ -251,6 +251,8 @@ class Arm:
     tool: Tool = NO_TOOL
     table: Table | None = None
     camera: Camera | None = None
+    gripper: Gripper | None = None
+    digital: tuple[Digital, ...] = ()
     effects: tuple[Effect, ...] = field(default=(), metadata={"key": "effect"})
     encoder_boards: tuple[EncoderBoardPort, ...] = field(default=(), metadata={"key": "encoder_board"})
     can: CanBus | None = None

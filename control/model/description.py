@@ -35,7 +35,7 @@ from control.model.arm import (
     Vector3,
 )
 from control.model.arm_checks import check_arm
-from control.model.end_effector import read_tools
+from control.model.end_effector import Gripper, read_tools
 from control.model.reader import Rejected, keys_of, read_table, show
 from control.model.toml_lines import Path as KeyPath
 from control.model.toml_lines import key_lines, nearest_line
@@ -50,6 +50,7 @@ __all__ = [
     "DrivePid",
     "Effect",
     "EncoderBoardPort",
+    "Gripper",
     "Home",
     "Limits",
     "Link",

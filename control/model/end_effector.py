@@ -1,10 +1,11 @@
-"""What an arm.toml says about the end of the arm: its tools. A field's name is its key in the file."""
+"""What an arm.toml says about the end of the arm: tools, gripper, pins. A field's name is its key in the file."""
 
+import math
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from control.model.reader import Rejected, read_table
-from control.model.rules import NOT_NEGATIVE, WORD
+from control.model.rules import DIRECTION, NODE, NOT_NEGATIVE, PIN, POSITIVE, WORD, ZERO_OR_MORE
 
 Vector3 = tuple[float, float, float]
 
@@ -30,6 +31,62 @@ class Tool:
 
 
 NO_TOOL = Tool()
+
+
+@dataclass(frozen=True, slots=True)
+class Gripper:
+    """A gripper: one motor on a motor board of its own, which opens and closes the fingers.
+
+    The opening is the distance that the motor moves them, 0 (closed) to `travel_m`. Without an encoder on the motor
+    (`encoder_counts_per_rev = 0`) it opens and closes until it is stopped, and no opening is known.
+    `current_limit_A` is what the motor bears for ever: the board holds it in every mode, so it limits the force at all times.
+    """
+
+    motor_node: Annotated[int, NODE]
+    travel_m: Annotated[float, POSITIVE]
+    travel_per_turn_m: Annotated[float, POSITIVE]  # of the motor
+    torque_constant_Nm_A: Annotated[float, POSITIVE]
+    resistance_ohm: Annotated[float, POSITIVE]
+    supply_V: Annotated[float, POSITIVE]
+    current_limit_A: Annotated[float, POSITIVE]
+    speed_limit_m_s: Annotated[float, POSITIVE]
+    encoder_counts_per_rev: Annotated[int, ZERO_OR_MORE] = 0
+    rotor_inertia_kg_m2: Annotated[float, NOT_NEGATIVE] = 0.0
+    motor_direction: Annotated[int, DIRECTION] = 1  # 1: a positive voltage opens
+    motor_serial_number: Annotated[int, ZERO_OR_MORE] | None = None
+    force_N: Annotated[float, POSITIVE] | None = (
+        None  # where no force is asked for; default: half of the limit
+    )
+    on_fault: Literal["hold", "release"] = "hold"  # the drive, after a fault and when the host is gone
+
+    @property
+    def constant_N_A(self) -> float:
+        """Force per current without friction, and voltage per speed [V s/m]: 2 pi k_t / travel per turn."""
+        return 2.0 * math.pi * self.torque_constant_Nm_A / self.travel_per_turn_m
+
+    @property
+    def force_limit_N(self) -> float:
+        """The force at the current limit."""
+        return self.constant_N_A * self.current_limit_A
+
+    @property
+    def usual_force_N(self) -> float:
+        """The force where none is asked for."""
+        return 0.5 * self.force_limit_N if self.force_N is None else self.force_N
+
+
+@dataclass(frozen=True, slots=True)
+class Digital:
+    """A spare pin of a motor board (docs/motor_board.md) by name.
+
+    `safe`: of an output, while the board's drive is not enabled and after a fault; "keep": as it was.
+    """
+
+    name: Annotated[str, WORD]
+    board: Annotated[int, NODE]
+    pin: Annotated[int, PIN]
+    direction: Literal["input", "output"]
+    safe: Literal["low", "high", "keep"] = "low"
 
 
 def read_tools(document: dict[str, Any]) -> tuple[dict[str, Any], tuple[Tool, ...]]:

@@ -9,6 +9,8 @@ from control.dynamics.feedforward import torque_constants_Nm_A
 from control.dynamics.gains import InertiaScale, gains_of
 from control.dynamics.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, JointSide
 from control.dynamics.loads import Loads, without_tool_mass
+from control.end_effector.gripper import GripperControl
+from control.end_effector.outputs import Outputs
 from control.errors import MissingModel
 from control.hardware.board_stop import board_stop
 from control.hardware.interface import Hardware, OutputMode
@@ -107,10 +109,17 @@ def assemble(
         allows_unrecorded=arm.recording.unrecorded == "allow",
         payload_limit_kg=arm.limits.payload_limit_kg,
         aim_limits=tuple(_aim_limits(drive) for drive in arm.drives),
+        gripper=_gripper(arm, hardware),
+        outputs=Outputs(arm.digital, hardware.end.pins) if hardware.end.pins is not None else None,
         joint_side=JointSide.of(without_tool_mass(arm), loads.torques),
     )
     runtime = Runtime(parts)
     return Assembly(runtime, Requests(runtime, limits, {"arm": arm.name, **(about or {})}))
+
+
+def _gripper(arm: Arm, hardware: Hardware) -> GripperControl | None:
+    board = hardware.end.gripper
+    return GripperControl(arm.gripper, board) if arm.gripper is not None and board is not None else None
 
 
 def _tool_parts(arm: Arm, limits: JointLimits) -> ToolParts:

@@ -6,7 +6,7 @@ request, so that a long path costs nothing that could be refused without it.
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta
@@ -125,6 +125,21 @@ class ChangeTool(_Message, tag="tool", kw_only=True):
     name: Annotated[str, Meta(max_length=LONGEST_ID)]
 
 
+class Grip(_Message, tag="gripper", kw_only=True):
+    """Open, close, go to an opening, or stop."""
+
+    action: Literal["open", "close", "move", "stop"]
+    opening_m: float | None = None
+    force_N: float | None = None
+
+
+class SetOutput(_Message, tag="digital", kw_only=True):
+    """Set a digital output."""
+
+    name: Annotated[str, Meta(max_length=LONGEST_ID)]
+    level: bool
+
+
 class Off(_Message, tag="off", kw_only=True):
     """Shutdown."""
 
@@ -165,6 +180,8 @@ _KINDS: Mapping[str, type[_Message]] = {
         Average,
         Payload,
         ChangeTool,
+        Grip,
+        SetOutput,
         Off,
         Control,
     )

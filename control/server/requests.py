@@ -23,7 +23,7 @@ from control.server import messages
 from control.server.control_right import ControlRight
 from control.server.jog_requests import jog_request
 from control.server.messages import Asked, decoded, numbers
-from control.server.status import status_of, step_of
+from control.server.status import gripper_status, status_of, step_of
 from firmware_iface.errors import LinkError
 
 Message = dict[str, Any]
@@ -63,6 +63,7 @@ class Requests:
         self._limits = limits
         self._about = about
         self._right = ControlRight()
+        self._grips: int | None = None  # the client that moved the gripper last
         self.events: Listener | None = None
         self._serve: Mapping[str, Callable[[Any, int], Message]] = {
             "status": self._status,
@@ -86,6 +87,8 @@ class Requests:
             "average_result": self._average_result,
             "payload": self._payload,
             "tool": self._tool,
+            "gripper": self._grip,
+            "digital": self._set_output,
             "acknowledge": self._acknowledge,
             "fault_cycles": self._fault_cycles,
             "off": self._off,
@@ -123,7 +126,9 @@ class Requests:
             return _refused(f"request {do!r}: {type(error).__name__}: {error}")
 
     def on_gone(self, client: int) -> None:
-        """A client disconnected: what it began and what still goes on is stopped."""
+        """A client disconnected: what it began and what still goes on is stopped, a gripper on its way, too."""
+        if client == self._grips and self._runtime.parts.gripper is not None:
+            self._runtime.parts.gripper.stop()
         was_owner = self._right.owns(client, self._runtime.monitor.mode)
         self._right.gone(client)
         if was_owner:
@@ -274,6 +279,17 @@ class Requests:
     def _tool(self, request: messages.ChangeTool, client: int) -> Message:
         self._runtime.change_tool(request.name)
         return {"tool": request.name}
+
+    def _grip(self, request: messages.Grip, client: int) -> Message:
+        if (request.action == "move") is (request.opening_m is None):
+            raise ArmError("gripper: `move` needs opening_m, and the other actions have none")
+        self._runtime.grip(request.action, request.opening_m, request.force_N)
+        self._grips = client
+        return {"gripper": gripper_status(self._runtime)}
+
+    def _set_output(self, request: messages.SetOutput, client: int) -> Message:
+        self._runtime.set_output(request.name, request.level)
+        return {}
 
     def _acknowledge(self, request: Any, client: int) -> Message:
         return {"acknowledged": [fault.message for fault in self._runtime.acknowledge()]}

@@ -4,6 +4,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from control.end_effector.gripper import State as GripperState
 from control.kinematics.kinematics import Kinematics
 from control.loop.runtime import Runtime
 from control.recording.recorder_state import RecorderState
@@ -44,6 +45,8 @@ def status_of(runtime: Runtime) -> dict[str, Any]:
         "tool": runtime.parts.tool.tool.name,
         "tools": [name for name in runtime.parts.tools if name],
         "payload_kg": runtime.stated_payload_kg,
+        "gripper": gripper_status(runtime),
+        "digital": _digital(runtime),
         "faults": [
             {"code": f.code, "where": f.where, "message": f.message, "remedy": f.remedy}
             for f in monitor.faults
@@ -53,6 +56,34 @@ def status_of(runtime: Runtime) -> dict[str, Any]:
         "lost_rows": recorder.lost_rows,
         "recording": recorder.file,
         "recorder": recorder.content(),
+    }
+
+
+def gripper_status(runtime: Runtime) -> dict[str, Any] | None:
+    """State and values of the gripper; None without one."""
+    if (gripper := runtime.parts.gripper) is None:
+        return None
+    goal = gripper.goal
+    return {
+        "state": gripper.state.name,
+        "is_moving": gripper.state is GripperState.MOVING,
+        "text": gripper.state.value + (f": {gripper.why}" if gripper.why else ""),
+        "opening_m": gripper.opening_m,
+        "goal_m": goal.opening_m if goal is not None else None,
+        "force_N": abs(gripper.feedback.current_A) * gripper.described.constant_N_A,
+        "current_A": gripper.feedback.current_A,
+        "has_lost": gripper.has_lost,
+        "number": gripper.number,
+    }
+
+
+def _digital(runtime: Runtime) -> dict[str, Any]:
+    """Direction and level of each pin by name; null: its board does not say."""
+    outputs = runtime.parts.outputs
+    if outputs is None:
+        return {}
+    return {
+        pin.name: {"direction": pin.direction, "level": outputs.levels[pin.name]} for pin in outputs.described
     }
 
 
