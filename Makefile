@@ -51,6 +51,9 @@ solver-study: install  ## is the optimum of an identification a real one? 200 fr
 screenshots: install  ## the pictures of docs/console.md, from the mock arm without a terminal; some minutes
 	$(BIN)/python -m tests.console.screen.screenshots docs
 
+arm-reference: install  ## docs/arm_toml.md, from the definitions that the reader of arm.toml obeys
+	$(BIN)/python -m control.model.reference
+
 gap-score: install  ## how often the gap workflow is right on poses, time series and the mock arm: fresh cases, six minutes; CASES=60 of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap.score $(if $(CASES),--cases $(CASES))
 
@@ -63,4 +66,4 @@ lock: install  ## pin again what pyproject.toml names (needs uv)
 clean:  ## remove what make made
 	rm -rf .venv .venv-peers out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help install demo demo-gap drills lint test format bench coverage-study solver-study screenshots gap-score rough-score lock clean
+.PHONY: help install demo demo-gap drills lint test format bench coverage-study solver-study screenshots arm-reference gap-score rough-score lock clean

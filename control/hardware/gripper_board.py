@@ -4,6 +4,7 @@ import contextlib
 import math
 from dataclasses import dataclass
 
+from control.hardware.board_stop import BoardStop
 from control.model.end_effector import Gripper
 from firmware_iface.errors import BoardFaulted, LinkError
 from firmware_iface.motor.board import MotorBoard
@@ -31,8 +32,16 @@ class GripperFeedback:
 class GripperBoard:
     """Sends one COMMAND for each `write`, and asks for the count of the board's own encoder."""
 
-    def __init__(self, gripper: Gripper, board: MotorBoard, problems: list[LinkError]) -> None:
-        """`problems`: those of this board alone."""
+    def __init__(
+        self,
+        gripper: Gripper,
+        board: MotorBoard,
+        problems: list[LinkError],
+        watchdog_s: float,
+        stop: BoardStop,
+    ) -> None:
+        """`problems`: those of this board alone. `watchdog_s`, `stop`: as of the joints' boards."""
+        self._watchdog_s, self._stop = watchdog_s, stop
         self.feedback = GripperFeedback()
         self._gripper, self._board, self._problems = gripper, board, problems
         counts = gripper.encoder_counts_per_rev
@@ -89,12 +98,12 @@ class GripperBoard:
             self._is_asked, self._asked_at_s = True, now_s
             board.ask_count()
 
-    def enable(self, watchdog_s: float, stop_after_s: float, stop_time_s: float) -> None:
+    def enable(self) -> None:
         """Upload the parameters where the board does not have them, and let `write` bring it to OPERATION ENABLED. Waits."""
         board = self._board
         if self._configured_resets != board.resets:
             board.go_to(State.SWITCH_ON_DISABLED)
-            for index, value in self._parameters(watchdog_s, stop_after_s, stop_time_s):
+            for index, value in self._parameters():
                 board.write(index, value)
             self._configured_resets = board.resets
         self._is_wanted_enabled = True
@@ -107,16 +116,16 @@ class GripperBoard:
         """Let `write` acknowledge the board's fault, if it has one: the arm is held meanwhile, so nothing waits here."""
         self._is_resetting = True
 
-    def _parameters(self, watchdog_s: float, after_s: float, time_s: float) -> list[tuple[Parameter, int]]:
+    def _parameters(self) -> list[tuple[Parameter, int]]:
         gripper = self._gripper
         holds = gripper.on_fault == "hold"
         kp_V_m = gripper.resistance_ohm * gripper.current_limit_A / FULL_FORCE_AT_m
         per_count = abs(self._m_per_count) if gripper.encoder_counts_per_rev else 0.0
         return [
-            (Parameter.WATCHDOG_ms, round(watchdog_s * 1e3)),
+            (Parameter.WATCHDOG_ms, round(self._watchdog_s * 1e3)),
             (Parameter.WATCHDOG_ACTION, Output.HOLD if holds else Output.OPEN_CIRCUIT),
-            (Parameter.STOP_AFTER_ms, round(after_s * 1e3)),
-            (Parameter.STOP_TIME_ms, round(time_s * 1e3)),
+            (Parameter.STOP_AFTER_ms, round(self._stop.after_s * 1e3)),
+            (Parameter.STOP_TIME_ms, round(self._stop.time_s * 1e3)),
             (Parameter.DISABLED_OUTPUT, Output.BRAKE if holds else Output.OPEN_CIRCUIT),
             (Parameter.CURRENT_LIMIT_mA, round(gripper.current_limit_A * 1e3)),
             (Parameter.VOLTAGE_LIMIT_mV, round(gripper.supply_V * 1e3)),

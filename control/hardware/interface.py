@@ -70,6 +70,18 @@ class EndBoards:
     gripper: GripperBoard | None = None
     pins: NamedPins | None = None
 
+    def enable(self) -> None:
+        """Upload what the boards do not have, and enable the gripper's; waits. Pins belong to boards that are not enabled yet."""
+        if self.pins is not None:
+            self.pins.configure()
+        if self.gripper is not None:
+            self.gripper.enable()
+
+    def disable(self) -> None:
+        """The gripper's board goes off with the joints'."""
+        if self.gripper is not None:
+            self.gripper.disable()
+
 
 class Hardware(Protocol):
     """The arm as seen by the loop; real and mock boards implement it alike."""

@@ -5,24 +5,39 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from control.model.reader import Rejected, read_table
-from control.model.rules import DIRECTION, NODE, NOT_NEGATIVE, PIN, POSITIVE, WORD, ZERO_OR_MORE
+from control.model.rules import (
+    DIRECTION,
+    FINGER_SPEED,
+    NODE,
+    NOT_NEGATIVE,
+    PIN,
+    POSITION,
+    POSITIVE,
+    ROTOR,
+    TOOL_MASS,
+    TRAVEL,
+    WORD,
+    ZERO_OR_MORE,
+)
 
 Vector3 = tuple[float, float, float]
+Positive = Annotated[float, POSITIVE]
+NonNegative = Annotated[float, NOT_NEGATIVE]
+Position = Annotated[Vector3, POSITION]
 
 
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """What is mounted on the last link: its tip in the last frame, and whether that is known or to be identified.
+    """What is mounted on the last link: one [tool], or several [[tool]] with a name each, of which the first is on at the start.
 
-    A file has one `[tool]`, or several `[[tool]]` with a `name` each; the first is the one that is on at the start. `mass_kg` is
-    a point mass at `com_m` in the last frame (at the tip if it is not given), beyond the masses of the links.
+    `armwright tool NAME` changes it (docs/tools.md).
     """
 
-    position_m: Vector3 = (0.0, 0.0, 0.0)
-    known: bool = True
-    name: Annotated[str, WORD] = ""
-    mass_kg: Annotated[float, NOT_NEGATIVE] = 0.0
-    com_m: Vector3 | None = None
+    position_m: Annotated[Position, "the tip (tool centre point) in the last link's frame"] = (0.0, 0.0, 0.0)
+    known: Annotated[bool, "false: `calibrate` identifies it"] = True
+    name: Annotated[str, WORD, "required and unique where there are several", "none"] = ""
+    mass_kg: Annotated[NonNegative, TOOL_MASS, "a point mass, beyond the masses of the links"] = 0.0
+    com_m: Annotated[Position | None, "where it is, in the last link's frame", "at the tip"] = None
 
     @property
     def centre_m(self) -> Vector3:
@@ -35,29 +50,34 @@ NO_TOOL = Tool()
 
 @dataclass(frozen=True, slots=True)
 class Gripper:
-    """A gripper: one motor on a motor board of its own, which opens and closes the fingers.
+    """A gripper: one motor, on a motor board of its own, opens and closes the fingers (docs/tools.md).
 
-    The opening is the distance that the motor moves them, 0 (closed) to `travel_m`. Without an encoder on the motor
-    (`encoder_counts_per_rev = 0`) it opens and closes until it is stopped, and no opening is known.
-    `current_limit_A` is what the motor bears for ever: the board holds it in every mode, so it limits the force at all times.
+    The opening is the distance that the motor moves them: 0 closed, `travel_m` open.
     """
 
-    motor_node: Annotated[int, NODE]
-    travel_m: Annotated[float, POSITIVE]
-    travel_per_turn_m: Annotated[float, POSITIVE]  # of the motor
-    torque_constant_Nm_A: Annotated[float, POSITIVE]
-    resistance_ohm: Annotated[float, POSITIVE]
-    supply_V: Annotated[float, POSITIVE]
-    current_limit_A: Annotated[float, POSITIVE]
-    speed_limit_m_s: Annotated[float, POSITIVE]
-    encoder_counts_per_rev: Annotated[int, ZERO_OR_MORE] = 0
-    rotor_inertia_kg_m2: Annotated[float, NOT_NEGATIVE] = 0.0
-    motor_direction: Annotated[int, DIRECTION] = 1  # 1: a positive voltage opens
-    motor_serial_number: Annotated[int, ZERO_OR_MORE] | None = None
-    force_N: Annotated[float, POSITIVE] | None = (
-        None  # where no force is asked for; default: half of the limit
-    )
-    on_fault: Literal["hold", "release"] = "hold"  # the drive, after a fault and when the host is gone
+    motor_node: Annotated[int, NODE, "CAN node of its motor board"]
+    travel_m: Annotated[Positive, TRAVEL, "from closed to open"]
+    travel_per_turn_m: Annotated[Positive, TRAVEL, "of the opening, per motor turn"]
+    torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
+    resistance_ohm: Annotated[Positive, "of the winding, from terminal to terminal"]
+    supply_V: Annotated[Positive, "of the motor board"]
+    current_limit_A: Annotated[Positive, "what the motor bears for ever; the board keeps to it in every mode"]
+    speed_limit_m_s: Annotated[Positive, FINGER_SPEED, "of the opening"]
+    encoder_counts_per_rev: Annotated[
+        int, ZERO_OR_MORE, "per motor turn; 0: no encoder, so it can only open and close"
+    ] = 0
+    rotor_inertia_kg_m2: Annotated[NonNegative, ROTOR, "of the rotor; for the mock"] = 0.0
+    motor_direction: Annotated[int, DIRECTION, "-1: a positive voltage closes"] = 1
+    motor_serial_number: Annotated[
+        Annotated[int, ZERO_OR_MORE] | None, "compared with the board's, if given"
+    ] = None
+    force_N: Annotated[
+        Positive | None, "where no force is asked for", "half of that at the current limit"
+    ] = None
+    on_fault: Annotated[
+        Literal["hold", "release"],
+        "after a fault of the arm, and when the host is gone: keep what it has, or open the circuit",
+    ] = "hold"
 
     @property
     def constant_N_A(self) -> float:
@@ -77,16 +97,16 @@ class Gripper:
 
 @dataclass(frozen=True, slots=True)
 class Digital:
-    """A spare pin of a motor board (docs/motor_board.md) by name.
+    """A spare pin of a motor board, by name (docs/tools.md)."""
 
-    `safe`: of an output, while the board's drive is not enabled and after a fault; "keep": as it was.
-    """
-
-    name: Annotated[str, WORD]
-    board: Annotated[int, NODE]
-    pin: Annotated[int, PIN]
-    direction: Literal["input", "output"]
-    safe: Literal["low", "high", "keep"] = "low"
+    name: Annotated[str, WORD, "unique"]
+    board: Annotated[int, NODE, "CAN node of the motor board, of a joint or the gripper"]
+    pin: Annotated[int, PIN, "its number on the board"]
+    direction: Annotated[Literal["input", "output"], "seen from the board"]
+    safe: Annotated[
+        Literal["low", "high", "keep"],
+        'of an output while the drives are off and after a fault; "keep": as it was',
+    ] = "low"
 
 
 def read_tools(document: dict[str, Any]) -> tuple[dict[str, Any], tuple[Tool, ...]]:

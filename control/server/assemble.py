@@ -17,6 +17,7 @@ from control.hardware.interface import Hardware, OutputMode
 from control.hardware.measurement import Measurement
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
+from control.kinematics.pose_kinematics import PoseKinematics
 from control.loop.homing_sequence import TURN_TOLERANCE, HomingSequence, JointHome
 from control.loop.jogging import Jogging
 from control.loop.parts import Camera, Parts, ToolParts
@@ -125,9 +126,13 @@ def _gripper(arm: Arm, hardware: Hardware) -> GripperControl | None:
 def _tool_parts(arm: Arm, limits: JointLimits) -> ToolParts:
     """What depends on where the tip is; the arm's present tool is on."""
     inverse, guard, jog_limits = InverseKinematics(arm), Guard(arm, limits), JogLimits.of(arm)
+    kinematics = Kinematics(arm)
+    poses = PoseKinematics(kinematics)
+    poses.at(*(0.0,) * arm.joint_count)  # compiled now, not between two cycles
     return ToolParts(
         tool=arm.tool,
-        kinematics=Kinematics(arm),
+        kinematics=kinematics,
+        poses=poses,
         inverse=inverse,
         guard=guard,
         jogging=lambda is_homed: Jogging(jog_limits, inverse, guard if is_homed else None),

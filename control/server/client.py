@@ -194,9 +194,11 @@ class ArmClient:
     ) -> None:
         """Run a planned path (PlannedPath.to_message()); the arm must stand at its first point. `as_encoders`: as move_joints.
 
-        `tool`: the one whose tip it was planned for, if that is to be checked.
+        Where the tip's position does not fix the joints, the message is that of the joints' own path. `tool`: the one whose
+        tip it was planned for, if that is to be checked.
         """
-        answer = self.ask("run_path", path=path, as_encoders=as_encoders, tool=tool)
+        do = "run_joints" if "q_rad" in path else "run_path"
+        answer = self.ask(do, path=path, as_encoders=as_encoders, tool=tool)
         if waits:
             self.arrive(answer["duration_s"] + 5.0)
 

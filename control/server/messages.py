@@ -77,6 +77,7 @@ class RunJoints(Owned, tag="run_joints", kw_only=True):
     """A path of the joints; read by control.motion.joint_path."""
 
     path: dict[str, Any]
+    tool: Annotated[str, Meta(max_length=LONGEST_ID)] | None = None
     as_encoders: bool = False
 
 

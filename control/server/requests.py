@@ -188,10 +188,7 @@ class Requests:
     def _run_path(self, request: messages.RunPath, client: int) -> Message:
         path = PlannedPath.from_message(request.path)
         tool = self._runtime.parts.tool
-        if request.tool is not None and request.tool != tool.tool.name:
-            raise ArmError(
-                f"the path is for the tip of tool {request.tool!r}, and {tool.tool.name!r} is on: plan it again"
-            )
+        self._require_tool(request.tool)
         self._require_at(path.q_start_rad, request.as_encoders)
         tool.guard.require_path(path)
         motion = path.motion(tool.inverse, tool.kinematics)
@@ -199,10 +196,17 @@ class Requests:
 
     def _run_joints(self, request: messages.RunJoints, client: int) -> Message:
         path = JointPath.from_message(request.path)
+        self._require_tool(request.tool)
         path.require_within(self._limits)
         self._require_at(path.knots[0].q_rad, request.as_encoders)
         self._runtime.parts.tool.guard.require_joint_path(path)
         return self._start(path, request.as_encoders, request, client)
+
+    def _require_tool(self, planned: str | None) -> None:
+        """Check that a path is for the tip of the tool that is on, if it says for which."""
+        on = self._runtime.parts.tool.tool.name
+        if planned is not None and planned != on:
+            raise ArmError(f"the path is for the tip of tool {planned!r}, and {on!r} is on: plan it again")
 
     def _require_at(self, first_rad: Sequence[float], as_encoders: bool) -> None:
         """Check that the arm holds at a path's first point."""
