@@ -17,9 +17,11 @@ from control.hardware.gripper_board import GripperBoard, GripperFeedback
 from control.model.end_effector import Gripper
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import voltage_range
+from firmware_iface.errors import BoardReset
 
 PERIOD_s: Final = 0.01  # two frames and their answers in this time are 5 % of a bus of 1 Mbit/s
-SILENT_s: Final = 0.1  # as long as a host may pause is not yet silence
+SILENT_s: Final = 0.06  # of the loop's attention: six COMMANDs without an answer
+UNCOUNTED_s: Final = 0.15  # the same of a count, which comes after its question
 ENABLE_LIMIT_s: Final = 1.0
 RESET_s: Final = 0.04  # of a fault that was acknowledged: some cycles
 APPROACH_per_s: Final = 10.0  # speed per distance from the goal: slow against the fingers' own time constant
@@ -81,6 +83,8 @@ class GripperControl:
         self._last_s: float | None = None
         self._enabled_s = math.inf
         self._speed_m_s, self._before_m = 0.0, math.nan
+        self._heard = (-math.inf, -math.inf)
+        self._unheard_s = self._uncounted_s = 0.0
         self._hold_m: float | None = None  # `moved_m` of the place to hold
         self._left_s = self._push_A = self._trim_A = self._stalled_s = 0.0
 
@@ -143,15 +147,16 @@ class GripperControl:
         self._next_s = now_s + PERIOD_s - 1e-6
         elapsed_s = PERIOD_s if self._last_s is None else min(now_s - self._last_s, 3.0 * PERIOD_s)
         self._last_s = now_s
+        self._listen(feedback)
         fault = None if is_off else self._trouble(now_s, is_ready, feedback)
         self._follow(is_ready, is_fault, is_off)
         self._measure_speed(elapsed_s)
         self._board.write(self._volts(elapsed_s), now_s)
         return fault
 
-    def recover(self, now_s: float) -> None:
+    def recover(self) -> None:
         """A person acknowledges its fault. ArmError while its board is silent: a question to it would keep the arm waiting."""
-        if now_s - self.feedback.reply_at_s > SILENT_s:
+        if self._unheard_s > SILENT_s:
             raise ArmError(f"gripper: {self.why}: check its supply and cable, then acknowledge again")
         self.state, self.why, self._enabled_s = State.OFF, "", math.inf
 
@@ -173,22 +178,30 @@ class GripperControl:
         """What is wrong with the board, once."""
         if feedback.problem is not None:
             self._zero_m = None
-            return self._fail("gripper_link", str(feedback.problem))
+            is_reset = isinstance(feedback.problem, BoardReset)
+            restarted = "its motor board restarted: its opening is unknown, and what it held may be gone"
+            return self._fail("gripper_link", restarted if is_reset else str(feedback.problem))
         if not is_ready or self.state is State.FAILED:
             return None
         if self._enabled_s == math.inf:
             self._enabled_s = now_s
         waited_s = now_s - self._enabled_s
-        if now_s - feedback.reply_at_s > SILENT_s and waited_s > SILENT_s:
+        if self._unheard_s > SILENT_s:
             return self._fail("gripper_silent", f"no reply from its motor board for {SILENT_s} s")
         if feedback.faults and waited_s > RESET_s:
             return self._fail("gripper_drive", f"its motor board is in FAULT ({feedback.faults})")
         if not feedback.is_enabled and waited_s > ENABLE_LIMIT_s:
             return self._fail("gripper_drive", f"its drive is not enabled after {ENABLE_LIMIT_s} s")
-        has_encoder = self.described.encoder_counts_per_rev > 0
-        if has_encoder and now_s - feedback.moved_at_s > SILENT_s and waited_s > 2.0 * SILENT_s:
-            return self._fail("gripper_count", f"no count from its motor board for {SILENT_s} s")
+        if self.described.encoder_counts_per_rev and self._uncounted_s > UNCOUNTED_s:
+            return self._fail("gripper_count", f"no count from its motor board for {UNCOUNTED_s} s")
         return None
+
+    def _listen(self, feedback: GripperFeedback) -> None:
+        """How long nothing has come, while the loop asked: a pause of the host makes no board silent."""
+        heard = feedback.reply_at_s, feedback.moved_at_s
+        self._unheard_s = 0.0 if heard[0] != self._heard[0] else self._unheard_s + PERIOD_s
+        self._uncounted_s = 0.0 if heard[1] != self._heard[1] else self._uncounted_s + PERIOD_s
+        self._heard = heard
 
     def _fail(self, code: str, message: str) -> Fault:
         self.state, self.why = State.FAILED, message

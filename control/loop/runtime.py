@@ -237,7 +237,7 @@ class Runtime(ArmState):
     def acknowledge(self) -> tuple[Fault, ...]:
         """Acknowledge the faults on a person's request. Faulted drives are reset and enabled again at 0 V."""
         if self.parts.gripper is not None and self.parts.gripper.state is GripperState.FAILED:
-            self.parts.gripper.recover(self.now_s)
+            self.parts.gripper.recover()
             self.has_waited = True
             self.parts.hardware.reset_gripper()
         are_drives_faulted = any(self.parts.hardware.feedback.drive_faults)

@@ -210,6 +210,18 @@ def refused_acknowledge(cell: Cell) -> str:
     raise AssertionError("acknowledged")
 
 
+def test_a_pause_of_the_host_is_no_silence(cell: Cell) -> None:
+    cell.client.grip("open")
+    cell.rig.set_object(0.025)
+    cell.client.grip("close")
+    for _ in range(3):
+        clock = cell.rig.clock
+        clock.wait_until_s(clock.now_s() + 0.17)
+        cell.run(0.2)
+    assert (cell.mode, state(cell)["state"]) == (Mode.HOLDING, "GRIPPED")
+    assert cell.rig.gripper()[1] == pytest.approx(GRIPPER.usual_force_N, rel=0.1)
+
+
 def test_each_row_says_what_it_did(cell: Cell) -> None:
     arm = replace(RIGHT, gripper=GRIPPER)
     layout, rows = layout_of(arm), []
