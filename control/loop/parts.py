@@ -14,7 +14,6 @@ from control.hardware.interface import Hardware
 from control.hardware.measurement import Measurement
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
-from control.kinematics.pose_kinematics import PoseKinematics
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.watch import Watch
@@ -45,7 +44,6 @@ class ToolParts:
 
     tool: Tool
     kinematics: Kinematics
-    poses: PoseKinematics
     inverse: InverseKinematics
     guard: Guard
     jogging: Callable[[bool], Jogging]  # of an arm that is homed; of one that is not

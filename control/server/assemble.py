@@ -17,7 +17,6 @@ from control.hardware.interface import Hardware, OutputMode
 from control.hardware.measurement import Measurement
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
-from control.kinematics.pose_kinematics import PoseKinematics
 from control.loop.homing_sequence import TURN_TOLERANCE, HomingSequence, JointHome
 from control.loop.jogging import Jogging
 from control.loop.parts import Camera, Parts, ToolParts
@@ -126,13 +125,10 @@ def _gripper(arm: Arm, hardware: Hardware) -> GripperControl | None:
 def _tool_parts(arm: Arm, limits: JointLimits) -> ToolParts:
     """What depends on where the tip is; the arm's present tool is on."""
     inverse, guard, jog_limits = InverseKinematics(arm), Guard(arm, limits), JogLimits.of(arm)
-    kinematics = Kinematics(arm)
-    poses = PoseKinematics(kinematics)
-    poses.at(*(0.0,) * arm.joint_count)  # compiled now, not between two cycles
+    inverse.prepare()
     return ToolParts(
         tool=arm.tool,
-        kinematics=kinematics,
-        poses=poses,
+        kinematics=Kinematics(arm),
         inverse=inverse,
         guard=guard,
         jogging=lambda is_homed: Jogging(jog_limits, inverse, guard if is_homed else None),

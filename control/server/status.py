@@ -35,7 +35,7 @@ def status_of(runtime: Runtime) -> dict[str, Any]:
         "is_homed": monitor.is_homed,
         "t_s": runtime.now_s,
         "cycle": runtime.cycles,
-        **_angles(runtime, runtime.parts.tool.poses),
+        **_angles(runtime, runtime.parts.tool.inverse.poses),
         **_boards(runtime),
         "progress": runtime.progress(),
         "pace": runtime.pace(),
