@@ -7,7 +7,7 @@ from typing import Any
 
 from console.screen.drawing.rows import Row, Span, row, width_of, wrapped
 from console.screen.events import stale_s
-from control.end_effector import gripper, outputs
+from control.end_effector.bus_load import end_frames_Hz
 from control.model.arm import Arm, Drive
 
 Message = dict[str, Any]
@@ -61,10 +61,7 @@ def headline(status: Message | None, arm: Arm, why_lost: str, width: int, clock:
 def bus_load(arm: Arm, period_s: float) -> float:
     """Worst-case share of the CAN bus used by commands and replies: of joints, gripper (its count, too) and pins."""
     bitrate = arm.can.bitrate if arm.can is not None and arm.can.bitrate else 1_000_000
-    frames_s = 2 * arm.joint_count / period_s
-    frames_s += 4 / gripper.PERIOD_s if arm.gripper is not None else 0.0
-    frames_s += 2 * len({pin.board for pin in arm.digital}) / outputs.PERIOD_s
-    return frames_s * FRAME_bits / bitrate
+    return (2 * arm.joint_count / period_s + end_frames_Hz(arm)) * FRAME_bits / bitrate
 
 
 def joint_rows(status: Message, arm: Arm, selected: str, width: int) -> list[Row]:
