@@ -13,6 +13,7 @@ from calib.arm_problem.assembly import Choice, lever_m, problem_of
 from calib.arm_problem.misread_turns import require_turns_meant
 from calib.arm_problem.posed import whole_problem
 from calib.calibration.calibrate import CalibrationPlan, calibrate
+from calib.design.information import experiment_of, uncertainty_of
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.identify import identify
 from calib.identify.objective import objective_named
@@ -208,3 +209,15 @@ def test_a_verification_compares_orientations_with_the_target_where_it_fits_each
     assert float(np.mean(turned.after_rad)) < 2 * TURN_NOISE_rad < 0.2 * float(np.mean(turned.before_rad))
     assert "mrad before" in turned.in_words()
     assert compare_turns(arm, arm, without_orientation(points)) is None
+
+
+def test_a_plan_with_orientations_expects_to_know_more() -> None:
+    arm, _, points = session(12, tool=IN_THE_FLANGE)
+    workspace = np.random.default_rng(1).uniform(-1.5, 1.5, (50, 6))
+    rows = list(range(20))
+    alone = uncertainty_of(experiment_of(arm, points, workspace, POSITION_NOISE_m, BASE), rows)
+    with_turns = experiment_of(arm, points, workspace, POSITION_NOISE_m, BASE, TURN_NOISE_rad)
+    both = uncertainty_of(with_turns, rows)
+    assert both.log_det > alone.log_det + 10.0
+    assert both.tip_m < alone.tip_m
+    assert both.rank >= alone.rank
