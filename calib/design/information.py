@@ -34,9 +34,9 @@ class Experiment:
     """Information of all recorded and candidate poses; arrays are read-only.
 
     `rows` (p, 3, r + s), with orientations (p, 6, r + s): derivatives of the tips by r combinations of the arm's scaled
-    parameters and s unknowns of boards and base, in standard deviations of the noise. `basis` (k, r) are the combinations: those that move a tip
-    anywhere in the workspace, or in some pose. `visible` (r, v): those of them that the poses can determine
-    together. `workspace` (w, 3, r) [m]: derivatives of tips over the workspace by the combinations; if nothing
+    parameters and s unknowns of boards and base, in standard deviations of the noise. `basis` (k, r) are the combinations:
+    those that move a tip anywhere in the workspace, or in some pose. `visible` (r, v): those of them that the poses can
+    determine together. `workspace` (w, 3, r) [m]: derivatives of tips over the workspace by the combinations; if nothing
     relates the base to a known place (`is_tied`), without rigid motions.
     """
 
