@@ -85,6 +85,41 @@ CALIBRATING = (
         module="calibration.calibrate",
     ),
     CommandSpec(
+        "trust",
+        "predict the tip's error over the workspace, with intervals, and whether a path keeps a tolerance",
+        (
+            ARM,
+            option(
+                "--points",
+                metavar="P",
+                action="append",
+                required=True,
+                help="points.csv or .csv.gz of the real arm; may be repeated",
+            ),
+            OUT,
+            option("--tolerance", metavar="LENGTH", help="the accuracy that is wanted, e.g. 0.5mm"),
+            option(
+                "--task",
+                metavar="FILE",
+                action="append",
+                help="way-points as for `armwright run`: the probability that the path keeps the tolerance; may be repeated",
+            ),
+            option(
+                "--payload",
+                type=finite,
+                metavar="KG",
+                action="append",
+                help="mass at the tip that the map is made for (default: 0); may be repeated",
+            ),
+            option(
+                "--boards", metavar="FILE", help="boards.json of `armwright register`: measured board poses"
+            ),
+            JSON,
+        ),
+        "Nothing moves. Writes report.html, map.npz and trust.json; docs/trust.md.",
+        module="calibration.trust",
+    ),
+    CommandSpec(
         "verify",
         "compare the calibrated arm with the nominal one at points that calibration did not use",
         (
