@@ -17,6 +17,8 @@ from calib.design.information import experiment_of, uncertainty_of
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.identify import identify
 from calib.identify.objective import objective_named
+from calib.iso9283.evaluate_poses import pose_criterion
+from calib.iso9283.recorded import pose_groups
 from calib.points.points import Points, make_points, read_points
 from calib.points.writer import write_points
 from calib.validation.turned import compare_turns
@@ -221,3 +223,24 @@ def test_a_plan_with_orientations_expects_to_know_more() -> None:
     assert both.log_det > alone.log_det + 10.0
     assert both.tip_m < alone.tip_m
     assert both.rank >= alone.rank
+
+
+def test_iso_9283_takes_the_angles_from_quaternions() -> None:
+    arm, _, points = session(13)
+    visits, turn, rng = 6, np.array([0.002, -0.001, 0.003]), np.random.default_rng(0)
+    rows = [k for k in range(2) for _ in range(visits)]
+    q = np.repeat(points.q_rad[:1], len(rows), axis=0)  # one pose under two names, turned to both sides
+    link = Rotation.from_matrix(Kinematics(arm).link_transforms(q)[:, -1, :3, :3])
+    sides = np.array([turn if k == 0 else -turn for k in rows])
+    off = Rotation.from_rotvec(sides + rng.normal(0.0, 1e-4, (len(rows), 3)))
+    seen = (off * link * Rotation.from_rotvec(TARGET)).as_quat()[:, [3, 0, 1, 2]]
+    tips = Kinematics(arm).tips(q) + rng.normal(0, 1e-4, (len(rows), 3))
+    names = [f"P{k + 1}" for k in rows]
+    made = make_points(["normal"] * len(rows), names, list(range(len(rows))), q, tips, orientation=seen)
+    groups, notes = pose_groups(made, arm, "points.csv")
+    figures = pose_criterion(groups).figures
+    for letter, angle in zip("abc", turn, strict=True):
+        values = {f.where.split()[0]: f.value for f in figures if f.symbol == f"AP_{letter}"}
+        assert sorted(values.values()) == pytest.approx(sorted([angle, -angle]), abs=2e-4)
+        assert all(f.value < 6e-4 for f in figures if f.symbol == f"RP_{letter}")
+    assert any("target where it fits" in note for note in notes)
