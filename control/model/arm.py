@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from control.errors import ArmError, MissingModel
+from control.model.maps import CorrectionMap
 from control.model.rules import (
     ANGLE,
     DIRECTION,
@@ -258,6 +259,7 @@ class Arm:
     table: Table | None = None
     camera: Camera | None = None
     effects: tuple[Effect, ...] = field(default=(), metadata={"key": "effect"})
+    maps: tuple[CorrectionMap, ...] = field(default=(), metadata={"key": "map"})
     encoder_boards: tuple[EncoderBoardPort, ...] = field(default=(), metadata={"key": "encoder_board"})
     can: CanBus | None = None
     rest: Rest | None = None
