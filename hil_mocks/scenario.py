@@ -14,6 +14,7 @@ from typing import Annotated
 
 import msgspec
 
+from control.files import parsed_toml, read_text
 from hil_mocks.errors import ScenarioError
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -34,11 +35,23 @@ class TrueDh(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class EffectTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One `[[effect]]`; `joint` is the link's number for an effect of a link."""
+    """One `[[effect]]`; `joint` is the link's number for an effect of a link. `arms`: whose it is by name; empty: any arm's."""
 
     effect: str
     joint: int = 0
     parameters: dict[str, float] = {}
+    arms: tuple[str, ...] = ()
+
+
+class EveryJoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """For arms of any number of joints: what each joint has that no `[[effect]]` gives it.
+
+    Torques are shares of the joint's torque at its current limit, so that the same scenario fits a wrist and a shoulder.
+    """
+
+    coulomb_share: NotNegative = 0.0
+    viscous_share_s_rad: NotNegative = 0.0  # viscous torque at 1 rad/s
+    backlash_rad: NotNegative = 0.0
 
 
 class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -83,6 +96,18 @@ class MotorBoardTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     thermal_time_s: Positive = 60.0
     bridge_ohm: NotNegative = 0.02  # heats the power stage
     rated_degC: float = 90.0
+    digital_pins: Annotated[int, msgspec.Meta(ge=0, le=8)] = (
+        8  # spare pins of each board; 0: an older firmware
+    )
+
+
+class GripperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The gripper of arm.toml as it really is, and what is between its fingers."""
+
+    start: Share = 0.5  # of its travel, at power-up
+    friction_N: NotNegative = 1.0
+    object_m: NotNegative | None = None  # width of an object; absent: nothing
+    object_N_m: Positive = 2e4  # its stiffness
 
 
 class CameraTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -115,11 +140,14 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tick_s: Positive = 1e-3  # of the boards
     true_dh: TrueDh = TrueDh()
     effect: tuple[EffectTable, ...] = ()
+    every_joint: EveryJoint = EveryJoint()
     start: Start = Start()
     plant: PlantTable = PlantTable()
     hand: HandTable = HandTable()
     encoder_board: EncoderBoardTable = EncoderBoardTable()
     motor_board: MotorBoardTable = MotorBoardTable()
+    gripper: GripperTable = GripperTable()
+    wire: dict[str, str] = {}  # from an output's name to the input that it is connected to
     camera: CameraTable = CameraTable()
     fault: tuple[FaultTable, ...] = ()
     path: str = ""  # set by the reader
@@ -158,13 +186,17 @@ def load_scenario(path_or_name: str | Path) -> Scenario:
     if not path.is_file():
         known = ", ".join(shipped_scenarios())
         raise ScenarioError(f"scenario {where}: there is no such file; expected a file or one of {known}.")
-    return parse_scenario(path.read_text("utf-8"), where)
+    try:
+        text = read_text(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"scenario {where}: cannot be read as text: {error}.") from None
+    return parse_scenario(text, where)
 
 
 def parse_scenario(text: str, where: str) -> Scenario:
     """Scenario from TOML text; `where` names it in errors."""
     try:
-        document = tomllib.loads(text)
+        document = parsed_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"scenario {where}: not valid TOML: {error}.") from error
     _check_finite(document, where, "")

@@ -1,4 +1,4 @@
-"""Measured correction maps of an arm.toml: what a joint does beyond every effect that has a name (docs/formats.md).
+"""Measured correction maps of an arm.toml: what a joint does beyond every effect that has a name (docs/formats.md#maps).
 
 A map is a table over one variable, as the compensation tables of machine tools and the anticogging maps of motor boards. It says
 what was measured, never why: it is no effect, has no law, and is good only where it was measured.
@@ -34,13 +34,13 @@ class CorrectionMap:
     node is one step before the first. Beyond its ends a map keeps the value that it has there.
     """
 
-    joint: Annotated[int, ONE_OR_MORE]
-    corrects: Corrects
-    over: Over
-    values: tuple[float, ...]
-    lower: float = 0.0
-    upper: float = tau
-    by_direction: tuple[float, ...] = ()
+    joint: Annotated[int, ONE_OR_MORE, ""]
+    corrects: Annotated[Corrects, "how far the joint is ahead of its encoder, or what the motor has to add"]
+    over: Annotated[Over, "encoder angle, motor angle within a turn, torque of the links, or speed"]
+    values: Annotated[tuple[float, ...], "at equally spaced nodes, 4 or more"]
+    lower: Annotated[float, "place of the first node; none for a motor's turn"] = 0.0
+    upper: Annotated[float, "place of the last node; none for a motor's turn"] = tau
+    by_direction: Annotated[tuple[float, ...], "added in positive motion, subtracted in negative"] = ()
 
     @property
     def is_periodic(self) -> bool:

@@ -10,13 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from control.kinematics.corners import Corners
 from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
-from control.model.arm import Arm
+from control.model.arm import Arm, Limits
 from control.motion.errors import PathError
 from control.motion.joint_limits import JointLimits
 from control.motion.samples import Array, JointSamples, TipSamples
 from control.motion.waypoints import Waypoints
+from control.safety.room import Room
 
 # Smallest singular value of J [m/rad] allowed on a path: with less, a tip speed of 0.02 m/s needs 1
 # rad/s.
@@ -26,6 +28,7 @@ TOUCH_TOLERANCE_M = 0.0005
 # The board reaches this far beyond its outermost cavity.
 _BOARD_MARGIN_M = 0.03
 _ROUNDING_RAD = 1e-6
+_DEEPER_M = 1e-6  # rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +117,41 @@ def check_clearance(
         _require(height >= -TOUCH_TOLERANCE_M, waypoints, times_s, tip, say, height)
 
 
-def demands(tip: TipSamples, joints: JointSamples, limits: JointLimits, tip_speed_m_s: float) -> list[Demand]:
+def check_room(
+    arm: Arm, waypoints: Waypoints, times_s: Sequence[float], tip: TipSamples, q_rad: Array
+) -> None:
+    """Raise PathError where any link would meet floor, table or its own base, as the loop's guard sees it.
+
+    An arm that begins inside may move out.
+    """
+    corners, room = Corners(arm), Room.of(arm)
+    for distance_m, what in room.clearances(corners.batch(q_rad), corners.first_free):
+        allowed_m = min(float(distance_m[0]), 0.0) - _DEEPER_M
+
+        def say(i: int, what: str = what, distance_m: Array = distance_m) -> str:
+            return f"{what}, by {-distance_m[i]:.4f} m"
+
+        _require(distance_m >= allowed_m, waypoints, times_s, tip, say, distance_m)
+
+
+def demands(tip: TipSamples, joints: JointSamples, limits: JointLimits, of_tip: Limits) -> list[Demand]:
     """How much slower the path must be for each limit: speed scales with 1/k, acceleration 1/k^2, jerk 1/k^3.
 
     Jerk is that within a section; the steps of acceleration at way-points are bounded by the acceleration
     limit.
     """
-    found = [Demand("tip speed", np.linalg.norm(tip.velocity_m_s, axis=1) / tip_speed_m_s)]
+    found = [Demand("tip speed", np.linalg.norm(tip.velocity_m_s, axis=1) / of_tip.tip_speed_m_s)]
+    if tip.turn is not None:
+        speed, acceleration = (
+            np.linalg.norm(rate, axis=1) for rate in (tip.turn.velocity_rad_s, tip.turn.acceleration_rad_s2)
+        )
+        found += [
+            Demand("turning speed of the tip", speed / of_tip.tip_turn_speed_rad_s),
+            Demand(
+                "turning acceleration of the tip",
+                np.sqrt(acceleration / of_tip.tip_turn_acceleration_rad_s2),
+            ),
+        ]
     jerk = _jerk(tip, joints.acceleration_rad_s2)
     for j in range(joints.q_rad.shape[1]):
         name = f"joint {j + 1}"

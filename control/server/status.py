@@ -4,7 +4,9 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from control.kinematics.kinematics import Kinematics
+from control.end_effector.gripper import State as GripperState
+from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.rotation import quaternion_of
 from control.loop.runtime import Runtime
 from control.recording.recorder_state import RecorderState
 from control.safety.table import CONTROLLED_MODES, Mode
@@ -23,7 +25,7 @@ SHUTDOWN_STEPS = {
 NEAR = 0.9  # of a limit: warn below
 
 
-def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
+def status_of(runtime: Runtime) -> dict[str, Any]:
     """The complete state of the arm for operators and programs."""
     monitor = runtime.monitor
     recorder = runtime.parts.recorder.state()
@@ -33,7 +35,7 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
         "is_homed": monitor.is_homed,
         "t_s": runtime.now_s,
         "cycle": runtime.cycles,
-        **_angles(runtime, kinematics),
+        **_angles(runtime, runtime.parts.tool.inverse.poses),
         **_boards(runtime),
         "progress": runtime.progress(),
         "pace": runtime.pace(),
@@ -41,6 +43,11 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
         "step": step_of(runtime),
         "is_weightless": runtime.is_weightless and monitor.mode is Mode.GUIDING,
         "override": runtime.override,
+        "tool": runtime.parts.tool.tool.name,
+        "tools": [name for name in runtime.parts.tools if name],
+        "payload_kg": runtime.stated_payload_kg,
+        "gripper": gripper_status(runtime),
+        "digital": _digital(runtime),
         "faults": [
             {"code": f.code, "where": f.where, "message": f.message, "remedy": f.remedy}
             for f in monitor.faults
@@ -53,6 +60,34 @@ def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
     }
 
 
+def gripper_status(runtime: Runtime) -> dict[str, Any] | None:
+    """State and values of the gripper; None without one."""
+    if (gripper := runtime.parts.gripper) is None:
+        return None
+    goal = gripper.goal
+    return {
+        "state": gripper.state.name,
+        "is_moving": gripper.state is GripperState.MOVING,
+        "text": gripper.state.value + (f": {gripper.why}" if gripper.why else ""),
+        "opening_m": gripper.opening_m,
+        "goal_m": goal.opening_m if goal is not None else None,
+        "force_N": abs(gripper.feedback.current_A) * gripper.described.constant_N_A,
+        "current_A": gripper.feedback.current_A,
+        "has_lost": gripper.has_lost,
+        "number": gripper.number,
+    }
+
+
+def _digital(runtime: Runtime) -> dict[str, Any]:
+    """Direction and level of each pin by name; null: its board does not say."""
+    outputs = runtime.parts.outputs
+    if outputs is None:
+        return {}
+    return {
+        pin.name: {"direction": pin.direction, "level": outputs.levels[pin.name]} for pin in outputs.described
+    }
+
+
 def step_of(runtime: Runtime) -> str:
     """The present step of homing or shutdown, as text; empty if neither runs."""
     if runtime.homing is not None:
@@ -60,11 +95,12 @@ def step_of(runtime: Runtime) -> str:
     return SHUTDOWN_STEPS.get(runtime.monitor.mode, "") if runtime.is_shutting_down else ""
 
 
-def _angles(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
+def _angles(runtime: Runtime, kinematics: PoseKinematics) -> dict[str, Any]:
     """Actual values and set-points of encoders, joints and tip."""
     measured, aim = runtime.parts.measurement, runtime.aim
     joint_rad, joint_set_rad = runtime.joint_rad()
     is_homed = runtime.monitor.is_homed
+    tip_m, rotation, _ = kinematics.at(*joint_rad)
     sees_tip = runtime.now_s - runtime.camera_at_s < CAMERA_FRESH_S
     return {
         "q_rad": measured.q_rad,
@@ -74,8 +110,9 @@ def _angles(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
         "speed_rad_s": measured.speed_rad_s,
         "following_error_rad": [s - m for s, m in zip(aim.q_rad, measured.q_rad, strict=True)],
         "direction": measured.direction,
-        "tip_m": kinematics.tip(*joint_rad) if is_homed else None,
-        "tip_set_m": kinematics.tip(*joint_set_rad) if is_homed else None,
+        "tip_m": tip_m if is_homed else None,
+        "tip_set_m": kinematics.kinematics.tip(*joint_set_rad) if is_homed else None,
+        "tip_orientation": quaternion_of(rotation) if is_homed else None,
         "camera_m": runtime.camera_m if sees_tip else None,
     }
 
