@@ -34,7 +34,7 @@ class CorrectionMap:
     node is one step before the first. Beyond its ends a map keeps the value that it has there.
     """
 
-    joint: Annotated[int, ONE_OR_MORE, ""]
+    joint: Annotated[int, ONE_OR_MORE, "that is corrected"]
     corrects: Annotated[Corrects, "how far the joint is ahead of its encoder, or what the motor has to add"]
     over: Annotated[Over, "encoder angle, motor angle within a turn, torque of the links, or speed"]
     values: Annotated[tuple[float, ...], "at equally spaced nodes, 4 or more"]
