@@ -47,6 +47,12 @@ def start_stream(encoder: EncoderBoard, period_s: float) -> None:
         encoder.stream(period_s)
 
 
+def _serial_numbers(wired: JointWiring) -> tuple[int | None, int | None]:
+    boards = (wired.encoder.identity, wired.motor.identity)
+    encoder, motor = (None if known is None else known.serial_number for known in boards)
+    return encoder, motor
+
+
 class BoardHardware:
     """Implements `control.hardware.interface.Hardware` on boards; made and checked by control.hardware.connect."""
 
@@ -70,6 +76,7 @@ class BoardHardware:
         self._watchdog_ms = round(arm.limits.watchdog_s * 1e3)
         self._is_wanted_enabled = False
         self._configured_resets = [-1] * len(wiring)
+        self._serial_numbers = [_serial_numbers(wired) for wired in wiring]  # of encoder and motor board
         self._position_offset_count = [0] * len(wiring)
         self._asked: tuple[int, int] | None = (
             None  # joint whose motor board was asked for its count, and its count then
@@ -194,9 +201,13 @@ class BoardHardware:
         self._is_wanted_enabled = False
 
     def reset_drive_faults(self) -> None:
-        """Acknowledge the drives' faults and restore the state of boards that were reset. Raises BoardFaulted."""
-        for wired in self._wiring:
+        """Acknowledge the drives' faults and restore the state of boards that were reset.
+
+        Raises BoardFaulted, and WrongIdentity where another board has taken the place of one.
+        """
+        for wired, (serial_number, _) in zip(self._wiring, self._serial_numbers, strict=True):
             if wired.encoder.latest is None:
+                wired.encoder.identify(serial_number=serial_number)
                 start_stream(wired.encoder, self._period_s)
                 self._fresh_count(wired)
         for wired in self._wiring:
@@ -253,6 +264,8 @@ class BoardHardware:
     def _configure(self) -> None:
         for joint, wired in enumerate(self._wiring):
             if self._configured_resets[joint] != wired.motor.resets:
+                if wired.motor.resets:
+                    wired.motor.identify(self._serial_numbers[joint][1])
                 wired.motor.go_to(State.SWITCH_ON_DISABLED)
                 for index, value in self._parameters(joint):
                     wired.motor.write(index, value)

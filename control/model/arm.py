@@ -57,6 +57,7 @@ class Link:
     mass_kg: NonNegative | None = None
     com_m: Vector3 | None = None
     inertia_kg_m2: tuple[NonNegative, NonNegative, NonNegative] | None = None
+    radius_m: NonNegative = 0.0  # of its body about the line to its frame's origin; the tip is a point
 
 
 @dataclass(frozen=True, slots=True)

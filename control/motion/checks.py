@@ -105,6 +105,7 @@ def check_clearance(
         points = elbow + share * (tip.position_m - elbow)
         heights, is_over = _height_over_board(arm, setup, points)
         height = np.where(is_over, heights, points[:, 2] - floor)
+        height = height if what == "tip" else height - arm.links[-1].radius_m
 
         def say(
             i: int, what: str = what, height: Array = height, is_over: NDArray[np.bool_] = is_over

@@ -260,7 +260,7 @@ class Requests:
     def _average_result(self, request: Any, client: int) -> Message:
         averaging = self._runtime.averaging
         if averaging is None:
-            raise ArmError("no average was requested: send `average` first")
+            raise ArmError("no average is being taken (a fault ends one): send `average` first")
         return {"average": averaging.result}
 
     def _payload(self, request: messages.Payload, client: int) -> Message:
