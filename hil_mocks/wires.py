@@ -50,6 +50,11 @@ class Pty:
         self.path = os.ttyname(self._theirs)
         self._is_here = True
 
+    @property
+    def is_here(self) -> bool:
+        """False once it has vanished."""
+        return self._is_here
+
     def read(self) -> bytes:
         """Read everything that the host has written."""
         received = b""
@@ -148,6 +153,13 @@ class Wires:
             for datagram in robot.camera_outgoing:
                 self._send_picture(datagram)
             robot.camera_outgoing.clear()
+
+    def plug_in(self) -> None:
+        """Replace the ptys that have vanished, as a USB adapter comes back."""
+        for i, pty in enumerate(self.ptys):
+            if not pty.is_here:
+                pty.close()
+                self.ptys[i] = Pty()
 
     def bus_off(self) -> None:
         """Tell the host's controller that it is off the bus, as SocketCAN does."""

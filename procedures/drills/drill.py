@@ -3,8 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from control.model.arm import Arm
+from control.model.description import load_arm
 from procedures.drills.promise import Outcome, Promise, length_m, stood_s
-from procedures.drills.stage import MOVE, THINNED, Stage, asked_way, off_way_m, stage
+from procedures.drills.stage import MOVE, THINNED, FROM_rad, Stage, asked_way, off_way_m, stage
 
 WATCHED_S = 2.0  # after the fault
 LOOKED = 10  # cycles between two looks at the speed of the tip
@@ -14,22 +16,31 @@ def _nothing(played: Stage) -> None:
     """No fault."""
 
 
+def _as_it_is(arm: Arm) -> Arm:
+    """No other arm."""
+    return arm
+
+
 @dataclass(frozen=True, slots=True)
 class Drill(Promise):
     """A fault that is injected into a stage."""
 
     inject: Callable[[Stage], None] = field(default=_nothing)
+    arm: Callable[[Arm], Arm] = field(default=_as_it_is)  # where the fault is built in
+    is_refused: bool = False  # the arm must not be acknowledged into operation
 
     def run(self) -> Outcome:
         """Run it on a fresh arm, and let the arm recover."""
-        with stage() as played:
+        with stage(self.arm(load_arm("right"))) as played:
+            if self.arm is not _as_it_is:
+                self._prepare(played)
             played.begin(self.during)
             begun_s = played.now_s
             played.way = played.way[-1:]
             self.inject(played)
             played.run(max(0.0, begun_s + WATCHED_S - played.now_s))
             way, noticed_s, found, message = played.way.copy(), played.noticed_s, played.found, played.message
-            played.recover()
+            refusal = played.recover()
             asked = asked_way(self.during, WATCHED_S)
             return Outcome(
                 self,
@@ -41,7 +52,14 @@ class Drill(Promise):
                 found,
                 message,
                 played.wrong_rad() * 1e3,
+                "" if bool(refusal) or not self.is_refused else "the other board was not refused",
             )
+
+    def _prepare(self, played: Stage) -> None:
+        """Home, and go to where every drill begins."""
+        played.client.enable()
+        played.client.home()
+        played.client.move_joints(FROM_rad)
 
     def _lost(self, played: Stage, found: tuple[str, ...]) -> str:
         if not played.assembly.runtime.monitor.is_homed:

@@ -154,7 +154,7 @@ def test_a_link_is_as_thick_as_its_radius_says_and_the_tip_is_a_point() -> None:
     )  # the thicker of both links
     forearm = where.clearance([(0.4, 0.0, 0.9), (0.4, 0.0, 0.05), (0.5, 0.0, -0.001)], body)
     assert forearm.distance_m == pytest.approx(0.05 - 0.75 * 0.051 - 0.04)  # a quarter before the tip
-    beside = [(0.0, 0.115, 0.4), (0.0, 0.115, 0.02), (0.5, 0.115, 0.3)]
+    beside = [(0.0, 0.115, 0.4), (0.0, 0.115, 0.07), (0.5, 0.115, 0.3)]
     assert where.clearance(beside, body).distance_m == pytest.approx(0.115 - 0.06 - 0.04, abs=5e-3)
 
 
