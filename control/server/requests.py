@@ -154,6 +154,9 @@ class Requests:
         mode = self._runtime.monitor.mode
         if request.key is not None:
             self._right.join(client, request.key)
+        if request.revoke:
+            self._runtime.stop()
+            self._right.revoke(client, mode)
         if request.take:
             self._right.take(client, mode)
         elif request.take is not None:
