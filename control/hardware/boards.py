@@ -103,6 +103,7 @@ class BoardHardware:
                 oldest_s = min(oldest_s, reported_s)
                 self._take_reply(joint, wired.motor)
             feedback.encoder_at_s = oldest_s
+            feedback.reports, feedback.lost = self._encoders[0].reports, self._encoders[0].lost
             self._take_motor_count()
         return feedback
 
@@ -188,6 +189,12 @@ class BoardHardware:
     def is_any_enabled(self) -> bool:
         """Whether a drive was in OPERATION ENABLED in its last reply."""
         return any(wired.motor.state is State.OPERATION_ENABLED for wired in self._wiring)
+
+    @property
+    def reports_a_cycle(self) -> int:
+        """How many reports the first encoder board sends in a cycle; 0 if none."""
+        stream_s = self._encoders[0].stream_period_s
+        return round(self._period_s / stream_s) if stream_s > 0.0 else 0
 
     # ---- outside of the cycle: these wait for answers
 

@@ -34,6 +34,7 @@ MODES_BEFORE_THEY_WERE_RECORDED = (
 )  # fmt: skip
 SCALAR_FIELDS = (
     ("t_s", "d"), ("cycle", "I"), ("run", "I"), ("mode", "B"), ("missed", "I"), ("late_s", "f"), ("busy_s", "f"),
+    ("page_faults", "H"), ("switches", "H"), ("age_s", "f"),
     ("payload_kg", "f"), ("x_m", "d"), ("y_m", "d"), ("z_m", "d"),
 )  # fmt: skip
 JOINT_FIELDS = (
@@ -42,6 +43,8 @@ JOINT_FIELDS = (
     ("statusword{}", "B"), ("drive_faults{}", "B"), ("flags{}", "B"), ("counted{}_s", "d"),
 )  # fmt: skip
 
+LATER_FIELDS = ("page_faults", "switches", "age_s")  # not in recordings of earlier versions, as counted{}_s
+COUNT_MOST = 0xFFFF  # of page faults and switches in a cycle
 JOINT_SIDE_FIELDS = (
     ("joint{}_rad", "d"),
     ("joint{}_set_rad", "d"),
@@ -270,7 +273,7 @@ def _require_columns(layout: Layout) -> None:
     """ValueError if the columns do not match the joint count. Columns of later versions may be missing."""
     if type(layout.joint_count) is not int or not 1 <= layout.joint_count <= len(layout.names):
         raise ValueError(f"joint_count {layout.joint_count!r} does not match {len(layout.names)} columns")
-    later = {f"counted{joint}_s" for joint in range(1, layout.joint_count + 1)}
+    later = {*LATER_FIELDS, *(f"counted{joint}_s" for joint in range(1, layout.joint_count + 1))}
     for name in Layout.of(layout.joint_count).names:
         if name not in layout.names and name not in later:
             raise ValueError(f"column {name} of {layout.joint_count} joints is missing")
