@@ -26,7 +26,7 @@ from control.model.description import Arm, load_arm
 from hil_mocks.errors import MockError, RigError
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable, load_scenario
-from hil_mocks.wires import Wires
+from hil_mocks.wires import Pty, Wires
 
 _MOST_CATCH_UP_TICKS = 50  # beyond this lateness, the simulation drops the lost time
 _PRIORITY = 60  # of SCHED_FIFO; the loop's is 80
@@ -62,7 +62,7 @@ class Server:
     def __init__(self, arm: Arm, scenario: str, can_channel: str, socket_path: Path) -> None:
         self._arm = arm
         self._robot = MockRobot(arm, load_scenario(scenario))
-        self._wires = Wires(len(self._robot.encoder_boards), "udp_multicast", can_channel)
+        self._wires = Wires([Pty() for _ in self._robot.encoder_boards], "udp_multicast", can_channel)
         self._channel, self._path = can_channel, socket_path
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.bind(str(socket_path))
@@ -78,7 +78,7 @@ class Server:
     def announcement(self) -> dict[str, Any]:
         """The ports, as printed at the start."""
         return {
-            "encoder_urls": [pty.path for pty in self._wires.ptys],
+            "encoder_urls": [wire.path for wire in self._wires.serial],
             "can_interface": "udp_multicast",
             "can_channel": self._channel,
             "can_options": self._wires.can_options,

@@ -59,9 +59,9 @@ def _parameter_line(one: Estimate) -> str:
     sd = "" if math.isnan(one.sd) or is_open else f"{factor * one.sd:.{digits}f}"
     remark = "at its bound" if one.is_at_bound else "" if one.is_determined else "not determined alone"
     nominal = f"{factor * parameter.nominal:.{digits}f}" if parameter.has_bound else "unknown"
-    deviation = f"{factor * one.deviation + 0.0:+.{digits}f}" if parameter.has_bound else ""
+    deviation = f"{factor * one.deviation:+z.{digits}f}" if parameter.has_bound else ""
     return (
-        f"{parameter.name:<20}{unit:<9}{nominal:>12}{factor * one.value:>12.{digits}f}{deviation:>12}{sd:>10}"
+        f"{parameter.name:<20}{unit:<9}{nominal:>12}{factor * one.value:>z12.{digits}f}{deviation:>12}{sd:>10}"
         f"  {'no effect here' if is_open else remark}"
     ).rstrip()
 

@@ -86,8 +86,8 @@ def _parameter_row(estimate: Estimate) -> Sequence[Cell]:
         parameter.name,
         unit,
         f"{scale * parameter.nominal:{form}}" if parameter.has_bound else "unknown",
-        ("after", f"{scale * estimate.value:{form}}"),
-        f"{scale * estimate.deviation + 0.0:+{form}}" if parameter.has_bound else "",
+        ("after", f"{scale * estimate.value:z{form}}"),
+        f"{scale * estimate.deviation:+z{form}}" if parameter.has_bound else "",
         sd,
         bound,
         ("text", _remark(estimate)),
@@ -124,8 +124,7 @@ def dh_section(nominal: Arm, calibrated: Arm) -> Section:
 
 def _spelled(values: Sequence[float], units: Sequence[str], sign: str = "") -> list[str]:
     return [
-        f"{UNITS[unit][1] * value + 0.0:{sign}{UNITS[unit][2]}}"
-        for value, unit in zip(values, units, strict=True)
+        f"{UNITS[unit][1] * value:{sign}z{UNITS[unit][2]}}" for value, unit in zip(values, units, strict=True)
     ]
 
 

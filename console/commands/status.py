@@ -99,4 +99,4 @@ def _row(name: str, cells: Sequence[str]) -> str:
 
 
 def _numbers(values: Sequence[float], decimals: int) -> list[str]:
-    return [f"{value:.{decimals}f}" for value in values]
+    return [f"{value:z.{decimals}f}" for value in values]

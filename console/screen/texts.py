@@ -87,8 +87,13 @@ def joint_rows(status: Message, arm: Arm, selected: str, width: int) -> list[Row
 
 def tip_row(status: Message, selected: str) -> Row:
     """The tip by the arm's model, and its distances from the set-point and the camera's measurement."""
+    signs = {f"{turn}{axis}": sign for axis in "XYZ" for turn, sign in (("", "▸"), ("R", "↻"))}
     axes = tuple(
-        (f"{'▸' if selected == a else ' '}{a}", "chosen" if selected == a else "strong") for a in "XYZ"
+        (
+            f"{signs[selected] if selected[-1:] == a and selected in signs else ' '}{a}",
+            "chosen" if selected[-1:] == a and selected in signs else "strong",
+        )
+        for a in "XYZ"
     )
     if status["tip_m"] is None:
         return (*axes, ("   tip unknown before homing", "muted"))
@@ -154,22 +159,22 @@ def _gauge(q: float, drive: Drive, width: int) -> Row:
 
 def _angle(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
     q = status["q_rad"][j]
-    return _near(f"{q:+.4f}", _range_use(q, drive.joint_lower_rad, drive.joint_upper_rad))
+    return _near(f"{q:+z.4f}", _range_use(q, drive.joint_lower_rad, drive.joint_upper_rad))
 
 
 def _error(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
     error = status["following_error_rad"][j]
-    return _near(f"{round(1e3 * error, 1) + 0.0:+.1f}", abs(error) / arm.limits.following_error_rad)
+    return _near(f"{1e3 * error:+z.1f}", abs(error) / arm.limits.following_error_rad)
 
 
 def _speed(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
     speed = status["speed_rad_s"][j]
-    return _near(f"{round(speed, 2) + 0.0:+.2f}", abs(speed) / drive.joint_speed_limit_rad_s)
+    return _near(f"{speed:+z.2f}", abs(speed) / drive.joint_speed_limit_rad_s)
 
 
 def _current(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
     current = status["current_A"][j]
-    return _near(f"{round(current, 2) + 0.0:+.2f}", abs(current) / drive.current_limit_A)
+    return _near(f"{current:+z.2f}", abs(current) / drive.current_limit_A)
 
 
 def _temperature(status: Message, drive: Drive, arm: Arm, j: int) -> Span:

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field, replace
 
 from control.dynamics.gains import volt_gains_of
 from control.errors import MissingModel
-from control.hardware.boards import BoardHardware, JointWiring, start_stream
+from control.hardware.boards import BoardHardware
+from control.hardware.reference_drives import DriveWiring, ReferenceDrives
+from control.hardware.reference_encoders import ReferenceEncoders, start_stream
 from control.model.arm import Arm, CanBus, EncoderBoardPort
 from firmware_iface.camera import CameraReceiver
 from firmware_iface.clock import Clock
@@ -111,9 +113,38 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
         for close in closers:
             close()
         raise ConnectionFailed(failures, attempted)
-    wiring = _wiring(arm, encoders, [board for _, board in motors])
-    hardware = BoardHardware(arm, clock, motors[0][0], wiring, period_s)
-    return Connection(hardware, camera, tuple(encoders), tuple(board for _, board in motors), closers)
+    boards = tuple(board for _, board in motors)
+    hardware = reference_hardware(arm, clock, encoders, motors[0][0], boards, period_s)
+    return Connection(hardware, camera, tuple(encoders), boards, closers)
+
+
+def reference_hardware(
+    arm: Arm,
+    clock: Clock,
+    encoders: Sequence[EncoderBoard],
+    bus: MotorBus,
+    motors: Sequence[MotorBoard],
+    period_s: float,
+) -> BoardHardware:
+    """The hardware of identified boards: `encoders` in the order of arm.toml, `motors` in that of the drives."""
+    counters = [
+        ReferenceEncoders(board, channels, clock, period_s)
+        for index, board in enumerate(encoders)
+        if (channels := _channels(arm, index))
+    ]
+    wiring = [
+        DriveWiring(joint, motor, drive, volt_gains_of(arm, drive.joint))
+        for joint, (drive, motor) in enumerate(zip(arm.drives, motors, strict=True))
+    ]
+    drives = ReferenceDrives(arm, bus, wiring, clock, period_s)
+    return BoardHardware(len(arm.drives), counters, [drives], [*counters, drives], clock)
+
+
+def _channels(arm: Arm, board: int) -> dict[int, int]:
+    """The channel of each joint (0-based) on an encoder board."""
+    return {
+        joint: drive.encoder_channel for joint, drive in enumerate(arm.drives) if drive.encoder_board == board
+    }
 
 
 @contextlib.contextmanager
@@ -197,16 +228,3 @@ def _compare(where: str, what: str, joint: int, expected: int, got: int) -> None
             f"{where}: expected {expected} {what} (arm.toml, joint {joint}), got {got}; correct arm.toml, or the board's"
             " settings"
         )
-
-
-def _wiring(arm: Arm, encoders: Sequence[EncoderBoard], motors: Sequence[MotorBoard]) -> list[JointWiring]:
-    return [
-        JointWiring(
-            encoders[drive.encoder_board],
-            drive.encoder_channel,
-            motor,
-            drive,
-            volt_gains_of(arm, drive.joint),
-        )
-        for drive, motor in zip(arm.drives, motors, strict=True)
-    ]

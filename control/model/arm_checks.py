@@ -5,6 +5,7 @@ from collections.abc import Hashable, Iterable
 from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Home, Table
 from control.model.effects import check_effect
 from control.model.joint_map import JointMap
+from control.model.plausible import check_plausible
 from control.model.reader import Rejected
 
 LONGEST_JOG_SILENCE_S = 0.5
@@ -29,6 +30,7 @@ def check_arm(arm: Arm) -> None:
     if arm.table is not None:
         _check_table(arm.table)
     _check_effects(arm)
+    check_plausible(arm)
 
 
 def _check_masses(arm: Arm) -> None:

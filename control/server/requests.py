@@ -62,7 +62,7 @@ class Requests:
     def __init__(self, runtime: Runtime, limits: JointLimits, kinematics: Kinematics, about: Message) -> None:
         self._runtime = runtime
         self._limits = limits
-        self._kinematics = kinematics
+        self._kinematics, self._poses = kinematics, runtime.parts.inverse.poses
         self._about = about
         self._right = ControlRight()
         self.events: Listener | None = None
@@ -137,7 +137,7 @@ class Requests:
 
     def _status(self, request: Any, client: int) -> Message:
         holder = self._right.holder(self._runtime.monitor.mode)
-        return {**self._about, **status_of(self._runtime, self._kinematics), "in_control": holder}
+        return {**self._about, **status_of(self._runtime, self._poses), "in_control": holder}
 
     def _mode(self, request: Any, client: int) -> Message:
         runtime = self._runtime

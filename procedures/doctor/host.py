@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from control.recording.record import Layout
+from control.recording.rotation import stored_row_bytes
 from control.server.process import PIPE_bytes
 from control.server.scheduling import punctuality_remedy, strain
 from firmware_iface.clock import Clock, MonotonicClock
@@ -39,7 +40,7 @@ def look_at_host(period_s: float, watchdog_s: float, joints: int, log_folder: Pa
     before = strain()
     late_s = lateness(MonotonicClock(), PAUSE_TEST_S)
     page_faults, switches = (now - was for now, was in zip(strain(), before, strict=True))
-    rate_bytes_s = Layout.of(joints).packing.size / period_s
+    rate_bytes_s = stored_row_bytes(Layout.of(joints).packing.size) / period_s
     return [
         rights,
         *look_at_kernel(Path("/")),

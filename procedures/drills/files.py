@@ -18,7 +18,8 @@ from calib.session.state import Event, Mark
 from control.errors import ArmError
 from control.files import NotWritten, write_whole
 from control.model.description import load_arm, save_arm
-from control.recording.record import Layout, Recording
+from control.recording.reading import Recording
+from control.recording.record import Layout
 from procedures.drills.power import Disk, PowerLost
 from procedures.drills.promise import GOES_ON, Outcome, Promise
 

@@ -94,7 +94,7 @@ def stop_at(delay_s: float) -> Inject:
 
 def serial_gone(played: Stage) -> None:
     """The serial port vanishes."""
-    played.rig.wires.ptys[0].vanish()
+    played.rig.wires.serial[0].vanish()
 
 
 def bus_off(played: Stage) -> None:
@@ -109,7 +109,7 @@ def serial_noise(most_bytes: int) -> Inject:
 
     def inject(played: Stage) -> None:
         source = random.Random(SEED)
-        wire = played.rig.wires.ptys[0]
+        wire = played.rig.wires.serial[0]
         played.each_cycle.append(lambda: wire.write(source.randbytes(source.randrange(most_bytes))))
 
     return inject

@@ -451,7 +451,7 @@ def test_an_old_answer_that_comes_again_makes_no_restart_of_the_old_report_after
     for number in range(4, 90):
         link.push(send(report(number, time_us=1_000_000 + 1000 * number)))
     board.update()
-    link.push(index, send(report(80, time_us=1_080_000), report(90, time_us=1_090_000)))
+    link.push(index + send(report(80, time_us=1_080_000), report(90, time_us=1_090_000)))
     board.update()
     assert board.latest == report(90, time_us=1_090_000)
     assert (board.late, board.resets, board.lost) == (1, 0, 0)

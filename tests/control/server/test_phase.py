@@ -83,7 +83,9 @@ def test_a_host_that_is_late_by_a_tenth_of_a_period_does_not_drive_the_phase_awa
 
 
 @pytest.mark.parametrize(
-    "line", [Line(), Line(jitter_s=5e-4), Line(loss=0.5), Line(5e-3), Line(loss=1.0)], ids=str
+    "line",
+    [Line(), Line(jitter_s=5e-4), Line(loss=0.5), Line(5e-3), Line(loss=1.0)],
+    ids=["even", "uneven", "half lost", "fast", "silent"],
 )
 def test_whatever_the_line_does_no_period_is_shorter_by_more_than_a_microsecond(line: Line) -> None:
     _, periods_s = run(line, 10.0)
