@@ -128,6 +128,17 @@ def _boards() -> Iterator[Promise]:
     yield from _each("encoder-wire", "encoder wire broken", wire, "encoder_signal", most=BRAKES)
 
 
+def _gripper() -> Iterator[Promise]:
+    """With an object in the gripper."""
+    gone, reset, during = fault("silent", "motor4"), fault("board_reset", "motor4"), (REST, MOVE)
+    for drill in (
+        *_each("gripper-silent", "gripper's board unplugged", gone, "gripper_silent", during=during),
+        *_each("gripper-reset", "gripper's board restarts", reset, "gripper_link", during=during),
+    ):
+        assert isinstance(drill, Drill)
+        yield replace(drill, has_gripper=True)
+
+
 def _encoders() -> Iterator[Promise]:
     yield from _each("clock-frozen", "time stamps stand", fault("frozen_clock", "encoder"), "encoder_stale")
     for rate in (2_000.0, 20_000.0):
@@ -229,7 +240,8 @@ def _in_real_time() -> Iterator[Promise]:
 def drills() -> dict[str, Promise]:
     """Every drill, in the order of the table."""
     groups: tuple[Iterator[Promise], ...] = (
-        _frames(), _buses(), _boards(), _encoders(), _motors(), _host(), _requests(), _in_real_time(), iter(FileDrill.all())
+        _frames(), _buses(), _boards(), _gripper(), _encoders(), _motors(), _host(), _requests(), _in_real_time(),
+        iter(FileDrill.all()),
     )  # fmt: skip
     return {drill.name: drill for group in groups for drill in group}
 
