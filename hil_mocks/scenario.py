@@ -35,11 +35,23 @@ class TrueDh(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class EffectTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One `[[effect]]`; `joint` is the link's number for an effect of a link."""
+    """One `[[effect]]`; `joint` is the link's number for an effect of a link. `arms`: whose it is by name; empty: any arm's."""
 
     effect: str
     joint: int = 0
     parameters: dict[str, float] = {}
+    arms: tuple[str, ...] = ()
+
+
+class EveryJoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """For arms of any number of joints: what each joint has that no `[[effect]]` gives it.
+
+    Torques are shares of the joint's torque at its current limit, so that the same scenario fits a wrist and a shoulder.
+    """
+
+    coulomb_share: NotNegative = 0.0
+    viscous_share_s_rad: NotNegative = 0.0  # viscous torque at 1 rad/s
+    backlash_rad: NotNegative = 0.0
 
 
 class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -84,6 +96,18 @@ class MotorBoardTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     thermal_time_s: Positive = 60.0
     bridge_ohm: NotNegative = 0.02  # heats the power stage
     rated_degC: float = 90.0
+    digital_pins: Annotated[int, msgspec.Meta(ge=0, le=8)] = (
+        8  # spare pins of each board; 0: an older firmware
+    )
+
+
+class GripperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The gripper of arm.toml as it really is, and what is between its fingers."""
+
+    start: Share = 0.5  # of its travel, at power-up
+    friction_N: NotNegative = 1.0
+    object_m: NotNegative | None = None  # width of an object; absent: nothing
+    object_N_m: Positive = 2e4  # its stiffness
 
 
 class CameraTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -116,11 +140,14 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tick_s: Positive = 1e-3  # of the boards
     true_dh: TrueDh = TrueDh()
     effect: tuple[EffectTable, ...] = ()
+    every_joint: EveryJoint = EveryJoint()
     start: Start = Start()
     plant: PlantTable = PlantTable()
     hand: HandTable = HandTable()
     encoder_board: EncoderBoardTable = EncoderBoardTable()
     motor_board: MotorBoardTable = MotorBoardTable()
+    gripper: GripperTable = GripperTable()
+    wire: dict[str, str] = {}  # from an output's name to the input that it is connected to
     camera: CameraTable = CameraTable()
     fault: tuple[FaultTable, ...] = ()
     path: str = ""  # set by the reader

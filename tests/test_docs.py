@@ -1,7 +1,6 @@
 """The documents: every link resolves, every command and option that they name exists, every page can be reached."""
 
 import argparse
-import dataclasses
 import functools
 import re
 from collections.abc import Iterator
@@ -10,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from console.main import parser
-from control.model import arm as arm_data
 from control.model.effects import EFFECTS, parameter_names
+from control.model.reference import reference_text, sections
+from control.recording.layout import END_FIELDS
 from control.recording.record import Layout
 from firmware_iface.installation import PACKAGES
 
@@ -254,13 +254,16 @@ def test_every_effect_and_its_parameters_are_in_the_formats(name: str) -> None:
     assert [parameter for parameter in parameter_names(EFFECTS[name]) if f"`{parameter}`" not in row] == []
 
 
-def test_every_key_of_an_arm_file_is_in_the_formats() -> None:
-    kinds = (kind for kind in vars(arm_data).values() if dataclasses.is_dataclass(kind))
-    sections = [kind for kind in kinds if kind.__module__ == arm_data.__name__]
-    keys = {field.metadata.get("key", field.name) for kind in sections for field in dataclasses.fields(kind)}
-    known = words_of_the_formats() | {word.strip("[]").split(".")[-1] for word in words_of_the_formats()}
-    assert sorted(keys - known - {""}) == []
+def test_the_reference_of_arm_toml_is_what_the_reader_obeys() -> None:
+    """`make arm-reference` writes it anew."""
+    assert (ROOT / "docs" / "arm_toml.md").read_text(encoding="utf-8") == reference_text()
+
+
+def test_every_key_of_an_arm_file_is_explained() -> None:
+    keys = [(section.header, key) for section in sections() for key in section.keys]
+    assert [(header, key.name) for header, key in keys if not key.text] == []
 
 
 def test_every_column_of_a_recording_is_in_the_formats() -> None:
-    assert sorted(set(Layout.of(1, has_joint_side=True).names) - words_of_the_formats()) == []
+    layout = Layout.of(1, has_joint_side=True, more=END_FIELDS)
+    assert sorted(set(layout.names) - words_of_the_formats()) == []

@@ -7,8 +7,8 @@ times. A host that behaves identically gets identical data, and the boards cost 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from control.dynamics.gains import gains_of
-from control.hardware.boards import BoardHardware, JointWiring
+from control.hardware.boards import BoardHardware
+from control.hardware.connect import reference_hardware
 from control.model.arm import Arm
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
@@ -105,11 +105,7 @@ class MemoryRig:
         encoder.identify()
         encoder.stream(0.5 * period_s)
         bus = MotorBus(self._can, self.clock)
-        wiring = []
-        for drive in arm.drives:
-            motor = MotorBoard(bus, drive.motor_node)
+        motors = [MotorBoard(bus, drive.motor_node) for drive in arm.drives]
+        for motor in motors:
             motor.identify()
-            wiring.append(
-                JointWiring(encoder, drive.encoder_channel, motor, drive, gains_of(arm, drive.joint))
-            )
-        return BoardHardware(arm, self.clock, bus, wiring, period_s)
+        return reference_hardware(arm, self.clock, [encoder], bus, motors, period_s)

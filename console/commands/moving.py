@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from console.commands.connection import connected
+from console.commands.connection import connected, with_present_tool
 from console.places import find_place, save_place
 from console.waiting import shown
 from control.errors import ArmError
@@ -48,7 +48,8 @@ def _joint_move(given: argparse.Namespace, q_rad: Any, tip_m: Any, orientation: 
     """Move to joint angles, or to the nearest ones with the tip at a position, and turned as asked."""
     client = connected(given)
     if q_rad is None:
-        q_rad = _nearest(load_arm(given.arm), tip_m, orientation, client.status()["joint_rad"])
+        arm = with_present_tool(load_arm(given.arm), client)
+        q_rad = _nearest(arm, tip_m, orientation, client.status()["joint_rad"])
     with shown(client, given):
         client.move_joints(tuple(q_rad), given.speed, waits=_waits(given))
     return 0
@@ -72,13 +73,14 @@ def _run(given: argparse.Namespace) -> int:
         sys.stdout.write(described(plan_path(arm, waypoints, given.speed)))
         return 0
     client = connected(given)
+    arm = with_present_tool(arm, client)
     path = plan_path(arm, waypoints, given.speed, q_near_rad=client.status()["joint_rad"])
     sys.stdout.write(described(path))
     sys.stdout.flush()
     with shown(client, given, "run: to the first way-point"):
         client.move_joints(path.q_start_rad, 0.5)
     with shown(client, given):
-        client.run_path(path.to_message(), waits=_waits(given))
+        client.run_path(path.to_message(), waits=_waits(given), tool=arm.tool.name)
     return 0
 
 
@@ -102,8 +104,13 @@ def _jog(given: argparse.Namespace) -> int:
     """One step; exit status 1 if it could not be completed."""
     if (given.joint is None) == (given.axis is None):
         raise ArmError("jog: give either --joint or --axis")
-    step: dict[str, Any] = {"axis": given.axis, "by_m": given.by}
-    speed = "speed_m_s"
+    is_turn = given.axis is not None and given.axis.startswith("r")
+    step: dict[str, Any] = {
+        "axis": given.axis,
+        "by_rad" if is_turn else "by_m": given.by,
+        "frame": given.frame,
+    }
+    speed = "speed_rad_s" if is_turn else "speed_m_s"
     if given.joint is not None:
         step, speed = {"joint": given.joint, "by_rad": given.by}, "speed_rad_s"
     if given.speed is not None:
@@ -111,7 +118,7 @@ def _jog(given: argparse.Namespace) -> int:
     limited = connected(given).jog(**step)
     if limited:
         sys.stderr.write(f"armwright: {limited}\n")
-    return 1 if limited and not limited.startswith("slower") else 0
+    return 1 if limited and not limited.startswith("slowed") else 0
 
 
 # ---- saving the present pose

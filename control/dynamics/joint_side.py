@@ -28,13 +28,16 @@ UNKNOWN_FRICTION: Final = (
 SHARE_OF_SPEED, SHARE_OF_ACCELERATION = 0.25, 0.5  # of a joint's limits, for the offset's own motion
 
 State = tuple[Floats, Floats, Floats]  # angles, speeds, accelerations
+Carried = Callable[[Sequence[float], Sequence[float], Sequence[float]], Sequence[float] | None]
 LinkTorque = Callable[[Sequence[float], Sequence[float], Sequence[float], float], Sequence[float]]
 
 
 class JointSide:
     """Maps between joints and encoders of one arm. Keeps the state of the gears, so call `aim` once a cycle, in order of time."""
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: Arm, carried: Carried | None = None) -> None:
+        """`carried`: torques of masses that change at run time, beside the arm's own and `payload_kg`."""
+        self._carried = carried
         self._rigid = EncoderChain(arm)
         self._offset = [0.0] * arm.joint_count
         laws = gear_laws(arm)
@@ -43,9 +46,9 @@ class JointSide:
         self._still = (0.0,) * arm.joint_count
 
     @classmethod
-    def of(cls, arm: Arm) -> Self | None:
+    def of(cls, arm: Arm, carried: Carried | None = None) -> Self | None:
         """The joint side of an arm whose file has such effects, else None. MissingModel if gears lack masses or drives."""
-        return cls(arm) if has_joint_side(arm) else None
+        return cls(arm, carried) if has_joint_side(arm) else None
 
     @property
     def flanks(self) -> Mapping[int, int]:
@@ -58,7 +61,7 @@ class JointSide:
         if self._torque is None:
             return joints
         for _ in range(2):  # gravity at the joints' angles; one iteration is accurate to a thousandth
-            torques = self._torque(joints, self._still, self._still, payload_kg)
+            torques = self._transmitted((joints, self._still, self._still), payload_kg)
             for joint, gear in self._gears:
                 gear.rest(torques[joint])
                 self._offset[joint] = gear.offset_rad
@@ -69,7 +72,7 @@ class JointSide:
         """Encoder set-points for the joint set-points `wanted`, `elapsed_s` after the last call."""
         q, speed, acceleration = wanted
         if self._torque is not None:
-            torques = self._torque(q, speed, acceleration, payload_kg)
+            torques = self._transmitted(wanted, payload_kg)
             for joint, gear in self._gears:
                 gear.follow(torques[joint], speed[joint], acceleration[joint], elapsed_s)
                 self._offset[joint] = gear.offset_rad
@@ -78,6 +81,12 @@ class JointSide:
     def joint_rad(self, encoder_rad: Sequence[float]) -> Floats:
         """Joint angles at encoder angles, with the present state of the gears."""
         return self._rigid.joints(encoder_rad, self._offset)
+
+    def _transmitted(self, state: State, payload_kg: float) -> Sequence[float]:
+        """Torques [N m] that the gears pass on, without friction."""
+        known = self._torque(*state, payload_kg) if self._torque is not None else self._still
+        more = None if self._carried is None else self._carried(*state)
+        return known if more is None else [k + m for k, m in zip(known, more, strict=True)]
 
     def _motors(self, q: Floats, speed: Floats, acceleration: Floats) -> tuple[list[float], ...]:
         """The joints' motion minus the belt's share, plus the gears' offsets."""

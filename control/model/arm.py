@@ -1,7 +1,8 @@
 """The contents of an arm.toml: one frozen dataclass per table.
 
-`control.model.description` reads and writes it. The field names are the keys of the file; the annotations hold
-the conditions on values (`control.model.rules`).
+`control.model.description` reads and writes it. The field names are the keys of the file. An annotation holds the
+conditions on a value (`control.model.rules`), then what the key says and, where the code's default says it badly, its default
+in words; `control.model.reference` makes docs/arm_toml.md of all of them.
 """
 
 import dataclasses
@@ -15,30 +16,46 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from control.errors import ArmError, MissingModel
+from control.model.end_effector import NO_TOOL, Digital, Gripper
+from control.model.end_effector import Tool as Tool
+from control.model.end_effector import Vector3 as Vector3
 from control.model.rules import (
     ANGLE,
+    BACKOFF,
+    BOARD_SIZE,
+    CAMERA_NOISE,
+    CLEARANCE,
     DIRECTION,
     ENCODER_BITS,
     FOLLOWING,
+    GRAVITY,
+    HEIGHT,
+    JOINT_SPEED,
     LAG,
+    LENGTH,
     LIMIT,
     NAME,
     NODE,
     NOT_NEGATIVE,
     ONE_OR_MORE,
+    PAYLOAD,
+    POSITION,
     POSITIVE,
     ROTATE_BYTES,
+    ROTOR,
     SHARE_ABOVE_1,
     SHARE_BELOW_1,
     STALE,
     TILT,
+    TIP_SPEED,
+    TURN_NOISE,
+    UDP_PORT,
     WATCHDOG,
     ZERO_OR_MORE,
-    Rule,
 )
 
 Convention = Literal["standard", "modified"]
-Vector3 = tuple[float, float, float]
+Position = Annotated[Vector3, POSITION]
 Direction = Annotated[int, DIRECTION]
 NonNegative = Annotated[float, NOT_NEGATIVE]
 Positive = Annotated[float, POSITIVE]
@@ -49,14 +66,19 @@ ENCODER_CHANNELS = 3  # an encoder board reads three encoders
 class Link:
     """One row of the DH table, and the body that moves with its frame (no mass: unknown)."""
 
-    joint: Literal["revolute", "fixed"]
-    d_m: float
-    theta_rad: Annotated[float, ANGLE]
-    L_m: float
-    alpha_rad: Annotated[float, ANGLE]
-    mass_kg: NonNegative | None = None
-    com_m: Vector3 | None = None
-    inertia_kg_m2: tuple[NonNegative, NonNegative, NonNegative] | None = None
+    joint: Annotated[
+        Literal["revolute", "fixed"], "what moves the row: a joint, numbered from the base, or nothing"
+    ]
+    d_m: Annotated[float, LENGTH, "offset along z"]
+    theta_rad: Annotated[float, ANGLE, "angle about z; a joint's angle adds to it"]
+    L_m: Annotated[float, LENGTH, "length along x"]
+    alpha_rad: Annotated[float, ANGLE, "twist about x"]
+    mass_kg: Annotated[NonNegative | None, "mass of all that moves with this frame"] = None
+    com_m: Annotated[Position | None, "its centre, in this link's frame"] = None
+    inertia_kg_m2: Annotated[
+        tuple[NonNegative, NonNegative, NonNegative] | None,
+        "moments about the centre of mass, about the axes of this link's frame",
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,52 +89,72 @@ class DrivePid:
     mode the same with amperes.
     """
 
-    mode: Literal["voltage", "current", "position"] = "voltage"
-    kp: NonNegative | None = None
-    ki: NonNegative | None = None
-    kd: NonNegative | None = None
-    derivative_filter_s: NonNegative | None = None
+    mode: Annotated[
+        Literal["voltage", "current", "position"],
+        'what is sent to the motor board; "position": the PID runs on the board; the same for all drives',
+    ] = "voltage"
+    kp: Annotated[NonNegative | None, "V/rad, or A/rad; absent: from the model"] = None
+    ki: Annotated[NonNegative | None, "V/(rad s), or A/(rad s); absent: from the model"] = None
+    kd: Annotated[NonNegative | None, "V s/rad, or A s/rad; absent: from the model"] = None
+    derivative_filter_s: Annotated[
+        NonNegative | None, "time constant of the speed's filter; absent: 0.001"
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """How a joint homes: its switch, the index pulse after it, and the speed."""
+    """How a joint homes: its switch, the index pulse after it, and the speed.
 
-    switch_rad: float
-    index_rad: float
-    speed_rad_s: Positive = 0.2
-    backoff_rad: Positive = 0.05
+    The switch is active on the side of `index_rad`; homing moves from `switch_rad` towards `index_rad`.
+    """
+
+    switch_rad: Annotated[float, "where the home switch changes"]
+    index_rad: Annotated[float, "the index pulse after it, best half a motor turn further"]
+    speed_rad_s: Annotated[Positive, JOINT_SPEED, "towards the switch"] = 0.2
+    backoff_rad: Annotated[Positive, BACKOFF, "how far it moves back off an active switch"] = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
     """A joint's motor, gear and encoder; a missing limit is infinite."""
 
-    joint: Annotated[int, ONE_OR_MORE]
-    gear_ratio: Positive
-    encoder_counts_per_rev: Annotated[int, ONE_OR_MORE]
-    torque_constant_Nm_A: Positive
-    resistance_ohm: Positive
-    supply_V: Positive
-    encoder_bits: Annotated[int, ENCODER_BITS] = 32
-    inductance_H: NonNegative = 0.0
-    rotor_inertia_kg_m2: NonNegative = 0.0
-    current_limit_A: Positive = math.inf
-    joint_lower_rad: Annotated[float, LIMIT] = -math.inf
-    joint_upper_rad: Annotated[float, LIMIT] = math.inf
-    joint_speed_limit_rad_s: Positive = math.inf
-    joint_acceleration_limit_rad_s2: Positive = math.inf
-    joint_jerk_limit_rad_s3: Positive = math.inf
-    encoder_board: Annotated[int, ZERO_OR_MORE] = -1  # by default the joints fill the boards in order
-    encoder_channel: Annotated[int, ZERO_OR_MORE] = -1
-    encoder_direction: Direction = 1
-    motor_node: Annotated[int, NODE] = -1  # by default the joint's number
-    motor_direction: Direction = 1
-    motor_serial_number: Annotated[int, ZERO_OR_MORE] | None = None
-    zero_count: int = 0
-    board_holds: bool = True  # the motor board's own encoder is connected and counts up with positive voltage
-    pid: DrivePid = DrivePid()
-    home: Home | None = None
+    joint: Annotated[int, ONE_OR_MORE, "which joint, counted from 1 at the base"]
+    gear_ratio: Annotated[Positive, "motor turns per joint turn, belts included"]
+    encoder_counts_per_rev: Annotated[int, ONE_OR_MORE, "per motor turn, after quadrature decoding"]
+    torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
+    resistance_ohm: Annotated[Positive, "of the winding, from terminal to terminal"]
+    supply_V: Annotated[Positive, "of the motor board"]
+    encoder_bits: Annotated[int, ENCODER_BITS, "width of the counter"] = 32
+    inductance_H: Annotated[NonNegative, "of the winding"] = 0.0
+    rotor_inertia_kg_m2: Annotated[
+        NonNegative, ROTOR, "of the rotor; counts gear_ratio^2 times at the joint"
+    ] = 0.0
+    current_limit_A: Annotated[Positive, "largest motor current"] = math.inf
+    joint_lower_rad: Annotated[float, LIMIT, "lower end of the joint's range"] = -math.inf
+    joint_upper_rad: Annotated[float, LIMIT, "upper end"] = math.inf
+    joint_speed_limit_rad_s: Annotated[Positive, JOINT_SPEED, "of plans and set-points"] = math.inf
+    joint_acceleration_limit_rad_s2: Annotated[Positive, "of plans and set-points"] = math.inf
+    joint_jerk_limit_rad_s3: Annotated[Positive, "of plans"] = math.inf
+    encoder_board: Annotated[
+        int, ZERO_OR_MORE, "which [[encoder_board]], from 0", "joints fill the boards in order, three each"
+    ] = -1
+    encoder_channel: Annotated[int, ZERO_OR_MORE, "its channel, 0 to 2", "in order"] = -1
+    encoder_direction: Annotated[
+        Direction, "-1: counts down while the joint turns in its positive direction"
+    ] = 1
+    motor_node: Annotated[int, NODE, "CAN node of the motor board", "the joint's number"] = -1
+    motor_direction: Annotated[Direction, "-1: a positive voltage turns the joint backwards"] = 1
+    motor_serial_number: Annotated[
+        Annotated[int, ZERO_OR_MORE] | None, "compared with the board's, if given"
+    ] = None
+    zero_count: Annotated[int, "the encoder's count at joint angle 0"] = 0
+    board_holds: Annotated[
+        bool,
+        "the motor board's own encoder is connected and counts up with positive voltage; false: without the loop the"
+        " board brakes and cannot hold; `bringup` finds out",
+    ] = True
+    pid: Annotated[DrivePid, ""] = DrivePid()
+    home: Annotated[Home | None, "absent: the joint cannot be homed; its zero is set on the board"] = None
 
     def __post_init__(self) -> None:
         """Fill in the default wiring from the joint's number."""
@@ -127,146 +169,200 @@ class Drive:
 
 
 @dataclass(frozen=True, slots=True)
-class Tool:
-    """Position of the tip in the last frame, and whether it is known or to be identified."""
-
-    position_m: Vector3 = (0.0, 0.0, 0.0)
-    known: bool = True
-
-
-@dataclass(frozen=True, slots=True)
 class Table:
     """The calibration table; `control.model.table` computes its points."""
 
-    origin_m: Vector3 | None = None
-    circle_radius_m: Positive | None = None
-    circle_points: Annotated[int, ZERO_OR_MORE] = 0
-    line_points: Annotated[int, ZERO_OR_MORE] = 0
-    line_pitch_m: Positive | None = None
-    roll_tilt_rad: Annotated[float, TILT] = 0.0
-    pitch_tilt_rad: Annotated[float, TILT] = 0.0
-    known_pose: bool = True
-    cavities_m: Mapping[str, Vector3] = field(default_factory=dict)
+    origin_m: Annotated[
+        Position | None, "the board's centre in the base frame; required unless known_pose is false"
+    ] = None
+    circle_radius_m: Annotated[Positive | None, BOARD_SIZE, "of the circle of cavities"] = None
+    circle_points: Annotated[int, ZERO_OR_MORE, "cavities on it, counter-clockwise from +x"] = 0
+    line_points: Annotated[int, ZERO_OR_MORE, "cavities on the line along x"] = 0
+    line_pitch_m: Annotated[Positive | None, BOARD_SIZE, "between two of them"] = None
+    roll_tilt_rad: Annotated[float, TILT, "of the setup `roll`, about the board's x axis"] = 0.0
+    pitch_tilt_rad: Annotated[float, TILT, "of the setup `pitch`, about its y axis"] = 0.0
+    known_pose: Annotated[bool, "false: where the board stands is identified, per setup"] = True
+    cavities_m: Annotated[
+        Mapping[str, Position], "further cavities in the board's frame, `{ name = [x, y, z], ... }`"
+    ] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """The camera that measures the tip."""
+    """The camera that measures the tip (docs/camera.md)."""
 
-    position_noise_m: NonNegative = 0.0
-    udp_port: Annotated[int, Rule("a UDP port from 1 to 65535", lambda n: 1 <= n <= 65535)] = (
-        47_310  # docs/camera.md
-    )
+    position_noise_m: Annotated[NonNegative, CAMERA_NOISE, "standard deviation per axis"] = 0.0
+    orientation_noise_rad: Annotated[
+        NonNegative,
+        TURN_NOISE,
+        "standard deviation about each axis of measured orientations",
+        "0.002 is assumed",
+    ] = 0.0
+    udp_port: Annotated[int, UDP_PORT, "on which its frames arrive"] = 47_310
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """An effect of the model; `control.model.effects` lists names and parameters."""
+    """An effect of the model; docs/formats.md#effects lists names and parameters."""
 
-    effect: str
-    joint: Annotated[int, ONE_OR_MORE] | None = None
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    effect: Annotated[str, "its name"]
+    joint: Annotated[Annotated[int, ONE_OR_MORE] | None, "joint or link on which it acts"] = None
+    parameters: Annotated[Mapping[str, float], "`{ name = value, ... }`"] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class EncoderBoardPort:
-    """The port of an encoder board; a given serial number is checked."""
+    """The port of an encoder board, which reads three encoders; a given serial number is checked."""
 
-    name: str
-    port: str
-    baud: Annotated[int, ONE_OR_MORE] = 1_000_000
-    serial_number: Annotated[int, ZERO_OR_MORE] | None = None
+    name: Annotated[str, "in messages; each board's own"]
+    port: Annotated[str, "a device or any pyserial URL"]
+    baud: Annotated[int, ONE_OR_MORE, "of the port"] = 1_000_000
+    serial_number: Annotated[Annotated[int, ZERO_OR_MORE] | None, "compared with the board's, if given"] = (
+        None
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class CanBus:
-    """The bus of the motor boards, in python-can's terms; `options` are passed to the interface unchanged."""
+    """The bus of the motor boards, in python-can's terms."""
 
-    interface: str
-    channel: str
-    bitrate: Annotated[int, ONE_OR_MORE] = 1_000_000
-    options: Mapping[str, str | int | float | bool] = field(default_factory=dict)
+    interface: Annotated[str, "socketcan, slcan, ..."]
+    channel: Annotated[str, "can0, /dev/ttyACM1, ..."]
+    bitrate: Annotated[int, ONE_OR_MORE, "of the bus, in bit/s"] = 1_000_000
+    options: Annotated[Mapping[str, str | int | float | bool], "passed to the interface unchanged"] = field(
+        default_factory=dict
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Rest:
     """A pose in which the arm can wait: inside its limits, clear of the table, with little gravity torque."""
 
-    q_rad: tuple[float, ...]
+    q_rad: Annotated[tuple[Annotated[float, LIMIT], ...], "one angle a joint"]
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits that the loop enforces. A joint's following error may be `a + b |speed|`."""
+    """Limits that the loop enforces (docs/safety.md). A joint's following error may be `a + b |speed|`."""
 
-    tip_speed_m_s: Positive = 1.0
-    tip_turn_speed_rad_s: Positive = 2.0  # of the tip's orientation on a path
-    tip_turn_acceleration_rad_s2: Positive = 20.0
-    following_error_rad: Annotated[float, FOLLOWING] = 0.05
-    following_error_per_speed_s: Annotated[float, LAG] = 0.05
-    floor_z_m: float = 0.0  # the arm stays above this height in the base frame: on what the base stands
-    floor_clearance_m: NonNegative = 0.0
-    floor_tolerance_m: NonNegative = 0.01  # by which the model of an arm may be wrong before its calibration
-    base_radius_m: NonNegative = 0.0  # of the arm's own base about axis 1, up to joint 2; 0: not checked
-    watchdog_s: Annotated[float, WATCHDOG] = (
-        0.2  # a host may pause 40-170 ms; a board watchdog must tolerate it
-    )
-    stale_s: Annotated[float, STALE] = 0.02
-    jog_tip_speed_m_s: Positive = 0.25  # the reduced speed of ISO 10218-1 for people beside the arm
-    payload_limit_kg: NonNegative = 5.0  # the largest mass that a client may state: feed-forward follows it
-    jog_silence_s: Positive = 0.2  # a jog that is not renewed for this long comes to rest
-    speed_contradiction_rad_s: Positive = 0.02  # between motor and encoder, at rest; see docs/safety.md
-    unexplained_torque: Positive = 0.3  # share of the torque at the current limit; see there
-    supply_low: Annotated[float, SHARE_BELOW_1] = 0.75  # of the drive's supply_V
-    supply_high: Annotated[float, SHARE_ABOVE_1] = 1.4
-    temperature_degC: Positive = 95.0  # of a power stage; boards trip by themselves at their own rating
+    tip_speed_m_s: Annotated[Positive, TIP_SPEED, "of the tip, in plans"] = 1.0
+    tip_turn_speed_rad_s: Annotated[Positive, JOINT_SPEED, "of the tip's orientation, in plans"] = 2.0
+    tip_turn_acceleration_rad_s2: Annotated[Positive, "of the tip's orientation, in plans"] = 20.0
+    following_error_rad: Annotated[float, FOLLOWING, "largest error of a joint at rest"] = 0.05
+    following_error_per_speed_s: Annotated[
+        float, LAG, "this much more with every rad/s of set-point speed"
+    ] = 0.05
+    floor_z_m: Annotated[
+        float, HEIGHT, "height in the base frame that the arm stays above: on what the base stands"
+    ] = 0.0
+    floor_clearance_m: Annotated[NonNegative, CLEARANCE, "distance kept from the floor"] = 0.0
+    floor_tolerance_m: Annotated[
+        NonNegative, CLEARANCE, "by which the model may be wrong before the arm is calibrated"
+    ] = 0.01
+    base_radius_m: Annotated[
+        NonNegative, BOARD_SIZE, "of the arm's own base about axis 1, up to joint 2; 0: not checked"
+    ] = 0.0
+    watchdog_s: Annotated[
+        float,
+        WATCHDOG,
+        "a board stops by itself without commands for this long; hosts pause for 40 to 170 ms",
+    ] = 0.2
+    stale_s: Annotated[float, STALE, "an older value is a fault"] = 0.02
+    jog_tip_speed_m_s: Annotated[
+        Positive, TIP_SPEED, "reduced speed for people beside the arm (ISO 10218-1)"
+    ] = 0.25
+    payload_limit_kg: Annotated[NonNegative, PAYLOAD, "largest mass that a client may state"] = 5.0
+    jog_silence_s: Annotated[
+        Positive, "a jog that is not renewed for this long comes to rest; at most 0.5"
+    ] = 0.2
+    speed_contradiction_rad_s: Annotated[
+        Positive, JOINT_SPEED, "between motor and encoder, at rest (docs/safety.md#who-contradicts-whom)"
+    ] = 0.02
+    unexplained_torque: Annotated[Positive, "share of the torque at the current limit; see there"] = 0.3
+    supply_low: Annotated[float, SHARE_BELOW_1, "of the drive's supply_V"] = 0.75
+    supply_high: Annotated[float, SHARE_ABOVE_1, "of the drive's supply_V"] = 1.4
+    temperature_degC: Annotated[
+        Positive, "of a power stage; boards trip by themselves at their own rating"
+    ] = 95.0
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingPolicy:
-    """Size at which a recording continues in a new file, and the total size of this arm's recordings.
+    """Size at which a recording continues in a new file, and the total size of this arm's recordings."""
 
-    keep_bytes: beyond it, the oldest finished recordings in the folder are removed; 0: none is ever removed.
-    unrecorded: what becomes of motions while nothing is recorded (a full disk). "refuse": none begins, and one that runs makes a
-    controlled stop; jogs and hand guiding are free, to get the arm away. "allow": all go on.
-    """
-
-    rotate_bytes: Annotated[int, ROTATE_BYTES] = 500_000_000
-    keep_bytes: Annotated[int, ZERO_OR_MORE] = 0
-    unrecorded: Literal["refuse", "allow"] = "refuse"
+    rotate_bytes: Annotated[int, ROTATE_BYTES, "size at which a new file begins"] = 500_000_000
+    keep_bytes: Annotated[
+        int,
+        ZERO_OR_MORE,
+        "above this total the oldest finished recordings of this arm are removed; 0: none is ever removed; at least"
+        " twice rotate_bytes",
+    ] = 0
+    unrecorded: Annotated[
+        Literal["refuse", "allow"],
+        'while the disk takes no rows: "refuse": no motion begins and one that runs makes a controlled stop; jogs and'
+        ' hand guiding are free, to get the arm away; "allow": motions go on',
+    ] = "refuse"
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Origin of a calibrated arm; `inputs` maps files to their SHA-256."""
+    """Origin of a calibrated arm, written by `calibrate` and `gap`."""
 
-    source: str = field(metadata={"key": "from"})
-    inputs: Mapping[str, str]
-    date: str
-    objective: str
-    program_version: str
+    source: Annotated[str, "the arm.toml it came from"] = field(metadata={"key": "from"})
+    inputs: Annotated[Mapping[str, str], "file name to SHA-256"]
+    date: Annotated[str, "when"]
+    objective: Annotated[str, "what was minimised"]
+    program_version: Annotated[str, "of armwright"]
 
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """An arm: geometry, masses, drives, boards and limits, read from the file `path`."""
+    """An arm: geometry, masses, drives, boards and limits, read from the file `path`. `tool` is the one that is on."""
 
-    name: Annotated[str, NAME]
-    links: tuple[Link, ...] = field(metadata={"key": "link"})
-    gravity_m_s2: Vector3 = (0.0, 0.0, -9.81)
-    dh_convention: Convention = "standard"
-    drives: tuple[Drive, ...] = field(default=(), metadata={"key": "drive"})
-    tool: Tool = Tool()
-    table: Table | None = None
-    camera: Camera | None = None
-    effects: tuple[Effect, ...] = field(default=(), metadata={"key": "effect"})
-    encoder_boards: tuple[EncoderBoardPort, ...] = field(default=(), metadata={"key": "encoder_board"})
-    can: CanBus | None = None
-    rest: Rest | None = None
-    limits: Limits = Limits()
-    recording: RecordingPolicy = RecordingPolicy()
-    calibration: Calibration | None = None
+    name: Annotated[str, NAME, "sockets and recordings carry it"]
+    links: Annotated[tuple[Link, ...], "base to tip"] = field(metadata={"key": "link"})
+    gravity_m_s2: Annotated[Vector3, GRAVITY, "in the base frame"] = (0.0, 0.0, -9.81)
+    dh_convention: Annotated[
+        Convention,
+        '"standard": Tz(d) Rz(theta) Tx(L) Rx(alpha); "modified": Rx(alpha) Tx(L) Rz(theta) Tz(d)',
+    ] = "standard"
+    drives: Annotated[tuple[Drive, ...], "one a joint"] = field(default=(), metadata={"key": "drive"})
+    tool: Annotated[Tool, ""] = NO_TOOL
+    table: Annotated[Table | None, ""] = None
+    camera: Annotated[Camera | None, ""] = None
+    gripper: Annotated[Gripper | None, ""] = None
+    digital: Annotated[tuple[Digital, ...], "spare pins of the motor boards"] = ()
+    effects: Annotated[tuple[Effect, ...], ""] = field(default=(), metadata={"key": "effect"})
+    encoder_boards: Annotated[tuple[EncoderBoardPort, ...], "three channels each"] = field(
+        default=(), metadata={"key": "encoder_board"}
+    )
+    can: Annotated[CanBus | None, ""] = None
+    rest: Annotated[Rest | None, ""] = None
+    limits: Annotated[Limits, ""] = Limits()
+    recording: Annotated[RecordingPolicy, ""] = RecordingPolicy()
+    calibration: Annotated[Calibration | None, ""] = None
+    spare_tools: tuple[Tool, ...] = field(default=(), metadata={"key": ""})  # the other [[tool]]s of the file
     path: Path | None = field(default=None, compare=False, metadata={"key": ""})
+
+    @property
+    def tools(self) -> tuple[Tool, ...]:
+        """All tools; the first is on."""
+        return (self.tool, *self.spare_tools)
+
+    def with_tool(self, name: str) -> "Arm":
+        """Return the same arm with another of its tools on. ArmError lists the tools if there is none of this name."""
+        if name == self.tool.name:
+            return self
+        named = {tool.name: tool for tool in self.spare_tools}
+        if name not in named:
+            known = ", ".join(tool.name for tool in self.tools if tool.name)
+            raise ArmError(
+                f"arm {self.name}: no tool {name!r}: expected one of {known}"
+                if known
+                else f"arm {self.name}: no tool {name!r}: its file names none; add a [[tool]] for each, with a name"
+            )
+        others = tuple(tool for tool in self.tools if tool.name != name)
+        return dataclasses.replace(self, tool=named[name], spare_tools=others)
 
     @property
     def joints(self) -> tuple[bool, ...]:

@@ -4,9 +4,11 @@ from collections.abc import Hashable, Iterable
 
 from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Table
 from control.model.effects import check_effect
+from control.model.plausible import check_plausible
 from control.model.reader import Rejected
 
 LONGEST_JOG_SILENCE_S = 0.5
+DIGITAL_MOST = 32
 Named = tuple[tuple[str | int, ...], Hashable]
 
 
@@ -20,6 +22,7 @@ def check_arm(arm: Arm) -> None:
     for index, drive in enumerate(arm.drives):
         _check_drive(arm, drive, index)
     _check_wiring(arm)
+    _check_end(arm)
     _check_rest(arm)
     _check_recording(arm)
     if arm.limits.jog_silence_s > LONGEST_JOG_SILENCE_S:
@@ -28,6 +31,7 @@ def check_arm(arm: Arm) -> None:
     if arm.table is not None:
         _check_table(arm.table)
     _check_effects(arm)
+    check_plausible(arm)
 
 
 def _check_masses(arm: Arm) -> None:
@@ -80,6 +84,44 @@ def _check_wiring(arm: Arm) -> None:
         if boards and drive.encoder_board >= boards:
             expected = f"an encoder board below {boards}, the number of [[encoder_board]] here"
             raise Rejected(("drive", i, "encoder_board"), expected, str(drive.encoder_board))
+
+
+def _check_end(arm: Arm) -> None:
+    nodes = {drive.motor_node: f"joint {drive.joint}" for drive in arm.drives}
+    if (gripper := arm.gripper) is not None:
+        if gripper.motor_node in nodes:
+            expected = "a motor board of its own"
+            raise Rejected(
+                ("gripper", "motor_node"),
+                expected,
+                f"{gripper.motor_node}, that of {nodes[gripper.motor_node]}",
+            )
+        if gripper.usual_force_N > gripper.force_limit_N:
+            expected = f"at most {gripper.force_limit_N:.1f} N, the force at current_limit_A"
+            raise Rejected(("gripper", "force_N"), expected, str(gripper.force_N))
+        nodes[gripper.motor_node] = "the gripper"
+    for i, pin in enumerate(arm.digital):
+        if pin.board not in nodes:
+            known = ", ".join(str(node) for node in sorted(nodes)) or "none"
+            raise Rejected(
+                ("digital", i, "board"), f"the motor_node of a drive or the gripper: {known}", str(pin.board)
+            )
+        if pin.direction == "input" and pin.safe != "low":
+            raise Rejected(("digital", i, "safe"), "no safe level: an input has none", pin.safe)
+    _check_unique(
+        ((("digital", i, "name"), pin.name) for i, pin in enumerate(arm.digital)),
+        "a unique name for every [[digital]]",
+    )
+    _check_unique(
+        ((("digital", i, "pin"), (pin.board, pin.pin)) for i, pin in enumerate(arm.digital)),
+        "one [[digital]] per pin (board, pin)",
+    )
+    if len(arm.digital) > DIGITAL_MOST:
+        raise Rejected(
+            ("digital",),
+            f"at most {DIGITAL_MOST} pins (a recording holds them in 32 bits)",
+            str(len(arm.digital)),
+        )
 
 
 def _check_unique(items: Iterable[Named], expected: str) -> None:

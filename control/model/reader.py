@@ -97,7 +97,7 @@ def _ruled(hint: Any, value: object, path: Path) -> Any:
     result = _value(kind, value, path)
     for rule in rules:
         if isinstance(rule, Rule) and not rule.holds(result):
-            raise Rejected(path, rule.expected, show(value), rule.hint)
+            raise Rejected(path, rule.expected, show(value), rule.remedy(result))
     return result
 
 

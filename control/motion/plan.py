@@ -220,6 +220,8 @@ class _Planner:
         checks.check_clearance(
             self._arm, self._kinematics, self._setup, self._waypoints, spline.times_s, tip, joints.q_rad
         )
+        if joints.jacobian is not None:  # links whose place the tip's position does not fix
+            checks.check_room(self._arm, self._waypoints, spline.times_s, tip, joints.q_rad)
 
     def _factors(
         self,

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from control.errors import ArmError
-from control.hardware.boards import start_stream
+from control.hardware.reference_encoders import start_stream
 from control.model.arm import Arm
 from control.model.joint_map import Unwrapper
 from firmware_iface.clock import Clock

@@ -6,7 +6,7 @@ The motor boards get the COMMAND that keeps them off at the loop's rate; they an
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from control.hardware.boards import start_stream
+from control.hardware.reference_encoders import start_stream
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError
 from firmware_iface.motor.board import MotorBoard

@@ -131,7 +131,7 @@ def test_drives_come_in_the_order_of_the_joints_whatever_the_file_has() -> None:
         ("d_m = -0.012", "d_m = nan", "d_m of [[link]] 3", "a finite number", "nan"),
         ("d_m = -0.012", "d_m = true", "d_m of [[link]] 3", "a finite number", "true"),
         ("d_m = -0.012", "d_mm = -12", "d_mm of [[link]] 3", "one of the keys", "an unknown key"),
-        ("d_m = -0.012\n", "\n", "d_m of [[link]] 3", "a finite number", "nothing"),
+        ("d_m = -0.012\n", "\n", "d_m of [[link]] 3", "a length", "nothing"),
         ("d_m = -0.012", "d_m = [1]", "d_m of [[link]] 3", "a finite number", "[1]"),
         ("alpha_rad = 0.0", "alpha_rad = 90.0", "alpha_rad of [[link]] 2", "within +-2 pi", "90.0"),
         ("gear_ratio = 120.0", "gear_ratio = 0", "gear_ratio of [[drive]] 2", "a positive", "0"),

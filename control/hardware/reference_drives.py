@@ -1,0 +1,213 @@
+"""Motor boards of docs/motor_board.md on one CAN bus as the drives of an arm."""
+
+import contextlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from control.dynamics.gains import Gains
+from control.hardware.board_stop import board_stop, can_hold
+from control.hardware.interface import Feedback, OutputMode
+from control.model.arm import Arm, Drive
+from control.model.joint_map import JointMap
+from firmware_iface.clock import Clock
+from firmware_iface.errors import BoardFaulted
+from firmware_iface.motor.board import MotorBoard, MotorBus
+from firmware_iface.motor.cia402 import State
+from firmware_iface.motor.wire import Mode, Output, Parameter
+
+ASK_COUNT_S = 0.04  # between two questions for a motor board's own count: 3 % of a 500 Hz bus
+FRESH_CYCLES = 2  # age of a count that is compared with one of another board
+NO_GAINS = Gains(0.0, 0.0, 0.0, 0.001)  # a board without gains brakes
+FULL_INTEGRAL = 0.5  # of the supply: limit of the board's integral in position mode
+
+
+@dataclass(frozen=True, slots=True)
+class DriveWiring:
+    """A joint (0-based), its motor board and its drive; gains in volts, for the board's own position control."""
+
+    joint: int
+    motor: MotorBoard
+    drive: Drive
+    gains: Gains
+
+
+class ReferenceDrives:
+    """The motor boards of one bus; meets `control.hardware.roles.Drives` and `Line`."""
+
+    def __init__(
+        self, arm: Arm, bus: MotorBus, wiring: Sequence[DriveWiring], clock: Clock, period_s: float
+    ) -> None:
+        self.joints = tuple(wired.joint for wired in wiring)
+        self._bus = bus
+        self._wiring = tuple(wiring)
+        self._pairs = tuple(
+            (wired.joint, wired.motor, float(wired.drive.motor_direction)) for wired in wiring
+        )
+        self._clock = clock
+        self._period_s = period_s
+        self._maps = {wired.joint: JointMap(wired.drive) for wired in wiring}
+        self._board_stop = board_stop(arm, period_s)
+        self._watchdog_ms = round(arm.limits.watchdog_s * 1e3)
+        self._configured_resets = dict.fromkeys(self.joints, -1)
+        self._position_offset_count = dict.fromkeys(self.joints, 0)
+        # entry of `wiring` whose motor board was asked for its count, and the encoder's count then
+        self._asked: tuple[int, int] | None = None
+        self._ask_next, self._ask_in = 0, 0
+        self._ask_every = max(1, round(ASK_COUNT_S / period_s))
+
+    # ---- every cycle
+
+    def update(self) -> None:
+        """Drain the bus."""
+        self._bus.update()
+
+    def flush(self) -> None:
+        """Each COMMAND is sent as it is written."""
+
+    def take(self, feedback: Feedback) -> None:
+        """Write the latest replies."""
+        for joint, motor, sign in self._pairs:
+            reply = motor.reply
+            feedback.reply_at_s[joint] = motor.reply_at_s
+            if reply is None:
+                feedback.statusword[joint] = 0
+                continue
+            feedback.current_A[joint] = reply.current_A * sign
+            feedback.supply_V[joint] = reply.supply_V
+            feedback.temperature_C[joint] = reply.temperature_degC
+            feedback.statusword[joint] = reply.statusword
+            feedback.drive_faults[joint] = reply.faults
+        if self._asked is not None:
+            self._take_motor_count(*self._asked, feedback)
+
+    def write(
+        self, wants_enabled: bool, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float],
+        feedback: Feedback,
+    ) -> None:  # fmt: skip
+        """Send one COMMAND to each board; a board not in its target state gets the next state command instead."""
+        wanted = State.OPERATION_ENABLED if wants_enabled else State.SWITCH_ON_DISABLED
+        is_voltage, sent_V = mode is OutputMode.VOLTAGE, feedback.sent_V
+        for joint, motor, sign in self._pairs:
+            is_driven = is_voltage and motor.state is State.OPERATION_ENABLED
+            sent_V[joint] = output[joint] if is_driven else math.nan
+            if motor.state is wanted or motor.state is State.FAULT:
+                self._command(joint, motor, sign, mode, output[joint], feedforward_V[joint])
+            else:
+                with contextlib.suppress(BoardFaulted):  # the watch sees it in the feedback
+                    motor.step_towards(wanted)
+        if wants_enabled:
+            self._ask_motor_count(feedback)
+
+    def _command(
+        self, joint: int, motor: MotorBoard, sign: float, mode: OutputMode, output: float, forward_V: float
+    ) -> None:
+        if mode is OutputMode.VOLTAGE:
+            motor.command_voltage(sign * output)
+        elif mode is OutputMode.CURRENT:
+            motor.command_current(sign * output)
+        elif mode is OutputMode.POSITION:
+            motor.command_position(self._board_count(joint, output), sign * forward_V)
+        elif mode is OutputMode.HOLD:
+            motor.command_hold()
+        else:
+            motor.command_off()
+
+    def _board_count(self, joint: int, q_rad: float) -> int:
+        """Set-point in counts of the motor board's own encoder, which counts up with positive voltage."""
+        return (
+            self._sense(self._of(joint).drive) * self._maps[joint].count(q_rad)
+            + self._position_offset_count[joint]
+        )
+
+    def _take_motor_count(self, at: int, count: int, feedback: Feedback) -> None:
+        """Pair the count of a motor board with that of the encoder board when it was asked for."""
+        wired = self._wiring[at]
+        if (motor_count := wired.motor.count_taken()) is not None:
+            feedback.motor_counts.append((wired.joint, count, self._sense(wired.drive) * motor_count))
+            self._asked = None
+
+    def _ask_motor_count(self, feedback: Feedback) -> None:
+        """Ask one motor board after the other for the count of its own encoder, while the other count is fresh."""
+        self._ask_in -= 1
+        if self._ask_in > 0:
+            return
+        at = (self._ask_next + 1) % len(self._wiring)
+        wired = self._wiring[at]
+        joint = wired.joint
+        if not can_hold(wired.drive):
+            self._ask_next = at
+        elif self._clock.now_s() - feedback.reported_at_s[joint] <= FRESH_CYCLES * self._period_s:
+            self._ask_in, self._ask_next = self._ask_every, at
+            self._asked = (at, feedback.count[joint] - feedback.shift_count[joint])
+            wired.motor.ask_count()
+
+    def is_any_enabled(self) -> bool:
+        """Whether a drive was in OPERATION ENABLED in its last reply."""
+        return any(motor.state is State.OPERATION_ENABLED for _, motor, _ in self._pairs)
+
+    # ---- outside of the cycle: these wait for answers
+
+    def configure(self, fresh_count: Callable[[int], int]) -> None:
+        """Upload the parameters of every board that does not have them."""
+        for wired in self._wiring:
+            if self._configured_resets[wired.joint] != wired.motor.resets:
+                wired.motor.go_to(State.SWITCH_ON_DISABLED)
+                for index, value in self._parameters(wired):
+                    wired.motor.write(index, value)
+                self._configured_resets[wired.joint] = wired.motor.resets
+            self._follow_position_count(wired, fresh_count)
+
+    def acknowledge_faults(self) -> None:
+        """Acknowledge the drives' faults. Raises BoardFaulted."""
+        for wired in self._wiring:
+            wired.motor.acknowledge_fault()
+
+    def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:
+        """The encoder's counter was shifted: until the next read, `count` is from before."""
+        self._asked, self._ask_in = None, 2
+        self._follow_position_count(self._of(joint), fresh_count)
+
+    def emergency_stop(self) -> None:
+        """Broadcast the emergency stop."""
+        self._bus.emergency_stop(1)
+
+    def _of(self, joint: int) -> DriveWiring:
+        return self._wiring[self.joints.index(joint)]
+
+    def _sense(self, drive: Drive) -> int:
+        """Sense of the motor board's own encoder, which counts up with positive voltage, relative to the joint's."""
+        return drive.motor_direction * drive.encoder_direction
+
+    def _parameters(self, wired: DriveWiring) -> list[tuple[Parameter, int]]:
+        """Parameters of a board: limits, what it does without the host, and its PID in volts per count of its own encoder."""
+        drive = wired.drive
+        gains = wired.gains if can_hold(drive) else NO_GAINS
+        per_count = abs(self._maps[wired.joint].radians_per_count)
+        volts_per_rad_s = drive.gear_ratio * drive.torque_constant_Nm_A
+        parameters = [
+            (Parameter.WATCHDOG_ms, self._watchdog_ms),
+            (Parameter.WATCHDOG_ACTION, Output.HOLD),
+            (Parameter.STOP_AFTER_ms, round(self._board_stop.after_s * 1e3)),
+            (Parameter.STOP_TIME_ms, round(self._board_stop.time_s * 1e3)),
+            (Parameter.DISABLED_OUTPUT, Output.BRAKE),
+            (Parameter.VOLTAGE_LIMIT_mV, round(drive.supply_V * 1e3)),
+            (Parameter.KP_uV_count, round(gains.kp * per_count * 1e6)),
+            (Parameter.KI_uV_count_s, round(gains.ki * per_count * 1e6)),
+            (Parameter.KD_nV_s_count, round(gains.kd * per_count * 1e9)),
+            (Parameter.DERIVATIVE_FILTER_us, round(gains.derivative_filter_s * 1e6)),
+            (Parameter.INTEGRAL_LIMIT_mV, round(FULL_INTEGRAL * drive.supply_V * 1e3)),
+            (Parameter.SPEED_FEEDFORWARD_nV_s_count, round(volts_per_rad_s * per_count * 1e9)),
+        ]
+        if math.isfinite(drive.current_limit_A):
+            parameters.append((Parameter.CURRENT_LIMIT_mA, round(drive.current_limit_A * 1e3)))
+        return parameters
+
+    def _follow_position_count(self, wired: DriveWiring, fresh_count: Callable[[int], int]) -> None:
+        """Offset of the motor board's count from the encoder board's, both read at rest."""
+        drive = wired.drive
+        if drive.pid.mode != Mode.POSITION.name.lower():
+            return
+        count = fresh_count(wired.joint)
+        own_count = wired.motor.read(Parameter.POSITION_COUNT)
+        self._position_offset_count[wired.joint] = own_count - self._sense(drive) * count

@@ -1,0 +1,104 @@
+"""What `control.hardware.boards.BoardHardware` is composed of: encoders and drives, by board.
+
+A board that has both meets both Protocols. Joints are 0-based numbers of the arm; each object writes the entries of its own
+joints into the arm's `Feedback` and reads those of the arm's outputs. Counts keep the encoder's sense; volts and amperes
+carry the joint's sign, which each driver makes of its wiring.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from control.hardware.interface import Feedback, OutputMode
+
+
+class Line(Protocol):
+    """A port or bus that is drained once a cycle."""
+
+    def update(self) -> None:
+        """Process what has arrived, without blocking. Raises LinkError; the rest is processed all the same."""
+        ...
+
+    def flush(self) -> None:
+        """All boards on it have their commands of this cycle: send what is not yet sent. Raises LinkLost."""
+        ...
+
+
+class Encoders(Protocol):
+    """The encoders on one board."""
+
+    @property
+    def joints(self) -> Sequence[int]:
+        """Whose encoders they are."""
+        ...
+
+    def take(self, feedback: Feedback) -> None:
+        """Write count, its time, when it was reported, and the channel flags of each joint."""
+        ...
+
+    def fresh_count(self, joint: int) -> int:
+        """A count that the board makes from now on; waits for it. Raises BoardSilent."""
+        ...
+
+    def arm_index(self, joint: int) -> None:
+        """Arm the index latch. Waits some ms for the board's answer."""
+        ...
+
+    def index_count(self, joint: int) -> int | None:
+        """The count latched since `arm_index`, or None."""
+        ...
+
+    def watch_indices(self, is_wanted: bool) -> None:
+        """Arm all index latches again and again, or end that; does not wait."""
+        ...
+
+    def passed_indices(self) -> list[tuple[int, int]]:
+        """(joint, count) of the watched index pulses that came since the last call."""
+        ...
+
+    def shift(self, joint: int, counts: int) -> None:
+        """Add `counts` to the counter of a joint at rest, mark its zero as set, and wait for a count that includes it."""
+        ...
+
+    def restore(self) -> None:
+        """Let a board that was reset report again. Raises LinkError."""
+        ...
+
+
+class Drives(Protocol):
+    """The drives on one bus or board."""
+
+    @property
+    def joints(self) -> Sequence[int]:
+        """Which joints they drive."""
+        ...
+
+    def take(self, feedback: Feedback) -> None:
+        """Write currents, supply, temperature, statusword, faults and the time of the reply."""
+        ...
+
+    def write(
+        self, wants_enabled: bool, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float],
+        feedback: Feedback,
+    ) -> None:  # fmt: skip
+        """Command every joint, or take its drive one step closer to the wanted state; notes `feedback.sent_V`."""
+        ...
+
+    def is_any_enabled(self) -> bool:
+        """Whether a drive was in OPERATION ENABLED in its last reply."""
+        ...
+
+    def configure(self, fresh_count: Callable[[int], int]) -> None:
+        """Upload limits, time-outs and gains where a board does not have them; waits. `fresh_count`: of a joint's encoder."""
+        ...
+
+    def acknowledge_faults(self) -> None:
+        """Reset the drives' faults; none is enabled by it. Raises BoardFaulted."""
+        ...
+
+    def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:
+        """The counter of the joint's encoder was shifted."""
+        ...
+
+    def emergency_stop(self) -> None:
+        """Stop all drives now. Raises LinkError."""
+        ...

@@ -1,0 +1,175 @@
+"""docs/arm_toml.md: every key of an arm.toml, from the definitions that the reader obeys (`control.model.arm`).
+
+`make arm-reference` writes it; a test compares.
+"""
+
+import dataclasses
+import math
+import sys
+import types
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from control.model.arm import Arm
+from control.model.reader import keys_of
+from control.model.rules import Rule
+
+PAGE = Path("docs/arm_toml.md")
+HEAD = """# arm.toml: every key
+One file describes one arm. `armwright new` writes one with comments ([new_arm.md](new_arm.md)); `control/arms/right.toml` is a
+complete example; `armwright arm FILE` checks a file and prints what it holds.
+
+- SI units and radians; the unit ends the key's name. A value that looks like millimetres, degrees or grams is refused.
+- A key without a default is required; a section without required keys may be absent. A command that needs it says so.
+- Unknown keys are errors, with the nearest known key.
+- A calibrated arm is always a new file.
+
+This page is made from the reader's own definitions by `make arm-reference`. Effects: [formats.md](formats.md#effects).
+"""
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Key:
+    """One key: its TOML type and conditions, its default ("" if it is required) and what it says."""
+
+    name: str
+    kind: str
+    default: str
+    text: str
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Section:
+    """One table of the file: its header, what it is, whether it may be absent, its keys."""
+
+    header: str
+    about: str
+    keys: tuple[Key, ...]
+
+
+def sections() -> tuple[Section, ...]:
+    """Every table of an arm.toml, in the order in which the dataclasses name them."""
+    return tuple(_sections("", Arm))
+
+
+def texts_of(kind: type[Any]) -> dict[str, str]:
+    """What each key of a table says, for comments in a file that is written."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {key: _notes(hints[field.name])[0] for key, field in keys_of(kind).items()}
+
+
+def reference_text() -> str:
+    """The page."""
+    parts = [HEAD]
+    for section in sections():
+        rows = [f"| `{k.name}` | {k.kind} | {k.default or 'required'} | {k.text} |" for k in section.keys]
+        title = f"`{section.header}`" if section.header else "Top level"
+        head = f"## {title}\n{section.about}\n\n| key | value | default | |\n| --- | --- | --- | --- |"
+        parts.append("\n".join((head, *rows)) + "\n")
+    return "\n".join(parts)
+
+
+def _sections(header: str, kind: type[Any]) -> Iterator[Section]:
+    hints = get_type_hints(kind, include_extras=True)
+    inner: list[Section] = []
+    keys: list[Key] = []
+    for name, field in keys_of(kind).items():
+        table, is_list = _table_in(hints[field.name])
+        if table is None:
+            keys.append(_key(name, field, hints[field.name]))
+            continue
+        parent = header.strip("[]")
+        path = f"{parent}.{name}" if parent else name
+        inner += _sections(f"[[{path}]]" if is_list else f"[{path}]", table)
+    yield Section(header, (kind.__doc__ or "").strip().replace("\n    ", "\n"), tuple(keys))
+    yield from inner
+
+
+def _table_in(hint: Any) -> tuple[type[Any] | None, bool]:
+    """The dataclass that a key's value is read as, if it is a table, and whether it is a list of them."""
+    bare = _bare(hint)
+    if get_origin(bare) is tuple:
+        table, _ = _table_in(get_args(bare)[0])
+        return table, table is not None
+    if isinstance(bare, type) and dataclasses.is_dataclass(bare):
+        return bare, False
+    return None, False
+
+
+def _bare(hint: Any) -> Any:
+    """A type without its annotations and without None."""
+    if get_origin(hint) is Annotated:
+        return _bare(get_args(hint)[0])
+    if get_origin(hint) in (Union, types.UnionType):
+        kinds = [kind for kind in get_args(hint) if kind is not type(None)]
+        return _bare(kinds[0]) if len(kinds) == 1 else hint
+    return hint
+
+
+def _notes(hint: Any) -> tuple[str, str]:
+    """What a key says, and its default in words ("" if the code's own says it)."""
+    if get_origin(hint) is not Annotated:
+        return "", ""
+    text, default, *_ = [*(note for note in get_args(hint)[1:] if isinstance(note, str)), "", ""]
+    return text, default
+
+
+def _key(name: str, field: "dataclasses.Field[Any]", hint: Any) -> Key:
+    text, default_words = _notes(hint)
+    return Key(name, _value(hint), default_words or _default(field), text)
+
+
+def _value(hint: Any) -> str:
+    """The type and the conditions; a condition on a single value names its type, too."""
+    rules, kind = _rules(hint), _kind(hint)
+    is_single = kind in ("text", "number", "whole number")
+    return "; ".join(rules if rules and is_single else [kind, *rules])
+
+
+def _rules(hint: Any) -> list[str]:
+    """The conditions on a value, from the innermost."""
+    if get_origin(hint) is Annotated:
+        kind, *notes = get_args(hint)
+        return [*_rules(kind), *(note.expected for note in notes if isinstance(note, Rule))]
+    if get_origin(hint) in (Union, types.UnionType):
+        return [rule for kind in get_args(hint) for rule in _rules(kind)]
+    if get_origin(hint) is tuple:
+        return [f"each {rule}" for rule in _rules(get_args(hint)[0])]
+    return []
+
+
+def _kind(hint: Any) -> str:
+    bare = _bare(hint)
+    origin = get_origin(bare)
+    if origin is Literal:
+        return " or ".join(f'`"{choice}"`' for choice in get_args(bare))
+    if origin is tuple:
+        inner = get_args(bare)
+        return "list of numbers" if inner[-1] is Ellipsis else f"{len(inner)} numbers"
+    if origin is Mapping:
+        return "table"
+    names = {str: "text", bool: "true or false", int: "whole number", float: "number"}
+    return names[bare]
+
+
+def _default(field: "dataclasses.Field[Any]") -> str:
+    value = field.default
+    if field.default_factory is not dataclasses.MISSING:
+        value = field.default_factory()
+    if value is dataclasses.MISSING:
+        return ""
+    if value is None or value in ((), {}) or (isinstance(value, float) and math.isinf(value)):
+        return "none"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f'`"{value}"`'
+    if isinstance(value, tuple):
+        return "[" + ", ".join(f"{item:g}" for item in value) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(reference_text(), encoding="utf-8")
+    sys.stdout.write(f"{PAGE} written\n")
