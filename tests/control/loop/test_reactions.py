@@ -313,9 +313,16 @@ def test_a_torque_that_the_model_does_not_explain_is_found_on_its_joint() -> Non
     arm.model_A = [0.0, 0.5]
     arm.witnesses.forget()
     assert arm.after(600) == []
+    arm.model_A = [0.0, 0.0]
+    again = arm.until_found()
     arm.model_A = None
     arm.feedback.current_A[1] = 9.0
     assert arm.after(600) == []
+    arm.feedback.current_A[1], arm.model_A = 2.2, [0.0, 0.0]
+    fresh = Witnessed()
+    fresh.feedback.sent_V, fresh.feedback.current_A[1] = [math.nan] * 2, 2.2
+    assert arm.until_found() == fresh.until_found()
+    assert again[1] == [("unexplained_torque", "joint 2")]
 
 
 def test_witnesses_that_start_anew_forget_what_they_saw() -> None:
@@ -373,6 +380,7 @@ def test_two_counts_of_one_motor_that_differ_are_found_on_its_joint_whatever_wra
     assert faults((0, 2**31 - 10), (20, -(2**31) + 10)) == []
     assert faults((32760, 0), (-32760, 16), bits=16) == []
     assert faults((32760, 0), (-32760, 16), bits=32) == one
+    assert faults((0, 0), (32768, 0), bits=16) == one  # half of what it counts, and not nothing
 
 
 def test_a_board_that_was_off_is_not_compared_with_before() -> None:
