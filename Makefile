@@ -25,6 +25,10 @@ demo-gap: install  ## an effect hidden in the mock arm, found, added to the mode
 drills: install  ## faults of every kind on the mock arm: how soon noticed, what moved, what was lost (docs/safety.md); some minutes
 	$(BIN)/armwright drill --mock
 
+soak: install  ## 24 simulated hours of table sessions, then an hour in real time beside busy processors; HOURS=1 MINUTES=10 for less
+	$(BIN)/python -m benchmarks.soak.stepped --hours $(or $(HOURS),24)
+	$(BIN)/python -m benchmarks.soak.realtime --minutes $(or $(MINUTES),60)
+
 lint: install  ## ruff, format check, mypy strict, import contracts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -83,4 +87,4 @@ lock: install  ## pin again what pyproject.toml names (needs uv)
 clean:  ## remove what make made
 	rm -rf .venv .venv-peers .venv-fuzz .venv-mutants out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help install demo demo-gap drills lint test format bench coverage-study solver-study fuzz screenshots arm-reference gap-score trust-study rough-score lock clean
+.PHONY: help install demo demo-gap drills soak lint test format bench coverage-study solver-study fuzz screenshots arm-reference gap-score trust-study rough-score lock clean
