@@ -15,10 +15,13 @@ from functools import partial
 from control.model.description import Arm
 from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
 from hil_mocks.devices.motor_board import OPEN, Frame, Output
-from hil_mocks.errors import ScenarioError
+from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.faults import FaultPlan, Frames, Line, check_fault
+from hil_mocks.gripper import PinWires, build_gripper, build_gripper_board
 from hil_mocks.miswiring import LOOSE_PART, LooseCoupling, as_built
+from hil_mocks.plant.gripper import GripperPlant
 from hil_mocks.plant.hand import Hand, Point
+from hil_mocks.plant.parts import tool_parts
 from hil_mocks.scenario import FaultTable, Scenario
 from hil_mocks.wiring import Channels, wiring_of
 
@@ -34,6 +37,7 @@ class MockRobot:
         self._ticks, self._steps = 0, _steps_per_tick(scenario)
         where = f"scenario {scenario.path or scenario.name}"
         arm = as_built(arm, scenario)
+        self._tools = {tool.name: tool_parts(tool) for tool in arm.tools}
         self._dead: set[int] = set()  # joints whose motor has a broken wire
         self._loose: dict[int, LooseCoupling] = {}
         self._turn_rad = [2.0 * math.pi / drive.gear_ratio for drive in arm.drives]
@@ -43,23 +47,31 @@ class MockRobot:
         self.motor_boards = [
             build_motor_board(w, scenario, partial(self._motor_count, j)) for j, w in enumerate(self._wiring)
         ]
+        self.gripper: GripperPlant | None = None
+        if arm.gripper is not None:
+            self.gripper = build_gripper(arm.gripper, scenario)
+            self.motor_boards.append(build_gripper_board(arm.gripper, scenario, self.gripper))
+        self.pins = PinWires(arm, scenario, self.motor_boards)
         self._channels = [
             Channels(i, self._wiring, len(board.setup.counts_per_turn))
             for i, board in enumerate(self.encoder_boards)
         ]
         self.camera = build_camera(arm, scenario)
-        joints = range(self.plant.joints)
-        self._joint_of_node = {self._wiring[j].motor_node: j for j in joints}
+        motors = range(len(self.motor_boards))  # those of the joints, and the gripper's
+        self._motor_of_node = {board.setup.node: j for j, board in enumerate(self.motor_boards)}
         self._encoder_names = ["encoder" + (str(i + 1) if i else "") for i in range(len(self.encoder_boards))]
-        self._motor_names = [f"motor{w.motor_node}" for w in self._wiring]
+        self._motor_names = [f"motor{board.setup.node}" for board in self.motor_boards]
         self.board_names = [*self._encoder_names, *self._motor_names, "camera"]
         for fault in scenario.fault:
             check_fault(fault, self.board_names, where)
         self._lines = {name: Line(name, scenario.seed) for name in self.board_names}
         self._plan = FaultPlan(scenario.fault)
-        self._polarity = [w.motor_direction for w in self._wiring]
-        self._applied: list[Output] = [OPEN for _ in joints]
-        self._limits_A = [math.inf for _ in joints]
+        self._directions = [w.motor_direction for w in self._wiring]
+        if arm.gripper is not None:
+            self._directions.append(arm.gripper.motor_direction)
+        self._polarity = list(self._directions)
+        self._applied: list[Output] = [OPEN for _ in motors]
+        self._limits_A = [math.inf for _ in motors]
         self._serial: list[Frames] = [[] for _ in self.encoder_boards]
         self._can_on_its_way: list[tuple[float, Frame]] = []
         self.can_outgoing: list[Frame] = []
@@ -84,6 +96,24 @@ class MockRobot:
         """True joint angles."""
         return self.plant.joint_rad()
 
+    def set_tool(self, name: str) -> None:
+        """Mount another of the arm's tools. RigError lists them."""
+        if name not in self._tools:
+            raise RigError(f'mock arm: no tool "{name}"; there are {", ".join(self._tools)}.')
+        self.plant.set_tool(self._tools[name])
+
+    def set_object(self, width_m: float | None, stiffness_N_m: float = 2e4) -> None:
+        """Put an object between the fingers, or remove it (None). RigError without a gripper."""
+        if self.gripper is None:
+            raise RigError("mock arm: it has no gripper; arm.toml describes it as [gripper].")
+        self.gripper.object_m = None if width_m is None else (width_m, stiffness_N_m)
+
+    def gripper_truth(self) -> tuple[float, float]:
+        """True opening [m], and force on the object [N]. RigError without a gripper."""
+        if self.gripper is None:
+            raise RigError("mock arm: it has no gripper; arm.toml describes it as [gripper].")
+        return self.gripper.opening_m, self.gripper.force_N()
+
     def from_host_serial(self, board: int, received: bytes) -> None:
         """Process bytes from the host to an encoder board now."""
         if not self._lines[self._encoder_names[board]].is_silent:
@@ -93,10 +123,10 @@ class MockRobot:
     def from_host_can(self, can_id: int, payload: bytes) -> None:
         """Process a frame from the host now; replies go to `can_outgoing`."""
         if can_id == 0:
-            for j in range(self.plant.joints):
+            for j in range(len(self.motor_boards)):
                 self._to_motor_board(j, can_id, payload)
             return
-        at = self._joint_of_node.get(can_id & 0xF)
+        at = self._motor_of_node.get(can_id & 0xF)
         if at is not None:
             self._to_motor_board(at, can_id, payload)
 
@@ -109,12 +139,17 @@ class MockRobot:
             self._change_faults(now_s)
         bridges, polarity = self.plant.bridges, self._polarity
         currents_A, supply_V, is_clamped = bridges.currents_A(), bridges.supply_V, bridges.is_clamped
+        if (gripper := self.gripper) is not None:
+            gripper.step(self._steps)
+            currents_A = [*currents_A, gripper.current_A]
+            supply_V, is_clamped = [*supply_V, gripper.supply_V], [*is_clamped, gripper.is_clamped]
         for j, board in enumerate(self.motor_boards):
             frames = board.tick(now_s, polarity[j] * currents_A[j], supply_V[j], is_clamped[j])
             if frames:
                 self._send_can(j, frames)
             if board.output is not self._applied[j]:
                 self._drive(j)
+        self.pins.tick()
         if self._can_on_its_way:
             self._release_can(now_s)
         encoder_rad, joint_rad = self._encoder_rad(), self.plant.joint_rad()
@@ -165,7 +200,8 @@ class MockRobot:
                 encoder.preset([start.raw_counts[j] for _, j in on_it], False)
             self._gather_serial(i)
         for j, board in enumerate(self.motor_boards):
-            self._send_can(j, board.tick(0.0, 0.0, self.plant.bridges.supply_V[j], False))
+            supply_V = [*self.plant.bridges.supply_V, self.gripper.supply_V if self.gripper else 0.0]
+            self._send_can(j, board.tick(0.0, 0.0, supply_V[j], False))
             self._drive(j)
 
     def _motor_count(self, j: int) -> int:
@@ -199,8 +235,13 @@ class MockRobot:
         """Apply the board's output to the motor."""
         board, plant = self.motor_boards[j], self.plant
         self._limits_A[j] = board.current_limit_A
-        plant.bridges.limit_current(j, self._limits_A[j])
         kind, value = self._applied[j] = board.output
+        if j == plant.joints and self.gripper is not None:
+            self.gripper.drive(
+                "open" if j in self._dead else kind, self._polarity[j] * value, self._limits_A[j]
+            )
+            return
+        plant.bridges.limit_current(j, self._limits_A[j])
         if j in self._dead:
             plant.drive_open(j)
         elif kind == "voltage":
@@ -262,15 +303,15 @@ class MockRobot:
             bit = _FORCED[fault.kind]
             board.forced_faults = board.forced_faults | bit if is_on else board.forced_faults & ~bit
         elif fault.kind == "swapped_polarity":
-            self._polarity[j] = self._wiring[j].motor_direction * (-1 if is_on else 1)
+            self._polarity[j] = self._directions[j] * (-1 if is_on else 1)
             self._drive(j)
         elif fault.kind == "dead_motor":
             (self._dead.add if is_on else self._dead.discard)(j)
             self._drive(j)
         elif fault.kind == "stuck_joint":
-            self.plant.block(j, is_on)
+            self._jam(j, is_on)
         elif fault.kind == "supply":
-            self.plant.bridges.set_supply(j, fault.value if is_on else None)
+            self._supply(j, fault.value if is_on else None)
         elif fault.kind == "board_reset" and is_on:
             board.power_up()
         elif fault.kind == "wrong_identity" and is_on:
@@ -279,6 +320,18 @@ class MockRobot:
             board.setup = replace(board.setup, protocol=int(fault.value or 0))
         elif fault.kind == "wrong_counts" and is_on:
             board.setup = replace(board.setup, counts_per_turn=int(fault.value or 0))
+
+    def _jam(self, j: int, is_on: bool) -> None:
+        if j == self.plant.joints and self.gripper is not None:
+            self.gripper.is_jammed = is_on
+        else:
+            self.plant.block(j, is_on)
+
+    def _supply(self, j: int, supply_V: float | None) -> None:
+        if j == self.plant.joints and self.gripper is not None:
+            self.gripper.set_supply(supply_V)
+        else:
+            self.plant.bridges.set_supply(j, supply_V)
 
     def _switch_encoder(self, fault: FaultTable, i: int, is_on: bool) -> None:
         board = self.encoder_boards[i]

@@ -6,10 +6,12 @@ Mock boards are connected behind the links; the code here is the same for both.
 import contextlib
 from collections.abc import Sequence
 
-from control.hardware.interface import Feedback, OutputMode
+from control.hardware.interface import EndBoards, Feedback, OutputMode
 from control.hardware.roles import Drives, Encoders, Line
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError
+
+NO_END = EndBoards()
 
 
 class BoardHardware:
@@ -22,9 +24,11 @@ class BoardHardware:
         drives: Sequence[Drives],
         lines: Sequence[Line],
         clock: Clock,
+        end: EndBoards = NO_END,
     ) -> None:
         """`lines`: in the order in which they are drained. Every joint has one of the encoders and one of the drives."""
         self.feedback = Feedback(joint_count)
+        self.end = end
         self._encoders, self._drives, self._lines = tuple(encoders), tuple(drives), tuple(lines)
         self._encoder_of = {joint: encoder for encoder in encoders for joint in encoder.joints}
         self._drive_of = {joint: drive for drive in drives for joint in drive.joints}
@@ -45,6 +49,7 @@ class BoardHardware:
             for drive in self._drives:
                 drive.take(feedback)
             feedback.encoder_at_s = min(feedback.reported_at_s)
+            feedback.reports, feedback.lost = self._encoders[0].frames()
         return feedback
 
     def _update(self) -> None:
@@ -69,24 +74,42 @@ class BoardHardware:
         """Whether a drive was in OPERATION ENABLED in its last reply."""
         return any(drive.is_any_enabled() for drive in self._drives)
 
+    @property
+    def reports_a_cycle(self) -> int:
+        """How many reports the first encoder board sends in a cycle; 0 if none."""
+        return self._encoders[0].reports_a_cycle
+
     # ---- outside of the cycle: these wait for answers
 
     def enable(self) -> None:
         """Upload the boards' parameters and let `write` bring them to OPERATION ENABLED."""
         self._configure()
+        self.end.enable()
         self._wants_enabled = True
 
     def disable(self) -> None:
         """Let `write` bring the drives to SWITCH ON DISABLED, where the boards short the windings."""
         self._wants_enabled = False
+        self.end.disable()
 
     def reset_drive_faults(self) -> None:
-        """Acknowledge the drives' faults and restore the state of boards that were reset. Raises BoardFaulted."""
+        """Acknowledge the drives' faults and restore the state of boards that were reset.
+
+        Raises BoardFaulted, and WrongIdentity where another board has taken the place of one.
+        """
         for encoder in self._encoders:
             encoder.restore()
         for drive in self._drives:
             drive.acknowledge_faults()
         self._configure()
+        self.reset_gripper()
+
+    def reset_gripper(self) -> None:
+        """Let `write` acknowledge the fault of the gripper's board; a board that restarted gets its parameters. BoardSilent."""
+        if self.end.gripper is not None:
+            self.end.gripper.reset_fault()
+        if self._wants_enabled:
+            self.end.enable()
 
     def emergency_stop(self) -> None:
         """Stop all drives. Never raises: the boards' watchdogs do the same a little later."""

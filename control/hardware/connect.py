@@ -9,7 +9,11 @@ from dataclasses import dataclass, field, replace
 
 from control.dynamics.gains import volt_gains_of
 from control.errors import MissingModel
-from control.hardware.boards import BoardHardware
+from control.hardware.board_stop import board_stop
+from control.hardware.boards import NO_END, BoardHardware
+from control.hardware.gripper_board import GripperBoard
+from control.hardware.interface import EndBoards
+from control.hardware.pins import NamedPins
 from control.hardware.reference_drives import DriveWiring, ReferenceDrives
 from control.hardware.reference_encoders import ReferenceEncoders, start_stream
 from control.model.arm import Arm, CanBus, EncoderBoardPort
@@ -19,6 +23,7 @@ from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import ConnectionFailed, LinkError, WrongIdentity
 from firmware_iface.link import open_can, open_serial
 from firmware_iface.motor.board import MotorBoard, MotorBus
+from firmware_iface.motor.digital_pins import DigitalPins
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +104,7 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
         if (board := _encoder(port, arm, clock, closers, failures)) is not None
     ]
     motors = _motors(arm, clock, closers, failures)
+    end = _end_boards(arm, motors, period_s, failures) if motors else EndBoards()
     attempted = len(arm.encoder_boards) + max(len(motors), 1)
     camera = None
     if not failures and camera_port is not None:
@@ -114,7 +120,7 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
             close()
         raise ConnectionFailed(failures, attempted)
     boards = tuple(board for _, board in motors)
-    hardware = reference_hardware(arm, clock, encoders, motors[0][0], boards, period_s)
+    hardware = reference_hardware(arm, clock, encoders, motors[0][0], boards, period_s, end)
     return Connection(hardware, camera, tuple(encoders), boards, closers)
 
 
@@ -125,6 +131,7 @@ def reference_hardware(
     bus: MotorBus,
     motors: Sequence[MotorBoard],
     period_s: float,
+    end: EndBoards = NO_END,
 ) -> BoardHardware:
     """The hardware of identified boards: `encoders` in the order of arm.toml, `motors` in that of the drives."""
     counters = [
@@ -137,7 +144,7 @@ def reference_hardware(
         for joint, (drive, motor) in enumerate(zip(arm.drives, motors, strict=True))
     ]
     drives = ReferenceDrives(arm, bus, wiring, clock, period_s)
-    return BoardHardware(len(arm.drives), counters, [drives], [*counters, drives], clock)
+    return BoardHardware(len(arm.drives), counters, [drives], [*counters, drives], clock, end)
 
 
 def _channels(arm: Arm, board: int) -> dict[int, int]:
@@ -220,6 +227,43 @@ def _motors(
                 )
                 motors.append((bus, board))
     return motors
+
+
+def _end_boards(
+    arm: Arm, motors: Sequence[tuple[MotorBus, MotorBoard]], period_s: float, failures: list[LinkError]
+) -> EndBoards:
+    """The gripper's board and the pins of all boards, checked against arm.toml."""
+    bus, boards = motors[0][0], {board.node: board for _, board in motors}
+    gripper: GripperBoard | None = None
+    if arm.gripper is not None:
+        problems: list[LinkError] = []
+        board = MotorBoard(bus, arm.gripper.motor_node, "gripper", problems)
+        with _collect(failures):
+            identity = board.identify(arm.gripper.motor_serial_number)
+            expected, got = arm.gripper.encoder_counts_per_rev, identity.encoder_counts_per_turn
+            if expected not in (0, got):
+                raise WrongIdentity(
+                    f"{board.where}: expected {expected} counts a motor turn (arm.toml, [gripper]), got {got}; correct"
+                    " arm.toml, or the board's settings"
+                )
+            boards[board.node] = board
+            stop = board_stop(arm, period_s)
+            gripper = GripperBoard(arm.gripper, board, problems, arm.limits.watchdog_s, stop)
+    return EndBoards(gripper, _pins(arm, bus, boards, failures))
+
+
+def _pins(
+    arm: Arm, bus: MotorBus, boards: Mapping[int, MotorBoard], failures: list[LinkError]
+) -> NamedPins | None:
+    """The pins; a board that was not found has failed already."""
+    wanted = {pin.board for pin in arm.digital} & boards.keys()
+    if not wanted:
+        return None
+    found = {node: DigitalPins(bus, boards[node]) for node in sorted(wanted)}
+    for node, pins in found.items():
+        with _collect(failures):
+            pins.require(1 + max(pin.pin for pin in arm.digital if pin.board == node))
+    return NamedPins(arm.digital, found)
 
 
 def _compare(where: str, what: str, joint: int, expected: int, got: int) -> None:

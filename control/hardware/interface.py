@@ -10,6 +10,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
+from control.hardware.gripper_board import GripperBoard
+from control.hardware.pins import NamedPins
+
 
 class OutputMode(Enum):
     """Meaning of the numbers passed to `write`. `OFF` opens the motor circuit: the joint is free and a loaded arm drops. `HOLD`:
@@ -34,6 +37,8 @@ class Feedback:
     )  # when `count` was latched, on its board's own clock
     # when the joint's counts were made; a repeated report or one that was under way for long is as old as its counts
     reported_at_s: list[float] = field(default_factory=list)
+    reports: int = 0  # of the first encoder board so far
+    lost: int = 0  # of its frames so far
     reply_at_s: list[float] = field(default_factory=list)
     count: list[int] = field(default_factory=list)
     shift_count: list[int] = field(
@@ -60,10 +65,31 @@ class Feedback:
         self.sent_V = [float("nan")] * n
 
 
+@dataclass(frozen=True, slots=True)
+class EndBoards:
+    """What is at the end of the arm, if anything: the boards that the joints do not need."""
+
+    gripper: GripperBoard | None = None
+    pins: NamedPins | None = None
+
+    def enable(self) -> None:
+        """Upload what the boards do not have, and enable the gripper's; waits. Pins belong to boards that are not enabled yet."""
+        if self.pins is not None:
+            self.pins.configure()
+        if self.gripper is not None:
+            self.gripper.enable()
+
+    def disable(self) -> None:
+        """The gripper's board goes off with the joints'."""
+        if self.gripper is not None:
+            self.gripper.disable()
+
+
 class Hardware(Protocol):
     """The arm as seen by the loop; real and mock boards implement it alike."""
 
     feedback: Feedback
+    end: EndBoards
 
     def read(self) -> Feedback:
         """Drain the links into `feedback`. Raises LinkLost when a link is gone, ProtocolViolation when a board misbehaves."""
@@ -73,8 +99,16 @@ class Hardware(Protocol):
         """Command every joint in V, A or counts, depending on `mode`; in POSITION mode the board adds `feedforward_V`."""
         ...
 
+    @property
+    def reports_a_cycle(self) -> int:
+        """How many reports the first encoder board sends in a cycle; 0 if none."""
+        ...
+
     def enable(self) -> None:
-        """Bring every drive to OPERATION ENABLED with 0 V output. Raises a firmware_iface error that names each failed drive."""
+        """Bring every drive, the gripper's too, to OPERATION ENABLED with 0 V output.
+
+        Raises a firmware_iface error that names each failed drive.
+        """
         ...
 
     def disable(self) -> None:
@@ -83,6 +117,10 @@ class Hardware(Protocol):
 
     def reset_drive_faults(self) -> None:
         """Acknowledge the drives' own faults. Raises when a drive stays in FAULT."""
+        ...
+
+    def reset_gripper(self) -> None:
+        """Let `write` acknowledge the fault of the gripper's board; a board that restarted gets its parameters now."""
         ...
 
     def emergency_stop(self) -> None:

@@ -28,7 +28,7 @@ class ArmState:
         self.parts = parts
         self.monitor = Monitor()
         # the cycle
-        self.punctuality = Punctuality(parts.period_s, parts.stopwatch_s)
+        self.punctuality = Punctuality(parts.period_s, parts.stopwatch_s, parts.strain)
         self.now_s = 0.0
         self.elapsed_s = (
             parts.period_s
@@ -86,7 +86,7 @@ class ArmState:
 
     def payload_kg(self) -> float:
         """Mass at the tip in the model now; it follows the stated one."""
-        return self.parts.servo.torque_model.payload_kg
+        return self.parts.loads.at_tip_kg
 
     def progress(self) -> float:
         """Progress of the active motion, 0 to 1; 1 if there is none."""

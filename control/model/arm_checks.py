@@ -2,12 +2,15 @@
 
 from collections.abc import Hashable, Iterable
 
-from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Table
+from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Home, Table
 from control.model.effects import check_effect
+from control.model.joint_map import JointMap
+from control.model.maps import check_map
 from control.model.plausible import check_plausible
 from control.model.reader import Rejected
 
 LONGEST_JOG_SILENCE_S = 0.5
+DIGITAL_MOST = 32
 Named = tuple[tuple[str | int, ...], Hashable]
 
 
@@ -21,6 +24,7 @@ def check_arm(arm: Arm) -> None:
     for index, drive in enumerate(arm.drives):
         _check_drive(arm, drive, index)
     _check_wiring(arm)
+    _check_end(arm)
     _check_rest(arm)
     _check_recording(arm)
     if arm.limits.jog_silence_s > LONGEST_JOG_SILENCE_S:
@@ -29,6 +33,7 @@ def check_arm(arm: Arm) -> None:
     if arm.table is not None:
         _check_table(arm.table)
     _check_effects(arm)
+    _check_maps(arm)
     check_plausible(arm)
 
 
@@ -56,8 +61,19 @@ def _check_drive(arm: Arm, drive: Drive, index: int) -> None:
             if not drive.joint_lower_rad <= angle <= drive.joint_upper_rad:
                 expected = f"an angle within the joint's limits, {drive.joint_lower_rad} to {drive.joint_upper_rad} rad"
                 raise Rejected((*path, "home", key), expected, str(angle))
+        _check_home_count(drive, drive.home, path)
     if drive.encoder_channel >= ENCODER_CHANNELS:
         raise Rejected((*path, "encoder_channel"), "0, 1 or 2", str(drive.encoder_channel))
+
+
+def _check_home_count(drive: Drive, home: Home, path: tuple[str | int, ...]) -> None:
+    """Homing sets the counter to what it is at the index pulse, and takes the counter at its word from there on."""
+    count, half = JointMap(drive).count(home.index_rad), 1 << (drive.encoder_bits - 1)
+    settled = 2 * drive.encoder_counts_per_rev  # the joint comes to rest within two turns of the motor
+    if abs(count) + settled > half:
+        expected = f"a counter that holds {count} +- {settled} counts, of the index pulse at index_rad"
+        remedy = "set zero_count so that the joint's count at index_rad is small"
+        raise Rejected((*path, "encoder_bits"), expected, f"{drive.encoder_bits} (+-{half})", remedy)
 
 
 def _check_wiring(arm: Arm) -> None:
@@ -82,6 +98,44 @@ def _check_wiring(arm: Arm) -> None:
         if boards and drive.encoder_board >= boards:
             expected = f"an encoder board below {boards}, the number of [[encoder_board]] here"
             raise Rejected(("drive", i, "encoder_board"), expected, str(drive.encoder_board))
+
+
+def _check_end(arm: Arm) -> None:
+    nodes = {drive.motor_node: f"joint {drive.joint}" for drive in arm.drives}
+    if (gripper := arm.gripper) is not None:
+        if gripper.motor_node in nodes:
+            expected = "a motor board of its own"
+            raise Rejected(
+                ("gripper", "motor_node"),
+                expected,
+                f"{gripper.motor_node}, that of {nodes[gripper.motor_node]}",
+            )
+        if gripper.usual_force_N > gripper.force_limit_N:
+            expected = f"at most {gripper.force_limit_N:.1f} N, the force at current_limit_A"
+            raise Rejected(("gripper", "force_N"), expected, str(gripper.force_N))
+        nodes[gripper.motor_node] = "the gripper"
+    for i, pin in enumerate(arm.digital):
+        if pin.board not in nodes:
+            known = ", ".join(str(node) for node in sorted(nodes)) or "none"
+            raise Rejected(
+                ("digital", i, "board"), f"the motor_node of a drive or the gripper: {known}", str(pin.board)
+            )
+        if pin.direction == "input" and pin.safe != "low":
+            raise Rejected(("digital", i, "safe"), "no safe level: an input has none", pin.safe)
+    _check_unique(
+        ((("digital", i, "name"), pin.name) for i, pin in enumerate(arm.digital)),
+        "a unique name for every [[digital]]",
+    )
+    _check_unique(
+        ((("digital", i, "pin"), (pin.board, pin.pin)) for i, pin in enumerate(arm.digital)),
+        "one [[digital]] per pin (board, pin)",
+    )
+    if len(arm.digital) > DIGITAL_MOST:
+        raise Rejected(
+            ("digital",),
+            f"at most {DIGITAL_MOST} pins (a recording holds them in 32 bits)",
+            str(len(arm.digital)),
+        )
 
 
 def _check_unique(items: Iterable[Named], expected: str) -> None:
@@ -132,4 +186,18 @@ def _check_effects(arm: Arm) -> None:
     _check_unique(
         ((("effect", i, "effect"), (effect.effect, effect.joint)) for i, effect in enumerate(arm.effects)),
         "each effect once per joint",
+    )
+
+
+def _check_maps(arm: Arm) -> None:
+    driven = frozenset(drive.joint for drive in arm.drives)
+    for index, one in enumerate(arm.maps):
+
+        def fault(path: tuple[str, ...], expected: str, got: str, index: int = index) -> Rejected:
+            return Rejected(("map", index, *path), expected, got)
+
+        check_map(one, arm.joint_count, driven, fault)
+    _check_unique(
+        ((("map", i, "over"), (one.joint, one.corrects, one.over)) for i, one in enumerate(arm.maps)),
+        "each map once per joint",
     )

@@ -30,6 +30,7 @@ MODES_BEFORE_THEY_WERE_RECORDED = (
 )  # fmt: skip
 SCALAR_FIELDS = (
     ("t_s", "d"), ("cycle", "I"), ("run", "I"), ("mode", "B"), ("missed", "I"), ("late_s", "f"), ("busy_s", "f"),
+    ("page_faults", "H"), ("switches", "H"), ("age_s", "f"),
     ("payload_kg", "f"), ("x_m", "d"), ("y_m", "d"), ("z_m", "d"),
 )  # fmt: skip
 JOINT_FIELDS = (
@@ -38,6 +39,8 @@ JOINT_FIELDS = (
     ("statusword{}", "B"), ("drive_faults{}", "B"), ("flags{}", "B"), ("counted{}_s", "d"),
 )  # fmt: skip
 
+LATER_FIELDS = ("page_faults", "switches", "age_s")  # not in recordings of earlier versions, as counted{}_s
+COUNT_MOST = 0xFFFF  # of page faults and switches in a cycle
 JOINT_SIDE_FIELDS = (
     ("joint{}_rad", "d"),
     ("joint{}_set_rad", "d"),
@@ -53,14 +56,20 @@ class Layout:
     packing: struct.Struct
 
     @classmethod
-    def of(cls, joint_count: int, has_joint_side: bool = False) -> "Layout":
-        """The layout that this version writes; with joint angles beside encoder angles if the arm distinguishes them."""
+    def of(
+        cls, joint_count: int, has_joint_side: bool = False, more: Sequence[tuple[str, str]] = ()
+    ) -> "Layout":
+        """The layout that this version writes; with joint angles beside encoder angles if the arm distinguishes them.
+
+        `more`: name and code of columns at the end of each row (control.recording.layout).
+        """
         fields, of_joint = (
             list(SCALAR_FIELDS),
             (*JOINT_FIELDS, *(JOINT_SIDE_FIELDS if has_joint_side else ())),
         )
         for joint in range(1, joint_count + 1):
             fields += [(name.format(joint), code) for name, code in of_joint]
+        fields += more
         return cls(
             joint_count, tuple(n for n, _ in fields), struct.Struct("<" + "".join(c for _, c in fields))
         )

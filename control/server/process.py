@@ -13,19 +13,20 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from control.dynamics.joint_side import has_joint_side
 from control.hardware.connect import Connection, connect
 from control.model.arm import Arm
 from control.model.description import arm_text
 from control.model.joint_map import JointMap
-from control.recording.record import Layout, PipeSink
+from control.recording.layout import about_columns, layout_of
+from control.recording.record import PipeSink
 from control.recording.recorder_state import RecorderState, hours_left
 from control.recording.rotation import begin, stored_row_bytes
 from control.server.assemble import Assembly, assemble
 from control.server.events import Events, with_time
 from control.server.periodic import PeriodicTimer
+from control.server.phase import PhaseFollower
 from control.server.printer import Printer
-from control.server.scheduling import request_punctuality
+from control.server.scheduling import request_punctuality, strain
 from control.server.server import Server, require_free
 from control.server.sockets import linked
 from firmware_iface.clock import Clock, MonotonicClock
@@ -58,7 +59,9 @@ def serve(arm: Arm, options: ServeOptions) -> None:
     remedy = request_punctuality()
     about = {"rights": remedy or "granted"}
     try:
-        assembly = assemble(arm, connection.hardware, options.period_s, connection.camera, sink, about=about)
+        assembly = assemble(
+            arm, connection.hardware, options.period_s, connection.camera, sink, about=about, strain=strain
+        )
         server = Server(options.socket_path, assembly.requests.handle, assembly.requests.on_gone)
         usage = _usage(arm, options)
         printer.say(
@@ -94,11 +97,14 @@ def run(assembly: Assembly, server: Server, clock: Clock, period_s: float, event
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: runtime.go_off(quits=True))
     beat = PeriodicTimer(clock, period_s)
+    follower = PhaseFollower(runtime.parts.hardware.reports_a_cycle, period_s)
     is_running = True
     failure: Exception | None = None
     while is_running:
         late_s = beat.wait()
         is_running = runtime.cycle(clock.now_s(), late_s, beat.skipped, beat.missed_in_row)
+        feedback = runtime.parts.hardware.feedback
+        beat.trim_s = follower.trim_s(feedback.reports, feedback.lost, beat.skipped > 0)
         try:
             server.poll()
         except Exception as error:  # bring the arm to rest first, then report the error
@@ -125,7 +131,7 @@ def _begun_recording(arm: Arm, options: ServeOptions) -> Path:
     started_s = time.time()
     name = time.strftime("%Y%m%d-%H%M%S", time.localtime(started_s))
     path = _free(options.log_folder, f"{arm.name}-{name}")
-    layout = Layout.of(arm.joint_count, has_joint_side(arm))
+    layout = layout_of(arm)
     begin(
         path,
         layout.about(
@@ -135,6 +141,7 @@ def _begun_recording(arm: Arm, options: ServeOptions) -> Path:
             program=f"armwright {version('armwright')}",
             started_unix_s=started_s,
             period_s=options.period_s,
+            **about_columns(arm),
             **layout.framed([JointMap(drive).radians_per_count for drive in arm.drives]),
         ),
     )
@@ -159,7 +166,7 @@ def _start_writer(arm: Arm, recording: Path) -> tuple["subprocess.Popen[bytes]",
 
 
 def _usage(arm: Arm, options: ServeOptions) -> str:
-    row_bytes = stored_row_bytes(Layout.of(arm.joint_count, has_joint_side(arm)).packing.size)
+    row_bytes = stored_row_bytes(layout_of(arm).packing.size)
     rate = 3600.0 * row_bytes / options.period_s
     return RecorderState(True, bytes_per_h=rate, hours_left=hours_left(options.log_folder, rate)).usage()
 
