@@ -47,13 +47,12 @@ def calibrated_arm(nominal: Arm, found: Identification) -> Arm:
     tool = nominal.tool
     if any(estimate.parameter.name.startswith("tool_") for estimate in found.estimates):
         tool = dataclasses.replace(tool, position_m=(x, y, z), known=True)
-    framed = _with_base_frame(nominal.with_dh(found.dh), found)
+    framed = with_base_frame(nominal.with_dh(found.dh), found.solution.frames[0])
     return with_effects(dataclasses.replace(framed, tool=tool), found.solution.corrections)
 
 
-def _with_base_frame(arm: Arm, found: Identification) -> Arm:
-    """The arm with the identified base frame, if any."""
-    base = found.solution.frames[0]
+def with_base_frame(arm: Arm, base: Frame) -> Arm:
+    """The arm with a base frame that was identified; unchanged if it was not."""
     if not base.is_free:
         return arm
     vector = [*base.origin_m.tolist(), *rotation_vector(base.rotation).tolist()]

@@ -192,6 +192,11 @@ CALIBRATING = (
                 help="do not try this effect; may be repeated",
             ),
             option(
+                "--map",
+                action="store_true",
+                help="measure what is left as maps of the joints, which the controller corrects",
+            ),
+            option(
                 "--current-unit",
                 default="A",
                 choices=("A", "mA", "percent", "Nm", "motor_Nm"),

@@ -19,6 +19,7 @@ from control.errors import ArmError, MissingModel
 from control.model.end_effector import NO_TOOL, Digital, Gripper
 from control.model.end_effector import Tool as Tool
 from control.model.end_effector import Vector3 as Vector3
+from control.model.maps import CorrectionMap
 from control.model.rules import (
     ANGLE,
     BACKOFF,
@@ -337,6 +338,9 @@ class Arm:
     gripper: Annotated[Gripper | None, ""] = None
     digital: Annotated[tuple[Digital, ...], "spare pins of the motor boards"] = ()
     effects: Annotated[tuple[Effect, ...], ""] = field(default=(), metadata={"key": "effect"})
+    maps: Annotated[tuple[CorrectionMap, ...], "what `gap --map` measured beyond every effect"] = field(
+        default=(), metadata={"key": "map"}
+    )
     encoder_boards: Annotated[tuple[EncoderBoardPort, ...], "three channels each"] = field(
         default=(), metadata={"key": "encoder_board"}
     )

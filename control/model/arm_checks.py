@@ -5,6 +5,7 @@ from collections.abc import Hashable, Iterable
 from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Home, Table
 from control.model.effects import check_effect
 from control.model.joint_map import JointMap
+from control.model.maps import check_map
 from control.model.plausible import check_plausible
 from control.model.reader import Rejected
 
@@ -32,6 +33,7 @@ def check_arm(arm: Arm) -> None:
     if arm.table is not None:
         _check_table(arm.table)
     _check_effects(arm)
+    _check_maps(arm)
     check_plausible(arm)
 
 
@@ -184,4 +186,18 @@ def _check_effects(arm: Arm) -> None:
     _check_unique(
         ((("effect", i, "effect"), (effect.effect, effect.joint)) for i, effect in enumerate(arm.effects)),
         "each effect once per joint",
+    )
+
+
+def _check_maps(arm: Arm) -> None:
+    driven = frozenset(drive.joint for drive in arm.drives)
+    for index, one in enumerate(arm.maps):
+
+        def fault(path: tuple[str, ...], expected: str, got: str, index: int = index) -> Rejected:
+            return Rejected(("map", index, *path), expected, got)
+
+        check_map(one, arm.joint_count, driven, fault)
+    _check_unique(
+        ((("map", i, "over"), (one.joint, one.corrects, one.over)) for i, one in enumerate(arm.maps)),
+        "each map once per joint",
     )

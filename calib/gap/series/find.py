@@ -73,9 +73,9 @@ def examine(
         *grown(finding),
     )
     names = tuple(run.name for run in recording.runs)
-    ratios = tuple(drive.gear_ratio for drive in arm.drives)
+    model = (*known, *(law for key, law in look.laws().items() if key in told_of.kept))
     return DynamicOutcome(
-        finding, (*recording.warnings, *said), rows.table, before, after, parts, names, ratios
+        finding, (*recording.warnings, *said), rows.table, before, after, parts, names, rows.physics, model
     )
 
 

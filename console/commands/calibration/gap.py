@@ -70,7 +70,7 @@ def _look(
 ) -> int:
     recordings = read_recordings(arm, points, logs, given.current_unit)
     with Bar("gap") as bar:
-        outcome = find_gap_in(arm, recordings, without, bar.advance)
+        outcome = find_gap_in(arm, recordings, without, bar.advance, given.map)
     write_gap(outcome, arm, recordings, out)
     _say(given, outcome, out)
     return 0
