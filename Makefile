@@ -25,6 +25,10 @@ demo-gap: install  ## an effect hidden in the mock arm, found, added to the mode
 drills: install  ## faults of every kind on the mock arm: how soon noticed, what moved, what was lost (docs/safety.md); some minutes
 	$(BIN)/armwright drill --mock
 
+soak: install  ## 24 simulated hours of table sessions, then an hour in real time beside busy processors; HOURS=1 MINUTES=10 for less
+	$(BIN)/python -m benchmarks.soak.stepped --hours $(or $(HOURS),24)
+	$(BIN)/python -m benchmarks.soak.realtime --minutes $(or $(MINUTES),60)
+
 lint: install  ## ruff, format check, mypy strict, import contracts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -62,6 +66,9 @@ fuzz: install .venv-fuzz/installed  ## coverage-guided fuzzing of every decoder 
 	for target in $(FUZZ_TARGETS); do echo "$$target"; PYTHONPATH=.:$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))') \
 	  .venv-fuzz/bin/python -m tests.fuzz.coverage_guided "$$target" $(FUZZ_SECONDS) || exit 1; done
 
+mutants: install  ## are the tests of the safety layer and the watches sharp? a thousand small changes of their code (docs/mutants.md), half an hour
+	$(BIN)/python -m tests.mutants.run $(MODULES)
+
 screenshots: install  ## the pictures of docs/console.md, from the mock arm without a terminal; some minutes
 	$(BIN)/python -m tests.console.screen.screenshots docs
 
@@ -81,6 +88,6 @@ lock: install  ## pin again what pyproject.toml names (needs uv)
 	uv pip compile --universal --generate-hashes --no-emit-index-url --no-header --extra dev -o requirements.lock pyproject.toml
 
 clean:  ## remove what make made
-	rm -rf .venv .venv-peers .venv-fuzz .venv-mutants out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf .venv .venv-peers .venv-fuzz out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help install demo demo-gap drills lint test format bench coverage-study solver-study fuzz screenshots arm-reference gap-score trust-study rough-score lock clean
+.PHONY: $(shell sed -n 's/^\([a-z-]*\):.*\#\#.*/\1/p' $(MAKEFILE_LIST))

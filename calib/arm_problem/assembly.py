@@ -144,13 +144,15 @@ def _orientations(arm: Arm, points: Points, choice: Choice) -> tuple[Array | Non
 def lever_m(arm: Arm, noise_rad: float | None = None) -> float:
     """Position noise over orientation noise: as stated, else the arm's [camera], else usual values."""
     camera = arm.camera
-    position = (
-        camera.position_noise_m if camera is not None and camera.position_noise_m > 0.0 else POSITION_NOISE_m
-    )
-    turn = noise_rad
-    if turn is None and camera is not None and camera.orientation_noise_rad > 0.0:
-        turn = camera.orientation_noise_rad
-    return position / (ORIENTATION_NOISE_rad if turn is None else turn)
+    has_own = camera is not None and camera.position_noise_m > 0.0
+    position = camera.position_noise_m if camera is not None and has_own else POSITION_NOISE_m
+    return position / (turn_noise_rad(arm) if noise_rad is None else noise_rad)
+
+
+def turn_noise_rad(arm: Arm) -> float:
+    """Standard deviation of measured orientations about each axis: the arm's [camera], else a usual value."""
+    own = arm.camera.orientation_noise_rad if arm.camera is not None else 0.0
+    return own if own > 0.0 else ORIENTATION_NOISE_rad
 
 
 def referenced(arm: Arm, points: Points, choice: Choice) -> Points:

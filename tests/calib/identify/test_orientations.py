@@ -13,9 +13,13 @@ from calib.arm_problem.assembly import Choice, lever_m, problem_of
 from calib.arm_problem.misread_turns import require_turns_meant
 from calib.arm_problem.posed import whole_problem
 from calib.calibration.calibrate import CalibrationPlan, calibrate
+from calib.design.information import experiment_of, uncertainty_of
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
+from calib.gap.poses.cautions import POSITIONS_ONLY, require_posed
 from calib.identify import identify
 from calib.identify.objective import objective_named
+from calib.iso9283.evaluate_poses import pose_criterion
+from calib.iso9283.recorded import pose_groups
 from calib.points.points import Points, make_points, read_points
 from calib.points.writer import write_points
 from calib.validation.turned import compare_turns
@@ -208,3 +212,42 @@ def test_a_verification_compares_orientations_with_the_target_where_it_fits_each
     assert float(np.mean(turned.after_rad)) < 2 * TURN_NOISE_rad < 0.2 * float(np.mean(turned.before_rad))
     assert "mrad before" in turned.in_words()
     assert compare_turns(arm, arm, without_orientation(points)) is None
+
+
+def test_a_plan_with_orientations_expects_to_know_more() -> None:
+    arm, _, points = session(12, tool=IN_THE_FLANGE)
+    workspace = np.random.default_rng(1).uniform(-1.5, 1.5, (50, 6))
+    rows = list(range(20))
+    alone = uncertainty_of(experiment_of(arm, points, workspace, POSITION_NOISE_m, BASE), rows)
+    with_turns = experiment_of(arm, points, workspace, POSITION_NOISE_m, BASE, TURN_NOISE_rad)
+    both = uncertainty_of(with_turns, rows)
+    assert both.log_det > alone.log_det + 10.0
+    assert both.tip_m < alone.tip_m
+    assert both.rank >= alone.rank
+
+
+def test_iso_9283_takes_the_angles_from_quaternions() -> None:
+    arm, _, points = session(13)
+    visits, turn, rng = 6, np.array([0.002, -0.001, 0.003]), np.random.default_rng(0)
+    rows = [k for k in range(2) for _ in range(visits)]
+    q = np.repeat(points.q_rad[:1], len(rows), axis=0)  # one pose under two names, turned to both sides
+    link = Rotation.from_matrix(Kinematics(arm).link_transforms(q)[:, -1, :3, :3])
+    sides = np.array([turn if k == 0 else -turn for k in rows])
+    off = Rotation.from_rotvec(sides + rng.normal(0.0, 1e-4, (len(rows), 3)))
+    seen = (off * link * Rotation.from_rotvec(TARGET)).as_quat()[:, [3, 0, 1, 2]]
+    tips = Kinematics(arm).tips(q) + rng.normal(0, 1e-4, (len(rows), 3))
+    names = [f"P{k + 1}" for k in rows]
+    made = make_points(["normal"] * len(rows), names, list(range(len(rows))), q, tips, orientation=seen)
+    groups, notes = pose_groups(made, arm, "points.csv")
+    figures = pose_criterion(groups).figures
+    for letter, angle in zip("abc", turn, strict=True):
+        values = {f.where.split()[0]: f.value for f in figures if f.symbol == f"AP_{letter}"}
+        assert sorted(values.values()) == pytest.approx(sorted([angle, -angle]), abs=2e-4)
+        assert all(f.value < 6e-4 for f in figures if f.symbol == f"RP_{letter}")
+    assert any("target where it fits" in note for note in notes)
+
+
+def test_the_gap_says_that_it_looks_at_positions_only() -> None:
+    arm, _, points = session(14)
+    assert POSITIONS_ONLY in require_posed(arm, points)
+    assert POSITIONS_ONLY not in require_posed(arm, without_orientation(points))

@@ -59,35 +59,41 @@ def test_what_cannot_be_set_is_refused_in_words(cell: Cell) -> None:
         assert "add a [[digital]]" in bare.refusal(do="digital", name="valve", level=True)
 
 
-@pytest.mark.parametrize("end", ["fault", "held fault", "off", "the host is gone"])
+@pytest.mark.parametrize("end", ["fault", "held fault", "the host is gone"])
 def test_outputs_go_to_their_safe_levels_and_stay_there(cell: Cell, end: str) -> None:
     for name, level in (("valve", True), ("lamp", False), ("vacuum", True)):
         cell.client.set_output(name, level)
     cell.run(0.05)
     assert levels(cell) == "10110"
-    if end == "off":
-        cell.client.off()
-    elif end == "the host is gone":
+    if end == "the host is gone":
         cell.rig.clock.wait_until_s(cell.rig.clock.now_s() + 0.4)
         assert list(cell.rig.pins().values())[:3] == [False, True, True]
         return
-    else:
-        cell.inject("over_temperature" if end == "fault" else "stuck_joint", "motor1")
-        if end == "held fault":
-            cell.start_move((1.0, -0.6, 0.2))
-        cell.until_fault(1.0)
+    cell.inject("over_temperature" if end == "fault" else "stuck_joint", "motor1")
+    if end == "held fault":
+        cell.start_move((1.0, -0.6, 0.2))
+    cell.until_fault(1.0)
     cell.run(0.1)
     assert list(cell.rig.pins().values())[:3] == [False, True, True]
     assert "enable first" in cell.refusal(do="digital", name="valve", level=True)
     cell.rig.clear_faults()
-    if end != "off":
-        cell.client.acknowledge()
+    cell.client.acknowledge()
     cell.client.enable()
     cell.run(0.1)
     assert levels(cell) == "01100"
     cell.client.set_output("valve", True)
     cell.run(0.05)
     assert levels(cell) == "11110"
+
+
+def test_outputs_are_not_set_while_the_drives_are_off() -> None:
+    with open_cell(arm=ARM) as off:
+        assert "enable first" in off.refusal(do="digital", name="valve", level=True)
+        off.run(0.05)
+        assert levels(off) == "00000"  # no board was told yet what its pins are
+        off.client.enable()
+        off.run(0.05)
+        assert levels(off) == "01000"
 
 
 def test_levels_of_a_silent_board_are_unknown(cell: Cell) -> None:

@@ -108,6 +108,38 @@ def test_motions_of_all_joints_that_are_wrong_at_once_are_found_on_all() -> None
     ]
 
 
+def test_a_joint_at_its_limit_is_in_order_beside_one_beyond_it() -> None:
+    def look(q_rad: list[float], speed_rad_s: list[float]) -> list[tuple[str, str]]:
+        expected = Expectation(True, True, True)
+        watch = Watch(limits_of_watch(), NAMES)
+        return said(watch.look(8.0, good(), q_rad, speed_rad_s, [0.5] * 2, [0.0] * 2, 0, expected))
+
+    assert look([0.5, 0.5], [4.0, 4.5]) == [("overspeed", "joint 2")]
+    assert look([0.5625, 0.625], [0.0, 0.0]) == [("following_error", "joint 2")]
+
+
+class Quick(Watch):
+    """A watch whose thorough look must not be needed."""
+
+    def _boards(self, now_s: float, feedback: Feedback, expected: Expectation) -> list[Fault]:
+        raise AssertionError("looked thoroughly")
+
+
+def test_a_cycle_in_order_needs_no_thorough_look() -> None:
+    watch, expected = Quick(limits_of_watch(), NAMES), Expectation(True, True, True)
+    still = [0.5, 0.5], [0.0, 0.0], [0.5, 0.5], [0.0, 0.0]
+    assert watch.look(8.0, good(), *still, 10, expected) == []
+    watch.note_pause(8.0, 0.125)
+    assert watch.look(8.0, good(7.875), *still, 0, expected) == []  # the host's own pause
+    wild = [9.0, 9.0], [9.0, 9.0], [0.5, 0.5], [0.0, 0.0]
+    assert watch.look(8.0, good(), *wild, 0, Expectation(True, True, False)) == []
+    unhomed = good()
+    unhomed.channel_flags = [ZERO_SET, QUADRATURE_ERROR]
+    assert watch.look(8.0, unhomed, *still, 0, Expectation(True, False, True)) == []
+    with pytest.raises(AssertionError, match="thoroughly"):
+        watch.look(8.0, good(), *still, 11, expected)
+
+
 def test_a_silent_encoder_board_and_a_late_loop_are_one_finding_each() -> None:
     assert said(looked(lambda feedback: setattr(feedback, "encoder_at_s", 7.9))) == [
         ("encoder_stale", "encoder board")
@@ -128,6 +160,10 @@ def test_a_fault_bit_says_what_the_document_says(bit: int) -> None:
     assert all(DRIVE_FAULTS[bit] in fault.message for fault in faults)
     two = looked(both("drive_faults", bit | 0x10))
     assert len(two) == (2 if bit == 0x10 else 4)
+
+
+def test_reactions_have_an_order_of_severity() -> None:
+    assert Reaction.CONTROLLED < Reaction.HOLD < Reaction.BRAKE
 
 
 def test_faults_that_are_not_the_zeros_leave_it() -> None:
@@ -155,6 +191,7 @@ class Witnessed:
             self.now_s += CYCLE_s
             self.feedback.reply_at_s, self.feedback.reported_at_s = [self.now_s] * 2, [self.now_s] * 2
             found = self.witnesses.look(self.now_s, CYCLE_s, self.feedback, self.speed_rad_s, self.model_A)
+        self.last = found
         return said(found)
 
     def until_found(self, most: int = 500) -> tuple[int, list[tuple[str, str]]]:
@@ -236,6 +273,33 @@ def test_a_supply_that_is_off_excuses_a_speed_that_is_off_by_as_much() -> None:
     assert arm.after(200) == []
 
 
+def test_a_supply_that_is_low_excuses_as_much_as_one_that_is_high() -> None:
+    arm = Witnessed()
+    arm.feedback.sent_V, arm.feedback.supply_V = [20.0, 20.0], [19.2, 19.2]  # a fifth below 24 V
+    arm.speed_rad_s = [4.0, 4.0]
+    assert arm.after(200) == []
+    arm.speed_rad_s = [
+        2.5,
+        2.5,
+    ]  # 10 V are missing, of which 4 V are the supply's and 2.5 V the share of the terms
+    assert arm.until_found()[1] == [("encoder_contradicted", name) for name in NAMES]
+
+
+def test_after_old_values_both_equations_wait_for_new_ones() -> None:
+    arm = Witnessed()
+    arm.feedback.sent_V[0], arm.feedback.current_A[1], arm.feedback.sent_V[1] = 4.0, 9.0, math.nan
+    arm.model_A = None
+    before, found = arm.until_found()
+    assert found == [("encoder_contradicted", "joint 1")]
+    arm.model_A = [0.0, 0.0]
+    old = arm.now_s - 0.1
+    arm.feedback.reply_at_s = [old, old]
+    look = arm.witnesses.look
+    assert not [look(arm.now_s, CYCLE_s, arm.feedback, [0.0, 0.0], arm.model_A) for _ in range(300)][-1]
+    arm.model_A = None
+    assert arm.until_found() == (before, found)
+
+
 def test_a_torque_that_the_model_does_not_explain_is_found_on_its_joint() -> None:
     arm = Witnessed()
     arm.feedback.sent_V = [math.nan] * 2
@@ -243,12 +307,22 @@ def test_a_torque_that_the_model_does_not_explain_is_found_on_its_joint() -> Non
     assert arm.after(600) == []
     arm.feedback.current_A[1] = 2.2
     assert arm.until_found()[1] == [("unexplained_torque", "joint 2")]
+    text = arm.last[0].message
+    assert "gives 4." in text  # 2 A at 2 N m an ampere
+    assert "limit 4.0 N m" in text
     arm.model_A = [0.0, 0.5]
     arm.witnesses.forget()
     assert arm.after(600) == []
+    arm.model_A = [0.0, 0.0]
+    again = arm.until_found()
     arm.model_A = None
     arm.feedback.current_A[1] = 9.0
     assert arm.after(600) == []
+    arm.feedback.current_A[1], arm.model_A = 2.2, [0.0, 0.0]
+    fresh = Witnessed()
+    fresh.feedback.sent_V, fresh.feedback.current_A[1] = [math.nan] * 2, 2.2
+    assert arm.until_found() == fresh.until_found()
+    assert again[1] == [("unexplained_torque", "joint 2")]
 
 
 def test_witnesses_that_start_anew_forget_what_they_saw() -> None:
@@ -306,6 +380,7 @@ def test_two_counts_of_one_motor_that_differ_are_found_on_its_joint_whatever_wra
     assert faults((0, 2**31 - 10), (20, -(2**31) + 10)) == []
     assert faults((32760, 0), (-32760, 16), bits=16) == []
     assert faults((32760, 0), (-32760, 16), bits=32) == one
+    assert faults((0, 0), (32768, 0), bits=16) == one  # half of what it counts, and not nothing
 
 
 def test_a_board_that_was_off_is_not_compared_with_before() -> None:
