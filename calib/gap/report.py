@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.gap.drawn_law import law_picture
 from calib.gap.finding import GapFinding, NamedEffect
 from calib.gap.ladder import in_units, ladder
 from calib.gap.maps.outcome import MapsFound
 from calib.gap.maps.pictures import map_sections
 from calib.gap.poses.outcome import StaticGap
-from calib.gap.poses.pictures import joint_picture, law_picture, places_picture, recordings_picture
+from calib.gap.poses.pictures import joint_picture, places_picture, recordings_picture
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.series.pictures import dynamic_sections
 from calib.gap.words import in_words, listed

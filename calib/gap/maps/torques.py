@@ -204,9 +204,9 @@ def _divided(signals: Signals, band: Band) -> tuple[Places, Places]:
 
 
 def _drawn(signals: Signals, band: Band, one: CorrectionMap, left_Nm: Array) -> DrawnMap:
-    table = band.mix @ signals.table(one)
-    at = signals.over(one.over)[band.at]
-    return DrawnMap(one, np.mod(at, math.tau) if one.is_periodic else at, table + left_Nm, table)
+    table, at = signals.table(one), signals.over(one.over)[band.at]
+    data = band.mix @ table + left_Nm
+    return DrawnMap(one, np.mod(at, math.tau) if one.is_periodic else at, data, table[band.at])
 
 
 def _joined(runs: tuple[Motion, ...], key: str, j: int) -> Array:

@@ -6,26 +6,11 @@ from dataclasses import dataclass
 
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask
-from calib.gap.finding import EffectName, GapFinding
+from calib.gap.drawn_law import DrawnLaw
+from calib.gap.finding import GapFinding
 from calib.gap.poses.floor import Floor
 from calib.gap.poses.recordings import Split
 from calib.points.points import Points
-
-
-@dataclass(frozen=True, slots=True)
-class DrawnLaw:
-    """A named effect over its own variable at k poses: what the data show of it, its law, and the law with its departure.
-
-    `at` (k,) with the label `variable`; data, law, whole (k,) in mrad of the joint, or mm of the tip (`unit`).
-    """
-
-    name: EffectName
-    variable: str
-    unit: str
-    at: Array
-    data: Array
-    law: Array
-    whole: Array
 
 
 @dataclass(frozen=True, slots=True)

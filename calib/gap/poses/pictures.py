@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array
-from calib.gap.poses.outcome import DrawnLaw, StaticGap
+from calib.gap.poses.outcome import StaticGap
 from calib.report.drawing import AFTER, BEFORE, PLANNED, svg
 
 if TYPE_CHECKING:
@@ -36,27 +36,6 @@ def joint_picture(gap: StaticGap, joint: int) -> str:
     """What is left along one joint (1-based) against its angle, time, load and last direction, before and after."""
     rows = 1 if len(_varying(gap, joint - 1)) < 3 else 2
     return svg((10.4, 3.2 * rows), lambda figure: _draw_joint(figure, gap, joint - 1))
-
-
-def law_picture(law: DrawnLaw) -> str:
-    """A named effect over its own variable: data, the textbook's law, and the law as this part has it."""
-    return svg((10.4, 3.6), lambda figure: _draw_law(figure, law))
-
-
-def _draw_law(figure: Figure, law: DrawnLaw) -> None:
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.07, right=0.99, top=0.97, bottom=0.14)
-    axes.plot(
-        law.at, law.data, "o", ms=2.6, color=BEFORE, alpha=0.45, mew=0, label="data, all else taken off"
-    )
-    axes.plot(law.at, law.whole, "x", ms=3.0, color=AFTER, alpha=0.7, label="law with its departure")
-    axes.plot(law.at, law.law, ".", ms=2.6, color=PLANNED, label="law")
-    reach = float(np.quantile(np.abs(law.data), SHOWN)) + 0.3 * float(np.abs(law.law).max())
-    middle = float(np.median(law.data)) if law.unit == "mm" else 0.0
-    axes.set(
-        xlabel=law.variable, ylabel=f"{law.name.effect} [{law.unit}]", ylim=(middle - reach, middle + reach)
-    )
-    axes.legend(loc="best", fontsize=7)
 
 
 def _draw_places(figure: Figure, gap: StaticGap) -> None:

@@ -133,7 +133,7 @@ def _of_others(at: Beside, j: int, n: int) -> Iterator[tuple[str, str, Array]]:
 def _windings(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
     """Of the current that the voltage drives."""
     number = scene.number("voltage_as_A", joint - 1)
-    if number is None:
+    if number is None or not len(scene.beside[number].run):  # no driver was on
         return
     at, j = scene.beside[number], joint - 1
     current, v, q = at.current_A[:, j], at.speed[:, j], at.q[:, j]

@@ -18,6 +18,7 @@ from calib.gap.series.answer import (
     stages,
     what_is_left,
 )
+from calib.gap.series.drawn_laws import drawn_laws
 from calib.gap.series.look import Look, looked
 from calib.gap.series.outcome import DynamicOutcome, doubts, floors_si, gap, grown, in_rad, in_si, left_out
 from calib.gap.series.plausible import plausible
@@ -75,7 +76,16 @@ def examine(
     names = tuple(run.name for run in recording.runs)
     model = (*known, *(law for key, law in look.laws().items() if key in told_of.kept))
     return DynamicOutcome(
-        finding, (*recording.warnings, *said), rows.table, before, after, parts, names, rows.physics, model
+        finding,
+        (*recording.warnings, *said),
+        rows.table,
+        before,
+        after,
+        parts,
+        names,
+        rows.physics,
+        model,
+        drawn_laws(look, [one.name for one in finding.effects]),
     )
 
 

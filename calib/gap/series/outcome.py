@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
+from calib.gap.drawn_law import DrawnLaw
 from calib.gap.finding import GapFinding
 from calib.gap.residuals.rows import Cell, RowTable
 from calib.gap.series.split import Picked, Split
@@ -34,6 +35,7 @@ class DynamicOutcome:
     run_names: tuple[str, ...]
     physics: Physics
     model: tuple[Law, ...]
+    laws: tuple[DrawnLaw, ...] = ()
 
     @property
     def gear_ratios(self) -> tuple[float, ...]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.arrays import Array
+from calib.gap.drawn_law import law_picture
 from calib.gap.finding import EffectName, NamedEffect
 from calib.gap.residuals.rows import Cell
 from calib.gap.series.outcome import DynamicOutcome
@@ -41,6 +42,8 @@ def dynamic_sections(outcome: DynamicOutcome) -> Iterator[Section]:
         title = f"Time series: residuals in time, run {outcome.run_names[run]}"
         text = paragraph("The run with the largest residual; rows beside reversals and gaps are not used.")
         yield Section(title, text + time_picture(outcome, run, cells))
+    for law in outcome.laws:
+        yield Section(f"Time series: {law.name}: data, law and departure", law_picture(law))
     for effect in outcome.finding.effects:
         drawn = along_picture(outcome, effect)
         if drawn:

@@ -130,3 +130,12 @@ def test_a_late_camera_is_said_and_the_answer_given_all_the_same() -> None:
     assert [str(effect.name) for effect in outcome.finding.effects] == ["viscous_friction on joint 2"]
     assert outcome.finding.unknown is None
     assert outcome.finding.gap_after < 1.3
+
+
+def test_runs_without_the_driver_end_in_an_answer_and_a_sentence() -> None:
+    def coasting(run: Run) -> Run:
+        off = np.full_like(run.voltage_V, np.nan)
+        return replace(run, voltage_V=off, current_A=np.zeros_like(run.current_A), is_commanded=True)
+
+    outcome = examine(ARM, changed(coasting))
+    assert any("voltage_as_A of joint 1" in sentence for sentence in outcome.warnings)
