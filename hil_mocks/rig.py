@@ -55,6 +55,8 @@ class MockArm(Protocol):
     @property
     def encoder_url(self) -> str: ...
     @property
+    def board_urls(self) -> dict[str, str]: ...
+    @property
     def can_interface(self) -> str: ...
     @property
     def can_channel(self) -> str: ...
@@ -108,10 +110,12 @@ class SteppedRig:
         self.robot = MockRobot(as_built, self.scenario)
         self.can_interface = "virtual"
         self.can_channel = f"armwright-{os.getpid()}-{next(_channels)}"
-        self.wires = Wires(len(self.robot.encoder_boards), self.can_interface, self.can_channel)
+        self.wires = Wires(self.robot.serial_lines, self.can_interface, self.can_channel)
         self.can_options = self.wires.can_options
         self.camera_port = self.wires.camera_port
-        self.encoder_urls = [pty.path for pty in self.wires.ptys]
+        paths = [pty.path for pty in self.wires.ptys]
+        self.encoder_urls = paths[: len(self.robot.encoder_boards)]
+        self.board_urls = dict(zip(self.robot.bought.ports, paths[len(self.encoder_urls) :], strict=True))
         self.clock: Clock = SteppedClock(self.robot, self.wires)
 
     @property

@@ -14,7 +14,8 @@ from functools import partial
 
 from control.model.description import Arm
 from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
-from hil_mocks.devices.motor_board import OPEN, Frame, Output
+from hil_mocks.bought import BoughtBoards
+from hil_mocks.devices.motor_board import BRAKE, OPEN, Frame, Output
 from hil_mocks.errors import ScenarioError
 from hil_mocks.faults import FaultPlan, Frames, Line, check_fault
 from hil_mocks.miswiring import LOOSE_PART, LooseCoupling, as_built
@@ -40,8 +41,11 @@ class MockRobot:
         self.plant = build_plant(arm, scenario)
         self._wiring = wiring_of(arm, scenario)
         self.encoder_boards = build_encoder_boards(arm, scenario, self._wiring)
+        self.bought = BoughtBoards(arm, self._wiring, lambda j: self._encoder_rad()[j])
+        self._motor_joints = [j for j in range(len(self._wiring)) if j not in self.bought.joints]
         self.motor_boards = [
-            build_motor_board(w, scenario, partial(self._motor_count, j)) for j, w in enumerate(self._wiring)
+            build_motor_board(self._wiring[j], scenario, partial(self._motor_count, j))
+            for j in self._motor_joints
         ]
         self._channels = [
             Channels(i, self._wiring, len(board.setup.counts_per_turn))
@@ -49,10 +53,14 @@ class MockRobot:
         ]
         self.camera = build_camera(arm, scenario)
         joints = range(self.plant.joints)
-        self._joint_of_node = {self._wiring[j].motor_node: j for j in joints}
+        self._board_of_node = {self._wiring[j].motor_node: at for at, j in enumerate(self._motor_joints)}
         self._encoder_names = ["encoder" + (str(i + 1) if i else "") for i in range(len(self.encoder_boards))]
-        self._motor_names = [f"motor{w.motor_node}" for w in self._wiring]
-        self.board_names = [*self._encoder_names, *self._motor_names, "camera"]
+        self._motor_names = [f"motor{self._wiring[j].motor_node}" for j in self._motor_joints]
+        self._line_names = [
+            next(name for name, line in zip(self.bought.names, self.bought.line_of, strict=True) if line == i)
+            for i in range(len(self.bought.lines))
+        ]
+        self.board_names = [*self._encoder_names, *self._motor_names, *self.bought.names, "camera"]
         for fault in scenario.fault:
             check_fault(fault, self.board_names, where)
         self._lines = {name: Line(name, scenario.seed) for name in self.board_names}
@@ -60,11 +68,21 @@ class MockRobot:
         self._polarity = [w.motor_direction for w in self._wiring]
         self._applied: list[Output] = [OPEN for _ in joints]
         self._limits_A = [math.inf for _ in joints]
-        self._serial: list[Frames] = [[] for _ in self.encoder_boards]
+        self._serial: list[Frames] = [[] for _ in (*self.encoder_boards, *self.bought.lines)]
         self._can_on_its_way: list[tuple[float, Frame]] = []
         self.can_outgoing: list[Frame] = []
         self.camera_outgoing: list[bytes] = []
         self._power_up()
+
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        """What each joint's bridge puts out."""
+        return tuple(self._applied)
+
+    @property
+    def serial_lines(self) -> int:
+        """The number of serial lines."""
+        return len(self._serial)
 
     @property
     def now_s(self) -> float:
@@ -85,20 +103,25 @@ class MockRobot:
         return self.plant.joint_rad()
 
     def from_host_serial(self, board: int, received: bytes) -> None:
-        """Process bytes from the host to an encoder board now."""
-        if not self._lines[self._encoder_names[board]].is_silent:
+        """Process bytes from the host to a serial line now: the encoder boards', then the bought boards'."""
+        line = board - len(self.encoder_boards)
+        if line >= 0:
+            if not self._lines[self._line_names[line]].is_silent:
+                self.bought.lines[line].receive(received, self.now_s)
+                self._gather_line(line)
+        elif not self._lines[self._encoder_names[board]].is_silent:
             self.encoder_boards[board].receive(received, self.now_s)
             self._gather_serial(board)
 
     def from_host_can(self, can_id: int, payload: bytes) -> None:
         """Process a frame from the host now; replies go to `can_outgoing`."""
         if can_id == 0:
-            for j in range(self.plant.joints):
-                self._to_motor_board(j, can_id, payload)
+            for at in range(len(self.motor_boards)):
+                self._to_motor_board(at, can_id, payload)
             return
-        at = self._joint_of_node.get(can_id & 0xF)
-        if at is not None:
-            self._to_motor_board(at, can_id, payload)
+        addressed = self._board_of_node.get(can_id & 0xF)
+        if addressed is not None:
+            self._to_motor_board(addressed, can_id, payload)
 
     def tick(self) -> None:
         """Advance everything by one tick."""
@@ -109,15 +132,19 @@ class MockRobot:
             self._change_faults(now_s)
         bridges, polarity = self.plant.bridges, self._polarity
         currents_A, supply_V, is_clamped = bridges.currents_A(), bridges.supply_V, bridges.is_clamped
-        for j, board in enumerate(self.motor_boards):
+        for at, (j, board) in enumerate(zip(self._motor_joints, self.motor_boards, strict=True)):
             frames = board.tick(now_s, polarity[j] * currents_A[j], supply_V[j], is_clamped[j])
             if frames:
-                self._send_can(j, frames)
+                self._send_can(at, frames)
             if board.output is not self._applied[j]:
-                self._drive(j)
+                self._apply(j, board.output, board.current_limit_A)
         if self._can_on_its_way:
             self._release_can(now_s)
         encoder_rad, joint_rad = self._encoder_rad(), self.plant.joint_rad()
+        if self.bought.lines:
+            signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
+            for j, output, limit_A in self.bought.tick(now_s, signed_A, supply_V, is_clamped, joint_rad):
+                self._apply(j, output, limit_A)
         for i, encoder in enumerate(self.encoder_boards):
             encoder.tick(now_s, *self._channels[i].seen(encoder_rad, joint_rad))
             if encoder.outgoing:
@@ -126,7 +153,7 @@ class MockRobot:
             self._look(now_s)
 
     def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes:
-        """Bytes of an encoder board that arrive at the host by now, or within `ahead_s`."""
+        """Bytes of a serial line that arrive at the host by now, or within `ahead_s`."""
         queue = self._serial[board]
         if not queue:
             return b""
@@ -164,9 +191,11 @@ class MockRobot:
             elif start.raw_counts is not None:
                 encoder.preset([start.raw_counts[j] for _, j in on_it], False)
             self._gather_serial(i)
-        for j, board in enumerate(self.motor_boards):
-            self._send_can(j, board.tick(0.0, 0.0, self.plant.bridges.supply_V[j], False))
-            self._drive(j)
+        for at, (j, board) in enumerate(zip(self._motor_joints, self.motor_boards, strict=True)):
+            self._send_can(at, board.tick(0.0, 0.0, self.plant.bridges.supply_V[j], False))
+            self._apply(j, board.output, board.current_limit_A)
+        for j in self.bought.joints:
+            self._apply(j, BRAKE, math.inf)
 
     def _motor_count(self, j: int) -> int:
         reading_rad = self.plant.encoder_rad(j)
@@ -185,22 +214,26 @@ class MockRobot:
         """Raw counts and home switches by channel of an encoder board."""
         return self._channels[board].seen(self._encoder_rad(), self.plant.joint_rad())
 
-    def _to_motor_board(self, j: int, can_id: int, payload: bytes) -> None:
-        if self._lines[self._motor_names[j]].is_silent:
+    def _to_motor_board(self, at: int, can_id: int, payload: bytes) -> None:
+        if self._lines[self._motor_names[at]].is_silent:
             return
-        board = self.motor_boards[j]
+        j, board = self._motor_joints[at], self.motor_boards[at]
         frames = board.receive(can_id, payload, self.now_s)
         if frames:
-            self._send_can(j, frames)
+            self._send_can(at, frames)
         if board.output is not self._applied[j] or board.current_limit_A != self._limits_A[j]:
-            self._drive(j)
+            self._apply(j, board.output, board.current_limit_A)
 
     def _drive(self, j: int) -> None:
-        """Apply the board's output to the motor."""
-        board, plant = self.motor_boards[j], self.plant
-        self._limits_A[j] = board.current_limit_A
-        plant.bridges.limit_current(j, self._limits_A[j])
-        kind, value = self._applied[j] = board.output
+        """Apply the last output anew: the wiring has changed."""
+        self._apply(j, self._applied[j], self._limits_A[j])
+
+    def _apply(self, j: int, output: Output, limit_A: float) -> None:
+        """Apply a board's output to the motor of a joint."""
+        plant = self.plant
+        self._limits_A[j] = limit_A
+        plant.bridges.limit_current(j, limit_A)
+        kind, value = self._applied[j] = output
         if j in self._dead:
             plant.drive_open(j)
         elif kind == "voltage":
@@ -210,8 +243,8 @@ class MockRobot:
         else:
             plant.drive_open(j)
 
-    def _send_can(self, j: int, frames: list[Frame]) -> None:
-        line = self._lines[self._motor_names[j]]
+    def _send_can(self, at: int, frames: list[Frame]) -> None:
+        line = self._lines[self._motor_names[at]]
         if not line.faults:
             self.can_outgoing += frames
             return
@@ -232,6 +265,14 @@ class MockRobot:
             self._serial[board] += line.passed(outgoing) if line.faults else outgoing
             outgoing.clear()
 
+    def _gather_line(self, line: int) -> None:
+        """Answers of a bought board's line; the faults of its first board act on its frames."""
+        outgoing = self.bought.lines[line].outgoing
+        through = self._lines[self._line_names[line]]
+        sent = through.passed(outgoing) if through.faults else outgoing
+        self._serial[len(self.encoder_boards) + line] += sent
+        outgoing.clear()
+
     def _look(self, now_s: float) -> None:
         datagrams = self.camera.tick(now_s, self.plant.tip_m)
         line = self._lines["camera"]
@@ -251,17 +292,16 @@ class MockRobot:
     def _switch(self, fault: FaultTable, is_on: bool) -> None:
         if fault.board in self._motor_names:
             self._switch_motor(fault, self._motor_names.index(fault.board), is_on)
+        elif fault.board in self.bought.names:
+            joint = self.bought.joint(fault)
+            if joint is None or not self._switch_wiring(fault, joint, is_on):
+                self.bought.switch(fault, is_on)
         elif fault.board in self._encoder_names:
             self._switch_encoder(fault, self._encoder_names.index(fault.board), is_on)
 
-    def _switch_motor(self, fault: FaultTable, j: int, is_on: bool) -> None:
-        board = self.motor_boards[j]
-        if fault.kind.startswith("says_"):
-            board.says[fault.kind] = fault.value if is_on else None
-        elif fault.kind in _FORCED:
-            bit = _FORCED[fault.kind]
-            board.forced_faults = board.forced_faults | bit if is_on else board.forced_faults & ~bit
-        elif fault.kind == "swapped_polarity":
+    def _switch_wiring(self, fault: FaultTable, j: int, is_on: bool) -> bool:
+        """Begin or end a fault between any board and its motor; False if it is another sort."""
+        if fault.kind == "swapped_polarity":
             self._polarity[j] = self._wiring[j].motor_direction * (-1 if is_on else 1)
             self._drive(j)
         elif fault.kind == "dead_motor":
@@ -271,6 +311,19 @@ class MockRobot:
             self.plant.block(j, is_on)
         elif fault.kind == "supply":
             self.plant.bridges.set_supply(j, fault.value if is_on else None)
+        else:
+            return False
+        return True
+
+    def _switch_motor(self, fault: FaultTable, at: int, is_on: bool) -> None:
+        board = self.motor_boards[at]
+        if self._switch_wiring(fault, self._motor_joints[at], is_on):
+            return
+        if fault.kind.startswith("says_"):
+            board.says[fault.kind] = fault.value if is_on else None
+        elif fault.kind in _FORCED:
+            bit = _FORCED[fault.kind]
+            board.forced_faults = board.forced_faults | bit if is_on else board.forced_faults & ~bit
         elif fault.kind == "board_reset" and is_on:
             board.power_up()
         elif fault.kind == "wrong_identity" and is_on:

@@ -64,6 +64,12 @@ class Hardware(Protocol):
     """The arm as seen by the loop; real and mock boards implement it alike."""
 
     feedback: Feedback
+    offers: frozenset[OutputMode]
+    """The modes in which every drive of the arm can be commanded."""
+
+    def attend(self, until_s: float) -> None:
+        """Wait until then; lines whose boards speak only when asked are served meanwhile."""
+        ...
 
     def read(self) -> Feedback:
         """Drain the links into `feedback`. Raises LinkLost when a link is gone, ProtocolViolation when a board misbehaves."""

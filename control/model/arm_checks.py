@@ -3,6 +3,7 @@
 from collections.abc import Hashable, Iterable
 
 from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Table
+from control.model.board_kinds import KINDS
 from control.model.effects import check_effect
 from control.model.plausible import check_plausible
 from control.model.reader import Rejected
@@ -21,6 +22,7 @@ def check_arm(arm: Arm) -> None:
     for index, drive in enumerate(arm.drives):
         _check_drive(arm, drive, index)
     _check_wiring(arm)
+    _check_boards(arm)
     _check_rest(arm)
     _check_recording(arm)
     if arm.limits.jog_silence_s > LONGEST_JOG_SILENCE_S:
@@ -64,12 +66,14 @@ def _check_wiring(arm: Arm) -> None:
     drives = list(enumerate(arm.drives))
     _check_unique(((("drive", i, "joint"), drive.joint) for i, drive in drives), "one [[drive]] per joint")
     _check_unique(
-        ((("drive", i, "motor_node"), drive.motor_node) for i, drive in drives), "one joint per motor node"
+        ((("drive", i, "motor_node"), drive.motor_node) for i, drive in drives if not drive.board),
+        "one joint per motor node",
     )
     _check_unique(
         (
             (("drive", i, "encoder_channel"), (drive.encoder_board, drive.encoder_channel))
             for i, drive in drives
+            if drive.encoder_board >= 0
         ),
         "one joint per encoder channel (board, channel)",
     )
@@ -82,6 +86,47 @@ def _check_wiring(arm: Arm) -> None:
         if boards and drive.encoder_board >= boards:
             expected = f"an encoder board below {boards}, the number of [[encoder_board]] here"
             raise Rejected(("drive", i, "encoder_board"), expected, str(drive.encoder_board))
+
+
+def _check_boards(arm: Arm) -> None:
+    """The [[board]]s, and what drives say of them."""
+    boards = list(enumerate(arm.boards))
+    _check_unique(
+        ((("board", i, "name"), board.name) for i, board in boards), "a unique name for every board"
+    )
+    _check_unique(
+        ((("board", i, "address"), (board.kind, board.port, board.address)) for i, board in boards),
+        "a unique address on its line (kind, port, address)",
+    )
+    for i, board in boards:
+        kind = KINDS[board.kind]
+        if board.address not in kind.addresses:
+            expected = f"{kind.addresses.start} to {kind.addresses.stop - 1} for kind {board.kind}"
+            raise Rejected(("board", i, "address"), expected, str(board.address))
+        if kind.line == "serial" and not board.port:
+            raise Rejected(("board", i, "port"), f"the serial port of a {board.kind}", "nothing")
+    drives = [(i, drive) for i, drive in enumerate(arm.drives) if drive.board]
+    for i, drive in drives:
+        _check_drive_board(arm, drive, ("drive", i))
+    _check_unique(
+        ((("drive", i, "board_channel"), (drive.board, drive.board_channel)) for i, drive in drives),
+        "one joint per motor of a board (board, channel)",
+    )
+
+
+def _check_drive_board(arm: Arm, drive: Drive, path: tuple[str | int, ...]) -> None:
+    if arm.board(drive) is None:
+        names = ", ".join(board.name for board in arm.boards) or "none"
+        raise Rejected((*path, "board"), f"the name of a [[board]] of this file ({names})", drive.board)
+    kind = arm.kind_of(drive)
+    if drive.board_channel > kind.motors:
+        raise Rejected((*path, "board_channel"), f"1 to {kind.motors}", str(drive.board_channel))
+    if drive.pid.mode not in kind.modes:
+        expected = f"what its board can do: {' or '.join(kind.modes)}"
+        raise Rejected((*path, "pid", "mode"), expected, drive.pid.mode)
+    if drive.encoder_board < 0 and not kind.has_encoder:
+        expected = "an encoder board, because the drive's board has no encoder of its own"
+        raise Rejected((*path, "encoder_board"), expected, "nothing")
 
 
 def _check_unique(items: Iterable[Named], expected: str) -> None:

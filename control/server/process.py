@@ -14,6 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from control.dynamics.joint_side import has_joint_side
+from control.hardware.attended_clock import AttendedClock
 from control.hardware.connect import Connection, connect
 from control.model.arm import Arm
 from control.model.description import arm_text
@@ -92,7 +93,7 @@ def run(assembly: Assembly, server: Server, clock: Clock, period_s: float, event
     assembly.requests.events = events
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: runtime.go_off(quits=True))
-    beat = PeriodicTimer(clock, period_s)
+    beat = PeriodicTimer(AttendedClock(clock, runtime.parts.hardware), period_s)
     is_running = True
     failure: Exception | None = None
     while is_running:

@@ -22,6 +22,7 @@ class Probe:
 
     def __init__(self, hardware: Hardware, clock: Clock) -> None:
         self.feedback: Feedback = hardware.feedback
+        self.offers = hardware.offers
         self.trace = Trace()
         self._hardware, self._clock = hardware, clock
         self._joint: int | None = None
@@ -43,6 +44,10 @@ class Probe:
         """End the trace."""
         self._joint = None
         return self.trace
+
+    def attend(self, until_s: float) -> None:
+        """As the hardware."""
+        self._hardware.attend(until_s)
 
     def read(self) -> Feedback:
         """As the hardware."""

@@ -53,7 +53,8 @@ def found_boards(connection: Connection) -> dict[str, list[dict[str, Any]]]:
         for motor in connection.motors
         if (who := motor.identity) is not None
     ]  # fmt: skip
-    return {"encoder_boards": encoders, "motor_boards": motors}
+    others = [{"where": where, "identity": identity} for where, identity in connection.others]
+    return {"encoder_boards": encoders, "motor_boards": motors, "boards": others}
 
 
 def described(found: dict[str, list[dict[str, Any]]]) -> str:
@@ -68,6 +69,7 @@ def described(found: dict[str, list[dict[str, Any]]]) -> str:
         f" {one['encoder_counts_per_turn']} counts per turn"
         for one in found["motor_boards"]
     ]
+    lines += [f"{one['where']}: {one['identity']}" for one in found["boards"]]
     return "\n".join(lines)
 
 

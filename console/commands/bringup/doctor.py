@@ -36,7 +36,7 @@ def run(given: argparse.Namespace) -> int:
 def examine(arm: Arm, clock: Clock, period_s: float, duration_s: float, log_folder: Path) -> list[Finding]:
     """Check this machine, then ports, boards, timing and signals; all of them, even if one fails."""
     findings = look_at_host(period_s, arm.limits.watchdog_s, arm.joint_count, log_folder) + look_at_ports()
-    boards = open_boards(arm, clock)
+    boards = open_boards(arm, clock, period_s)
     try:
         found = list(judge(sample(boards, clock, period_s, duration_s), arm))
     finally:

@@ -1,0 +1,95 @@
+"""The bought boards of a mock arm, behind its plant: which joints they drive, and what their faults do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from control.model.description import Arm
+from hil_mocks.devices.motor_board import BRAKE, Output
+from hil_mocks.devices.roboclaw import DRIVER_FAULT, E_STOP, FULL, OVER_HEATED, RoboClawLineMock, RoboClawMock
+from hil_mocks.scenario import FaultTable
+from hil_mocks.wiring import JointWiring
+
+_CHANNELS = (0, 1)
+
+
+class BoughtBoards:
+    """All RoboClaw lines of an arm. Joints 0-based; serial lines in the order of `ports`."""
+
+    def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
+        self._wiring, self._encoder_rad = wiring, encoder_rad
+        drawn = [board for board in arm.boards if board.kind == "roboclaw"]
+        self.names = [f"roboclaw{i + 1}" for i in range(len(drawn))]
+        self.ports = list(dict.fromkeys(board.port for board in drawn))
+        self._joints = {board.name: self._channels_of(arm, board.name) for board in drawn}
+        self._mocks = [RoboClawMock(board.address, self._reader(board.name)) for board in drawn]
+        self._of_mock = [self._joints[board.name] for board in drawn]
+        self.lines = [
+            RoboClawLineMock(
+                [mock for mock, board in zip(self._mocks, drawn, strict=True) if board.port == port],
+                next(board.baud for board in drawn if board.port == port),
+            )
+            for port in self.ports
+        ]
+        self.line_of = [self.ports.index(board.port) for board in drawn]
+
+    @property
+    def joints(self) -> list[int]:
+        """The joints that they drive."""
+        return [joint for joints in self._of_mock for joint in joints.values()]
+
+    def mock(self, name: str) -> RoboClawMock:
+        """A board by its name in faults, `roboclaw1` ..."""
+        return self._mocks[self.names.index(name)]
+
+    def joint(self, fault: FaultTable) -> int | None:
+        """The joint at the channel of a fault."""
+        return self._of_mock[self.names.index(fault.board)].get(fault.channel)
+
+    def tick(
+        self, now_s: float, currents_A: Sequence[float], supply_V: Sequence[float], is_clamped: Sequence[bool],
+        joint_rad: Sequence[float],
+    ) -> list[tuple[int, Output, float]]:  # fmt: skip
+        """Advance the boards; the output of each joint, and its current limit. Currents with the plant's signs."""
+        outputs: list[tuple[int, Output, float]] = []
+        for mock, joints in zip(self._mocks, self._of_mock, strict=True):
+            measured, limited, supply = [0.0, 0.0], [False, False], 24.0
+            for channel, joint in joints.items():
+                measured[channel], limited[channel] = currents_A[joint], is_clamped[joint]
+                supply = supply_V[joint]
+                mock.are_switches_on[channel] = self._wiring[joint].is_at_switch(joint_rad[joint])
+            mock.tick(now_s, measured, supply, limited)
+            for channel, joint in joints.items():
+                volts = mock.duty[channel] / FULL * supply
+                output = Output("voltage", volts) if volts else BRAKE
+                outputs.append((joint, output, mock.settings.current_limits[channel] * 0.01))
+        return outputs
+
+    def switch(self, fault: FaultTable, is_on: bool) -> None:
+        """Begin or end a fault of a board itself."""
+        mock = self.mock(fault.board)
+        errors = {
+            "e_stop": E_STOP, "over_temperature": OVER_HEATED, "over_current": DRIVER_FAULT[fault.channel % 2]
+        }  # fmt: skip
+        if fault.kind in errors:
+            bit = errors[fault.kind]
+            mock.forced_errors = mock.forced_errors | bit if is_on else mock.forced_errors & ~bit
+        elif fault.kind == "board_reset" and is_on:
+            mock.power_up()
+        elif fault.kind == "stuck_encoder":
+            mock.stuck.pop(fault.channel, None)
+            if is_on and (joint := self.joint(fault)) is not None:
+                mock.stuck[fault.channel] = self._wiring[joint].raw_count(self._encoder_rad(joint))
+
+    def _channels_of(self, arm: Arm, name: str) -> dict[int, int]:
+        """The joint at each channel of a board."""
+        return {d.board_channel - 1: j for j, d in enumerate(arm.drives) if d.board == name}
+
+    def _reader(self, name: str) -> Callable[[int], int]:
+        joints = self._joints[name]
+
+        def read(channel: int) -> int:
+            joint = joints.get(channel)
+            return 0 if joint is None else self._wiring[joint].raw_count(self._encoder_rad(joint))
+
+        return read

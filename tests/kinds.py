@@ -1,0 +1,51 @@
+"""The reference arm on each kind of board, and the period at which its loop runs."""
+
+from dataclasses import dataclass, replace
+
+from control.model.arm import Arm, Board
+from control.model.board_kinds import KINDS
+from tests.cell import RIGHT
+
+
+@dataclass(frozen=True, slots=True)
+class OnBoards:
+    """An arm, the loop's period, and what the mock calls the boards of joints 1 and 3."""
+
+    arm: Arm
+    period_s: float
+    first: str
+    last: str
+
+
+def with_roboclaws(ports: tuple[str, ...] = ("base", "elbow"), baud: int = 460_800) -> Arm:
+    """Two RoboClaws, each on a line of its own, or on one line; joints 1 and 2 on the first."""
+    is_shared = len(set(ports)) == 1
+    boards = tuple(
+        Board(f"claw{i + 1}", "roboclaw", 0x80 + (i if is_shared else 0), port, baud)
+        for i, port in enumerate(ports)
+    )
+    drives = []
+    for drive in RIGHT.drives:
+        board, channel = divmod(drive.joint - 1, KINDS["roboclaw"].motors)
+        home = drive.home and replace(drive.home, index_rad=drive.home.switch_rad, speed_rad_s=0.1)
+        drives.append(
+            replace(
+                drive,
+                board=boards[board].name,
+                board_channel=channel + 1,
+                encoder_board=-1,
+                encoder_channel=-1,
+                motor_node=-1,
+                home=home,
+            )
+        )
+    limits = replace(RIGHT.limits, stale_s=0.06)
+    return replace(
+        RIGHT, boards=boards, drives=tuple(drives), encoder_boards=(), can=None, limits=limits, path=None
+    )
+
+
+ON_BOARDS = {
+    "reference": OnBoards(RIGHT, 0.002, "motor1", "motor3"),
+    "roboclaw": OnBoards(with_roboclaws(), 0.01, "roboclaw1", "roboclaw2"),
+}
