@@ -9,11 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from control.errors import BadTarget
 from control.kinematics.inverse import InverseKinematics
+from control.kinematics.rotation import checked_quaternion
 from control.model.arm import Arm
 from control.motion.errors import PathError
 from control.motion.plan import PlannedPath
 from control.motion.plan import plan_path as planned
-from control.motion.waypoints import read_waypoints
+from control.motion.waypoints import Waypoints, read_waypoints
 
 Array = NDArray[np.float64]
 
@@ -78,29 +79,33 @@ def plan_path(
     """Plan the path of the tip through `waypoints_m` and check all of it against the arm's limits. Nothing moves.
 
     Args:
-        arm: of three joints; its geometry, limits and calibration table are respected.
-        waypoints_m: (m, 3) in the base frame, or a CSV file with the columns x_m, y_m, z_m and, optionally, speed_m_s.
+        arm: its geometry, limits and calibration table are respected.
+        waypoints_m: (m, 3) in the base frame, or (m, 7) with the unit quaternion w, x, y, z of the last link frame, or a CSV
+            file with the columns x_m, y_m, z_m and, optionally, qw, qx, qy, qz and speed_m_s.
         speed_m_s: one speed for all sections or one for each way-point; None takes the file's, else 0.1 m/s.
         near_rad: (n,) the posture nearest to this is chosen; by default the arm's rest pose.
 
     Raises:
         PathError: names the way-point, the obstacle and the amount.
-        ArmError: the arm has not three joints, or a number is not usable.
+        ArmError: a number is not usable.
     """
     waypoints = read_waypoints(waypoints_m) if isinstance(waypoints_m, str | Path) else _listed(waypoints_m)
     return Trajectory(arm, planned(arm, waypoints, speed_m_s, q_near_rad=near_rad))
 
 
-def _listed(waypoints_m: ArrayLike) -> list[list[float]]:
-    """PathError for another shape than (m, 3)."""
+def _listed(waypoints_m: ArrayLike) -> Waypoints | list[list[float]]:
+    """PathError for another shape than (m, 3) or (m, 7)."""
     try:
         array = np.asarray(waypoints_m, dtype=np.float64)
     except (TypeError, ValueError):
         raise PathError("way-points: expected numbers of shape (m, 3)") from None
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise PathError(f"way-points: expected shape (m, 3), got {array.shape}")
+    if array.ndim != 2 or array.shape[1] not in (3, 7):
+        raise PathError(f"way-points: expected shape (m, 3), or (m, 7) with orientations, got {array.shape}")
     listed: list[list[float]] = array.tolist()
-    return listed
+    if array.shape[1] == 3:
+        return listed
+    points = tuple((x, y, z) for x, y, z, *_ in listed)
+    return Waypoints(points, None, (), tuple(checked_quaternion(row[3:]) for row in listed))
 
 
 def _stacked(rows: Sequence[Sequence[float]], width: int) -> Array:

@@ -3,7 +3,7 @@
 import argparse
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,15 @@ from console.places import find_place, save_place
 from console.waiting import shown
 from control.errors import ArmError
 from control.files import read_text, write_whole
+from control.model.arm import Arm
 from control.model.description import load_arm
 from control.motion.plan import PlannedPath, plan_path
-from control.motion.waypoints import POSITION_COLUMNS, read_waypoints
+from control.motion.waypoints import ORIENTATION_COLUMNS, POSITION_COLUMNS, read_waypoints
 
 HEADER = ",".join(POSITION_COLUMNS)
+FULL_HEADER = ",".join((*POSITION_COLUMNS, *ORIENTATION_COLUMNS))
 SAME_m = 1e-4  # closer way-points are duplicates
+SAME_TURN = 1e-3  # of a quaternion's numbers: 2 mrad
 
 
 def run(given: argparse.Namespace) -> int:
@@ -31,7 +34,9 @@ def run(given: argparse.Namespace) -> int:
 def _move(given: argparse.Namespace) -> int:
     if (given.joints is None) == (given.tip is None):
         raise ArmError("move: give either --joints or --tip")
-    return _joint_move(given, given.joints, given.tip)
+    if given.orientation is not None and given.tip is None:
+        raise ArmError("move: --orientation needs --tip")
+    return _joint_move(given, given.joints, given.tip, given.orientation)
 
 
 def _go(given: argparse.Namespace) -> int:
@@ -39,16 +44,24 @@ def _go(given: argparse.Namespace) -> int:
     return _joint_move(given, place.q_rad, place.tip_m)
 
 
-def _joint_move(given: argparse.Namespace, q_rad: Any, tip_m: Any) -> int:
-    """Move to joint angles, or to the nearest ones with the tip at a position."""
+def _joint_move(given: argparse.Namespace, q_rad: Any, tip_m: Any, orientation: Any = None) -> int:
+    """Move to joint angles, or to the nearest ones with the tip at a position, and turned as asked."""
     client = connected(given)
     if q_rad is None:
-        from control.kinematics.inverse import InverseKinematics
-
-        q_rad = InverseKinematics(load_arm(given.arm)).nearest(tuple(tip_m), client.status()["joint_rad"])
+        q_rad = _nearest(load_arm(given.arm), tip_m, orientation, client.status()["joint_rad"])
     with shown(client, given):
         client.move_joints(tuple(q_rad), given.speed, waits=_waits(given))
     return 0
+
+
+def _nearest(arm: Arm, tip_m: Any, orientation: Any, q_near_rad: Any) -> tuple[float, ...]:
+    if orientation is None:
+        from control.kinematics.inverse import InverseKinematics
+
+        return InverseKinematics(arm).nearest(tuple(tip_m), q_near_rad)
+    from control.kinematics.pose_inverse import PoseInverse, TipPose
+
+    return PoseInverse(arm).nearest(TipPose.of(tip_m, orientation), q_near_rad)
 
 
 def _run(given: argparse.Namespace) -> int:
@@ -77,8 +90,9 @@ def _waits(given: argparse.Namespace) -> bool:
 def described(path: PlannedPath) -> str:
     """The plan as text."""
     angles = ", ".join(f"{q:.4f}" for q in path.q_start_rad)
+    branch = f", {path.branch}" if path.branch else ""
     lines = [
-        f"{len(path.q_waypoints_rad)} way-points in {path.duration_s:.2f} s, {path.branch}; begins at {angles} rad",
+        f"{len(path.q_waypoints_rad)} way-points in {path.duration_s:.2f} s{branch}; begins at {angles} rad",
         *map(str, path.slowdowns),
     ]
     return "\n".join(lines) + "\n"
@@ -114,40 +128,44 @@ def _mark(given: argparse.Namespace) -> int:
 
 
 def _teach(given: argparse.Namespace) -> int:
-    """Append the tip position to a way-point file, created if missing."""
+    """Append the tip's position to a way-point file, created if missing, and its orientation if the file has such columns."""
     status = connected(given).status()
     if status["tip_m"] is None:
         raise ArmError("teach: the tip position is unknown: run `armwright home`")
     file = Path(given.file)
-    lines = _way_points(file)
-    point = tuple(round(float(x), 6) for x in status["tip_m"])
-    if len(lines) > 1 and _distance_m(lines[-1], point) < SAME_m:
+    lines = _way_points(file, given.orientation)
+    row = [*status["tip_m"], *(status["tip_orientation"] if lines[0].strip() == FULL_HEADER else ())]
+    if len(lines) > 1 and _is_same(lines[-1], row):
         raise ArmError(f"teach: the tip has not moved since the last way-point of {file}")
-    row = ",".join(f"{x:.6f}" for x in point)
-    write_whole(file, "\n".join([*lines, row]) + "\n")
-    sys.stdout.write(f"way-point {len(lines)} in {file}: {row}\n")
+    text = ",".join(f"{float(x):.6f}" for x in row)
+    write_whole(file, "\n".join([*lines, text]) + "\n")
+    sys.stdout.write(f"way-point {len(lines)} in {file}: {text}\n")
     return 0
 
 
-def _way_points(file: Path) -> list[str]:
+def _way_points(file: Path, has_orientation: bool) -> list[str]:
+    wanted = FULL_HEADER if has_orientation else HEADER
     if not file.exists():
-        return [HEADER]
+        return [wanted]
     try:
         lines = [line for line in read_text(file).splitlines() if line.strip()]
     except UnicodeDecodeError as error:
         raise ArmError(f"teach: {file}: not UTF-8 text (byte {error.start}): give another file") from None
-    if lines and lines[0].strip() != HEADER:
+    headers = (FULL_HEADER,) if has_orientation else (HEADER, FULL_HEADER)
+    if lines and lines[0].strip() not in headers:
         raise ArmError(
-            f"teach: {file}: expected the header {HEADER}, got {lines[0][:80]!r}: give another file"
+            f"teach: {file}: expected the header {' or '.join(headers)}, got {lines[0][:80]!r}: give another file"
         )
-    return lines or [HEADER]
+    return lines or [wanted]
 
 
-def _distance_m(line: str, point: tuple[float, ...]) -> float:
+def _is_same(line: str, row: Sequence[float]) -> bool:
     try:
-        return math.dist([float(x) for x in line.split(",")], point)
+        last = [float(x) for x in line.split(",")]
     except ValueError:
-        return math.inf
+        return False
+    is_turned = any(abs(a - b) > SAME_TURN for a, b in zip(last[3:], row[3:], strict=False))
+    return math.dist(last[:3], row[:3]) < SAME_m and not is_turned
 
 
 MOTIONS: Mapping[str, Callable[[argparse.Namespace], int]] = {

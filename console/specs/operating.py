@@ -78,6 +78,13 @@ OPERATING = (
                 metavar=("X", "Y", "Z"),
                 help="tip position in the base frame in m",
             ),
+            option(
+                "--orientation",
+                type=finite,
+                nargs=4,
+                metavar=("QW", "QX", "QY", "QZ"),
+                help="with --tip: orientation of the last link frame in the base frame, a unit quaternion",
+            ),
             MOVE_SPEED,
         ),
         "Give one of --joints and --tip.",
@@ -89,7 +96,9 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option("file", metavar="FILE", help="CSV with x_m,y_m,z_m and optionally speed_m_s"),
+            option(
+                "file", metavar="FILE", help="CSV with x_m,y_m,z_m and optionally qw,qx,qy,qz and speed_m_s"
+            ),
             option("--speed", type=finite, metavar="M_S", help="one speed for all way-points, in m/s"),
             option("--plan-only", action="store_true", help="check and print the plan; needs no runtime"),
         ),
@@ -116,6 +125,7 @@ OPERATING = (
             ARM,
             SOCKET,
             option("file", metavar="FILE", help="CSV for `armwright run`; created if missing"),
+            option("--orientation", action="store_true", help="with the tip's orientation, in a new file"),
         ),
         (
             "Guide the arm by hand (`armwright guide`), teach, repeat; then `armwright hold`. `run` moves gently to the"

@@ -44,3 +44,20 @@ def jump(name: str, point: Sequence[float], travel_rad: float, limit_rad: float)
         f"{limit_rad} rad): the path passes a singular pose, or its points are too far apart"
     )
     return NearSingular(message, "arm", travel_rad, limit_rad, "rad")
+
+
+def not_turned(name: str, target: str, joint_count: int, off_rad: float) -> OutOfReach:
+    """Return the error for an orientation that the joints cannot give at a position."""
+    message = (
+        f"arm {name}: its {joint_count} joints cannot turn the tip to {target}: {off_rad:.4f} rad off at best; choose another"
+        " orientation, or leave it out"
+    )
+    return OutOfReach(message, 0.0)
+
+
+def beyond_range(name: str, target: str, beyond_rad: float) -> OutOfReach:
+    """Return the error for a target that only poses outside of the joints' ranges reach."""
+    message = (
+        f"arm {name}: {target} needs a joint {beyond_rad:.4f} rad beyond its range; choose another target"
+    )
+    return OutOfReach(message, 0.0)

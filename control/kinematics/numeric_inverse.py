@@ -1,10 +1,10 @@
-"""Inverse kinematics of the position for any arm: damped least squares from several starting poses.
+"""Inverse kinematics for any arm: damped least squares from several starting poses.
 
-Levenberg-Marquardt on the tip's position error, with the joint limits as bounds (Siciliano et al., Robotics, 3.5;
+Levenberg-Marquardt on the tip's error, with the joint limits as bounds (Siciliano et al., Robotics, 3.5;
 Nocedal and Wright, Numerical Optimization, 10.3).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,8 @@ from control.kinematics.kinematics import Kinematics
 from control.kinematics.newton import ACCURACY_M
 
 Array = NDArray[np.float64]
+Residual = Callable[[Array], tuple[Array, Array]]
+"""The tip's error (k,) [m] in a pose, and the tip's Jacobian (k, n) [m/rad]."""
 _STEPS = 100
 _SEEDS = 12
 _STALLED = 1e-12  # converged if a step reduces the error by less than this share
@@ -28,28 +30,36 @@ class Descent:
 
 
 def descend(kinematics: Kinematics, point: Sequence[float], start: Sequence[float], limits: Array) -> Descent:
-    """Return the result of one descent from `start` within limits (n, 2)."""
-    lower, upper = limits[:, 0], limits[:, 1]
+    """Return the result of one descent to a tip position from `start` within limits (n, 2)."""
     target = np.asarray(point, dtype=np.float64)
+
+    def residual(q: Array) -> tuple[Array, Array]:
+        tip, rows = kinematics.tip_jacobian(*q.tolist())
+        return target - np.asarray(tip), np.asarray(rows, dtype=np.float64)
+
+    return descended(residual, start, limits)
+
+
+def descended(residual: Residual, start: Sequence[float], limits: Array) -> Descent:
+    """Return the result of one descent of a residual from `start` within limits (n, 2)."""
+    lower, upper = limits[:, 0], limits[:, 1]
     q = np.clip(np.asarray(start, dtype=np.float64), lower, upper)
-    tip, rows = kinematics.tip_jacobian(*q.tolist())
-    error = target - tip
+    error, jacobian = residual(q)
     damping = 1e-6
     for _ in range(_STEPS):
         if error @ error < (0.1 * ACCURACY_M) ** 2:
             break
-        jacobian = np.asarray(rows)
-        hessian = jacobian.T @ jacobian
+        hessian: Array = jacobian.T @ jacobian
         hessian[np.diag_indices_from(hessian)] += damping
-        step = _inside(
-            np.linalg.solve(hessian, jacobian.T @ error), q, hessian, jacobian.T @ error, lower, upper
-        )
+        gradient: Array = jacobian.T @ error
+        free: Array = np.asarray(np.linalg.solve(hessian, gradient), dtype=np.float64)
+        step = _inside(free, q, hessian, gradient, lower, upper)
         tried = np.clip(q + step, lower, upper)
-        tip, rows_tried = kinematics.tip_jacobian(*tried.tolist())
-        gain = error @ error - (target - tip) @ (target - tip)
+        error_tried, jacobian_tried = residual(tried)
+        gain = error @ error - error_tried @ error_tried
         if gain > 0.0:
             is_stalled = gain < _STALLED * (error @ error)
-            q, rows, error, damping = tried, rows_tried, target - tip, max(damping * 0.2, 1e-12)
+            q, error, jacobian, damping = tried, error_tried, jacobian_tried, max(damping * 0.2, 1e-12)
             if is_stalled:
                 break
         else:
@@ -70,13 +80,15 @@ def _inside(step: Array, q: Array, hessian: Array, gradient: Array, lower: Array
     return result
 
 
-def seeds(limits: Array, first: Sequence[Sequence[float]]) -> Iterator[tuple[float, ...]]:
+def seeds(
+    limits: Array, first: Sequence[Sequence[float]], scattered: int = _SEEDS
+) -> Iterator[tuple[float, ...]]:
     """Yield starting poses: those given, the middle of the ranges, then fixed random poses."""
     for q in first:
         yield tuple(q)
     lower = np.where(np.isfinite(limits[:, 0]), limits[:, 0], -np.pi)
     upper = np.where(np.isfinite(limits[:, 1]), limits[:, 1], np.pi)
     yield tuple((0.5 * (lower + upper)).tolist())
-    scatter = np.random.default_rng(0).uniform(lower, upper, (_SEEDS, len(limits)))
+    scatter = np.random.default_rng(0).uniform(lower, upper, (scattered, len(limits)))
     for q in scatter.tolist():
         yield tuple(q)

@@ -264,6 +264,8 @@ class Limits:
     """Limits that the loop enforces (docs/safety.md). A joint's following error may be `a + b |speed|`."""
 
     tip_speed_m_s: Annotated[Positive, TIP_SPEED, "of the tip, in plans"] = 1.0
+    tip_turn_speed_rad_s: Annotated[Positive, JOINT_SPEED, "of the tip's orientation, in plans"] = 2.0
+    tip_turn_acceleration_rad_s2: Annotated[Positive, "of the tip's orientation, in plans"] = 20.0
     following_error_rad: Annotated[float, FOLLOWING, "largest error of a joint at rest"] = 0.05
     following_error_per_speed_s: Annotated[
         float, LAG, "this much more with every rad/s of set-point speed"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
-from control.model.arm import Arm
+from control.model.arm import Arm, Limits
 from control.motion.errors import PathError
 from control.motion.joint_limits import JointLimits
 from control.motion.samples import Array, JointSamples, TipSamples
@@ -114,13 +114,24 @@ def check_clearance(
         _require(height >= -TOUCH_TOLERANCE_M, waypoints, times_s, tip, say, height)
 
 
-def demands(tip: TipSamples, joints: JointSamples, limits: JointLimits, tip_speed_m_s: float) -> list[Demand]:
+def demands(tip: TipSamples, joints: JointSamples, limits: JointLimits, of_tip: Limits) -> list[Demand]:
     """How much slower the path must be for each limit: speed scales with 1/k, acceleration 1/k^2, jerk 1/k^3.
 
     Jerk is that within a section; the steps of acceleration at way-points are bounded by the acceleration
     limit.
     """
-    found = [Demand("tip speed", np.linalg.norm(tip.velocity_m_s, axis=1) / tip_speed_m_s)]
+    found = [Demand("tip speed", np.linalg.norm(tip.velocity_m_s, axis=1) / of_tip.tip_speed_m_s)]
+    if tip.turn is not None:
+        speed, acceleration = (
+            np.linalg.norm(rate, axis=1) for rate in (tip.turn.velocity_rad_s, tip.turn.acceleration_rad_s2)
+        )
+        found += [
+            Demand("turning speed of the tip", speed / of_tip.tip_turn_speed_rad_s),
+            Demand(
+                "turning acceleration of the tip",
+                np.sqrt(acceleration / of_tip.tip_turn_acceleration_rad_s2),
+            ),
+        ]
     jerk = _jerk(tip, joints.acceleration_rad_s2)
     for j in range(joints.q_rad.shape[1]):
         name = f"joint {j + 1}"

@@ -10,12 +10,19 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain, pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
 from control.motion.setpoint import SetPoint
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Number = TypeVar("Number", float, NDArray[np.float64])
+else:
+    Number = TypeVar("Number")
 Coefficients = tuple[float, float, float, float, float, float]
 _ROUNDING = 1e-6  # of a limit
 _KNOTS_MOST = 10_000  # some minutes at 25 ms: the request stays below the server's longest line
@@ -48,7 +55,7 @@ class JointPath:
         h = self.times_s[k + 1] - self.times_s[k]
         if k != self._at:
             self._section = tuple(
-                _quintic(h, *ends) for ends in zip(*self.knots[k], *self.knots[k + 1], strict=True)
+                quintic(h, *ends) for ends in zip(*self.knots[k], *self.knots[k + 1], strict=True)
             )
             self._at = k
         return _sampled(self._section, (time_s - self.times_s[k]) / h, h)
@@ -113,8 +120,10 @@ def _require_path(times_s: Sequence[float], knots: Sequence[SetPoint]) -> None:
         raise MotionError("joint path: expected it to begin and to end at rest")
 
 
-def _quintic(h: float, q0: float, v0: float, a0: float, q1: float, v1: float, a1: float) -> Coefficients:
-    """Coefficients over s = 0 .. 1 of a section that takes h seconds."""
+def quintic(
+    h: Number, q0: Number, v0: Number, a0: Number, q1: Number, v1: Number, a1: Number
+) -> tuple[Number, Number, Number, Number, Number, Number]:
+    """Coefficients over s = 0 .. 1 of a section that takes h seconds, from angle, speed and acceleration at both ends."""
     v0, v1, a0, a1 = h * v0, h * v1, h * h * a0, h * h * a1
     d = q1 - q0
     return (

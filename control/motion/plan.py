@@ -9,32 +9,39 @@ excess of a few per mille is removed by slowing the whole path.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from control.errors import ArmError
-from control.kinematics.inverse import Branch, InverseKinematics, Solution
+from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
+from control.kinematics.pose_inverse import PoseInverse
+from control.kinematics.pose_kinematics import PoseKinematics
 from control.model.arm import Arm
 from control.motion import checks
 from control.motion.errors import PathError
+from control.motion.following.by_posture import PostureFollower
+from control.motion.following.follower import Followed, Follower, Pose, Start
+from control.motion.following.on_branch import BranchFollower
+from control.motion.following.orientation import turns_rad
+from control.motion.following.sections import BOUND_M, BOUND_RAD, JointSections, joint_sections
 from control.motion.joint_limits import JointLimits
+from control.motion.joint_path import JointPath
 from control.motion.path import CartesianPath
-from control.motion.samples import Array, JointSamples, TipSamples, interpolated, sample_tip, solve_joints
+from control.motion.samples import Array, JointSamples, TipSamples
+from control.motion.setpoint import Motion
 from control.motion.spline import DEFAULT_PACE_M_S, CartesianSpline, TimedWaypoints, checked_points, timed
 from control.motion.waypoints import Waypoints
 
-Pose = tuple[float, ...]
 _CHECK_RATE_HZ = 500.0
-_LEAST_SAMPLES = 12  # of a section, however short
-_SEED_STEP_M = 0.02  # the batch starts from scalar solutions at most this far apart
 # A round applies only this power of the required factor: neighbouring sections slow each other, and full
 # steps end up to twice as slow as needed. Measured on fast circles and lines: 0.4 comes within a tenth of
 # the slow optimum.
 _CAUTION = 0.4
 _ROUNDS = 20
+_STARTS = 4  # poses at the first way-point that are tried: the branches of a three-joint arm
 _NEAR_ENOUGH = 1.003  # the rest is removed by slowing the whole path
 
 
@@ -52,12 +59,16 @@ class Slowdown:
 
 @dataclass(frozen=True, slots=True)
 class PlannedPath:
-    """A path that this arm can run. Poses are at the spline's times, all on one branch."""
+    """A path that this arm can run. Poses are at the spline's times, all on one branch.
+
+    `joints`: the joints' own path, of an arm whose tip position alone does not fix its joint angles. The loop then runs that.
+    """
 
     spline: CartesianSpline
     q_waypoints_rad: tuple[Pose, ...]
     branch: str
     slowdowns: tuple[Slowdown, ...] = ()
+    joints: JointPath | None = None
 
     @property
     def duration_s(self) -> float:
@@ -69,12 +80,16 @@ class PlannedPath:
         """Joint angles at the first way-point, where the approach ends."""
         return self.q_waypoints_rad[0]
 
-    def motion(self, inverse: InverseKinematics, kinematics: Kinematics) -> CartesianPath:
+    def motion(self, inverse: InverseKinematics, kinematics: Kinematics) -> Motion:
         """The motion for the loop."""
+        if self.joints is not None:
+            return self.joints
         return CartesianPath(self.spline, inverse, kinematics, self.q_waypoints_rad)
 
     def to_message(self) -> dict[str, Any]:
-        """Plain lists and strings, for JSON."""
+        """Plain lists and strings, for JSON; of the joints' own path (JointPath.to_message) where there is one."""
+        if self.joints is not None:
+            return self.joints.to_message()
         return {
             "spline": self.spline.to_message(),
             "q_waypoints_rad": [list(q) for q in self.q_waypoints_rad],
@@ -97,14 +112,6 @@ class PlannedPath:
         if len(poses) != len(spline.times_s) or not np.isfinite(np.array(poses, dtype=np.float64)).all():
             raise PathError(f"path message: expected {len(spline.times_s)} finite poses, got {len(poses)}")
         return PlannedPath(spline, poses, branch, slowdowns)
-
-
-def require_paths(arm: Arm) -> None:
-    """PathError if this arm cannot run Cartesian paths: to be called before anything moves or is recorded."""
-    if arm.joint_count != 3:
-        raise PathError(
-            f"arm {arm.name}: Cartesian paths need 3 joints, it has {arm.joint_count}; use joint moves"
-        )
 
 
 def plan_path(
@@ -133,92 +140,79 @@ def plan_path(
     Raises:
         ArmError: the path cannot be run; names the obstacle, the way-point and the amount.
     """
-    kinematics = kinematics or Kinematics(arm)
-    inverse = inverse or InverseKinematics(arm)
-    require_paths(arm)
     named = (
         waypoints if isinstance(waypoints, Waypoints) else Waypoints(tuple(checked_points(waypoints)), None)
     )
-    recipe = timed(named.points, named.speeds_m_s if speeds is None else speeds, pace_m_s=pace_m_s)
-    planner = _Planner(arm, kinematics, inverse, named, setup)
+    turns = turns_rad(named.orientations) if named.orientations is not None else ()
+    asked = named.speeds_m_s if speeds is None else speeds
+    recipe = timed(named.points, asked, pace_m_s=pace_m_s, turns_rad=turns)
+    kinematics = kinematics or Kinematics(arm)
+    follower = _follower(arm, named, inverse, kinematics)
+    planner = _Planner(arm, kinematics, follower, named, setup)
+    rest = arm.rest.q_rad if arm.rest else (0.0,) * arm.joint_count
     problems: list[ArmError] = []
-    for branch, q_start in _starts(arm, inverse, named, q_near_rad):
+    for start in islice(follower.starts(rest if q_near_rad is None else q_near_rad), _STARTS):
         try:
-            return planner.plan(recipe, branch, q_start)
+            return planner.plan(recipe, start)
         except ArmError as problem:
             problems.append(problem)
     raise problems[0]
+
+
+def _follower(
+    arm: Arm, waypoints: Waypoints, inverse: InverseKinematics | None, kinematics: Kinematics
+) -> Follower:
+    """Positions of three joints have branches or scalar solutions; everything else follows a posture."""
+    if arm.joint_count == 3 and waypoints.orientations is None:
+        return BranchFollower(inverse or InverseKinematics(arm), kinematics, waypoints)
+    return PostureFollower(arm, PoseInverse(arm, PoseKinematics(kinematics)), waypoints)
 
 
 class _Planner:
     """Tries the path of one arm through one set of way-points on a branch."""
 
     def __init__(
-        self, arm: Arm, kinematics: Kinematics, inverse: InverseKinematics, waypoints: Waypoints, setup: str
+        self, arm: Arm, kinematics: Kinematics, follower: Follower, waypoints: Waypoints, setup: str
     ) -> None:
-        self._arm, self._kinematics, self._inverse = arm, kinematics, inverse
+        self._arm, self._kinematics, self._follower = arm, kinematics, follower
         self._waypoints, self._setup = waypoints, setup
         self._limits = JointLimits.of(arm)
 
-    def plan(self, recipe: TimedWaypoints, branch: Branch | None, q_start: Pose) -> PlannedPath:
-        """Check, slow, check again; PathError if the path cannot be run from `q_start`."""
-        if branch is not None:
-            self._check_waypoints(branch)
+    def plan(self, recipe: TimedWaypoints, start: Start) -> PlannedPath:
+        """Check, slow, check again; PathError if the path cannot be run from `start`."""
+        self._follower.check(start)
         asked = np.diff(recipe.spline().times_s)
         causes: dict[int, tuple[float, int, str]] = {}
         for _ in range(_ROUNDS):
             spline = recipe.spline()
-            tip, joints, _ = self._sampled(recipe, spline, q_start, 0.0)
-            factors = self._factors(spline, tip, joints, causes)
+            seen = self._follower.follow(recipe, spline, start, 0.0)
+            factors = self._factors(spline, seen.tip, seen.joints, causes)
             if (factors <= _NEAR_ENOUGH).all():
                 break
             recipe = recipe.slowed((np.maximum(factors, 1.0) ** _CAUTION).tolist())
         spline = recipe.spline()
-        tip, joints, poses = self._sampled(recipe, spline, q_start, _CHECK_RATE_HZ)
-        self._check(spline, tip, joints)
-        rest = float(self._factors(spline, tip, joints, causes).max())
+        seen = self._follower.follow(recipe, spline, start, _CHECK_RATE_HZ)
+        self._check(spline, seen.tip, seen.joints)
+        rest = max(float(self._factors(spline, seen.tip, seen.joints, causes).max()), 1.0)
         spline = spline.stretched(rest) if rest > 1.0 else spline
         taken = np.diff(spline.times_s) / asked
-        slowdowns = [
+        slowdowns = tuple(
             Slowdown(float(taken[i]), number, limit) for i, (_, number, limit) in sorted(causes.items())
-        ]
-        return PlannedPath(spline, poses, str(branch or ""), tuple(slowdowns))
+        )
+        joints = self._joint_path(seen, rest)
+        return PlannedPath(spline, seen.at_waypoints, str(start.branch or ""), slowdowns, joints)
 
-    def _check_waypoints(self, branch: Branch) -> None:
-        """Raise PathError for the first way-point that the branch does not reach."""
-        for number, point in enumerate(self._waypoints.points, 1):
-            try:
-                self._inverse.solve(point, branch)
-            except ArmError as problem:
-                raise PathError(
-                    f"{self._waypoints.name(number)}: {problem}; nothing was moved", number
-                ) from problem
-
-    def _sampled(
-        self, recipe: TimedWaypoints, spline: CartesianSpline, q_start: Pose, rate_Hz: float
-    ) -> tuple[TipSamples, JointSamples, tuple[Pose, ...]]:
-        """Tip and joints all along the path, and the poses at the way-points."""
-        tip = sample_tip(spline, rate_Hz, _LEAST_SAMPLES)
-        times, poses, at_waypoints = self._followed(recipe, spline, q_start)
-        return tip, solve_joints(self._kinematics, tip, interpolated(tip.times_s, times, poses)), at_waypoints
-
-    def _followed(
-        self, recipe: TimedWaypoints, spline: CartesianSpline, q_start: Pose
-    ) -> tuple[list[float], list[Pose], tuple[Pose, ...]]:
-        """Times and poses followed along the path in small steps from `q_start`, and at the way-points."""
-        times, poses, at_waypoints = [0.0], [q_start], [q_start]
-        for length, (start, end) in zip(recipe.lengths_m, pairwise(spline.times_s), strict=True):
-            steps = 2 + int(length / _SEED_STEP_M)
-            for k in range(1, steps + 1):
-                time = end if k == steps else start + (end - start) * k / steps
-                try:
-                    poses.append(tuple(self._inverse.follow(spline.at(time)[0], poses[-1])))
-                except ArmError as problem:
-                    where, number = checks.place(self._waypoints, spline.times_s, time)
-                    raise PathError(f"{where}: {problem}; nothing was moved", number) from problem
-                times.append(time)
-            at_waypoints.append(poses[-1])
-        return times, poses, tuple(at_waypoints)
+    def _joint_path(self, seen: Followed, stretch: float) -> JointPath | None:
+        """The joints' own path; None if the loop can follow the tip's."""
+        if seen.joints.jacobian is None:
+            return None
+        sections: JointSections = joint_sections(seen.tip, seen.joints, seen.joints.jacobian, stretch)
+        if sections.off_m > BOUND_M or sections.off_rad > BOUND_RAD:
+            raise PathError(
+                f"the path turns so sharply that joint sections miss it by {sections.off_m:.2g} m and {sections.off_rad:.2g} rad"
+                f" (at most {BOUND_M:g} m and {BOUND_RAD:g} rad): run it slower; nothing was moved"
+            )
+        return sections.path
 
     def _check(self, spline: CartesianSpline, tip: TipSamples, joints: JointSamples) -> None:
         """Checks that do not depend on speed."""
@@ -235,7 +229,7 @@ class _Planner:
         causes: dict[int, tuple[float, int, str]],
     ) -> Array:
         """How much slower each section has to be (n,); `causes` gets the decisive limit and its place."""
-        found = checks.demands(tip, joints, self._limits, self._arm.limits.tip_speed_m_s)
+        found = checks.demands(tip, joints, self._limits, self._arm.limits)
         stacked = np.stack([demand.factors for demand in found])
         worst, limit = stacked.max(axis=0), stacked.argmax(axis=0)
         factors = np.zeros(len(spline.times_s) - 1)
@@ -246,23 +240,3 @@ class _Planner:
             if factors[section] > causes.get(int(section), (1.0, 0, ""))[0]:
                 causes[int(section)] = (float(factors[section]), number, found[limit[sample]].limit)
         return factors
-
-
-def _starts(
-    arm: Arm, inverse: InverseKinematics, waypoints: Waypoints, q_near_rad: Sequence[float] | None
-) -> list[tuple[Branch | None, Pose]]:
-    """Branches that reach the first way-point and their poses, within limits first, then nearest first."""
-    near = (
-        q_near_rad if q_near_rad is not None else (arm.rest.q_rad if arm.rest else (0.0,) * arm.joint_count)
-    )
-    try:
-        if not inverse.has_branches:
-            return [(None, inverse.nearest(waypoints.points[0], near))]
-        solutions = inverse.branches(waypoints.points[0])
-    except ArmError as problem:
-        raise PathError(f"{waypoints.name(1)}: {problem}; nothing was moved", 1) from problem
-
-    def distance(solution: Solution) -> tuple[bool, float]:
-        return not solution.within_limits, max(abs(a - b) for a, b in zip(solution.q, near, strict=True))
-
-    return [(solution.branch, solution.q) for solution in sorted(solutions, key=distance)]

@@ -17,10 +17,20 @@ _LONGEST_STEP_RAD = 0.3
 
 
 @dataclass(frozen=True, slots=True)
+class TurnSamples:
+    """The tip's rotation (m, 3, 3), angular velocity and acceleration (m, 3) in the base frame."""
+
+    rotation: Array
+    velocity_rad_s: Array
+    acceleration_rad_s2: Array
+
+
+@dataclass(frozen=True, slots=True)
 class TipSamples:
     """Times (m,), section of each (m,), and tip position, velocity, acceleration (m, 3) in the base frame.
 
-    Each section is sampled from end to end, so that way-points appear twice and both one-sided accelerations.
+    Each section is sampled from end to end, so that way-points appear twice and both one-sided accelerations. `turn`: None if
+    the orientation is free.
     """
 
     times_s: Array
@@ -28,17 +38,23 @@ class TipSamples:
     position_m: Array
     velocity_m_s: Array
     acceleration_m_s2: Array
+    turn: TurnSamples | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class JointSamples:
-    """Joint angles, speeds and accelerations (m, 3) at the samples; `is_solved` (m,): the pose exists."""
+    """Joint angles, speeds and accelerations (m, n) at the samples; `is_solved` (m,): the pose exists.
+
+    `off` (m, 6): where the joints cannot hold all, position [m] and orientation [rad] wanted minus actual; `jacobian` (m, 6, n).
+    """
 
     q_rad: Array
     speed_rad_s: Array
     acceleration_rad_s2: Array
     smallest_singular_m: Array
     is_solved: NDArray[np.bool_]
+    off: Array | None = None
+    jacobian: Array | None = None
 
 
 def sample_tip(spline: CartesianSpline, rate_Hz: float, least: int) -> TipSamples:

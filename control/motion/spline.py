@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from typing import Any
 
+from control.kinematics.pose_solver import TURN_LENGTH_M
 from control.motion import timing
 from control.motion.errors import PathError
 from control.motion.setpoint import Vector
@@ -21,6 +22,7 @@ from control.motion.setpoint import Vector
 DEFAULT_PACE_M_S = 0.1
 _REST: Vector = (0.0, 0.0, 0.0)
 _COINCIDENT_M = 1e-6  # closer way-points are duplicates; the encoders do not resolve more
+_COINCIDENT_RAD = 1e-3  # a smaller turn in place is a duplicate
 
 
 class CartesianSpline:
@@ -126,7 +128,7 @@ class TimedWaypoints:
 
     `speeds_m_s` at the n + 1 points, after corners and rest; `paces_m_s` of the n sections, see
     `section_times`. `slowed_corners`: 1-based way-points whose corner does not allow the speed asked for,
-    with the share allowed.
+    with the share allowed. `turns_rad` of the sections if the tip also turns; a section counts as long as `_counted` says.
     """
 
     points: tuple[Vector, ...]
@@ -136,6 +138,7 @@ class TimedWaypoints:
     paces_m_s: tuple[float, ...]
     is_acceleration_continuous: bool
     slowed_corners: tuple[tuple[int, float], ...] = ()
+    turns_rad: tuple[float, ...] = ()
 
     def spline(self) -> CartesianSpline:
         """The cubics through the points at these speeds."""
@@ -145,7 +148,8 @@ class TimedWaypoints:
             for speed, t in zip(self.speeds_m_s, self.tangents, strict=True)
         ]
         if self.is_acceleration_continuous:
-            velocities = timing.continuous_velocities(self.points, times, velocities[0], velocities[-1])
+            joined = timing.continuous_velocities(self.points, times, velocities[0], velocities[-1])
+            velocities = [(x, y, z) for x, y, z in joined]
         return hermite(self.points, velocities, times)
 
     def slowed(self, factors: Sequence[float]) -> "TimedWaypoints":
@@ -164,18 +168,20 @@ def timed(
     *,
     pace_m_s: float = DEFAULT_PACE_M_S,
     ends_at_rest: bool = True,
+    turns_rad: Sequence[float] = (),
 ) -> TimedWaypoints:
     """Way-points (n + 1 of x, y, z [m]) with speeds [m/s]: one for all, one each, or None.
 
     With None the sections take the time of `pace_m_s`, and the velocities make the acceleration continuous.
     With `ends_at_rest` the path starts and ends at rest whatever `speeds` says there. Corners lower a speed
-    that would make loops, see timing.py.
+    that would make loops, see timing.py. `turns_rad`: by how much the tip turns in each of the n sections; a point may then
+    follow itself, and the tip turns in place.
 
     Raises:
         PathError: fewer than two points, coincident neighbours, not finite, impossible speeds; names the
         way-point.
     """
-    points = checked_points(waypoints)
+    points = checked_points(waypoints, turns_rad)
     asked = _checked_speeds(len(points), pace_m_s if speeds is None else speeds)
     # On an acceleration-continuous path the tridiagonal system shapes the corners; the factors only set its
     # times.
@@ -192,18 +198,31 @@ def timed(
                 i + 1,
             )
     tangents = timing.tangents(points)
+    lengths = timing.arc_lengths(points, tangents)
+    counted = _counted(lengths, turns_rad)
+    for i, (length, as_long) in enumerate(zip(lengths, counted, strict=True)):
+        if as_long > length:  # the tip turns more than it moves: it passes both ends slower
+            actual[i : i + 2] = [min(speed, length / as_long * paces[i]) for speed in actual[i : i + 2]]
     corners = [
         (i + 1, factors[i]) for i in range(1, len(points) - 1) if factors[i] < 1.0 - 1e-9 and asked[i] > 0.0
     ]
     return TimedWaypoints(
         points=tuple(points),
         tangents=tuple(tangents),
-        lengths_m=tuple(timing.arc_lengths(points, tangents)),
+        lengths_m=tuple(counted),
         speeds_m_s=tuple(actual),
         paces_m_s=tuple(paces),
-        is_acceleration_continuous=speeds is None,
+        is_acceleration_continuous=speeds is None and counted == lengths,
         slowed_corners=() if speeds is None else tuple(corners),
+        turns_rad=tuple(turns_rad),
     )
+
+
+def _counted(lengths_m: Sequence[float], turns_rad: Sequence[float]) -> list[float]:
+    """Lengths that decide the sections' times: at least 0.1 m for each radian that the tip turns."""
+    if not turns_rad:
+        return list(lengths_m)
+    return [max(length, TURN_LENGTH_M * turn) for length, turn in zip(lengths_m, turns_rad, strict=True)]
 
 
 def through(
@@ -217,8 +236,8 @@ def through(
     return timed(waypoints, speeds, pace_m_s=pace_m_s, ends_at_rest=ends_at_rest).spline()
 
 
-def checked_points(waypoints: Iterable[Iterable[float]]) -> list[Vector]:
-    """Two or more finite points, no neighbours the same."""
+def checked_points(waypoints: Iterable[Iterable[float]], turns_rad: Sequence[float] = ()) -> list[Vector]:
+    """Two or more finite points, no neighbours the same unless the tip turns between them."""
     points: list[Vector] = []
     for number, waypoint in enumerate(waypoints, 1):
         point = tuple(float(value) for value in waypoint)
@@ -226,7 +245,10 @@ def checked_points(waypoints: Iterable[Iterable[float]]) -> list[Vector]:
             raise PathError(
                 f"way-point {number}: expected three finite numbers x, y, z in m, got {point}", number
             )
-        if points and timing.chord(points[-1], (point[0], point[1], point[2]))[1] < _COINCIDENT_M:
+        is_same = points and timing.chord(points[-1], (point[0], point[1], point[2]))[1] < _COINCIDENT_M
+        if is_same and len(turns_rad) >= len(points) and turns_rad[len(points) - 1] > _COINCIDENT_RAD:
+            point = points[-1]
+        elif is_same:
             raise PathError(
                 f"way-points {number - 1} and {number} are the same point {point}: remove one", number
             )

@@ -87,15 +87,18 @@ def section_times(lengths: Sequence[float], speeds: Sequence[float], paces: Sequ
 
 
 def continuous_velocities(
-    points: Sequence[Vector], times: Sequence[float], first: Vector, last: Vector
-) -> list[Vector]:
-    """Velocities at the points for continuous acceleration of the cubics, given the end velocities.
+    points: Sequence[Sequence[float]], times: Sequence[float], first: Sequence[float], last: Sequence[float]
+) -> list[tuple[float, ...]]:
+    """Velocities at the points for continuous acceleration of the cubics, given the end velocities; any number of axes.
 
     Equal accelerations at an inner point between sections of T0 and T1 and chords d0 and d1:
     T1 v[i-1] + 2 (T0 + T1) v[i] + T0 v[i+1] = 3 (T1/T0 d0 + T0/T1 d1); solved by the Thomas algorithm, which
     needs no pivoting here because the diagonal dominates.
     """
-    axes = [_continuous_axis([p[axis] for p in points], times, first[axis], last[axis]) for axis in range(3)]
+    axes = [
+        _continuous_axis([p[axis] for p in points], times, first[axis], last[axis])
+        for axis in range(len(first))
+    ]
     return list(zip(*axes, strict=True))
 
 
@@ -129,8 +132,10 @@ def dot(a: Vector, b: Vector) -> float:
 
 
 def _tangent(before: Vector, here: Vector, after: Vector) -> Vector:
-    """Unit tangent at `here` of the circle through the three points; zero at a reversal."""
+    """Unit tangent at `here` of the circle through the three points; zero at a reversal, and where the tip only turns."""
     (d0, h0), (d1, h1) = chord(before, here), chord(here, after)
+    if h0 == 0.0 or h1 == 0.0:
+        return (0.0, 0.0, 0.0)
     mixed = tuple(h1 / h0 * a + h0 / h1 * b for a, b in zip(d0, d1, strict=True))
     if math.hypot(*mixed) < _REVERSAL * (h0 + h1):
         return (0.0, 0.0, 0.0)
@@ -140,6 +145,8 @@ def _tangent(before: Vector, here: Vector, after: Vector) -> Vector:
 def _corner_factor(before: Vector, here: Vector, after: Vector) -> float:
     """Share of the speed for the corner at `here`; see the module."""
     (d0, h0), (d1, h1) = chord(before, here), chord(here, after)
+    if h0 == 0.0 or h1 == 0.0:
+        return 0.0
     factor = (1.0 + dot(d0, d1) / (h0 * h1)) / 2.0 / _FREE_TURN
     return min(factor, 1.0) if factor > _REVERSAL else 0.0
 

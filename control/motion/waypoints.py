@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from control.errors import MissingModel
+from control.errors import BadTarget, MissingModel
 from control.files import read_text
+from control.kinematics.rotation import Quaternion, checked_quaternion
 from control.model import table as tables
 from control.model.arm import Table
 from control.motion.errors import WaypointFileError
@@ -15,6 +16,7 @@ from control.motion.setpoint import Vector
 
 POSITION_COLUMNS = ("x_m", "y_m", "z_m")
 SPEED_COLUMN = "speed_m_s"
+ORIENTATION_COLUMNS = ("qw", "qx", "qy", "qz")
 # No table-top arm reaches this far; a larger number is probably in millimetres.
 _FARTHEST_M = 10.0
 _FASTEST_M_S = 10.0
@@ -23,11 +25,15 @@ _FOREIGN_UNITS = {"_mm": "metres (column names end in _m)", "_cm": "metres (colu
 
 @dataclass(frozen=True, slots=True)
 class Waypoints:
-    """Points [m] in the base frame, a speed [m/s] for each or None, and their places in the file (for messages)."""
+    """Points [m] in the base frame, a speed [m/s] for each or None, and their places in the file (for messages).
+
+    `orientations`: unit quaternions of the last link frame in the base frame, or None where the orientation is free.
+    """
 
     points: tuple[Vector, ...]
     speeds_m_s: tuple[float, ...] | None
     places: tuple[str, ...] = ()
+    orientations: tuple[Quaternion, ...] | None = None
 
     def name(self, number: int) -> str:
         """Name of way-point `number` (1-based) for errors: its number, and file and line if known."""
@@ -36,7 +42,7 @@ class Waypoints:
 
 
 def read_waypoints(path: str | Path) -> Waypoints:
-    """Read way-points from a CSV file with columns x_m, y_m, z_m and, optionally, speed_m_s.
+    """Read way-points from a CSV file with columns x_m, y_m, z_m and, optionally, qw, qx, qy, qz and speed_m_s.
 
     Raises:
         WaypointFileError: names file, line and column.
@@ -65,7 +71,21 @@ def read_waypoints(path: str | Path) -> Waypoints:
         points=tuple((row["x_m"], row["y_m"], row["z_m"]) for row in values),
         speeds_m_s=tuple(row[SPEED_COLUMN] for row in values) if SPEED_COLUMN in columns else None,
         places=tuple(f"{file}:{number}" for number, _ in rows[1:]),
+        orientations=_orientations(values, [f"{file}:{number}" for number, _ in rows[1:]]),
     )
+
+
+def _orientations(values: Sequence[dict[str, float]], places: Sequence[str]) -> tuple[Quaternion, ...] | None:
+    """The unit quaternions of the lines; None without such columns."""
+    if ORIENTATION_COLUMNS[0] not in values[0]:
+        return None
+    found = []
+    for row, place in zip(values, places, strict=True):
+        try:
+            found.append(checked_quaternion([row[column] for column in ORIENTATION_COLUMNS]))
+        except BadTarget as error:
+            raise WaypointFileError(f"{place}: {error}") from None
+    return tuple(found)
 
 
 def circle(table: Table, setup: str = "normal", height_m: float = 0.0) -> Waypoints:
@@ -91,19 +111,20 @@ def _above_board(table: Table, setup: str, names: Sequence[str], height_m: float
 
 def _checked_header(file: Path, number: int, columns: list[str]) -> list[str]:
     """Return the columns; WaypointFileError for the first missing, unknown or duplicate one."""
-    allowed = (*POSITION_COLUMNS, SPEED_COLUMN)
+    allowed = (*POSITION_COLUMNS, *ORIENTATION_COLUMNS, SPEED_COLUMN)
     for column in columns:
         hint = next(
             (f": write {unit}" for ending, unit in _FOREIGN_UNITS.items() if column.endswith(ending)), ""
         )
         if column not in allowed:
             raise WaypointFileError(
-                f"{file}:{number}: expected columns {', '.join(POSITION_COLUMNS)} and optionally {SPEED_COLUMN},"
-                f' got "{column[:80]}"{hint}'
+                f"{file}:{number}: expected columns {', '.join(POSITION_COLUMNS)} and optionally {SPEED_COLUMN} and"
+                f' {", ".join(ORIENTATION_COLUMNS)}, got "{column[:80]}"{hint}'
             )
         if columns.count(column) > 1:
             raise WaypointFileError(f"{file}:{number}: column {column} appears twice")
-    for column in POSITION_COLUMNS:
+    has_turn = any(column in columns for column in ORIENTATION_COLUMNS)
+    for column in (*POSITION_COLUMNS, *(ORIENTATION_COLUMNS if has_turn else ())):
         if column not in columns:
             raise WaypointFileError(f"{file}:{number}: column {column} is missing, got {', '.join(columns)}")
     return columns

@@ -190,8 +190,12 @@ class ArmClient:
             self.arrive(answer["duration_s"] + 5.0)
 
     def run_path(self, path: Message, waits: bool = True, as_encoders: bool = False) -> None:
-        """Run a planned path (PlannedPath.to_message()); the arm must stand at its first point. `as_encoders`: as move_joints."""
-        answer = self.ask("run_path", path=path, as_encoders=as_encoders)
+        """Run a planned path (PlannedPath.to_message()); the arm must stand at its first point. `as_encoders`: as move_joints.
+
+        Where the tip's position does not fix the joints, the message is that of the joints' own path.
+        """
+        do = "run_joints" if "q_rad" in path else "run_path"
+        answer = self.ask(do, path=path, as_encoders=as_encoders)
         if waits:
             self.arrive(answer["duration_s"] + 5.0)
 

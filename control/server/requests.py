@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from control.errors import ArmError
 from control.hardware.averaging import Averaging
 from control.kinematics.kinematics import Kinematics
+from control.kinematics.pose_kinematics import PoseKinematics
 from control.loop.runtime import Runtime
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
@@ -62,7 +63,8 @@ class Requests:
     def __init__(self, runtime: Runtime, limits: JointLimits, kinematics: Kinematics, about: Message) -> None:
         self._runtime = runtime
         self._limits = limits
-        self._kinematics = kinematics
+        self._kinematics, self._poses = kinematics, PoseKinematics(kinematics)
+        self._poses.at(*(0.0,) * kinematics.joint_count)  # compiled now, not between two cycles
         self._about = about
         self._right = ControlRight()
         self.events: Listener | None = None
@@ -137,7 +139,7 @@ class Requests:
 
     def _status(self, request: Any, client: int) -> Message:
         holder = self._right.holder(self._runtime.monitor.mode)
-        return {**self._about, **status_of(self._runtime, self._kinematics), "in_control": holder}
+        return {**self._about, **status_of(self._runtime, self._poses), "in_control": holder}
 
     def _mode(self, request: Any, client: int) -> Message:
         runtime = self._runtime

@@ -4,7 +4,8 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.rotation import quaternion_of
 from control.loop.runtime import Runtime
 from control.recording.recorder_state import RecorderState
 from control.safety.table import CONTROLLED_MODES, Mode
@@ -23,7 +24,7 @@ SHUTDOWN_STEPS = {
 NEAR = 0.9  # of a limit: warn below
 
 
-def status_of(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
+def status_of(runtime: Runtime, kinematics: PoseKinematics) -> dict[str, Any]:
     """The complete state of the arm for operators and programs."""
     monitor = runtime.monitor
     recorder = runtime.parts.recorder.state()
@@ -60,11 +61,12 @@ def step_of(runtime: Runtime) -> str:
     return SHUTDOWN_STEPS.get(runtime.monitor.mode, "") if runtime.is_shutting_down else ""
 
 
-def _angles(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
+def _angles(runtime: Runtime, kinematics: PoseKinematics) -> dict[str, Any]:
     """Actual values and set-points of encoders, joints and tip."""
     measured, aim = runtime.parts.measurement, runtime.aim
     joint_rad, joint_set_rad = runtime.joint_rad()
     is_homed = runtime.monitor.is_homed
+    tip_m, rotation, _ = kinematics.at(*joint_rad)
     sees_tip = runtime.now_s - runtime.camera_at_s < CAMERA_FRESH_S
     return {
         "q_rad": measured.q_rad,
@@ -74,8 +76,9 @@ def _angles(runtime: Runtime, kinematics: Kinematics) -> dict[str, Any]:
         "speed_rad_s": measured.speed_rad_s,
         "following_error_rad": [s - m for s, m in zip(aim.q_rad, measured.q_rad, strict=True)],
         "direction": measured.direction,
-        "tip_m": kinematics.tip(*joint_rad) if is_homed else None,
-        "tip_set_m": kinematics.tip(*joint_set_rad) if is_homed else None,
+        "tip_m": tip_m if is_homed else None,
+        "tip_set_m": kinematics.kinematics.tip(*joint_set_rad) if is_homed else None,
+        "tip_orientation": quaternion_of(rotation) if is_homed else None,
         "camera_m": runtime.camera_m if sees_tip else None,
     }
 

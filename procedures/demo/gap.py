@@ -24,7 +24,6 @@ from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
 from control.model.arm import Arm
-from control.motion.plan import require_paths
 from control.progress import Advance
 from control.server.client import ArmClient
 from procedures.demo.gap_hidden import Hidden
@@ -81,7 +80,6 @@ class Circle:
 
 def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> Circle:
     """Run the demo on the bench's arm; `arm` is the nominal one. Results in `out`."""
-    require_paths(arm)
     plans = _plans(arm, bench.speed)
     programme = programme_of(arm)
     advance("homing", 0.0)

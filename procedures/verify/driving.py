@@ -95,7 +95,7 @@ def run(path: PlannedPath, model: Model, runtime_model: Model, client: ArmClient
 
 def handed_over(path: PlannedPath, model: Model, runtime_model: Model) -> PlannedPath:
     """The path in the base frame of the runtime's model: the same joint angles at the same times."""
-    if runtime_model is model:
+    if runtime_model is model or path.joints is not None:
         return path
     motion = path.motion(model.inverse, model.kinematics)
     points, velocities, poses = [], [], []

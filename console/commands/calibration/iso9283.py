@@ -15,7 +15,6 @@ from console.commands.progress import Bar
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.motion.plan import require_paths
 from control.server.client import ArmClient
 from procedures.folders import require_writable
 from procedures.iso9283 import recording
@@ -50,7 +49,6 @@ def run(given: argparse.Namespace) -> int:
 
 def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient | None) -> int:
     """Plan, print the plan, record on `client`'s arm or on a mock, evaluate."""
-    require_paths(arm)
     out = Path(given.out)
     extent, cube = _extent(given, arm), _cube(given, arm)
     rated_m_s = given.rated_speed or recording.rated_speed_m_s(arm, cube)

@@ -16,17 +16,19 @@ from console.main import main
 from console.places import PlacesError, find_place, read_places, save_place
 from console.specs.table import COMMANDS
 from control.model.arm import Effect
+from control.model.description import save_arm
 from control.safety.table import Mode
 from hil_mocks.scenario import EffectTable
+from tests.arms import SIX
 from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell, scenario
 
 GRAMMAR = Grammar(COMMANDS, {"arm": "right", "socket": None})
 
 
-def played(cell: Cell, *lines: str) -> list[Outcome]:
+def played(cell: Cell, *lines: str, grammar: Grammar = GRAMMAR) -> list[Outcome]:
     """Replay lines on a stepped mock arm."""
     outcomes: list[Outcome] = []
-    replay(parse_lines(lines, GRAMMAR), lambda: cell.client, outcomes.append)
+    replay(parse_lines(lines, grammar), lambda: cell.client, outcomes.append)
     return outcomes
 
 
@@ -159,6 +161,31 @@ def test_way_points_taught_by_hand_make_a_path_that_runs(tmp_path: Path) -> None
         )
         assert [outcome.status for outcome in outcomes] == [0] * 6
         assert cell.client.status()["q_rad"] == pytest.approx([0.3, -0.4, 0.3], abs=3e-3)
+
+
+def test_six_joints_run_what_they_were_taught_with_its_orientation(tmp_path: Path) -> None:
+    file, arm = tmp_path / "taught.csv", tmp_path / "six.toml"
+    save_arm(SIX, arm)
+    grammar = Grammar(COMMANDS, {"arm": str(arm), "socket": None})
+    with holding_cell(scenario(SIX.rest.q_rad if SIX.rest else None), SIX) as cell:
+        outcomes = played(
+            cell,
+            f"teach {file} --orientation",
+            "move --joints 0.1 1.35 -0.35 0.2 0.95 0.1",
+            f"teach {file}",
+            f"teach {file}",
+            grammar=grammar,
+        )
+        assert [outcome.status for outcome in outcomes] == [0, 0, 0, 2]
+        assert "has not moved" in outcomes[3].transcript
+        assert file.read_text().startswith("x_m,y_m,z_m,qw,qx,qy,qz\n")
+        outcomes = played(cell, f"run {file} --speed 0.1", grammar=grammar)
+        assert [outcome.status for outcome in outcomes] == [0], outcomes[0].transcript
+        assert cell.client.status()["q_rad"] == pytest.approx([0.1, 1.35, -0.35, 0.2, 0.95, 0.1], abs=3e-3)
+        x, y, z = cell.client.status()["tip_m"]
+        turned = " ".join(f"{value:.6f}" for value in cell.client.status()["tip_orientation"])
+        outcomes = played(cell, f"move --tip {x} {y} {z + 0.02} --orientation {turned}", grammar=grammar)
+        assert [outcome.status for outcome in outcomes] == [0]
 
 
 def test_a_place_that_is_marked_is_where_the_joints_are_and_not_their_encoders(tmp_path: Path) -> None:

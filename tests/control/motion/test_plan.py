@@ -245,11 +245,3 @@ def test_a_path_with_the_wrong_number_of_poses_is_refused():
     planned = plan_path(ARM, line(TABLE), 0.1)
     with pytest.raises(MotionError, match="expected 9 poses"):
         CartesianPath(planned.spline, INVERSE, KINEMATICS, planned.q_waypoints_rad[:-1])
-
-
-def test_an_arm_of_another_number_of_joints_is_told_to_use_joint_moves():
-    from control.model.arm import Arm, Link
-
-    arm = Arm("two", (Link("revolute", 0.0, 0.0, 0.3, 0.0),) * 2)
-    with pytest.raises(PathError, match="need 3 joints, it has 2"):
-        plan_path(arm, [(0.3, 0.3, 0.0), (0.4, 0.3, 0.0)], 0.1)

@@ -1,0 +1,161 @@
+"""Joint angles for many tip poses at once, by Newton's method from nearby seeds: any number of joints, redundant or not.
+
+Of the tip's six rows, three of position and three of orientation, a Task holds as many exactly as the arm's joints can, and the
+others as nearly as they can. What freedom then is left goes to the reference posture: of all poses q that hold the tip, the one
+nearest to q_ref. Each step solves
+
+    min over dq   |S dq - e_s|^2 + w |dq - (q_ref - q)|^2    subject to   C dq = e_c
+
+with the exact rows C, the nearest rows S and the tip's errors e (Siciliano et al., Robotics, 3.5; Nocedal and Wright, Numerical
+Optimization, 16.1). Without nearest rows w does not matter. Speeds and accelerations solve the same with their own right sides.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from control.kinematics import rotation as rotations
+from control.kinematics.pose_kinematics import PoseKinematics, Poses
+
+Array = NDArray[np.float64]
+ACCURACY = 1e-9  # m and rad
+# A turn of 1 rad counts as much as 0.1 m, about a hand's length, where metres and radians have to be weighed.
+TURN_LENGTH_M = 0.1
+_POSITION, _ORIENTATION = (0, 1, 2), (3, 4, 5)
+_STEPS = 40
+_LONGEST_STEP_RAD = 0.3  # a longer step may lead to another solution
+_QUADRATIC = 1e-6  # rad: after a step this small, the next error is far below the accuracy
+_LINEAR = 1e-10  # rad: the same where nearest rows converge only linearly
+_POSTURE_WEIGHT = 1e-8  # m^2: of the posture beside the nearest rows; moves the tip by nothing that shows
+_RIDGE = 1e-13  # m^2: keeps singular poses solvable; slows convergence there
+_PROBES = 24
+_RANK_M = 1e-6  # m/rad: no real arm is so near to having lost a direction everywhere
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Rows of the tip (0 to 2 position, 3 to 5 orientation) that are held exactly, and those held as nearly as possible."""
+
+    exact: tuple[int, ...]
+    nearest: tuple[int, ...]
+
+    @property
+    def has_orientation(self) -> bool:
+        """Whether the tip's orientation matters."""
+        return 3 in self.exact or 3 in self.nearest
+
+    def freedom(self, joint_count: int) -> int:
+        """Number of directions that are left to the posture."""
+        return max(joint_count - len(self.exact) - len(self.nearest), 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Targets:
+    """Tip positions (m, 3) [m] and rotations (m, 3, 3), or None where the orientation is free; base frame."""
+
+    position_m: Array
+    rotation: Array | None
+
+
+@dataclass(frozen=True, slots=True)
+class SolvedPoses:
+    """Joint angles (m, n), the tip there, its errors (m, 6) [m, rad], and whether the exact rows are met (m,)."""
+
+    q_rad: Array
+    tip: Poses
+    error: Array
+    is_solved: NDArray[np.bool_]
+
+
+def task_of(kinematics: PoseKinematics, has_orientation: bool) -> Task:
+    """What this arm's joints can hold: rows that they can move independently in some pose are held exactly."""
+    wanted = (_POSITION, _ORIENTATION) if has_orientation else (_POSITION,)
+    probes = np.random.default_rng(0).uniform(-np.pi, np.pi, (_PROBES, kinematics.joint_count))
+    jacobians = scaled(kinematics.batch(probes).jacobian)
+    for count in range(len(wanted), 0, -1):
+        exact = sum(wanted[:count], ())
+        if len(exact) <= kinematics.joint_count:
+            smallest = np.linalg.svd(jacobians[:, exact], compute_uv=False)[:, -1]
+            if smallest.max() > _RANK_M:
+                return Task(exact, sum(wanted[count:], ()))
+    return Task((), sum(wanted, ()))
+
+
+def scaled(jacobians: Array) -> Array:
+    """Jacobians (m, 6, n) with the rows of orientation in metres too."""
+    return np.asarray(jacobians * np.array([1.0] * 3 + [TURN_LENGTH_M] * 3)[:, None])
+
+
+def margins(task: Task, jacobians: Array) -> Array:
+    """Least travel of the tip per radian in its weakest direction (m,) [m/rad]: the distance from a singular pose."""
+    rows = task.exact or task.nearest
+    return np.asarray(np.linalg.svd(scaled(jacobians)[:, rows], compute_uv=False)[:, -1])
+
+
+def errors(targets: Targets, tip: Poses) -> Array:
+    """Wanted minus actual (m, 6): position [m], and the rotation vector [rad] from the actual to the wanted orientation."""
+    found = np.zeros((len(tip.position_m), 6))
+    found[:, :3] = targets.position_m - tip.position_m
+    if targets.rotation is not None:
+        found[:, 3:] = rotations.logarithms(targets.rotation @ np.swapaxes(tip.rotation, 1, 2))
+    return found
+
+
+def solve(
+    kinematics: PoseKinematics, task: Task, targets: Targets, q_ref_rad: Array, seeds_rad: Array | None = None
+) -> SolvedPoses:
+    """Joint angles for the targets, nearest to the postures q_ref (m, n), which are the seeds by default."""
+    q = np.array(q_ref_rad if seeds_rad is None else seeds_rad)
+    enough = _LINEAR if task.nearest else _QUADRATIC
+    tip = kinematics.batch(q)
+    error = errors(targets, tip)
+    for _ in range(_STEPS):
+        step = joint_rates(task, tip.jacobian, error, q_ref_rad - q)
+        largest = np.abs(step).max(initial=0.0)
+        if largest > _LONGEST_STEP_RAD:
+            step *= np.minimum(1.0, _LONGEST_STEP_RAD / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
+        q += step
+        tip = kinematics.batch(q)
+        error = errors(targets, tip)
+        if largest < enough:
+            break
+    is_solved = np.abs(error[:, task.exact]).max(axis=1, initial=0.0) < ACCURACY
+    return SolvedPoses(q, tip, error, is_solved)
+
+
+def joint_rates(task: Task, jacobians: Array, tip_rates: Array, posture_rates: Array) -> Array:
+    """Joint rates (m, n) that move the tip by tip_rates (m, 6), and for the rest are nearest to posture_rates (m, n)."""
+    exact = jacobians[:, task.exact]
+    if not task.nearest:
+        return _held(exact, tip_rates[:, task.exact], posture_rates)
+    count, n = len(task.exact), jacobians.shape[2]
+    held = (
+        _held(exact, tip_rates[:, task.exact], np.zeros_like(posture_rates)) if count else 0.0 * posture_rates
+    )
+    # columns that leave the exact rows alone
+    free = np.swapaxes(np.linalg.svd(exact)[2][:, count:], 1, 2) if count else np.eye(n)[None]
+    weight = np.array([TURN_LENGTH_M if row > 2 else 1.0 for row in task.nearest])
+    nearest = jacobians[:, task.nearest] * weight[:, None]
+    missing = tip_rates[:, task.nearest] * weight - _times(nearest, held)
+    slope = nearest @ free
+    transposed = np.swapaxes(slope, 1, 2)
+    hessian = transposed @ slope + _POSTURE_WEIGHT * np.eye(slope.shape[2])
+    posture = _times(np.swapaxes(free, 1, 2), posture_rates - held)
+    gradient = _times(transposed, missing) + _POSTURE_WEIGHT * posture
+    return np.asarray(held + _times(free, _solved(hessian, gradient)))
+
+
+def _held(exact: Array, wanted: Array, free: Array) -> Array:
+    """The rates nearest to the free ones with which the exact rows move as wanted: free + C' (C C')^-1 (wanted - C free)."""
+    transposed = np.swapaxes(exact, 1, 2)
+    gram = exact @ transposed + _RIDGE * np.eye(exact.shape[1])
+    return np.asarray(free + _times(transposed, _solved(gram, wanted - _times(exact, free))))
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
+
+
+def _solved(matrices: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrices, right[:, :, None])[:, :, 0], dtype=np.float64)

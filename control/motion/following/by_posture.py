@@ -1,0 +1,209 @@
+"""Arms of any number of joints: the tip is held as the task says, and free joints stay near a reference posture.
+
+The reference is found once, along the path in small steps from the start (posture_rule.py). Every pose of the path is then the
+one nearest to it that holds the tip. So a pose depends on where the path is and not on how it was sampled.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from control.errors import ArmError
+from control.kinematics import inverse_errors as problems
+from control.kinematics.pose_inverse import (
+    ORIENTATION_TOLERANCE_RAD,
+    POSITION_TOLERANCE_M,
+    PoseInverse,
+    TipPose,
+)
+from control.kinematics.pose_solver import TURN_LENGTH_M, Targets, joint_rates, margins, solve
+from control.model.arm import Arm
+from control.motion import checks
+from control.motion.errors import PathError
+from control.motion.following.follower import LEAST_SAMPLES, SEED_STEP_M, Followed, Pose, Start
+from control.motion.following.orientation import OrientationSpline
+from control.motion.following.posture_rule import PostureRule
+from control.motion.following.reference import ReferencePosture
+from control.motion.samples import Array, JointSamples, TipSamples, sample_tip
+from control.motion.spline import CartesianSpline, TimedWaypoints
+from control.motion.waypoints import Waypoints
+
+JUMP_RAD = 0.5  # between two steps; more is a jump to another solution
+# How far the tip may leave the cubic between way-points where the joints cannot hold all of it.
+FARTHEST_OFF_M, FARTHEST_OFF_RAD = 0.02, 0.2
+_SLOPE_RAD = 1e-5  # of the fastest joint: the difference that gives Jdot
+
+
+class PostureFollower:
+    """Implements Follower for any arm."""
+
+    def __init__(self, arm: Arm, inverse: PoseInverse, waypoints: Waypoints) -> None:
+        self._name, self._inverse, self._waypoints = arm.name, inverse, waypoints
+        self._kinematics = inverse.kinematics
+        self._task = inverse.task(waypoints.orientations is not None)
+        self._rule = PostureRule(self._kinematics, self._task, np.array(arm.limits_rad))
+        self._known: tuple[Start, list[float], list[Pose]] | None = None
+
+    def starts(self, q_near: Sequence[float]) -> Iterator[Start]:
+        """Solutions at the first way-point, the one from `q_near` first."""
+        try:
+            for q in self._inverse.solutions(self._wanted(0), q_near):
+                yield Start(q)
+        except ArmError as problem:
+            raise PathError(f"{self._waypoints.name(1)}: {problem}; nothing was moved", 1) from problem
+
+    def _wanted(self, index: int) -> TipPose:
+        turned = self._waypoints.orientations
+        return TipPose.of(self._waypoints.points[index], None if turned is None else turned[index])
+
+    def check(self, start: Start) -> None:
+        """Nothing: following the path finds what cannot be reached."""
+
+    def follow(
+        self, recipe: TimedWaypoints, spline: CartesianSpline, start: Start, rate_Hz: float
+    ) -> Followed:
+        """Every sample by Newton from the reference posture."""
+        turn = self._turn(recipe, spline)
+        if self._known is None or self._known[0] is not start:
+            self._known = (start, *self._postures(recipe, spline, turn, start))
+        _, fractions, poses = self._known
+        reference = ReferencePosture(self._times(spline, fractions), poses)
+        tip = self._sampled(spline, turn, rate_Hz)
+        joints = self._solved(tip, reference)
+        self._require_near(spline, tip, joints)
+        first = np.flatnonzero(np.diff(tip.section, prepend=-1))
+        at_waypoints = [joints.q_rad[i] for i in (*first, len(tip.times_s) - 1)]
+        return Followed(tip, joints, tuple(tuple(q.tolist()) for q in at_waypoints))
+
+    def _turn(self, recipe: TimedWaypoints, spline: CartesianSpline) -> OrientationSpline | None:
+        turned = self._waypoints.orientations
+        if turned is None:
+            return None
+        rests = [speed == 0.0 for speed in recipe.speeds_m_s]
+        return OrientationSpline(spline.times_s, turned, rests)
+
+    def _sampled(self, spline: CartesianSpline, turn: OrientationSpline | None, rate_Hz: float) -> TipSamples:
+        tip = sample_tip(spline, rate_Hz, LEAST_SAMPLES)
+        if turn is None:
+            return tip
+        into = tip.times_s - np.array(spline.times_s)[tip.section]
+        return TipSamples(
+            tip.times_s, tip.section, tip.position_m, tip.velocity_m_s, tip.acceleration_m_s2,
+            turn.sample(tip.section, into),
+        )  # fmt: skip
+
+    # ---- the reference posture
+
+    @staticmethod
+    def _times(spline: CartesianSpline, fractions: Sequence[float]) -> list[float]:
+        """Times of section numbers with fractions: 2.5 is in the middle of the third section."""
+        return np.interp(fractions, np.arange(len(spline.times_s)), spline.times_s).tolist()
+
+    def _postures(
+        self, recipe: TimedWaypoints, spline: CartesianSpline, turn: OrientationSpline | None, start: Start
+    ) -> tuple[list[float], list[Pose]]:
+        """Fractions and poses, followed in small steps from the start."""
+        turns = recipe.turns_rad or (0.0,) * len(recipe.lengths_m)
+        fractions = [0.0]
+        for section, (length, angle) in enumerate(zip(recipe.lengths_m, turns, strict=True)):
+            count = 2 + int(max(length, TURN_LENGTH_M * angle) / SEED_STEP_M)
+            fractions += [section + k / count for k in range(1, count + 1)]
+        times_s = self._times(spline, fractions)
+        poses = [np.array([start.q_rad])]
+        for fraction, time_s in zip(fractions[1:], times_s[1:], strict=True):
+            section = min(int(np.ceil(fraction)) - 1, len(spline.times_s) - 2)
+            rotation = None
+            if turn is not None:
+                into = np.array([time_s - spline.times_s[section]])
+                rotation = turn.sample(np.array([section]), into).rotation
+            position = spline.at(time_s)[0]
+            found = self._rule.next(Targets(np.array([position]), rotation), poses[-1])
+            travel_rad = float(np.abs(found.q_rad - poses[-1]).max())
+            if travel_rad > JUMP_RAD or not found.is_solved[0]:
+                where, number = checks.place(self._waypoints, spline.times_s, time_s)
+                off_m = float(np.linalg.norm(found.error[0, :3]))
+                problem = (
+                    problems.jump(self._name, position, travel_rad, JUMP_RAD)
+                    if found.is_solved[0]
+                    else problems.out_of_reach(self._name, position, off_m)
+                )
+                raise PathError(f"{where}: {problem}; nothing was moved", number)
+            poses.append(found.q_rad)
+        return fractions, [tuple(q[0].tolist()) for q in poses]
+
+    # ---- samples
+
+    def _solved(self, tip: TipSamples, reference: ReferencePosture) -> JointSamples:
+        """Joint angles, speeds and accelerations at the samples of the tip."""
+        posture, posture_speed, posture_acceleration = reference.at(tip.times_s)
+        rotation = None if tip.turn is None else tip.turn.rotation
+        found = solve(self._kinematics, self._task, Targets(tip.position_m, rotation), posture)
+        jacobian = found.tip.jacobian
+        if self._task.nearest:
+            speed = _slopes(tip, found.q_rad)
+            acceleration = _slopes(tip, speed)
+        else:
+            velocity, change = _twists(tip)
+            speed = joint_rates(self._task, jacobian, velocity, posture_speed)
+            change = change - self._bias(found.q_rad, speed)
+            acceleration = joint_rates(self._task, jacobian, change, posture_acceleration)
+        return JointSamples(
+            found.q_rad,
+            speed,
+            acceleration,
+            margins(self._task, jacobian),
+            found.is_solved,
+            found.error,
+            jacobian,
+        )
+
+    def _bias(self, q: Array, speed: Array) -> Array:
+        """Jdot qd (m, 6) by a central difference of J along qd."""
+        step = _SLOPE_RAD / np.maximum(np.abs(speed).max(axis=1, keepdims=True), 1e-9)
+        change = (
+            self._kinematics.batch(q + step * speed).jacobian
+            - self._kinematics.batch(q - step * speed).jacobian
+        )
+        return np.asarray((change @ speed[:, :, None])[:, :, 0] / (2.0 * step))
+
+    def _require_near(self, spline: CartesianSpline, tip: TipSamples, joints: JointSamples) -> None:
+        """PathError where the tip leaves what was asked for: at a way-point by the tolerance, between them by more."""
+        if not self._task.nearest or joints.off is None:
+            return
+        is_between = np.abs(tip.times_s[:, None] - np.array(spline.times_s)).min(axis=1) > 1e-9
+        for rows, tolerance, farthest, unit in (
+            (slice(0, 3), POSITION_TOLERANCE_M, FARTHEST_OFF_M, "m"),
+            (slice(3, 6), ORIENTATION_TOLERANCE_RAD, FARTHEST_OFF_RAD, "rad"),
+        ):
+            off = np.linalg.norm(joints.off[:, rows], axis=1)
+            excess = off / np.where(is_between, farthest, tolerance)
+            worst = int(excess.argmax())
+            if excess[worst] > 1.0:
+                where, number = checks.place(self._waypoints, spline.times_s, float(tip.times_s[worst]))
+                what = "position" if unit == "m" else "orientation"
+                raise PathError(
+                    f"{where}: the {joints.q_rad.shape[1]} joints of arm {self._name} come no nearer than {off[worst]:.4f} {unit}"
+                    f" to the {what} (allowed {tolerance:g} at a way-point, {farthest:g} between two); nothing was moved",
+                    number,
+                )
+
+
+def _twists(tip: TipSamples) -> tuple[Array, Array]:
+    """Velocity and angular velocity (m, 6), and their rates."""
+    if tip.turn is None:
+        nothing = np.zeros_like(tip.velocity_m_s)
+        return np.hstack((tip.velocity_m_s, nothing)), np.hstack((tip.acceleration_m_s2, nothing))
+    return (
+        np.hstack((tip.velocity_m_s, tip.turn.velocity_rad_s)),
+        np.hstack((tip.acceleration_m_s2, tip.turn.acceleration_rad_s2)),
+    )
+
+
+def _slopes(tip: TipSamples, values: Array) -> Array:
+    """Differences over time within each section (m, n): the rates of nearly held rows leave a term out."""
+    slopes = np.empty_like(values)
+    bounds = [*np.flatnonzero(np.diff(tip.section, prepend=-1)), len(values)]
+    for first, end in pairwise(bounds):
+        slopes[first:end] = np.gradient(values[first:end], tip.times_s[first:end], axis=0, edge_order=2)
+    return slopes

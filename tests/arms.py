@@ -1,0 +1,102 @@
+"""Serial arms of two to seven joints beside the reference arm: both DH conventions, with and without home switches.
+
+Light links that the reference arm's drives can hold; the same table, camera and boards. Encoders of absolute zero (no home
+switches) on all but the arm of four joints.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import pi
+
+from control.model.arm import Arm, CanBus, Convention, EncoderBoardPort, Home, Limits, Link, Rest, Tool
+from control.model.description import load_arm
+
+RIGHT = load_arm("right")
+_BOARD = {"port": "/dev/serial/by-id/usb-armwright-encoders"}
+Row = tuple[float, float, float, float]  # d_m, theta_rad, L_m, alpha_rad
+
+
+def arm_of(
+    name: str,
+    rows: Sequence[Row],
+    convention: Convention,
+    rest_rad: Sequence[float],
+    tool_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    homes: bool = False,
+) -> Arm:
+    """A whole arm: every joint with a drive like the reference arm's first, 5.2 rad of travel."""
+    links = tuple(
+        Link("revolute", *row, *_body(row, convention, rows[k + 1 : k + 2])) for k, row in enumerate(rows)
+    )
+    drives = tuple(
+        replace(
+            RIGHT.drives[0], joint=j, motor_node=j, encoder_board=(j - 1) // 3, encoder_channel=(j - 1) % 3,
+            home=Home(0.1, 0.1314159) if homes else None,
+        )
+        for j in range(1, len(rows) + 1)
+    )  # fmt: skip
+    boards = tuple(
+        EncoderBoardPort(f"encoders {k + 1}", f"{_BOARD['port']}-{k + 1}")
+        for k in range((len(rows) + 2) // 3)
+    )
+    return replace(
+        RIGHT, name=name, links=links, dh_convention=convention, drives=drives, encoder_boards=boards,
+        can=CanBus("socketcan", "can0"), tool=Tool(tool_m), rest=Rest(tuple(rest_rad)), limits=Limits(), path=None,
+    )  # fmt: skip
+
+
+def _body(
+    row: Row, convention: Convention, after: Sequence[Row]
+) -> tuple[float, tuple[float, float, float], tuple[float, float, float]]:
+    """Mass, centre of mass and inertia of a link: a slim rod of 1.2 kg/m along its length, 0.3 kg at least."""
+    d, _, length, _ = row
+    if (
+        convention == "modified"
+    ):  # the rod leads to the next frame: x by its L, then by its d along the turned z
+        following = after[0] if after else (0.0, 0.0, 0.0, 0.0)
+        com = (0.5 * following[2], 0.0, 0.0)
+        span = abs(following[2]) + 0.5 * abs(following[0])
+    else:
+        com = (-0.5 * length, 0.0, 0.0)
+        span = abs(length) + 0.5 * abs(d)
+    mass = max(0.3, 1.2 * span)
+    moment = max(mass * span**2 / 12.0, 4e-4)
+    return mass, com, (moment, moment, moment)
+
+
+TWO = arm_of("two", [(0.2, 0.0, 0.0, pi / 2), (0.0, 0.0, 0.3, 0.0)], "standard", (0.2, 0.9))
+FOUR = arm_of(
+    "four",
+    [(0.2, 0.0, 0.0, pi / 2), (0.0, 0.0, 0.32, 0.0), (0.0, 0.0, 0.26, 0.0), (0.0, 0.0, 0.1, 0.0)],
+    "standard",
+    (0.0, 1.3, -1.5, -0.9),
+    homes=True,
+)
+FIVE = arm_of(
+    "five",
+    [
+        (0.2, 0.0, 0.0, pi / 2), (0.0, 0.0, 0.32, 0.0), (0.0, 0.0, 0.26, 0.0), (0.0, pi / 2, 0.0, pi / 2), (0.1, 0.0, 0.0, 0.0),
+    ],
+    "standard",
+    (0.0, 1.3, -1.5, -0.9, 0.1),
+)  # fmt: skip
+SIX = arm_of(
+    "six",
+    [
+        (0.3, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, pi / 2), (0.0, 0.0, 0.35, 0.0), (0.32, 0.0, 0.02, pi / 2),
+        (0.0, 0.0, 0.0, -pi / 2), (0.08, 0.0, 0.0, pi / 2),
+    ],
+    "modified",
+    (0.0, 1.3, -0.3, 0.1, 0.9, 0.0),
+    tool_m=(0.0, 0.0, 0.05),
+)  # fmt: skip
+SEVEN = arm_of(
+    "seven",
+    [
+        (0.3, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -pi / 2), (0.3, 0.0, 0.0, pi / 2), (0.0, 0.0, 0.0, pi / 2),
+        (0.3, 0.0, 0.0, -pi / 2), (0.0, 0.0, 0.0, -pi / 2), (0.1, 0.0, 0.0, pi / 2),
+    ],
+    "modified",
+    (0.0, 0.5, 0.1, -1.4, 0.1, 1.0, 0.0),
+)  # fmt: skip
+ARMS = {arm.name: arm for arm in (TWO, FOUR, FIVE, SIX, SEVEN)}
