@@ -1,16 +1,74 @@
-"""The bought boards of a mock arm, behind its plant: which joints they drive, and what their faults do."""
+"""The bought boards of a mock arm, behind its plant: which joints they drive, and what their faults do.
+
+RoboClaws on serial lines, CiA 402 drives on the CAN bus.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
 from control.model.description import Arm
+from hil_mocks.devices import cia402_drive
+from hil_mocks.devices.cia402_drive import Cia402Mock, Cia402Setup
 from hil_mocks.devices.motor_board import BRAKE, Output
 from hil_mocks.devices.roboclaw import DRIVER_FAULT, E_STOP, FULL, OVER_HEATED, RoboClawLineMock, RoboClawMock
 from hil_mocks.scenario import FaultTable
 from hil_mocks.wiring import JointWiring
 
 _CHANNELS = (0, 1)
+
+
+class CanDrives:
+    """The CiA 402 drives of an arm, by joint (0-based)."""
+
+    def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
+        self._wiring = wiring
+        nodes = {board.name: board.address for board in arm.boards if board.kind == "cia402"}
+        self.joints = [j for j, drive in enumerate(arm.drives) if drive.board in nodes]
+        self.names = [f"drive{nodes[arm.drives[j].board]}" for j in self.joints]
+        self.mocks = [
+            Cia402Mock(
+                Cia402Setup(
+                    node=nodes[(drive := arm.drives[j]).board],
+                    serial_number=0xC402_0000 + j,
+                    counts_per_turn=drive.encoder_counts_per_rev,
+                    torque_constant_Nm_A=drive.torque_constant_Nm_A,
+                    resistance_ohm=drive.resistance_ohm,
+                    current_limit_A=drive.current_limit_A,
+                ),
+                self._reader(j, encoder_rad),
+            )
+            for j in self.joints
+        ]
+
+    def tick(
+        self, now_s: float, currents_A: Sequence[float], supply_V: Sequence[float], joint_rad: Sequence[float]
+    ) -> list[tuple[int, Output, float]]:
+        """Advance the drives; the output of each joint, and its current limit."""
+        outputs = []
+        for j, mock in zip(self.joints, self.mocks, strict=True):
+            mock.is_home = self._wiring[j].is_at_switch(joint_rad[j])
+            mock.tick(now_s, currents_A[j], supply_V[j])
+            outputs.append((j, mock.output, mock.setup.current_limit_A))
+        return outputs
+
+    def switch(self, fault: FaultTable, is_on: bool) -> None:
+        """Begin or end a fault of a drive itself."""
+        mock = self.mocks[self.names.index(fault.board)]
+        errors = {
+            "over_temperature": cia402_drive.OVER_HEATED, "over_current": cia402_drive.OVER_CURRENT
+        }  # fmt: skip
+        if fault.kind in errors:
+            mock.forced_error = errors[fault.kind] if is_on else 0
+        elif fault.kind == "board_reset" and is_on:
+            mock.power_up()
+
+    def joint(self, fault: FaultTable) -> int:
+        """The joint of a fault's drive."""
+        return self.joints[self.names.index(fault.board)]
+
+    def _reader(self, j: int, encoder_rad: Callable[[int], float]) -> Callable[[], int]:
+        return lambda: self._wiring[j].motor_count(encoder_rad(j))
 
 
 class BoughtBoards:

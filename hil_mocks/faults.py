@@ -58,7 +58,13 @@ Frames = list[tuple[float, bytes]]  # (arrival time at the host, frame)
 
 def check_fault(fault: FaultTable, boards: Sequence[str], where: str) -> None:
     """Raise ScenarioError unless the board exists and can have the fault."""
-    known = {"e": OF_ENCODER, "m": OF_MOTOR, "c": OF_CAMERA, "r": OF_BOUGHT}
+    known = {
+        "e": OF_ENCODER,
+        "m": OF_MOTOR,
+        "c": OF_CAMERA,
+        "r": OF_BOUGHT,
+        "d": OF_BOUGHT - {"e_stop", "stuck_encoder"},
+    }
     place = f'{where}: fault "{fault.kind}"'
     if fault.board not in boards:
         raise ScenarioError(f'{place}: no board "{fault.board}"; there are {", ".join(boards)}.')

@@ -14,7 +14,7 @@ from functools import partial
 
 from control.model.description import Arm
 from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
-from hil_mocks.bought import BoughtBoards
+from hil_mocks.bought import BoughtBoards, CanDrives
 from hil_mocks.devices.motor_board import BRAKE, OPEN, Frame, Output
 from hil_mocks.errors import ScenarioError
 from hil_mocks.faults import FaultPlan, Frames, Line, check_fault
@@ -42,7 +42,9 @@ class MockRobot:
         self._wiring = wiring_of(arm, scenario)
         self.encoder_boards = build_encoder_boards(arm, scenario, self._wiring)
         self.bought = BoughtBoards(arm, self._wiring, lambda j: self._encoder_rad()[j])
-        self._motor_joints = [j for j in range(len(self._wiring)) if j not in self.bought.joints]
+        self.can_drives = CanDrives(arm, self._wiring, lambda j: self._encoder_rad()[j])
+        bought = [*self.bought.joints, *self.can_drives.joints]
+        self._motor_joints = [j for j in range(len(self._wiring)) if j not in bought]
         self.motor_boards = [
             build_motor_board(self._wiring[j], scenario, partial(self._motor_count, j))
             for j in self._motor_joints
@@ -60,7 +62,13 @@ class MockRobot:
             next(name for name, line in zip(self.bought.names, self.bought.line_of, strict=True) if line == i)
             for i in range(len(self.bought.lines))
         ]
-        self.board_names = [*self._encoder_names, *self._motor_names, *self.bought.names, "camera"]
+        self.board_names = [
+            *self._encoder_names,
+            *self._motor_names,
+            *self.bought.names,
+            *self.can_drives.names,
+            "camera",
+        ]
         for fault in scenario.fault:
             check_fault(fault, self.board_names, where)
         self._lines = {name: Line(name, scenario.seed) for name in self.board_names}
@@ -118,6 +126,9 @@ class MockRobot:
         if can_id == 0:
             for at in range(len(self.motor_boards)):
                 self._to_motor_board(at, can_id, payload)
+        if self.can_drives.joints:
+            self._to_can_drives(can_id, payload)
+        if can_id == 0:
             return
         addressed = self._board_of_node.get(can_id & 0xF)
         if addressed is not None:
@@ -135,7 +146,7 @@ class MockRobot:
         for at, (j, board) in enumerate(zip(self._motor_joints, self.motor_boards, strict=True)):
             frames = board.tick(now_s, polarity[j] * currents_A[j], supply_V[j], is_clamped[j])
             if frames:
-                self._send_can(at, frames)
+                self._send_can(self._motor_names[at], frames)
             if board.output is not self._applied[j]:
                 self._apply(j, board.output, board.current_limit_A)
         if self._can_on_its_way:
@@ -145,6 +156,11 @@ class MockRobot:
             signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
             for j, output, limit_A in self.bought.tick(now_s, signed_A, supply_V, is_clamped, joint_rad):
                 self._apply(j, output, limit_A)
+        if self.can_drives.joints:
+            signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
+            for j, output, limit_A in self.can_drives.tick(now_s, signed_A, supply_V, joint_rad):
+                self._apply(j, output, limit_A)
+            self._gather_can_drives()
         for i, encoder in enumerate(self.encoder_boards):
             encoder.tick(now_s, *self._channels[i].seen(encoder_rad, joint_rad))
             if encoder.outgoing:
@@ -192,9 +208,9 @@ class MockRobot:
                 encoder.preset([start.raw_counts[j] for _, j in on_it], False)
             self._gather_serial(i)
         for at, (j, board) in enumerate(zip(self._motor_joints, self.motor_boards, strict=True)):
-            self._send_can(at, board.tick(0.0, 0.0, self.plant.bridges.supply_V[j], False))
+            self._send_can(self._motor_names[at], board.tick(0.0, 0.0, self.plant.bridges.supply_V[j], False))
             self._apply(j, board.output, board.current_limit_A)
-        for j in self.bought.joints:
+        for j in (*self.bought.joints, *self.can_drives.joints):
             self._apply(j, BRAKE, math.inf)
 
     def _motor_count(self, j: int) -> int:
@@ -220,7 +236,7 @@ class MockRobot:
         j, board = self._motor_joints[at], self.motor_boards[at]
         frames = board.receive(can_id, payload, self.now_s)
         if frames:
-            self._send_can(at, frames)
+            self._send_can(self._motor_names[at], frames)
         if board.output is not self._applied[j] or board.current_limit_A != self._limits_A[j]:
             self._apply(j, board.output, board.current_limit_A)
 
@@ -243,8 +259,20 @@ class MockRobot:
         else:
             plant.drive_open(j)
 
-    def _send_can(self, at: int, frames: list[Frame]) -> None:
-        line = self._lines[self._motor_names[at]]
+    def _to_can_drives(self, can_id: int, payload: bytes) -> None:
+        for name, drive in zip(self.can_drives.names, self.can_drives.mocks, strict=True):
+            if not self._lines[name].is_silent:
+                drive.receive(can_id, payload, self.now_s)
+        self._gather_can_drives()
+
+    def _gather_can_drives(self) -> None:
+        for name, drive in zip(self.can_drives.names, self.can_drives.mocks, strict=True):
+            if drive.outgoing:
+                self._send_can(name, list(drive.outgoing))
+                drive.outgoing.clear()
+
+    def _send_can(self, name: str, frames: list[Frame]) -> None:
+        line = self._lines[name]
         if not line.faults:
             self.can_outgoing += frames
             return
@@ -292,6 +320,9 @@ class MockRobot:
     def _switch(self, fault: FaultTable, is_on: bool) -> None:
         if fault.board in self._motor_names:
             self._switch_motor(fault, self._motor_names.index(fault.board), is_on)
+        elif fault.board in self.can_drives.names:
+            if not self._switch_wiring(fault, self.can_drives.joint(fault), is_on):
+                self.can_drives.switch(fault, is_on)
         elif fault.board in self.bought.names:
             joint = self.bought.joint(fault)
             if joint is None or not self._switch_wiring(fault, joint, is_on):

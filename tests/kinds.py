@@ -45,7 +45,27 @@ def with_roboclaws(ports: tuple[str, ...] = ("base", "elbow"), baud: int = 460_8
     )
 
 
+def with_cia402(mode: str = "position") -> Arm:
+    """A CiA 402 drive for each joint, nodes 11, 12 and 13."""
+    boards = tuple(Board(f"axis{drive.joint}", "cia402", 10 + drive.joint) for drive in RIGHT.drives)
+    drives = tuple(
+        replace(
+            drive,
+            board=f"axis{drive.joint}",
+            encoder_board=-1,
+            encoder_channel=-1,
+            motor_node=-1,
+            pid=replace(drive.pid, mode=mode),
+            home=drive.home and replace(drive.home, index_rad=drive.home.switch_rad, speed_rad_s=0.1),
+        )
+        for drive in RIGHT.drives
+    )
+    return replace(RIGHT, boards=boards, drives=drives, encoder_boards=(), path=None)
+
+
 ON_BOARDS = {
     "reference": OnBoards(RIGHT, 0.002, "motor1", "motor3"),
+    "cia402": OnBoards(with_cia402(), 0.004, "drive11", "drive13"),
+    "cia402 torque": OnBoards(with_cia402("current"), 0.002, "drive11", "drive13"),
     "roboclaw": OnBoards(with_roboclaws(), 0.01, "roboclaw1", "roboclaw2"),
 }

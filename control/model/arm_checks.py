@@ -108,6 +108,9 @@ def _check_boards(arm: Arm) -> None:
     drives = [(i, drive) for i, drive in enumerate(arm.drives) if drive.board]
     for i, drive in drives:
         _check_drive_board(arm, drive, ("drive", i))
+    if any(KINDS[b.kind].line == "can" for _, b in boards) and len(drives) < len(arm.drives):
+        expected = "no reference motor board beside CANopen drives on [can]: each takes the other's frames for its own"
+        raise Rejected(("drive",), expected, "both")
     _check_unique(
         ((("drive", i, "board_channel"), (drive.board, drive.board_channel)) for i, drive in drives),
         "one joint per motor of a board (board, channel)",
@@ -124,6 +127,9 @@ def _check_drive_board(arm: Arm, drive: Drive, path: tuple[str | int, ...]) -> N
     if drive.pid.mode not in kind.modes:
         expected = f"what its board can do: {' or '.join(kind.modes)}"
         raise Rejected((*path, "pid", "mode"), expected, drive.pid.mode)
+    if kind.line == "can" and drive.encoder_board >= 0:
+        expected = "none: such a drive closes its own loop, on its own encoder"
+        raise Rejected((*path, "encoder_board"), expected, str(drive.encoder_board))
     if drive.encoder_board < 0 and not kind.has_encoder:
         expected = "an encoder board, because the drive's board has no encoder of its own"
         raise Rejected((*path, "encoder_board"), expected, "nothing")

@@ -49,5 +49,15 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             can_hold=False,
             stops_early=False,
         ),
+        "cia402": BoardKind(
+            line="can",
+            motors=1,
+            addresses=range(1, 127),
+            modes=("position", "current"),
+            has_encoder=True,
+            can_free=True,
+            can_hold=True,
+            stops_early=False,
+        ),
     }
 )

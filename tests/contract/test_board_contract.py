@@ -81,12 +81,15 @@ def test_a_boards_error_is_a_fault_that_only_a_person_ends(holding: Cell, on_boa
     assert holding.mode is Mode.HOLDING
 
 
-def test_an_emergency_stop_leaves_every_motor_without_a_voltage(holding: Cell) -> None:
-    hardware = holding.connection.hardware
-    hardware.emergency_stop()
+def test_an_emergency_stop_ends_a_motion_and_lasts(holding: Cell) -> None:
+    holding.client.ask("jog", joint=1, by_rad=0.5, speed_rad_s=0.5)
+    holding.run(0.2)
+    holding.connection.hardware.emergency_stop()
     holding.run(0.3)
-    assert max(volts(holding), default=0.0) == 0.0
     assert holding.mode is Mode.FAULT
+    before_rad = holding.rig.joint_rad()
+    holding.run(0.3)
+    assert holding.rig.joint_rad()[0] == pytest.approx(before_rad[0], abs=1e-3)
 
 
 def test_a_board_that_restarts_is_noticed_and_set_up_anew(holding: Cell, on_boards: OnBoards) -> None:
