@@ -48,6 +48,20 @@ coverage-study: install  ## do 95 % intervals of the calibration cover the truth
 solver-study: install  ## is the optimum of an identification a real one? 200 fresh cases an objective, some 40 minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.solver_study
 
+FUZZ_SECONDS ?= 60
+FUZZ_TARGETS = "encoder" "cobs" "motor" "camera" "socket" "recording frames" "arm.toml" "points.csv" "log.csv" "markers.csv" "path.csv" \
+  "boards.json" "session.json" "run.armlog" "programme.json" "places.toml" "scenario.toml"
+
+.venv-fuzz/installed: tests/fuzz/requirements.lock
+	$(PYTHON) -m venv .venv-fuzz
+	.venv-fuzz/bin/pip install --quiet --disable-pip-version-check --require-hashes -r tests/fuzz/requirements.lock
+	@touch $@
+
+fuzz: install .venv-fuzz/installed  ## coverage-guided fuzzing of every decoder and file reader, a minute each, and two million frames; FUZZ_SECONDS=600
+	$(BIN)/python -m tests.fuzz.frames
+	for target in $(FUZZ_TARGETS); do echo "$$target"; PYTHONPATH=.:$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))') \
+	  .venv-fuzz/bin/python -m tests.fuzz.coverage_guided "$$target" $(FUZZ_SECONDS) || exit 1; done
+
 screenshots: install  ## the pictures of docs/console.md, from the mock arm without a terminal; some minutes
 	$(BIN)/python -m tests.console.screen.screenshots docs
 
@@ -64,6 +78,6 @@ lock: install  ## pin again what pyproject.toml names (needs uv)
 	uv pip compile --universal --generate-hashes --no-emit-index-url --no-header --extra dev -o requirements.lock pyproject.toml
 
 clean:  ## remove what make made
-	rm -rf .venv .venv-peers out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf .venv .venv-peers .venv-fuzz .venv-mutants out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help install demo demo-gap drills lint test format bench coverage-study solver-study screenshots arm-reference gap-score rough-score lock clean
+.PHONY: help install demo demo-gap drills lint test format bench coverage-study solver-study fuzz screenshots arm-reference gap-score rough-score lock clean

@@ -20,6 +20,7 @@ from benchmarks.table import BenchRow
 OUT = Path("out/bench.json")
 SECTIONS = {  # name: title, module
     "kinematics": ("Kinematics and dynamics", "benchmarks.loop.kinematics"),
+    "poses": ("Six and seven joints, with orientation", "benchmarks.loop.poses"),
     "control_cycle": ("One control cycle without waiting", "benchmarks.loop.control_cycle"),
     "wire": ("Frames", "benchmarks.loop.wire"),
     "identification": (
@@ -27,6 +28,7 @@ SECTIONS = {  # name: title, module
         "benchmarks.calibration.identification",
     ),
     "tracking": ("Tip tracking: circle of 0.09 m at 0.15 m/s", "benchmarks.loop.tracking"),
+    "pose_tracking": ("Tip tracking with orientation", "benchmarks.loop.pose_tracking"),
     "stepped": ("Stepped simulation of the whole loop", "benchmarks.loop.stepped"),
     "realtime": ("Real time, over the mock boards", "benchmarks.loop.realtime"),
     "console_load": ("The console beside the loop", "benchmarks.loop.console_load"),

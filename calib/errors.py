@@ -23,3 +23,7 @@ class SessionError(CalibrationError):
 
 class RegistrationError(CalibrationError):
     """The measured markers do not determine the board's pose."""
+
+
+class ImportedModelError(CalibrationError):
+    """A URDF or MJCF file cannot be read as a serial arm; the message names the file and the place."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from control.model.description import Arm
+from control.model.description import Arm, Drive
 from hil_mocks.devices.camera import CameraMock, CameraSetup
 from hil_mocks.devices.encoder_board import EncoderBoardMock, EncoderBoardSetup
 from hil_mocks.devices.motor_board import MotorBoardMock, MotorBoardSetup
 from hil_mocks.plant.effects import EffectEntry, PlantEffects, deviations, gather
 from hil_mocks.plant.parts import parts_of
 from hil_mocks.plant.plant import Plant, PlantOptions
-from hil_mocks.scenario import Scenario
+from hil_mocks.scenario import EveryJoint, Scenario
 from hil_mocks.wiring import ENCODER_BOARD_SERIAL, JointWiring
 
 _MOTOR_BOARD_RATING_mA = 20_000
@@ -26,12 +26,36 @@ def effects_of(arm: Arm, scenario: Scenario) -> PlantEffects:
         if scenario.plant.arm_effects
         else []
     )
-    hidden = [EffectEntry(e.effect, e.joint, e.parameters) for e in scenario.effect]
+    for_this_arm = [e for e in scenario.effect if not e.arms or arm.name in e.arms]
+    hidden = [EffectEntry(e.effect, e.joint, e.parameters) for e in for_this_arm]
+    hidden += _of_every_joint(arm, scenario.every_joint, [*known, *hidden])
     drawn = scenario.drawn_deviations(len(arm.links))
     deviations(drawn, len(arm.links), f"{where}: [true_dh.deviations]")
     if drawn:
         hidden.append(EffectEntry("link_geometry", 0, drawn))
     return gather([*known, *hidden], len(arm.drives), len(arm.links), where)
+
+
+def _of_every_joint(arm: Arm, table: EveryJoint, given: Sequence[EffectEntry]) -> list[EffectEntry]:
+    """What `[every_joint]` gives to joints that have no such effect yet."""
+    taken = {(entry.effect, entry.joint) for entry in given}
+    entries = []
+    for drive in arm.drives:
+        torque_Nm = _torque_Nm(drive)
+        for effect, key, value in (
+            ("coulomb_friction", "torque_Nm", table.coulomb_share * torque_Nm),
+            ("viscous_friction", "coefficient_Nm_s_rad", table.viscous_share_s_rad * torque_Nm),
+            ("backlash", "width_rad", table.backlash_rad),
+        ):
+            if value > 0.0 and (effect, drive.joint) not in taken:
+                entries.append(EffectEntry(effect, drive.joint, {key: value}))
+    return entries
+
+
+def _torque_Nm(drive: Drive) -> float:
+    """At the joint, at the current limit, or stalled at the full supply if that is less."""
+    current_A = min(drive.current_limit_A, drive.supply_V / drive.resistance_ohm)
+    return current_A * drive.torque_constant_Nm_A * drive.gear_ratio
 
 
 def start_pose(arm: Arm, scenario: Scenario) -> tuple[float, ...]:

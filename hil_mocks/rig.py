@@ -1,7 +1,8 @@
 """Mock arms with links: the Protocol of both rigs, and the stepped one, in one process.
 
 The stepped rig's clock is the simulation's: waiting on it advances plant, boards and camera, in ticks, to that
-time. Bytes go through a real pty and frames through a CAN bus of python-can, so the host's drivers are the real ones.
+time. Bytes and frames go through pyserial and python-can, so the host's drivers are the real ones: over wires within the process,
+or through the kernel, which costs time and changes no byte.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ from typing import Protocol, Self
 
 from control.model.description import Arm, load_arm
 from firmware_iface.clock import Clock
+from hil_mocks.in_process import CAN_INTERFACE, register
+from hil_mocks.in_process.line import Line
 from hil_mocks.plant.hand import Point
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable, Scenario, load_scenario
-from hil_mocks.wires import Wires
+from hil_mocks.wires import Pty, SerialWire, Wires
 
 _channels = itertools.count(1)  # a virtual bus is shared by all users of its channel in the process
 _SLACK_S = 1e-9  # rounding of sums of ticks
@@ -93,7 +96,7 @@ class SteppedClock:
         wires.from_host(robot)
         while robot.now_s < end_s:
             if robot.now_s + robot.tick_s >= end_s:
-                # The host reads only after this returns, so data of the last tick may enter the pty
+                # The host reads only after this returns, so data of the last tick may enter a pty
                 # before the physics runs: the kernel transfers it meanwhile.
                 wires.serial_to_host(robot, robot.tick_s)
             robot.tick()
@@ -102,18 +105,33 @@ class SteppedClock:
 
 
 class SteppedRig:
-    """A mock arm in this process, deterministic: the same arm, scenario and host give the same bytes."""
+    """A mock arm in this process, deterministic: the same arm, scenario and host give the same bytes.
 
-    def __init__(self, arm: Arm | str | Path, scenario: Scenario | str | Path = "ideal") -> None:
+    `through_kernel`: over a pty and python-can's virtual bus.
+    """
+
+    def __init__(
+        self,
+        arm: Arm | str | Path,
+        scenario: Scenario | str | Path = "ideal",
+        through_kernel: bool = False,
+    ) -> None:
         as_built = arm if isinstance(arm, Arm) else load_arm(arm)
         self.scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
         self.robot = MockRobot(as_built, self.scenario)
-        self.can_interface = "virtual"
-        self.can_channel = f"armwright-{os.getpid()}-{next(_channels)}"
-        self.wires = Wires(self.robot.serial_lines, self.can_interface, self.can_channel)
+        name = f"armwright-{os.getpid()}-{next(_channels)}"
+        lines = range(self.robot.serial_lines)
+        serial_wires: list[SerialWire]
+        if through_kernel:
+            serial_wires, self.can_interface = [Pty() for _ in lines], "virtual"
+        else:
+            register()
+            serial_wires, self.can_interface = [Line(f"{name}-{k}") for k in lines], CAN_INTERFACE
+        self.can_channel = name
+        self.wires = Wires(serial_wires, self.can_interface, name)
         self.can_options = self.wires.can_options
         self.camera_port = self.wires.camera_port
-        paths = [pty.path for pty in self.wires.ptys]
+        paths = [wire.path for wire in self.wires.serial]
         self.encoder_urls = paths[: len(self.robot.encoder_boards)]
         self.board_urls = dict(zip(self.robot.bought.ports, paths[len(self.encoder_urls) :], strict=True))
         self.clock: Clock = SteppedClock(self.robot, self.wires)

@@ -14,6 +14,7 @@ from typing import Annotated
 
 import msgspec
 
+from control.files import parsed_toml, read_text
 from hil_mocks.errors import ScenarioError
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -34,11 +35,23 @@ class TrueDh(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class EffectTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One `[[effect]]`; `joint` is the link's number for an effect of a link."""
+    """One `[[effect]]`; `joint` is the link's number for an effect of a link. `arms`: whose it is by name; empty: any arm's."""
 
     effect: str
     joint: int = 0
     parameters: dict[str, float] = {}
+    arms: tuple[str, ...] = ()
+
+
+class EveryJoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """For arms of any number of joints: what each joint has that no `[[effect]]` gives it.
+
+    Torques are shares of the joint's torque at its current limit, so that the same scenario fits a wrist and a shoulder.
+    """
+
+    coulomb_share: NotNegative = 0.0
+    viscous_share_s_rad: NotNegative = 0.0  # viscous torque at 1 rad/s
+    backlash_rad: NotNegative = 0.0
 
 
 class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -115,6 +128,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tick_s: Positive = 1e-3  # of the boards
     true_dh: TrueDh = TrueDh()
     effect: tuple[EffectTable, ...] = ()
+    every_joint: EveryJoint = EveryJoint()
     start: Start = Start()
     plant: PlantTable = PlantTable()
     hand: HandTable = HandTable()
@@ -158,13 +172,17 @@ def load_scenario(path_or_name: str | Path) -> Scenario:
     if not path.is_file():
         known = ", ".join(shipped_scenarios())
         raise ScenarioError(f"scenario {where}: there is no such file; expected a file or one of {known}.")
-    return parse_scenario(path.read_text("utf-8"), where)
+    try:
+        text = read_text(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"scenario {where}: cannot be read as text: {error}.") from None
+    return parse_scenario(text, where)
 
 
 def parse_scenario(text: str, where: str) -> Scenario:
     """Scenario from TOML text; `where` names it in errors."""
     try:
-        document = tomllib.loads(text)
+        document = parsed_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"scenario {where}: not valid TOML: {error}.") from error
     _check_finite(document, where, "")

@@ -26,7 +26,7 @@ from control.model.description import Arm, load_arm
 from hil_mocks.errors import MockError, RigError
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable, load_scenario
-from hil_mocks.wires import Wires
+from hil_mocks.wires import Pty, Wires
 
 _MOST_CATCH_UP_TICKS = 50  # beyond this lateness, the simulation drops the lost time
 _PRIORITY = 60  # of SCHED_FIFO; the loop's is 80
@@ -62,7 +62,8 @@ class Server:
     def __init__(self, arm: Arm, scenario: str, can_channel: str, socket_path: Path) -> None:
         self._arm = arm
         self._robot = MockRobot(arm, load_scenario(scenario))
-        self._wires = Wires(self._robot.serial_lines, "udp_multicast", can_channel)
+        lines = [Pty() for _ in range(self._robot.serial_lines)]
+        self._wires = Wires(lines, "udp_multicast", can_channel)
         self._channel, self._path = can_channel, socket_path
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.bind(str(socket_path))
@@ -77,7 +78,7 @@ class Server:
 
     def announcement(self) -> dict[str, Any]:
         """The ports, as printed at the start."""
-        paths, encoders = [pty.path for pty in self._wires.ptys], len(self._robot.encoder_boards)
+        paths, encoders = [wire.path for wire in self._wires.serial], len(self._robot.encoder_boards)
         return {
             "encoder_urls": paths[:encoders],
             "board_urls": dict(zip(self._robot.bought.ports, paths[encoders:], strict=True)),

@@ -1,6 +1,6 @@
-"""The wires of a mock arm: ptys for the serial boards, a CAN bus of python-can, datagrams of the camera.
+"""The wires of a mock arm: serial lines of the encoder boards, a CAN bus of python-can, datagrams of the camera.
 
-The host opens the other ends with its ordinary drivers: a pty's path, an interface and a channel, a UDP port.
+The host opens the other ends with its ordinary drivers: a port's path, an interface and a channel, a UDP port.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import socket
 import sys
 import termios
 import tty
+from collections.abc import Sequence
 from typing import Protocol
 
 import can
@@ -35,6 +36,26 @@ class OnWires(Protocol):
     def from_host_serial(self, board: int, received: bytes) -> None: ...
     def from_host_can(self, can_id: int, payload: bytes) -> None: ...
     def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes: ...
+
+
+def newest_frames(sent: bytes) -> bytes:
+    """The last whole frames that a tty holds for a host that does not read; frames end with 0."""
+    if len(sent) <= _ROOM_BYTES:
+        return sent
+    newest = sent[-_ROOM_BYTES:]
+    return newest[newest.index(0) + 1 :]
+
+
+class SerialWire(Protocol):
+    """The board's end of a serial line; the host opens `path`."""
+
+    @property
+    def path(self) -> str: ...
+    def read(self) -> bytes: ...
+    def write(self, sent: bytes) -> None: ...
+    def settle(self) -> None: ...
+    def vanish(self) -> None: ...
+    def close(self) -> None: ...
 
 
 class Pty:
@@ -67,9 +88,7 @@ class Pty:
         """Send; if a host does not read, the oldest frames are lost."""
         if not self._is_here:
             return
-        if len(sent) > _ROOM_BYTES:
-            sent = sent[-_ROOM_BYTES:]
-            sent = sent[sent.index(0) + 1 :]
+        sent = newest_frames(sent)
         self._expected_bytes = min(self._unread() + len(sent), _ROOM_BYTES)
         with contextlib.suppress(BlockingIOError):
             os.write(self._ours, sent)
@@ -103,9 +122,9 @@ class Wires:
     """All wires of one robot. Nothing blocks."""
 
     def __init__(
-        self, encoder_boards: int, can_interface: str, can_channel: str, camera_port: int = 0
+        self, serial_wires: Sequence[SerialWire], can_interface: str, can_channel: str, camera_port: int = 0
     ) -> None:
-        self.ptys = [Pty() for _ in range(encoder_boards)]
+        self.serial = tuple(serial_wires)
         # A separate port, because python-can receives all groups of a port. No hops: frames stay on this machine.
         is_multicast = can_interface == "udp_multicast"
         self.can_options: dict[str, int] = {"port": free_udp_port(), "hop_limit": 0} if is_multicast else {}
@@ -117,8 +136,8 @@ class Wires:
 
     def from_host(self, robot: OnWires) -> None:
         """Pass the host's data to the robot."""
-        for i, pty in enumerate(self.ptys):
-            received = pty.read()
+        for i, wire in enumerate(self.serial):
+            received = wire.read()
             if received:
                 robot.from_host_serial(i, received)
         with contextlib.suppress(LinkLost):  # a bus that is off for the host
@@ -127,15 +146,15 @@ class Wires:
 
     def serial_to_host(self, robot: OnWires, ahead_s: float = 0.0) -> None:
         """Send the host the bytes that arrive by now, or within `ahead_s`."""
-        for i, pty in enumerate(self.ptys):
+        for i, wire in enumerate(self.serial):
             sent = robot.serial_outgoing(i, ahead_s)
             if sent:
-                pty.write(sent)
+                wire.write(sent)
 
     def settle(self) -> None:
         """Return when the host can read all that was sent to it."""
-        for pty in self.ptys:
-            pty.settle()
+        for wire in self.serial:
+            wire.settle()
 
     def to_host(self, robot: OnWires) -> None:
         """Send the host what the robot has sent by now; a pty may delay it slightly."""
@@ -162,8 +181,8 @@ class Wires:
 
     def close(self) -> None:
         """Close all wires."""
-        for pty in self.ptys:
-            pty.close()
+        for wire in self.serial:
+            wire.close()
         self._can.close()
         self._camera.close()
 

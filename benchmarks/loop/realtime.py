@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.loop.jobs import circle_path, go_to_start, reference_arm
-from benchmarks.table import BenchRow
+from benchmarks.table import BenchRow, compared
 from control.errors import ArmError
 from control.model.description import save_arm
-from control.recording.record import Recording
+from control.recording.reading import Recording
+from control.recording.record import Layout
 from control.server.client import ArmClient, RuntimeGone, SocketChannel
 from hil_mocks.realtime import RealTimeRig
 from procedures.mock.arm import wired_to
@@ -64,13 +65,19 @@ def _rows_at(rate_Hz: int) -> list[BenchRow]:
         timed(client, "circle", lambda: client.run_path(path.to_message()))
         status = client.status()
         client.off(quit_runtime=True)
-        cycles = cycles_of(Path(status["recording"]))
+        cycles, row_bytes = cycles_of(Path(status["recording"])), row_bytes_of(Path(status["recording"]))
+    packed_bytes = Layout.of(arm.joint_count).packing.size
+    recorded = compared(
+        f"real time, {rate_Hz} Hz: recorded an hour", 3.6e-3 * rate_Hz * row_bytes, "MB", "packed rows",
+        3.6e-3 * rate_Hz * packed_bytes, "a fifth", 0.2,
+    )  # fmt: skip
     class_ = "SCHED_FIFO" if status["rights"] == "granted" else "without real-time rights"
-    return [
+    timely = [
         row
         for name, span in spans.items()
         for row in _rows_of(f"real time, {rate_Hz} Hz, {name}", 1.0 / rate_Hz, cycles, span, class_)
     ]
+    return [*timely, recorded]
 
 
 def _rows_of(
@@ -96,6 +103,12 @@ def cycles_of(recording: Path) -> NDArray[np.float64]:
     opened = Recording.open(recording)
     wanted = [opened.layout.names.index(name) for name in ("t_s", "missed", "late_s")]
     return np.array([[row[i] for i in wanted] for row in opened.rows()]).T
+
+
+def row_bytes_of(recording: Path) -> float:
+    """What a row takes in the file."""
+    opened = Recording.open(recording)
+    return (recording.stat().st_size - opened.offset) / opened.row_count
 
 
 @contextmanager

@@ -32,6 +32,7 @@ def largest_cube(arm: Arm) -> TestCube:
 
     Its centre is straight ahead, towards the table, or along x; it is searched on a refined grid.
     """
+    _require_volume(arm)
     found = [cube for solver in solvers(arm) if (cube := _grown(arm, solver, reach_m(arm))) is not None]
     if not found:
         raise Iso9283Error(
@@ -46,6 +47,7 @@ def solver_of(arm: Arm, cube: TestCube) -> Solver:
 
     A cube chosen by the user may be closer to floor and joint limits than a searched one.
     """
+    _require_volume(arm)
     reasons = []
     for solver in solvers(arm, margin_rad=0.0):
         reason = _obstacle(arm, solver, cube, clearance_m=0.0)
@@ -77,6 +79,15 @@ def solvers(arm: Arm, margin_rad: float = LIMIT_MARGIN_rad) -> Iterator[Solver]:
         return
     for branch in BRANCHES:
         yield lambda point, branch=branch: checked(inverse.solve(point_of(point), branch))  # type: ignore[misc]
+
+
+def _require_volume(arm: Arm) -> None:
+    """Iso9283Error for an arm whose tip moves on a surface: two joints, or parallel axes only."""
+    if InverseKinematics(arm).held.nearest[:1] == (0,):
+        raise Iso9283Error(
+            f"arm {arm.name}: its tip moves on a surface, and the test cube of ISO 9283 needs three directions: three joints or"
+            " more, whose axes are not all parallel"
+        )
 
 
 def reach_m(arm: Arm) -> float:

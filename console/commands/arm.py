@@ -1,24 +1,61 @@
 """`armwright arm` checks and summarises an arm.toml; `armwright export-arm` converts it to other formats."""
 
 import argparse
+import dataclasses
 import json
 import math
 import sys
 from pathlib import Path
 from typing import Any
 
+from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
+from procedures.arm_sheet.figures import Sheet, sheet
+from procedures.arm_sheet.missing import Missing, missing
+from procedures.arm_sheet.text import sheet_lines, warnings
 
 
 def run(given: argparse.Namespace) -> int:
-    """Print a summary of the file, or write it in another format."""
+    """Print a summary of the file, write it in another format, or write one from another format."""
+    if given.command == "arm" and (given.from_urdf or given.from_mjcf):
+        return _imported(given)
     arm = load_arm(given.arm)
     if given.command == "export-arm":
         return _export(arm, given.export, Path(given.out))
-    text = json.dumps(summary(arm), indent=2) if given.json else described(arm)
+    found, absent = sheet(arm), missing(arm)
+    if given.json:
+        text = json.dumps({**summary(arm), **_figures(found, absent)}, indent=2)
+    else:
+        text = "\n".join([described(arm), *sheet_lines(arm, found, absent)])
     sys.stdout.write(f"{text}\n")
     return 0
+
+
+def _figures(found: Sheet, absent: tuple[Missing, ...]) -> dict[str, Any]:
+    """Figures for programs: what is unknown or infinite is null."""
+    return {
+        "figures": _plain(dataclasses.asdict(found)),
+        "warnings": list(warnings(found)),
+        "missing": [dataclasses.asdict(one) for one in absent],
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _imported(given: argparse.Namespace) -> int:
+    """An arm.toml from a model, with a default for all that the model does not hold."""
+    from console.commands import new
+
+    if not given.out:
+        raise ArmError("--out: expected the arm.toml to write, got nothing")
+    return new.run(argparse.Namespace(**{**vars(given), "yes": True, "name": None}))
 
 
 def _export(arm: Arm, form: str, path: Path) -> int:
@@ -33,7 +70,7 @@ def _export(arm: Arm, form: str, path: Path) -> int:
 
 
 def summary(arm: Arm) -> dict[str, Any]:
-    """Summary of the arm for programs."""
+    """What the file holds, for programs."""
     return {
         "name": arm.name,
         "path": str(arm.path),

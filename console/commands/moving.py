@@ -102,8 +102,13 @@ def _jog(given: argparse.Namespace) -> int:
     """One step; exit status 1 if it could not be completed."""
     if (given.joint is None) == (given.axis is None):
         raise ArmError("jog: give either --joint or --axis")
-    step: dict[str, Any] = {"axis": given.axis, "by_m": given.by}
-    speed = "speed_m_s"
+    is_turn = given.axis is not None and given.axis.startswith("r")
+    step: dict[str, Any] = {
+        "axis": given.axis,
+        "by_rad" if is_turn else "by_m": given.by,
+        "frame": given.frame,
+    }
+    speed = "speed_rad_s" if is_turn else "speed_m_s"
     if given.joint is not None:
         step, speed = {"joint": given.joint, "by_rad": given.by}, "speed_rad_s"
     if given.speed is not None:
@@ -111,7 +116,7 @@ def _jog(given: argparse.Namespace) -> int:
     limited = connected(given).jog(**step)
     if limited:
         sys.stderr.write(f"armwright: {limited}\n")
-    return 1 if limited and not limited.startswith("slower") else 0
+    return 1 if limited and not limited.startswith("slowed") else 0
 
 
 # ---- saving the present pose

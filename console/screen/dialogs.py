@@ -14,6 +14,7 @@ HELP = """\
 [b]space[/]     STOPS the arm, everywhere, and whatever line runs
 
 [b]1[/]-[b]9[/]       jog joint 1 ...          [b]x y z[/]   jog the tip on an axis
+[b]X Y Z[/]     turn it about an axis    [b]e[/]       axes of base or tip
 [b]← →[/]       jog: hold the key; it moves while the key repeats
 [b]t[/]         step or hold             [b], .[/]     step smaller, larger
 [b]- +[/]       jog slower, faster       [b]< >[/]     speed override

@@ -2,12 +2,13 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from console.screen.drawing.rows import Row, row
 from console.screen.held import HeldKey
 from console.screen.operator import Operator, Target
 from control.model.arm import Arm
-from control.motion.jog_limits import JogLimits
+from control.motion.jog_limits import JogLimits, TURN_SPEED_rad_s
 
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # of a jog's limit
 STEPS_rad = (0.0005, 0.001, 0.005, 0.02, 0.1)
@@ -24,6 +25,10 @@ class Jogger:
             *(Target(j + 1, None) for j in range(arm.joint_count)),
             *(Target(None, axis) for axis in "xyz"),
         ]
+        self.turns = [
+            Target(None, f"r{axis}") for axis in "xyz"
+        ]  # by keys alone: 80 columns have no room for more buttons
+        self.of_tip = False
         self.selected = self.targets[0]
         self.speed = 0.2
         self.is_stepping = False
@@ -38,14 +43,26 @@ class Jogger:
 
     def describe(self) -> Row:
         """Describe what the arrow keys do."""
-        joint = self.selected.joint is not None
-        size = f"{STEPS_rad[self._step_at]:g} rad" if joint else f"{1e3 * STEPS_m[self._step_at]:g} mm"
+        size = (
+            f"{STEPS_rad[self._step_at]:g} rad"
+            if self.selected.is_angle
+            else f"{1e3 * STEPS_m[self._step_at]:g} mm"
+        )
         how = f" step {size}" if self.is_stepping else " hold the key"
-        return row((self.selected.name, "chosen"), f"{how}, {100 * self.speed:g} %")
+        of_tip = " of the tip" if self.of_tip and self.selected.joint is None else ""
+        return row((self.selected.name, "chosen"), f"{of_tip}{how}, {100 * self.speed:g} %")
+
+    def toggle_frame(self) -> None:
+        """Jog along and about the axes of the tip, or of the base again."""
+        self.of_tip = not self.of_tip
+        self._key.forget()
+
+    def _of_frame(self, target: Target) -> Target:
+        return replace(target, of_tip=self.of_tip and target.joint is None)
 
     def select(self, name: str) -> None:
         """Select what the arrow keys jog; an unknown name changes nothing."""
-        for target in self.targets:
+        for target in (*self.targets, *self.turns):
             if target.name == name:
                 self.selected = target
                 self._key.forget()
@@ -98,17 +115,19 @@ class Jogger:
         self.speed = neighbour(SPEEDS, self.speed, by)
 
     def _step(self, target: Target, sign: int) -> None:
-        sizes = STEPS_rad if target.joint is not None else STEPS_m
+        sizes = STEPS_rad if target.is_angle else STEPS_m
+        target = self._of_frame(target)
         self._operator.step(target, sign * sizes[self._step_at], round(self._fastest(target) * self.speed, 6))
 
     async def _jog(self, target: Target, sign: int) -> None:
         self.has_jogged = True
-        await self._operator.jog(target, sign * self.speed * self._fastest(target), self._joint_count)
+        speed = sign * self.speed * self._fastest(target)
+        await self._operator.jog(self._of_frame(target), speed, self._joint_count)
 
     def _fastest(self, target: Target) -> float:
         """Largest speed of a jog, rad/s or m/s."""
         if target.joint is None:
-            return self._limits.tip_speed_m_s
+            return TURN_SPEED_rad_s if target.is_angle else self._limits.tip_speed_m_s
         return self._limits.joints.speed_rad_s[target.joint - 1]
 
 

@@ -40,6 +40,8 @@ class OperatingScreen(Screen[None]):
     BINDINGS: ClassVar[list[BindingType]] = [
         *(Binding(str(n), f"select('J{n}')", show=False) for n in range(1, 10)),
         *(Binding(axis, f"select('{axis.upper()}')", show=False) for axis in "xyz"),
+        *(Binding(axis, f"select('R{axis}')", show=False) for axis in "XYZ"),
+        Binding("e", "toggle_frame", show=False),
         Binding("left", "jog(-1)", show=False),
         Binding("right", "jog(1)", show=False),
         Binding("t", "toggle_step", show=False),
@@ -164,6 +166,11 @@ class OperatingScreen(Screen[None]):
     def action_toggle_step(self) -> None:
         """Toggle step or hold."""
         self._jogger.is_stepping = not self._jogger.is_stepping
+        self._dashboard.hurry()
+
+    def action_toggle_frame(self) -> None:
+        """Toggle the axes of the tip and of the base."""
+        self._jogger.toggle_frame()
         self._dashboard.hurry()
 
     def action_step_size(self, by: int) -> None:

@@ -26,15 +26,21 @@ MOVING = ("MOVING", "HOMING", "JOGGING", "PAUSED", "STOPPING", "GUIDING")
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Target of a jog: a joint (1-based) or an axis of the base frame."""
+    """Target of a jog: a joint (1-based), or along (x, y, z) or about (rx, ry, rz) an axis of the base or of the tip."""
 
     joint: int | None
     axis: str | None
+    of_tip: bool = False
 
     @property
     def name(self) -> str:
-        """Name on the screen: J1 ... or X, Y, Z."""
+        """Name on the screen: J1 ... or X, Y, Z, RX, RY, RZ."""
         return f"J{self.joint}" if self.joint is not None else str(self.axis).upper()
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether it is jogged in radians."""
+        return self.joint is not None or str(self.axis).startswith("r")
 
 
 class Operator:
@@ -135,7 +141,7 @@ class Operator:
         if (given.joint is None) == (given.axis is None):
             self._say("jog: give either --joint or --axis", True)
             return False
-        self.step(Target(given.joint, given.axis), given.by, given.speed or 0.0)
+        self.step(Target(given.joint, given.axis, given.frame == "tip"), given.by, given.speed or 0.0)
         return True
 
     # ---- processes
@@ -202,20 +208,26 @@ class Operator:
 def _velocity(target: Target, speed: float, joint_count: int) -> Message:
     if target.joint is not None:
         return {"joint_speed_rad_s": [speed if j + 1 == target.joint else 0.0 for j in range(joint_count)]}
-    return {"tip_velocity_m_s": [speed if axis == target.axis else 0.0 for axis in ("x", "y", "z")]}
+    rate = [speed if axis == str(target.axis)[-1] else 0.0 for axis in ("x", "y", "z")]
+    return {"tip_turn_rad_s" if target.is_angle else "tip_velocity_m_s": rate, **_frame(target)}
+
+
+def _frame(target: Target) -> Message:
+    return {"frame": "tip"} if target.of_tip else {}
 
 
 def _step_of(target: Target, by: float, speed: float) -> Message:
-    if target.joint is not None:
-        request: Message = {"joint": target.joint, "by_rad": by}
-        return {**request, "speed_rad_s": speed} if speed else request
-    request = {"axis": target.axis, "by_m": by}
-    return {**request, "speed_m_s": speed} if speed else request
+    unit = "rad" if target.is_angle else "m"
+    what: Message = (
+        {"axis": target.axis, **_frame(target)} if target.joint is None else {"joint": target.joint}
+    )
+    return {**what, f"by_{unit}": by, **({f"speed_{unit}_s": speed} if speed else {})}
 
 
 def _step_line(target: Target, by: float, speed: float) -> str:
     what = f"--joint {target.joint}" if target.joint is not None else f"--axis {target.axis}"
-    return f"jog {what} --by {by:g}" + (f" --speed {speed:g}" if speed else "")
+    frame = " --frame tip" if target.of_tip else ""
+    return f"jog {what}{frame} --by {by:g}" + (f" --speed {speed:g}" if speed else "")
 
 
 def _words(line: Line) -> list[str]:

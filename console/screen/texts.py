@@ -87,8 +87,13 @@ def joint_rows(status: Message, arm: Arm, selected: str, width: int) -> list[Row
 
 def tip_row(status: Message, selected: str) -> Row:
     """The tip by the arm's model, and its distances from the set-point and the camera's measurement."""
+    signs = {f"{turn}{axis}": sign for axis in "XYZ" for turn, sign in (("", "▸"), ("R", "↻"))}
     axes = tuple(
-        (f"{'▸' if selected == a else ' '}{a}", "chosen" if selected == a else "strong") for a in "XYZ"
+        (
+            f"{signs[selected] if selected[-1:] == a and selected in signs else ' '}{a}",
+            "chosen" if selected[-1:] == a and selected in signs else "strong",
+        )
+        for a in "XYZ"
     )
     if status["tip_m"] is None:
         return (*axes, ("   tip unknown before homing", "muted"))

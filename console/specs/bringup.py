@@ -1,6 +1,7 @@
 """Commands for a new arm: checks, bring-up and tuning."""
 
 from console.options import ARM, JSON, LINKS, RATE, CommandSpec, finite, option
+from console.specs.files import MODEL
 
 MOCK = (
     option("--mock", action="store_true", help="use a mock arm on a stepped clock"),
@@ -15,6 +16,46 @@ NEW_ARM = option("--out", metavar="NEW.toml", required=True, help="the arm.toml 
 JOINTS = option("--joint", type=int, metavar="J", action="append", help="only this joint; may be repeated")
 
 BRINGUP = (
+    CommandSpec(
+        "new",
+        "write a commented arm.toml from a few answers, or from a URDF or MJCF; it runs on the mock at once",
+        (
+            NEW_ARM,
+            option("--name", metavar="NAME", help="the arm's name (default: that of the file)"),
+            option("--joints", metavar="N", help="how many joints turn, 2 to 7"),
+            option(
+                "--axes", metavar="zyy", help="axis of each joint, stretched: z along the arm, y or x across"
+            ),
+            option(
+                "--lengths",
+                metavar="M",
+                nargs="+",
+                help="in m: base to joint 2, joint to joint, last joint to tip",
+            ),
+            option(
+                "--gears", metavar="R", nargs="+", help="motor turns per joint turn: one for all or one each"
+            ),
+            option(
+                "--counts",
+                metavar="C",
+                nargs="+",
+                help="encoder counts per motor turn: one for all or one each",
+            ),
+            option("--home", metavar="yes|no", help="whether every joint has a home switch and an index"),
+            option(
+                "--ports",
+                metavar="PORT",
+                nargs="+",
+                help="serial ports of the encoder boards, three joints each",
+            ),
+            option("--can", metavar="I:C", help="CAN bus of the motor boards, such as socketcan:can0"),
+            *MODEL,
+            option(
+                "--yes", action="store_true", help="take the default of every question that no option answers"
+            ),
+        ),
+        "Asks what no option answers; Enter takes the default. A model gives axes, lengths, masses and limits.",
+    ),
     CommandSpec(
         "doctor",
         "check ports, boards, timing, noise and rights before the arm moves",

@@ -2,6 +2,19 @@
 
 from console.options import ARM, JSON, OUT, USERS_ARM, CommandSpec, option
 
+MODEL = (
+    option("--from-urdf", metavar="F", help="take axes, masses and limits from a URDF file"),
+    option("--from-mjcf", metavar="F", help="the same from MuJoCo's format"),
+    option("--base", metavar="LINK", help="first link of the arm in the model (default: its root)"),
+    option("--tip", metavar="LINK", help="last link of the arm in the model (default: its only end)"),
+    option(
+        "--convention",
+        choices=("standard", "modified"),
+        default="standard",
+        help="DH convention of the new file (default: standard)",
+    ),
+)
+
 FILES = (
     CommandSpec(
         "export",
@@ -37,7 +50,15 @@ FILES = (
     ),
     CommandSpec(
         "arm",
-        "read an arm.toml and print a summary",
-        (option("arm", nargs="?", default=USERS_ARM, metavar="A"), JSON),
+        "read an arm.toml and print a summary; or write one from a URDF or MJCF",
+        (
+            option("arm", nargs="?", default=USERS_ARM, metavar="A"),
+            JSON,
+            *MODEL,
+            option(
+                "--out", metavar="NEW.toml", help="with a model: the arm.toml to write; never overwritten"
+            ),
+        ),
+        "With --from-urdf or --from-mjcf, motors, gears, encoders and boards are placeholders; `armwright new` asks for them.",
     ),
 )

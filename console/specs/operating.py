@@ -135,14 +135,21 @@ OPERATING = (
     ),
     CommandSpec(
         "jog",
-        "move a joint, or the tip along an axis of the base frame, by one step",
+        "move a joint, or the tip along or about an axis of the base or of the tip, by one step",
         (
             ARM,
             SOCKET,
             option("--joint", type=int, metavar="J", help="a joint, from 1"),
-            option("--axis", choices=("x", "y", "z"), help="an axis of the base frame"),
             option(
-                "--by", type=finite, required=True, metavar="STEP", help="rad for a joint, m along an axis"
+                "--axis", choices=("x", "y", "z", "rx", "ry", "rz"), help="along an axis; with r, about it"
+            ),
+            option("--frame", choices=("base", "tip"), default="base", help="whose axis (default: base)"),
+            option(
+                "--by",
+                type=finite,
+                required=True,
+                metavar="STEP",
+                help="rad for a joint or about an axis, m along an axis",
             ),
             option("--speed", type=finite, metavar="V", help="rad/s or m/s (default: the limit for jogging)"),
         ),

@@ -11,12 +11,13 @@ from console.visualisation.columns import JOINT_FORMS, Report, of_columns
 from console.visualisation.series import Array, Series
 from control.errors import ArmError
 from control.model.arm import Arm
-from control.recording.record import MAGIC, Recording
+from control.recording.frame_decoder import row_type
+from control.recording.reading import Recording
+from control.recording.record import MAGIC, MAGIC_OF_FRAMES
 from control.recording.recorded_arm import recorded_arm
 from control.safety.table import Mode
 
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
-NUMPY_OF_CODE: Final = {"d": "<f8", "f": "<f4", "I": "<u4", "i": "<i4", "H": "<u2", "h": "<i2", "B": "u1", "b": "i1"}  # fmt: skip
 
 
 def read_series(path: Path, arm: Arm | None = None, report: Report = lambda done: None) -> Series:
@@ -29,7 +30,7 @@ def read_series(path: Path, arm: Arm | None = None, report: Report = lambda done
         raise ArmError(f"{path}: {what}; `armwright serve` records to its --log folder")
     with path.open("rb") as file:
         start = file.read(8)
-    if start == MAGIC:
+    if start in (MAGIC, MAGIC_OF_FRAMES):
         series = _of_recording(Recording.open(path), arm)
     elif start == MCAP_MAGIC:
         from console.visualisation.reading_mcap import of_mcap
@@ -53,19 +54,22 @@ def _is_text(start: bytes) -> bool:
 
 def _of_recording(recording: Recording, arm: Arm | None) -> Series:
     path, layout = recording.path, recording.layout
-    codes = layout.packing.format.lstrip("<")
-    if len(codes) != len(layout.names) or any(code not in NUMPY_OF_CODE for code in codes):
-        raise ArmError(f"{path}: rows packed as {layout.packing.format!r}, which this version cannot read")
-    dtype = np.dtype([(n, NUMPY_OF_CODE[c]) for n, c in zip(layout.names, codes, strict=True)])
-    size = path.stat().st_size - recording.offset
-    if size < 0:
-        raise ArmError(f"{path}: the header is cut off: {-size} bytes are missing; nothing was recorded")
-    rows = np.fromfile(path, dtype=dtype, count=recording.row_count, offset=recording.offset)
-    notes = []
-    if torn := size % layout.packing.size:
-        notes.append(
-            f"{path}: the last row is incomplete ({torn} of {layout.packing.size} bytes) and was dropped"
+    try:
+        rows = np.frombuffer(recording.packed(), dtype=row_type(layout.names, layout.packing))
+    except ValueError as error:
+        raise ArmError(f"{path}: {error}, which this version cannot read") from None
+    count, end = recording.extent()
+    size = path.stat().st_size
+    if size < recording.offset:
+        raise ArmError(
+            f"{path}: the header is cut off: {recording.offset - size} bytes are missing; nothing was recorded"
         )
+    notes = []
+    if size > end:
+        unit = "row" if recording.columns is None else "frame"
+        notes.append(f"{path}: the last {unit} is incomplete ({size - end} bytes) and was dropped")
+    if count > len(rows):
+        notes.append(f"{path}: {count - len(rows)} rows are damaged and were dropped")
     return of_columns(
         path.name,
         {name: rows[name] for name in layout.names},

@@ -8,6 +8,7 @@ and has no named branches.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import pi
 
 import numpy as np
@@ -19,6 +20,8 @@ from control.kinematics.kinematics import Kinematics
 from control.kinematics.newton import ACCURACY_M, Newton
 from control.kinematics.numeric_inverse import Descent, descend, seeds
 from control.kinematics.planar_inverse import BRANCHES, Branch, PlanarInverse, planar_inverse
+from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.pose_solver import Task, task_of
 from control.model.arm import Arm, Vector3
 
 __all__ = ["BRANCHES", "Branch", "InverseKinematics", "Solution"]
@@ -59,6 +62,21 @@ class InverseKinematics:
         self._planar = planar_inverse(self.kinematics)
         if self._planar is not None:
             self._newton = Newton(self.kinematics)
+
+    @cached_property
+    def poses(self) -> PoseKinematics:
+        """Position and orientation of this arm's tip."""
+        return PoseKinematics(self.kinematics)
+
+    @cached_property
+    def held(self) -> Task:
+        """What the joints hold of the tip where its orientation matters; up to three joints hold the position only."""
+        return task_of(self.poses, self.poses.joint_count > 3)
+
+    def prepare(self) -> None:
+        """Compile now what jogs and status need, and not between two cycles."""
+        self.poses.at(*self._rest)
+        self.held.freedom(len(self._rest))
 
     @property
     def has_branches(self) -> bool:

@@ -4,15 +4,18 @@ A dead man's switch: the client must keep renewing the request. If it is silent 
 the arm slows to rest and the jog ends.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from control.errors import ArmError
 from control.hardware.board_stop import Bridge
 from control.kinematics.inverse import InverseKinematics
+from control.motion.errors import MotionError
 from control.motion.guard import Guard
 from control.motion.jog_joints import JointJog
 from control.motion.jog_limits import JogLimits
+from control.motion.jog_pose import STILL, PoseJog, Room, Twist
 from control.motion.jog_tip import TipJog
 from control.motion.setpoint import SetPoint, Vector
 
@@ -35,21 +38,25 @@ class JointStep:
 
 @dataclass(frozen=True, slots=True)
 class TipVelocity:
-    """The tip, in the base frame."""
+    """The tip along and about the axes of the base, or of the tip as they are when the request begins."""
 
     velocity_m_s: Vector
+    turn_rad_s: Vector = (0.0, 0.0, 0.0)
+    of_tip: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class TipStep:
-    """The tip along x (0), y or z of the base frame."""
+    """The tip along x (0), y or z [m], or about x (3), y or z [rad]; axes as with TipVelocity."""
 
     axis: int
-    by_m: float
-    speed_m_s: float
+    by: float
+    speed: float
+    of_tip: bool = False
 
 
 JogRequest = JointSpeeds | JointStep | TipVelocity | TipStep
+AnyJog = JointJog | TipJog | PoseJog
 
 
 class _Motion(Protocol):
@@ -71,10 +78,11 @@ class Jogging:
         """`guard`: None for an arm that is not homed; its poses are unknown."""
         self._limits = limits if guard is not None else limits.unhomed()
         self._inverse = inverse
+        self._asked: JogRequest | None = None
         self._guard = guard
         self._objection = ""  # what the arm would meet
         self._must_rest = False  # before another request
-        self._motion: JointJog | TipJog | None = None
+        self._motion: AnyJog | None = None
         self._next: JogRequest | None = None  # once the arm has come to rest
         self._is_step = False
         self._asked_s = 0.0
@@ -124,7 +132,7 @@ class Jogging:
                 self._is_step = True
         return set_point if self._motion is None else self._guarded(self._motion, elapsed_s, set_point)
 
-    def _guarded(self, motion: JointJog | TipJog, elapsed_s: float, set_point: SetPoint) -> SetPoint:
+    def _guarded(self, motion: AnyJog, elapsed_s: float, set_point: SetPoint) -> SetPoint:
         """The motion's next set-point; the motion comes to rest where the arm would meet something.
 
         A tip jog looks at the end of its own stop.
@@ -163,15 +171,50 @@ class Jogging:
             return False
         if motion is None or not _suits(motion, request):
             motion = self._new(request, set_point)
-        _tell(motion, request)
-        self._motion, self._is_step = motion, is_step
+        if isinstance(motion, JointJog):
+            _tell(motion, request)
+        elif request != self._asked or motion is not self._motion or is_step:
+            self._tell_tip(motion, request, set_point)
+        self._motion, self._is_step, self._asked = motion, is_step, request
         return True
 
-    def _new(self, request: JogRequest, set_point: SetPoint) -> JointJog | TipJog:
+    def _tell_tip(self, motion: TipJog | PoseJog, request: JogRequest, set_point: SetPoint) -> None:
+        """The request along the base's axes. MotionError if the arm has no joints for a turn."""
+        if isinstance(request, TipStep):
+            way = [0.0] * 6
+            way[request.axis] = request.by
+            twist = self._in_base(way, request.of_tip, set_point)
+            if isinstance(motion, PoseJog):
+                motion.step(twist, request.speed)
+            else:
+                motion.step(_only_position(twist), request.speed)
+        elif isinstance(request, TipVelocity):
+            twist = self._in_base((*request.velocity_m_s, *request.turn_rad_s), request.of_tip, set_point)
+            if isinstance(motion, PoseJog):
+                motion.want(twist)
+            else:
+                motion.want(_only_position(twist))
+
+    def _in_base(self, twist: Sequence[float], of_tip: bool, set_point: SetPoint) -> Twist:
+        a, b, c, d, e, f = twist
+        if not of_tip:
+            return a, b, c, d, e, f
+        rows = self._inverse.poses.at(*set_point.q_rad)[1]
+        x, y, z = (r * a + s * b + t * c for r, s, t in rows)
+        u, v, w = (r * d + s * e + t * f for r, s, t in rows)
+        return x, y, z, u, v, w
+
+    def _new(self, request: JogRequest, set_point: SetPoint) -> AnyJog:
         if isinstance(request, JointSpeeds | JointStep):
             return JointJog(set_point, self._limits.joints)
         if self._guard is None:
             raise ArmError("a tip jog needs every joint homed: home the arm first (`armwright home`)")
+        if len(set_point.q_rad) != 3:
+            room = Room(self._guard.resting_pose, self._guard.objection)
+            inverse, limits = self._inverse, self._limits
+            return PoseJog(
+                set_point, inverse.poses, inverse.held, limits.of_motion, limits.tip_speed_m_s, room
+            )
         return TipJog(
             set_point,
             self._inverse,
@@ -184,20 +227,27 @@ class Jogging:
     def _cease(self) -> None:
         if isinstance(self._motion, JointJog):
             self._motion.want((0.0,) * len(self._limits.joints.speed_rad_s))
+        elif isinstance(self._motion, PoseJog):
+            self._motion.want(STILL)
         elif self._motion is not None:
             self._motion.want((0.0, 0.0, 0.0))
+        self._asked = None
 
 
-def _suits(motion: JointJog | TipJog, request: JogRequest) -> bool:
+def _suits(motion: AnyJog, request: JogRequest) -> bool:
     return isinstance(motion, JointJog) == isinstance(request, JointSpeeds | JointStep)
 
 
-def _tell(motion: JointJog | TipJog, request: JogRequest) -> None:
-    if isinstance(motion, JointJog) and isinstance(request, JointSpeeds):
+def _tell(motion: JointJog, request: JogRequest) -> None:
+    if isinstance(request, JointSpeeds):
         motion.want(request.speed_rad_s)
-    elif isinstance(motion, JointJog) and isinstance(request, JointStep):
+    elif isinstance(request, JointStep):
         motion.step(request.joint, request.by_rad, request.speed_rad_s)
-    elif isinstance(motion, TipJog) and isinstance(request, TipVelocity):
-        motion.want(request.velocity_m_s)
-    elif isinstance(motion, TipJog) and isinstance(request, TipStep):
-        motion.step(request.axis, request.by_m, request.speed_m_s)
+
+
+def _only_position(twist: Twist) -> Vector:
+    if any(twist[3:]):
+        raise MotionError(
+            "jog: an arm of 3 joints cannot turn its tip: its orientation follows from its position"
+        )
+    return twist[0], twist[1], twist[2]

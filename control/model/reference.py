@@ -17,8 +17,8 @@ from control.model.rules import Rule
 
 PAGE = Path("docs/arm_toml.md")
 HEAD = """# arm.toml: every key
-One file describes one arm. `control/arms/right.toml` is a complete example; `armwright arm FILE` checks a file and prints what it
-holds.
+One file describes one arm. `armwright new` writes one with comments ([new_arm.md](new_arm.md)); `control/arms/right.toml` is a
+complete example; `armwright arm FILE` checks a file and prints what it holds.
 
 - SI units and radians; the unit ends the key's name. A value that looks like millimetres, degrees or grams is refused.
 - A key without a default is required; a section without required keys may be absent. A command that needs it says so.

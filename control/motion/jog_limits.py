@@ -10,6 +10,8 @@ from control.motion.joint_limits import JointLimits
 UNHOMED_SPEED_rad_s = 0.1
 # The tip takes about 0.2 s from rest to speed; more if the joints cannot follow.
 TIP_ACCELERATION_m_s2, TIP_JERK_m_s3 = 1.5, 30.0
+# Slow enough to watch; the tip's speed limit holds for what is 0.5 m from it. The same 0.2 s to speed.
+TURN_SPEED_rad_s, TURN_ACCELERATION_rad_s2, TURN_JERK_rad_s3 = 0.5, 3.0, 60.0
 
 
 @dataclass(frozen=True, slots=True)

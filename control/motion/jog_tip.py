@@ -122,18 +122,16 @@ class TipJog:
         self._wanted, self._goal_m = velocity_m_s, None
         self._resume()
 
-    def step(self, axis: int, by_m: float, speed_m_s: float) -> None:
-        """Move the tip along axis 0, 1 or 2 by a length, from rest. ArmError if it cannot come to rest there."""
-        here = self._looked.tip.position_m
-        goal, wanted = list(here), [0.0, 0.0, 0.0]
-        goal[axis] += by_m
-        wanted[axis] = math.copysign(min(abs(speed_m_s), self._most_m_s), by_m)
-        goal_m = (goal[0], goal[1], goal[2])
+    def step(self, way_m: Vector, speed_m_s: float) -> None:
+        """Move the tip by a way, from rest. ArmError if it cannot come to rest there."""
+        (x, y, z), (dx, dy, dz) = self._looked.tip.position_m, way_m
+        goal_m = (x + dx, y + dy, z + dz)
+        share = min(abs(speed_m_s), self._most_m_s) / math.hypot(*way_m)
         try:
             self._inverse.follow(goal_m, self._looked.joints.q_rad)
         except ArmError as error:
             raise MotionError(f"jog: the tip cannot go there: {_in_words(error)}") from error
-        self._goal_m, self._wanted = goal_m, (wanted[0], wanted[1], wanted[2])
+        self._goal_m, self._wanted = goal_m, (share * dx, share * dy, share * dz)
         self._resume()
 
     def advance(self, elapsed_s: float) -> SetPoint:

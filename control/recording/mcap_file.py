@@ -25,7 +25,7 @@ from control.model.description import parse_arm
 from control.recording import mcap_scene as scene
 from control.recording.mcap_events import Events, mode_name
 from control.recording.mcap_schemas import CAMERA, ERROR, FOXGLOVE, LOOP, TOPICS, columns_of, own_schemas
-from control.recording.record import Recording
+from control.recording.reading import Recording
 
 Row = tuple[float, ...]
 Point = tuple[float, float, float]

@@ -1,8 +1,8 @@
 r"""Recording format: a JSON header and one fixed-size binary row per cycle, robust against a killed process.
 
-File: `ARMLOG1\n`, u32 header length, JSON header (fields, joint count, arm, start time), then one packed row a cycle;
-little endian.
-Rows are only ever appended, so a killed writer can truncate only the last row, which the reader drops.
+File: `ARMLOG2\n`, u32 header length, JSON header (fields, joint count, arm, start time), then frames of rows
+(control.recording.frames); little endian. `ARMLOG1\n`: packed rows instead, as on the stepped clock and by earlier versions.
+Both are only ever appended to, so a killed writer can truncate only the last frame or row, which the reader drops.
 In real time the rows go through a pipe to a writer process (`control.recording.writer`): the loop never waits for a
 disk, and when the loop dies the writer still drains the pipe. It continues in another file when one has grown large
 (`next_part`). On the stepped clock, the rows go directly to the file.
@@ -10,23 +10,19 @@ disk, and when the loop dies the writer still drains the pipe. It continues in a
 
 import json
 import os
-import re
 import socket
 import struct
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
-from control.errors import ArmError
-from control.files import open_file, parsed_json
+from control.recording.fixed_point import content_of, stored_columns
 from control.recording.recorder_state import RecorderState
 from control.safety.table import Mode
 
-MAGIC = b"ARMLOG1\n"
-SUFFIX = ".armlog"
-HEADER_MOST_bytes, ROW_MOST_bytes = 1 << 24, 1 << 14  # the text of an arm.toml; 100 joints
+MAGIC, MAGIC_OF_FRAMES = b"ARMLOG1\n", b"ARMLOG2\n"
 ROWS_A_REPORT = 256  # reports are read once in this many rows
 REPORT_bytes = 1 << 14
 MODES_BEFORE_THEY_WERE_RECORDED = (
@@ -73,6 +69,15 @@ class Layout:
         """The header, as it precedes the rows."""
         return header_bytes(self.about(**about))
 
+    @property
+    def codes(self) -> str:
+        """The packing's code of each column."""
+        return self.packing.format.removeprefix("<")
+
+    def framed(self, rad_per_count: Sequence[float]) -> dict[str, Any]:
+        """What `about` gets for a recording in frames; `rad_per_count` of each joint's encoder."""
+        return {"frames": content_of(stored_columns(self.names, self.codes, rad_per_count))}
+
     def about(self, **more: Any) -> dict[str, Any]:
         """The header as a JSON object."""
         return {
@@ -87,37 +92,7 @@ class Layout:
 def header_bytes(header: Mapping[str, Any]) -> bytes:
     """Encode a header as it precedes the rows."""
     text = json.dumps(header).encode()
-    return MAGIC + struct.pack("<I", len(text)) + text
-
-
-def next_part(path: Path) -> Path:
-    """The file in which the recording `path` continues: NAME.armlog, NAME.part2.armlog, NAME.part3.armlog, ..."""
-    stem = path.name.removesuffix(SUFFIX)
-    if found := re.fullmatch(r"(.+)\.part(\d+)", stem):
-        return path.with_name(f"{found[1]}.part{int(found[2]) + 1}{SUFFIX}")
-    return path.with_name(f"{stem}.part2{SUFFIX}")
-
-
-def parts_from(path: Path) -> list[Path]:
-    """A recording and its continuation files, in order."""
-    parts = [path]
-    while has_part(following := next_part(parts[-1])):
-        parts.append(following)
-    return parts
-
-
-def last_part(path: Path) -> Path:
-    """The latest file of a recording, of which earlier ones may have been removed."""
-    part = re.compile(re.escape(path.name.removesuffix(SUFFIX)) + r"\.part(\d+)" + re.escape(SUFFIX))
-    found = [
-        (int(named[1]), other) for other in path.parent.iterdir() if (named := part.fullmatch(other.name))
-    ]
-    return max(found, default=(1, path))[1]
-
-
-def has_part(path: Path) -> bool:
-    """Whether the file exists and has a header; a part that is being created is empty."""
-    return path.exists() and path.stat().st_size > 0
+    return (MAGIC_OF_FRAMES if "frames" in header else MAGIC) + struct.pack("<I", len(text)) + text
 
 
 class RowSink(Protocol):
@@ -260,79 +235,3 @@ class Recorder:
     def close(self) -> None:
         """Close the sink."""
         self._sink.close()
-
-
-class RecordError(ArmError):
-    """A recording that cannot be read."""
-
-
-def _require_columns(layout: Layout) -> None:
-    """ValueError if the columns do not match the joint count. Columns of later versions may be missing."""
-    if type(layout.joint_count) is not int or not 1 <= layout.joint_count <= len(layout.names):
-        raise ValueError(f"joint_count {layout.joint_count!r} does not match {len(layout.names)} columns")
-    later = {f"counted{joint}_s" for joint in range(1, layout.joint_count + 1)}
-    for name in Layout.of(layout.joint_count).names:
-        if name not in layout.names and name not in later:
-            raise ValueError(f"column {name} of {layout.joint_count} joints is missing")
-
-
-def _require_numbers(header: dict[str, Any]) -> None:
-    for key in ("started_unix_s", "period_s"):
-        if not isinstance(header.get(key, 0.0), int | float):
-            raise ValueError(f"{key} is not a number: {header[key]!r}")
-
-
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """A recording on disk: its header and the offset of its rows."""
-
-    path: Path
-    header: dict[str, Any]
-    layout: Layout
-    offset: int
-
-    @classmethod
-    def open(cls, path: Path) -> "Recording":
-        """Read the header. RecordError if the file is not a recording."""
-        with open_file(path) as file:
-            start = file.read(len(MAGIC) + 4)
-            if len(start) < len(MAGIC) + 4 or not start.startswith(MAGIC):
-                raise RecordError(
-                    f"{path}: not an armwright recording: expected it to start with {MAGIC!r}, got {start[:8]!r}"
-                )
-            (length,) = struct.unpack("<I", start[len(MAGIC) :])
-            if length > min(HEADER_MOST_bytes, os.fstat(file.fileno()).st_size - len(start)):
-                raise RecordError(
-                    f"{path}: the header of this recording is damaged: its length is {length} bytes"
-                )
-            text = file.read(length)
-        try:
-            header = parsed_json(text)
-            packing = struct.Struct(header["packing"])
-            if not 0 < packing.size <= ROW_MOST_bytes:
-                raise ValueError(f"a row of {packing.size} bytes")
-            layout = Layout(header["joint_count"], tuple(header["names"]), packing)
-            packing.pack(*(0 for _ in layout.names))  # as many values as names
-            _require_columns(layout)
-            _require_numbers(header)
-        except (ValueError, KeyError, TypeError, struct.error) as error:
-            raise RecordError(f"{path}: the header of this recording is damaged ({error})") from error
-        return cls(path, header, layout, len(MAGIC) + 4 + length)
-
-    @property
-    def modes(self) -> tuple[str, ...]:
-        """Names of the modes by number, in the version that recorded."""
-        return tuple(self.header.get("modes") or MODES_BEFORE_THEY_WERE_RECORDED)
-
-    @property
-    def row_count(self) -> int:
-        """Number of complete rows in the file."""
-        return max(0, self.path.stat().st_size - self.offset) // self.layout.packing.size
-
-    def rows(self) -> Iterator[tuple[float, ...]]:
-        """Rows as tuples in the order of `layout.names`; an incomplete last row is dropped."""
-        size = self.layout.packing.size
-        with self.path.open("rb") as file:
-            file.seek(self.offset)
-            while len(chunk := file.read(size * 4096)) >= size:
-                yield from self.layout.packing.iter_unpack(chunk[: len(chunk) // size * size])

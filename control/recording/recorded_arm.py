@@ -9,7 +9,7 @@ from pathlib import Path
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm, parse_arm
-from control.recording.record import Recording
+from control.recording.reading import Recording
 
 
 def recorded_arm(recording: Recording) -> Arm | None:

@@ -35,7 +35,7 @@ class RecorderState:
         return replace(self, lost_rows=self.lost_rows + rows)
 
     def usage(self) -> str:
-        """Data rate and remaining time as text: `400 MB/h, room for 31 h`."""
+        """Data rate and remaining time as text: `60 MB/h, room for 200 h`."""
         rate = f"{1e-6 * self.bytes_per_h:.0f} MB/h"
         if self.hours_left is None:
             return rate

@@ -14,11 +14,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from control.recording.record import Recording, header_bytes, next_part
+from control.recording.frames import FrameEncoder, in_frames
+from control.recording.parts import next_part
+from control.recording.reading import Recording
+from control.recording.record import header_bytes
 from control.recording.recorder_state import RecorderState, hours_left
 
 RETRY_s = 1.0
 SYNC_bytes = 1 << 18  # interval of fsync, for power cuts
+FRAMED_SHARE = 0.2  # of a packed row that a row in frames takes, before it is measured
+MEASURED_ROWS = 5000
 ROOM_AGAIN_s = 60.0  # of rows that must fit before a stopped recording resumes
 NAME = re.compile(r"(?P<arm>.+)-\d{8}-\d{6}(-\d+)?(\.part\d+)?\.armlog")
 PWrite = Callable[[int, bytes, int], int]
@@ -34,13 +39,14 @@ class Policy:
 
 
 class PartFile:
-    """A file of a recording, with its header; grows by complete rows only. `pwrite` writes to the disk."""
+    """A file of a recording, with its header; grows by complete rows or frames only. `pwrite` writes to the disk."""
 
     def __init__(self, path: Path, pwrite: PWrite = os.pwrite) -> None:
         opened = Recording.open(path)
         self.path, self.header, self.row_bytes = path, opened.header, opened.layout.packing.size
         self._rows_at, self._pwrite, self._unsynced = opened.offset, pwrite, 0
-        self.size = self._rows_at + opened.row_count * self.row_bytes
+        self.row_count, self.size = opened.extent()
+        self._encoder = FrameEncoder(opened.columns, opened.layout.packing) if opened.columns else None
         self._fd = os.open(path, os.O_WRONLY)
         with contextlib.suppress(OSError):  # marks the file as unfinished for other runtimes
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -53,18 +59,38 @@ class PartFile:
     @property
     def has_rows(self) -> bool:
         """Whether there is anything but the header."""
-        return self.size > self._rows_at
+        return self.row_count > 0
+
+    @property
+    def rows_bytes(self) -> int:
+        """What all rows take."""
+        return self.size - self._rows_at
 
     def append(self, rows: bytes) -> None:
-        """Write complete rows. OSError if not all of them fit: those that fit are kept, none is truncated."""
-        at, left = self.size, rows
+        """Write complete rows. OSError if not all of them fit: rows or frames that fit are kept, none is truncated."""
+        if self._encoder is None:
+            self._write(rows, self.row_bytes, 1)
+            return
+        try:
+            for portion in in_frames(rows, self.row_bytes):
+                frame = self._encoder.frame(portion)
+                self._write(frame, len(frame), len(portion) // self.row_bytes)
+        except OSError:
+            self._encoder.restart()
+            raise
+
+    def _write(self, content: bytes, unit_bytes: int, unit_rows: int) -> None:
+        """Append units of so many bytes and rows; OSError if not all fit, and then only whole units are kept."""
+        at, left = self.size, content
         try:
             while left:
                 written = self._pwrite(self._fd, left, at)
                 at, left = at + written, left[written:]
         finally:
-            self.size = at - (at - self._rows_at) % self.row_bytes
-            self._unsynced += len(rows) - len(left)
+            self._unsynced += at - self.size
+            units = (at - self.size) // unit_bytes
+            self.size += units * unit_bytes
+            self.row_count += units * unit_rows
             if at != self.size:
                 with contextlib.suppress(OSError):
                     os.ftruncate(self._fd, self.size)
@@ -102,33 +128,38 @@ class Parts:
         self._part: PartFile | None = part
         self._path, self._header, self.row_bytes = first, part.header, part.row_bytes
         self._finished_bytes, self._retry_at_s, self._lost_before = 0, 0.0, 0
-        rate = 3600.0 * part.row_bytes / float(part.header.get("period_s") or 1.0)
+        self._rows_per_h = 3600.0 / float(part.header.get("period_s") or 1.0)
+        rate = self._rows_per_h * stored_row_bytes(part.row_bytes, "frames" in part.header)
         self._state = RecorderState(True, str(first), since_unix_s=time.time(), bytes_per_h=rate)
         remove_oldest(first, policy, say)
 
     def append(self, rows: bytes) -> None:
         """Write complete rows, and count those that the disk did not accept."""
         if not self._state.is_on and self._now_s() < self._retry_at_s:
-            self._lose(len(rows))
+            self._lose(len(rows) // self.row_bytes)
             return
         recorded = 0
         try:
             part = self._prepared(len(rows))
-            begun = part.size
+            begun = part.row_count
             try:
                 part.append(rows)
             finally:
-                recorded = part.size - begun
+                recorded = part.row_count - begun
             part.synchronise(SYNC_bytes if self._state.is_on else 1)
         except OSError as error:
             self._stop(error)
         else:
             self._go_on()
-        self._lose(len(rows) - recorded)
+        self._lose(len(rows) // self.row_bytes - recorded)
 
     def state(self) -> RecorderState:
         """The present state of the recording."""
-        size = self._part.size if self._part is not None else 0
+        part = self._part
+        if part is not None and part.row_count >= MEASURED_ROWS:
+            rate = self._rows_per_h * part.rows_bytes / part.row_count
+            self._state = replace(self._state, bytes_per_h=rate)
+        size = part.size if part is not None else 0
         left = hours_left(self._path.parent, self._state.bytes_per_h)
         return replace(
             self._state, file=str(self._path), written_bytes=self._finished_bytes + size, hours_left=left
@@ -173,9 +204,8 @@ class Parts:
         remove_oldest(self._path, self._policy, self._say)
         return PartFile(self._path, self._pwrite)
 
-    def _lose(self, lost_bytes: int) -> None:
-        lost = self._state.lost_rows + lost_bytes // self.row_bytes
-        self._state = replace(self._state, lost_rows=lost)
+    def _lose(self, rows: int) -> None:
+        self._state = replace(self._state, lost_rows=self._state.lost_rows + rows)
 
     def _stop(self, error: OSError) -> None:
         self._retry_at_s = self._now_s() + RETRY_s
@@ -194,6 +224,11 @@ class Parts:
         lost = self._state.lost_rows - self._lost_before
         self._state = replace(self._state, is_on=True, reason="", since_unix_s=time.time())
         self._say(f"{self._path}: recording resumed; {lost} rows were lost")
+
+
+def stored_row_bytes(packed_bytes: int, is_framed: bool = True) -> float:
+    """What a row is expected to take in its file."""
+    return packed_bytes * (FRAMED_SHARE if is_framed else 1.0)
 
 
 def begin(path: Path, header: Mapping[str, object], pwrite: PWrite = os.pwrite) -> None:

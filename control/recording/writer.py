@@ -19,7 +19,8 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from control.recording.record import Recording, has_part, last_part
+from control.recording.parts import has_part, last_part
+from control.recording.reading import Recording
 from control.recording.recorder_state import RecorderState
 from control.recording.rotation import Parts, Policy, begin_next
 

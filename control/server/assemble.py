@@ -75,6 +75,7 @@ def assemble(
     limits = JointLimits.of(arm)
     jog_limits = JogLimits.of(arm)
     kinematics, inverse = Kinematics(arm), InverseKinematics(arm)
+    inverse.prepare()
     names = tuple(f"joint {drive.joint}" for drive in arm.drives)
     servo, guard = _servo(arm, period_s), Guard(arm, limits)
     measurement = _measurement(arm)

@@ -6,7 +6,7 @@ request, so that a long path costs nothing that could be refused without it.
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta
@@ -84,6 +84,8 @@ class Jog(_Message, tag="jog", kw_only=True):
 
     joint_speed_rad_s: Numbers | msgspec.UnsetType = msgspec.UNSET
     tip_velocity_m_s: tuple[float, float, float] | msgspec.UnsetType = msgspec.UNSET
+    tip_turn_rad_s: tuple[float, float, float] | msgspec.UnsetType = msgspec.UNSET
+    frame: Literal["base", "tip"] = "base"
     joint: int | msgspec.UnsetType = msgspec.UNSET
     by_rad: Annotated[float, Meta(ge=-LARGEST_STEP_rad, le=LARGEST_STEP_rad)] | msgspec.UnsetType = (
         msgspec.UNSET

@@ -18,9 +18,10 @@ from control.hardware.attended_clock import AttendedClock
 from control.hardware.connect import Connection, connect
 from control.model.arm import Arm
 from control.model.description import arm_text
+from control.model.joint_map import JointMap
 from control.recording.record import Layout, PipeSink
 from control.recording.recorder_state import RecorderState, hours_left
-from control.recording.rotation import begin
+from control.recording.rotation import begin, stored_row_bytes
 from control.server.assemble import Assembly, assemble
 from control.server.events import Events, with_time
 from control.server.periodic import PeriodicTimer
@@ -135,6 +136,7 @@ def _begun_recording(arm: Arm, options: ServeOptions) -> Path:
             program=f"armwright {version('armwright')}",
             started_unix_s=started_s,
             period_s=options.period_s,
+            **layout.framed([JointMap(drive).radians_per_count for drive in arm.drives]),
         ),
     )
     return path
@@ -158,7 +160,7 @@ def _start_writer(arm: Arm, recording: Path) -> tuple["subprocess.Popen[bytes]",
 
 
 def _usage(arm: Arm, options: ServeOptions) -> str:
-    row_bytes = Layout.of(arm.joint_count, has_joint_side(arm)).packing.size
+    row_bytes = stored_row_bytes(Layout.of(arm.joint_count, has_joint_side(arm)).packing.size)
     rate = 3600.0 * row_bytes / options.period_s
     return RecorderState(True, bytes_per_h=rate, hours_left=hours_left(options.log_folder, rate)).usage()
 

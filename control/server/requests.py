@@ -12,7 +12,6 @@ from typing import Any, Protocol
 from control.errors import ArmError
 from control.hardware.averaging import Averaging
 from control.kinematics.kinematics import Kinematics
-from control.kinematics.pose_kinematics import PoseKinematics
 from control.loop.runtime import Runtime
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
@@ -63,8 +62,7 @@ class Requests:
     def __init__(self, runtime: Runtime, limits: JointLimits, kinematics: Kinematics, about: Message) -> None:
         self._runtime = runtime
         self._limits = limits
-        self._kinematics, self._poses = kinematics, PoseKinematics(kinematics)
-        self._poses.at(*(0.0,) * kinematics.joint_count)  # compiled now, not between two cycles
+        self._kinematics, self._poses = kinematics, runtime.parts.inverse.poses
         self._about = about
         self._right = ControlRight()
         self.events: Listener | None = None

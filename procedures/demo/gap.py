@@ -80,8 +80,11 @@ class Circle:
 
 def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> Circle:
     """Run the demo on the bench's arm; `arm` is the nominal one. Results in `out`."""
-    plans = _plans(arm, bench.speed)
     programme = programme_of(arm)
+    Survey(
+        Model(arm), programme, _near(arm), out / "driven.csv"
+    )  # what the arm cannot do is said before it moves
+    plans = _plans(arm, bench.speed)
     advance("homing", 0.0)
     client = bench.start(arm)
     client.enable()
@@ -186,10 +189,9 @@ def _driven(
     out: Path,
 ) -> Drive:
     """Run every place and every path once by the model `arm`, on a runtime that uses the model `runtime_model`."""
-    near = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
     model = Model(arm)
     runtime = model if arm is runtime_model else Model(runtime_model)
-    survey = Survey(model, programme, near, out / f"driven_{name}.csv")
+    survey = Survey(model, programme, _near(arm), out / f"driven_{name}.csv")
     for _ in survey.tour(1, runtime, client, bench.speed):
         pass
     first = int(client.status()["run"]) + 1
@@ -198,6 +200,11 @@ def _driven(
     last = int(client.status()["run"])
     client.wait(0.3)
     return Drive(name, survey, recording, _following_rad(recording, first, last, arm.joint_count))
+
+
+def _near(arm: Arm) -> tuple[float, ...]:
+    """Seed of the inverse kinematics."""
+    return arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
 
 
 def _following_rad(recording: Path, first: int, last: int, joints: int) -> float:

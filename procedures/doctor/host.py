@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from control.recording.record import Layout
+from control.recording.rotation import stored_row_bytes
 from control.server.process import PIPE_bytes
 from control.server.scheduling import punctuality_remedy
 from firmware_iface.clock import Clock, MonotonicClock
@@ -35,7 +36,7 @@ def look_at_host(period_s: float, watchdog_s: float, joints: int, log_folder: Pa
         remedy,
     )
     late_s = lateness(MonotonicClock(), PAUSE_TEST_S)
-    rate_bytes_s = Layout.of(joints).packing.size / period_s
+    rate_bytes_s = stored_row_bytes(Layout.of(joints).packing.size) / period_s
     return [rights, *judge_lateness(late_s, period_s, watchdog_s), *look_at_disk(log_folder, rate_bytes_s)]
 
 

@@ -38,7 +38,7 @@ def _stop(played: Stage) -> None:
 
 
 def _serial_gone(played: Stage) -> None:
-    played.rig.wires.ptys[0].vanish()
+    played.rig.wires.serial[0].vanish()
 
 
 def _bus_off(played: Stage) -> None:

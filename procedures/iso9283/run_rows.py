@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from control.recording.record import Recording, has_part, next_part
+from control.recording.frame_decoder import row_type
+from control.recording.parts import has_part, next_part
+from control.recording.reading import Recording, RowReader
 
 
 class RunRows:
@@ -13,9 +15,7 @@ class RunRows:
 
     def __init__(self, recording: Path) -> None:
         opened = self._open(recording)
-        codes = {"d": "<f8", "f": "<f4", "I": "<u4", "i": "<i4", "B": "u1"}
-        packing = opened.layout.packing.format.lstrip("<")
-        self._row = np.dtype([(n, codes[c]) for n, c in zip(opened.layout.names, packing, strict=True)])
+        self._row = row_type(opened.layout.names, opened.layout.packing)
 
     def skip(self) -> None:
         """Skip all rows so far."""
@@ -28,7 +28,7 @@ class RunRows:
 
     def _open(self, path: Path) -> Recording:
         opened = Recording.open(path)
-        self._path, self._at = path, opened.offset
+        self._path, self._reader = path, RowReader(opened)
         return opened
 
     def _read(self) -> bytes:
@@ -36,12 +36,7 @@ class RunRows:
         read = b""
         while True:
             is_finished = has_part(next_part(self._path))
-            with self._path.open("rb") as file:
-                file.seek(self._at)
-                content = file.read()
-            whole = len(content) // self._row.itemsize * self._row.itemsize
-            self._at += whole
-            read += content[:whole]
+            read += self._reader.new()
             if not is_finished:
                 return read
             self._open(next_part(self._path))

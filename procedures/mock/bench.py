@@ -60,8 +60,8 @@ class SteppedBench:
 
     speed = 1.0
 
-    def __init__(self, arm: Arm, scenario: Path, log_folder: Path) -> None:
-        self.rig: MockArm = SteppedRig(arm, scenario)
+    def __init__(self, arm: Arm, scenario: Path, log_folder: Path, through_kernel: bool = False) -> None:
+        self.rig: MockArm = SteppedRig(arm, scenario, through_kernel)
         self._log_folder = log_folder
         self._connection: Connection | None = None
         self._channel: InProcessChannel | None = None

@@ -84,7 +84,6 @@ def driven(
     drive: Drive,
     comparison: Comparison,
     paths: tuple[TrackPair, ...],
-    notes: tuple[str, ...],
 ) -> Verification:
     """The verification of an arm that was moved."""
     programme = drive.programme
@@ -98,7 +97,7 @@ def driven(
             " measured during motion."
         )
     used = already_used(pair.calibrated.arm, np.concatenate((drive.before.q_rad, drive.after.q_rad)))
-    return _verification(pair, comparison, paths, tuple(how), used, notes, is_driven=True)
+    return _verification(pair, comparison, paths, tuple(how), used, (), is_driven=True)
 
 
 def on_recorded(pair: Pair, file: Path) -> Verification:

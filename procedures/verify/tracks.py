@@ -8,7 +8,9 @@ import numpy as np
 from calib.arrays import frozen
 from calib.validation.tracks import Track
 from control.errors import ArmError
-from control.recording.record import Layout, Recording, parts_from
+from control.recording.frame_decoder import row_type
+from control.recording.parts import parts_from
+from control.recording.reading import Recording
 from control.safety.table import Mode
 from procedures.verify.driving import Run
 from procedures.verify.models import Model
@@ -17,7 +19,6 @@ LONGEST_DELAY_S = 0.1  # for a usable camera
 DELAY_STEP_S = 0.001
 MOVING = list(Mode).index(Mode.MOVING)
 PATIENCE_S = 5.0  # for the recording's writer process
-_NUMPY = {"d": "f8", "f": "f4", "I": "u4", "i": "i4", "B": "u1"}
 
 
 def track_of(recording: Path, model: Model, ran: Run, name: str) -> Track:
@@ -64,19 +65,7 @@ def recorded(recording: Path) -> np.ndarray:
 
 def _rows(part: Path) -> np.ndarray:
     opened = Recording.open(part)
-    return np.fromfile(
-        part, dtype=_dtype(opened.layout), offset=opened.offset, count=_row_count(part, opened)
-    )
-
-
-def _row_count(recording: Path, opened: Recording) -> int:
-    return (recording.stat().st_size - opened.offset) // opened.layout.packing.size
-
-
-def _dtype(layout: Layout) -> np.dtype[np.void]:
-    """The numpy dtype of a row, little endian and unaligned."""
-    codes = layout.packing.format.removeprefix("<")
-    return np.dtype([(name, "<" + _NUMPY[code]) for name, code in zip(layout.names, codes, strict=True)])
+    return np.frombuffer(opened.packed(), dtype=row_type(opened.layout.names, opened.layout.packing))
 
 
 def wait_until_recorded(recording: Path, t_s: float, wait: Callable[[float], None]) -> None:

@@ -23,7 +23,8 @@ from console.places import read_places
 from control.files import read_text
 from control.model.description import load_arm
 from control.motion.waypoints import read_waypoints
-from control.recording.record import MAGIC, Layout, RecordError, Recording
+from control.recording.reading import RecordError, Recording
+from control.recording.record import MAGIC, Layout
 from firmware_iface.errors import ArmwrightError
 from tests.calib.session.session_killer import KEYS, PLAN, record
 

@@ -125,8 +125,6 @@ def _extent(given: argparse.Namespace, arm: Arm) -> Extent:
     base = QUICK if given.quick else FULL
     load_kg = given.rated_load_kg if given.rated_load_kg is not None else MOCK_LOAD_kg * bool(given.mock)
     programmes = tuple(given.programmes or PROGRAMMES)
-    if arm.joint_count != 3:
-        programmes = tuple(p for p in programmes if p not in ("path", "cornering", "weaving"))
     return Extent(
         given.repeats if given.repeats is not None else base.repeats,
         given.path_cycles if given.path_cycles is not None else base.path_cycles,

@@ -45,7 +45,7 @@ def run(given: argparse.Namespace) -> int:
     require_writable(Path(given.out))
     if given.points is not None:
         return _finish(given, on_recorded(pair, Path(given.points)), free_folder(Path(given.out)))
-    programme, notes = _programme(given, calibrated)
+    programme = _programme(given, calibrated)
     out = free_folder(Path(given.out))
     drive = Drive.planned(pair, programme, _near(calibrated), out)
     with ExitStack() as stack:
@@ -55,7 +55,7 @@ def run(given: argparse.Namespace) -> int:
             with Bar("verify") as bar:
                 drive.run(bench.runtime_model, bench.client, bench.speed, bar.advance)
             recording = bench.end()
-            verification = driven(pair, drive, *drive.results(recording, out), notes)
+            verification = driven(pair, drive, *drive.results(recording, out))
         except (
             ArmError,
             CalibrationError,
@@ -65,16 +65,14 @@ def run(given: argparse.Namespace) -> int:
     return _finish(given, verification, out)
 
 
-def _programme(given: argparse.Namespace, arm: Arm) -> tuple[Programme, tuple[str, ...]]:
-    """The programme, and the parts that this arm cannot do."""
+def _programme(given: argparse.Namespace, arm: Arm) -> Programme:
+    """Points and paths above the table."""
     table = tables.table_of(arm)
     setups = tuple(dict.fromkeys(given.setups))
     if given.repeats < 1:
         raise ArmError(f"--repeats: expected 1 or more, got {given.repeats}")
-    has_paths = arm.joint_count == 3
-    notes = () if has_paths else ("no trajectories: Cartesian paths need an arm of 3 joints",)
-    wanted = ways(table, setups, given.height) if has_paths else ()
-    return Programme(places(table, setups, given.height), wanted, given.repeats, given.path_speed), notes
+    wanted = ways(table, setups, given.height)
+    return Programme(places(table, setups, given.height), wanted, given.repeats, given.path_speed)
 
 
 def _near(arm: Arm) -> tuple[float, ...]:

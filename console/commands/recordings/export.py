@@ -9,7 +9,7 @@ from console.commands.progress import Bar
 from control.errors import ArmError
 from control.model.description import load_arm
 from control.recording.export import export
-from control.recording.record import Recording
+from control.recording.reading import Recording
 from control.recording.recorded_arm import recorded_arm
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.arms import SIX
 from console.commands import script
 from console.lines.grammar import NOT_HERE, Grammar, LineError
 from console.lines.replay import Outcome, parse_lines, replay
@@ -19,7 +20,6 @@ from control.model.arm import Effect
 from control.model.description import save_arm
 from control.safety.table import Mode
 from hil_mocks.scenario import EffectTable
-from tests.arms import SIX
 from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell, scenario
 
 GRAMMAR = Grammar(COMMANDS, {"arm": "right", "socket": None})

@@ -24,7 +24,7 @@ from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model.description import arm_text, load_arm
 from control.recording.export import to_csv, to_mcap
-from control.recording.record import Recording
+from control.recording.reading import Recording
 from tests.recordings import MODES, AHEAD_rad, ERROR_rad, PERIOD_s, write_recording
 
 RIGHT = load_arm("right")

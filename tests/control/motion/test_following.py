@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.arms import ARMS, FIVE, FOUR, SEVEN, SIX, TWO
+from benchmarks.tip_paths import circle_in_place, tip_of, turned_in_place
 from control.errors import ArmError
 from control.kinematics import rotation
 from control.kinematics.kinematics import Kinematics
@@ -17,8 +19,6 @@ from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath, plan_path
 from control.motion.waypoints import Waypoints
-from tests.arms import ARMS, FIVE, FOUR, SEVEN, SIX, TWO
-from tests.control.motion.tip_paths import circle_in_place, tip_of, turned_in_place
 
 REDUNDANT_OR_NOT = [FOUR, FIVE, SIX, SEVEN]
 

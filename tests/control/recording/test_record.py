@@ -18,7 +18,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from control.recording.record import MAGIC, FileSink, Layout, PipeSink, Recorder, RecordError, Recording
+from control.recording.reading import RecordError, Recording
+from control.recording.record import MAGIC, FileSink, Layout, PipeSink, Recorder
 from control.recording.recorder_state import RecorderState
 from control.recording.rotation import begin
 

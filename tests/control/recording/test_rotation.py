@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from control.recording.record import Layout, Recording, next_part, parts_from
+from control.recording.parts import next_part, parts_from
+from control.recording.reading import Recording
+from control.recording.record import Layout
 from control.recording.recorder_state import RecorderState
 from control.recording.rotation import PartFile, Parts, Policy, RETRY_s, begin, remove_oldest
 

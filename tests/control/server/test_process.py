@@ -15,7 +15,8 @@ import pytest
 
 from control.model.arm import Arm
 from control.model.description import save_arm
-from control.recording.record import Recording, has_part, next_part
+from control.recording.parts import has_part, next_part
+from control.recording.reading import Recording
 from control.safety.table import Mode
 from control.server.client import ArmClient, RuntimeGone, SocketChannel
 from hil_mocks.realtime import RealTimeRig

@@ -9,18 +9,19 @@ from typing import Any
 
 import pytest
 
+from benchmarks.arms import TWO
 from calib.arrays import norms
 from console.commands import demo as demo_command
 from console.main import main
+from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Table
 from control.model.description import load_arm
-from control.motion.errors import PathError
 from procedures.demo import gap
 from procedures.demo.job import Outcome, run
 from procedures.verify.places import places, ways
 from procedures.verify.survey import Programme
-from tests.places import ARMS, RIGHT_TOML, ROOT
+from tests.places import RIGHT_TOML, ROOT
 
 DEMO = ROOT / "hil_mocks" / "scenarios" / "demo.toml"
 
@@ -161,6 +162,6 @@ def test_a_seed_is_kept_with_the_results() -> None:
 
 def test_an_arm_that_cannot_run_paths_is_refused_before_anything_is_recorded(tmp_path: Path) -> None:
     nothing: Any = None  # neither bench nor mock is looked at
-    with pytest.raises(PathError, match="need 3 joints, it has 7"):
-        gap.run(load_arm(ARMS / "panda.toml"), nothing, nothing, tmp_path, nothing)
+    with pytest.raises(ArmError, match=r"circle above the board's setup normal: .*out of reach"):
+        gap.run(TWO, nothing, nothing, tmp_path, nothing)
     assert not list(tmp_path.iterdir())

@@ -13,17 +13,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.arms import FOUR, SIX, TWO
 from calib.iso9283.criteria import pose
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
-from calib.iso9283.programme import Extent
+from calib.iso9283.programme import Extent, PathRun
 from calib.points.points import read_points
 from console.main import main
-from control.model.description import load_arm
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm
+from control.model.description import load_arm, save_arm
 from control.server.client import Average
 from procedures.iso9283.recording import AVERAGE_S, Bench, plan, rated_speed_m_s, record
 from procedures.mock.bench import SteppedBench
-from tests.places import ARMS, ROOT
+from tests.places import ROOT
 
 DEMO = ROOT / "hil_mocks" / "scenarios" / "demo.toml"
 CUBE = TestCube((0.40, 0.0, 0.30), 0.2)
@@ -217,10 +220,24 @@ def test_wrong_input_is_one_message_and_nothing_moves(
     assert not out.exists()
 
 
-def test_an_arm_that_cannot_run_paths_is_refused_before_anything_is_planned(
+def test_an_arm_that_reaches_only_a_surface_is_refused_before_anything_is_planned(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "out"
-    assert main(["iso9283", "--arm", str(ARMS / "panda.toml"), "--mock", "--out", str(out)]) == 2
-    assert "Cartesian paths need 3 joints, it has 7" in capsys.readouterr().err
+    out, arm = tmp_path / "out", tmp_path / "two.toml"
+    save_arm(TWO, arm)
+    assert main(["iso9283", "--arm", str(arm), "--mock", "--out", str(out)]) == 2
+    assert "its tip moves on a surface" in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.mark.parametrize("arm", [FOUR, SIX], ids=lambda arm: arm.name)
+def test_paths_corners_and_weaving_are_planned_for_more_than_three_joints(arm: Arm) -> None:
+    x, y, z = Kinematics(arm).tip(*arm.rest.q_rad) if arm.rest else (0.0, 0.0, 0.0)
+    cube = TestCube((x, y, z), 0.06)
+    programmes = ("pose", "path", "cornering", "weaving")
+    planned = plan(
+        arm, cube, Extent(repeats=2, path_cycles=2, speed_shares=(1.0,), programmes=programmes), 0.1
+    )
+    names = {step.programme for step in planned.steps if isinstance(step, PathRun)}
+    assert len(names) >= 3
+    assert len(planned.paths) >= 3

@@ -1,0 +1,98 @@
+"""`armwright new` writes a first arm.toml from a few answers; `armwright arm --from-urdf` from a model, without questions."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Final
+
+from calib.arm_import import SerialArm, read_arm
+from control.errors import ArmError
+from control.files import NotWritten, write_new
+from control.model.description import parse_arm
+from control.model.rules import LONGEST_NAME, is_file_name
+from procedures.new_arm.composing import compose
+from procedures.new_arm.questions import Asker, Given, answers_for, ask_shape
+from procedures.new_arm.stretched import stretched_arm
+from procedures.new_arm.writing import commented_text
+
+ANSWERS: Final = ("joints", "axes", "lengths", "gears", "counts", "ports", "can", "home")
+
+
+class Terminal:
+    """Asks on standard output and reads standard input; at its end, the remaining questions take their defaults."""
+
+    def ask(self, question: str, default: str) -> str:
+        """A line of standard input."""
+        sys.stdout.write(f"{question} [{default}]: ")
+        sys.stdout.flush()
+        line = sys.stdin.readline()
+        if not line.endswith("\n"):
+            sys.stdout.write("\n")
+        return line.strip() or default
+
+    def say(self, text: str) -> None:
+        """Print it."""
+        sys.stdout.write(f"{text}\n")
+
+
+class Defaults:
+    """Takes every default, and says which."""
+
+    def ask(self, question: str, default: str) -> str:
+        """The default."""
+        sys.stdout.write(f"{question}: {default}\n")
+        return default
+
+    def say(self, text: str) -> None:
+        """An error in a default is one of ours."""
+        raise ArmError(text)
+
+
+def run(given: argparse.Namespace) -> int:
+    """Ask, write the file, and say what to do next."""
+    out = Path(given.out)
+    if out.exists():
+        raise ArmError(f"{out}: already exists and is not overwritten; name another file")
+    told = Given(**{key: getattr(given, key, None) for key in ANSWERS})
+    asker: Asker = Defaults() if given.yes else Terminal()
+    model = _model(given)
+    serial = model if model else stretched_arm(ask_shape(told, asker))
+    name = given.name or _name_of(out)
+    answers = answers_for(serial, name, given.convention, told, asker)
+    new = compose(serial, answers)
+    source = given.from_urdf or given.from_mjcf
+    origin = f"from {Path(source).name}" if source else "from the answers to `armwright new`"
+    text = commented_text(new, origin)
+    parse_arm(text, out)
+    _write(out, text)
+    sys.stdout.write(f"\n{out}: arm {name}, {len(serial.joints)} joints, tip {serial.tip}\n")
+    for note in new.notes:
+        sys.stdout.write(f"  {note}\n")
+    sys.stdout.write(f"Next: armwright arm {out}; armwright mock --arm {out}\n")
+    return 0
+
+
+def _model(given: argparse.Namespace) -> SerialArm | None:
+    if given.from_urdf and given.from_mjcf:
+        raise ArmError("--from-urdf and --from-mjcf: give one of them")
+    for form, path in (("urdf", given.from_urdf), ("mjcf", given.from_mjcf)):
+        if path:
+            return read_arm(Path(path), form, given.base, given.tip)
+    if given.base or given.tip:
+        raise ArmError("--base and --tip name links of a model: give --from-urdf or --from-mjcf, too")
+    return None
+
+
+def _name_of(out: Path) -> str:
+    name = out.stem[:LONGEST_NAME]
+    return name if is_file_name(name) else "my_arm"
+
+
+def _write(out: Path, text: str) -> None:
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_new(out, text)
+    except NotWritten:
+        raise
+    except OSError as error:
+        raise ArmError(f"{out}: cannot be written: {error.strerror or error}") from None

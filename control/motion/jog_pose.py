@@ -1,0 +1,256 @@
+"""Tip jog of arms of any number of joints: along and about the axes of the base or of the tip, jerk-limited.
+
+The tip's rate, three of velocity and three of turning, is moved by ruckig. Each cycle takes one Newton step to the target pose,
+which holds what was not asked to move: a jog along an axis keeps the orientation, a turn keeps the position, as far as the arm
+has joints for it. Near singular poses the steps are damped (control.kinematics.damped) and the jog is slowed so that no joint
+needs more than half of its speed; the target then follows the tip, so that nothing is caught up later.
+
+A set-point is accepted only if no joint exceeds its limits and the arm, braking each joint for itself, comes to rest inside the
+joints' ranges and meets nothing. Otherwise it takes that stop, and says why.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from control.kinematics import rotation as rotations
+from control.kinematics.damped import Array, DampedRates
+from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.pose_solver import Task
+from control.motion.jog_limits import (
+    TIP_ACCELERATION_m_s2,
+    TIP_JERK_m_s3,
+    TURN_ACCELERATION_rad_s2,
+    TURN_JERK_rad_s3,
+    TURN_SPEED_rad_s,
+)
+from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import Stop
+from control.motion.setpoint import SetPoint
+from control.motion.trajectory import calculated
+
+if TYPE_CHECKING:
+    import ruckig
+
+Twist = tuple[float, float, float, float, float, float]  # m/s, rad/s in the base frame
+STILL: Twist = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_EASY = 0.5  # of the joints' limits: bound of the tip's rates
+_HARD = 0.95  # of the joints' limits: bound of every set-point
+_SLOWEST = 1e-3
+_PARTLY = 0.5  # of what was asked for: with less, the jog says that the joints cannot follow
+_REST = 1e-9
+_ARRIVED = 1e-7
+
+
+class TipRate(NamedTuple):
+    """Way since the request [m, rad], its rate and the rate's change, along and about the base's axes."""
+
+    way: Twist
+    rate: Twist
+    change: Twist
+
+
+class Room(NamedTuple):
+    """What a set-point is held against: where it could come to rest, and why the arm must not get there."""
+
+    resting_pose: Callable[[SetPoint], tuple[float, ...]]
+    objection: Callable[[Sequence[float], Sequence[float]], str]
+
+
+class PoseJog:
+    """Jogs the tip of any arm, from rest."""
+
+    def __init__(
+        self,
+        start: SetPoint,
+        kinematics: PoseKinematics,
+        task: Task,
+        limits: JointLimits,
+        tip_speed_m_s: float,
+        room: Room,
+    ) -> None:
+        """`limits`: those of every motion, not of a jog; `tip_speed_m_s`: the largest tip speed."""
+        self._kinematics, self._task, self._limits, self._room = kinematics, task, limits, room
+        self._most_m_s = tip_speed_m_s
+        self._joints = start
+        self._tip = TipRate(STILL, STILL, STILL)
+        self._wanted: Twist = STILL
+        self._goal: Twist | None = None
+        self._stop: Stop | None = None  # once the jog has met an obstacle
+        self._stop_s = 0.0
+        self.limited = ""
+        self._aim_here()
+
+    def _aim_here(self) -> None:
+        """Hold the present pose of the tip."""
+        self._seen = self._at(self._joints.q_rad)
+        self._position, self._rotation = self._seen[:2]
+
+    def _at(self, q_rad: Sequence[float]) -> tuple[Array, Array, Array]:
+        """Position (3,), rotation (3, 3) and Jacobian (6, n) of a pose."""
+        position, rotation, jacobian = self._kinematics.at(*q_rad)
+        return np.array(position), np.array(rotation), np.array(jacobian)
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the tip is at rest, at its goal or without one."""
+        if self._stop is not None:
+            return self._stop_s >= self._stop.duration_s
+        is_still = all(abs(rate) < _REST for rate in self._tip.rate)
+        return is_still and (self._wanted == STILL or self._has_reached())
+
+    def _has_reached(self) -> bool:
+        return self._goal is not None and math.dist(self._goal, self._tip.way) < _ARRIVED
+
+    def want(self, twist: Twist) -> None:
+        """Set the requested velocity and turning in the base frame, scaled down to the limits if needed."""
+        over = max(math.hypot(*twist[:3]) / self._most_m_s, math.hypot(*twist[3:]) / TURN_SPEED_rad_s, 1.0)
+        wanted = _twist(rate / over for rate in twist)
+        if wanted != self._wanted or self._goal is not None:
+            self._wanted, self._goal = wanted, None
+            self._resume()
+
+    def step(self, way: Twist, speed: float) -> None:
+        """Move or turn the tip by a way along or about one axis, from rest, at a speed [m/s or rad/s]."""
+        most = self._most_m_s if any(way[:3]) else TURN_SPEED_rad_s
+        length = math.hypot(*way)
+        self._tip = TipRate(STILL, STILL, STILL)
+        self._wanted = _twist(min(abs(speed), most) * part / length for part in way)
+        self._goal = way
+        self._resume()
+
+    def _resume(self) -> None:
+        """Begin a new request; after a stop, from where the arm has come to."""
+        self.limited = ""
+        if self._stop is not None:
+            self._stop = None
+            self._tip = TipRate(STILL, STILL, STILL)
+            self._aim_here()
+
+    def advance(self, elapsed_s: float) -> SetPoint:
+        """Set-point `elapsed_s` after the last one."""
+        if self._stop is None:
+            proposed = self._proposed(elapsed_s)
+            if not (obstacle := self._obstacle(proposed)):
+                self._joints = proposed
+                return proposed
+            self.limited = f"the jog stopped: {obstacle}"
+            self._stop, self._stop_s = Stop(self._joints, self._limits), 0.0
+        self._stop_s += elapsed_s
+        self._joints = self._stop.at(self._stop_s)
+        return self._joints
+
+    def take_up(self, motion_s: float, speed_share: float) -> SetPoint:
+        """Go on from `motion_s` later, at a share of the present speed: others have slowed the arm down."""
+        q, speed, _ = self._joints
+        here = tuple(a + v * motion_s for a, v in zip(q, speed, strict=True))
+        self._joints = SetPoint(here, tuple(v * speed_share for v in speed), (0.0,) * len(q))
+        self._tip = TipRate(self._tip.way, _twist(rate * speed_share for rate in self._tip.rate), STILL)
+        self._aim_here()
+        if self._stop is not None:
+            self._stop, self._stop_s = Stop(self._joints, self._limits), 0.0
+        return self._joints
+
+    # ---- one cycle
+
+    def _proposed(self, elapsed_s: float) -> SetPoint:
+        """The next set-point: the tip's rate, the target, and one Newton step to it."""
+        before = DampedRates(self._task, self._seen[2])
+        share, ease = self._slowness(before)
+        tip = _sample(self._trajectory(share, ease), elapsed_s)
+        self._advance_target(np.subtract(tip.way, self._tip.way))
+        turn = rotations.logarithms((self._rotation @ self._seen[1].T)[None])[0]
+        error = np.concatenate((self._position - self._seen[0], turn))
+        q = tuple((np.array(self._joints.q_rad) + before.rates(error)).tolist())
+        self._seen, self._tip = self._at(q), tip
+        after = DampedRates(self._task, self._seen[2])
+        if after.is_damped or 0 in self._task.nearest:  # what the joints cannot do is not caught up later
+            self._position = self._seen[0]
+        if after.is_damped or 3 in self._task.nearest:
+            self._rotation = self._seen[1]
+        speed = after.rates(np.array(tip.rate))
+        acceleration = (speed - self._joints.speed_rad_s) / elapsed_s
+        self._note(share, after, speed)
+        return SetPoint(q, tuple(speed.tolist()), tuple(acceleration.tolist()))
+
+    def _advance_target(self, way: Array) -> None:
+        self._position = self._position + way[:3]
+        if any(way[3:]):
+            self._rotation = rotations.exponentials(way[None, 3:])[0] @ self._rotation
+
+    def _note(self, share: float, after: DampedRates, speed: Array) -> None:
+        """Say what limits the jog, if anything does."""
+        self.limited = ""
+        rate = np.array(self._tip.rate)
+        if after.is_damped or share < 1.0:
+            self.limited = "slowed near a singular pose: joint speeds are limited"
+        elif self._task.nearest and any(self._tip.rate):
+            moved = self._seen[2] @ speed
+            if float(moved @ rate) < _PARTLY * float(rate @ rate):
+                self.limited = f"the arm's {len(speed)} joints cannot move the tip this way, or only partly"
+
+    def _obstacle(self, joints: SetPoint) -> str:
+        """Why a set-point is not allowed, as text; empty if it is."""
+        limits = self._limits
+        rates = zip(joints.speed_rad_s, joints.acceleration_rad_s2, strict=True)
+        for joint, (speed, acceleration) in enumerate(rates):
+            most, quickest = _HARD * limits.speed_rad_s[joint], _HARD * limits.acceleration_rad_s2[joint]
+            if abs(speed) > most or abs(acceleration) > quickest:
+                return f"joint {joint + 1} would have to turn too fast near a singular pose"
+        rest = self._room.resting_pose(joints)
+        for joint, (q, lower, upper) in enumerate(zip(rest, limits.lower_rad, limits.upper_rad, strict=True)):
+            here = self._joints.q_rad[joint]
+            if (q > upper and q > here) or (q < lower and q < here):
+                return f"joint {joint + 1} would leave its range"
+        return self._room.objection(rest, self._joints.q_rad)
+
+    def _slowness(self, rates: DampedRates) -> tuple[float, float]:
+        """Shares of the tip's requested rate and acceleration that half of the joints' limits allow."""
+        wanted = self._wanted if self._wanted != STILL else self._tip.rate
+        size = max(
+            math.hypot(*wanted[:3]) / TIP_ACCELERATION_m_s2,
+            math.hypot(*wanted[3:]) / TURN_ACCELERATION_rad_s2,
+        )
+        if size == 0.0:
+            return 1.0, 1.0
+        share = ease = 1.0
+        for joint, rate in enumerate(rates.rates(np.array(wanted)).tolist()):
+            if rate != 0.0:
+                share = min(share, _EASY * self._limits.speed_rad_s[joint] / abs(rate))
+                ease = min(ease, _EASY * self._limits.acceleration_rad_s2[joint] * size / abs(rate))
+        return share, max(ease, _SLOWEST)
+
+    def _trajectory(self, share: float, ease: float) -> "ruckig.Trajectory":
+        """From the present rate to the requested one, or to rest at the goal; `ease` scales acceleration and jerk."""
+        import ruckig
+
+        asked: Any = ruckig.InputParameter(6)
+        asked.current_position, asked.current_velocity = list(self._tip.way), list(self._tip.rate)
+        asked.current_acceleration = list(self._tip.change)
+        asked.max_acceleration = [ease * TIP_ACCELERATION_m_s2] * 3 + [ease * TURN_ACCELERATION_rad_s2] * 3
+        rates = [share * rate for rate in self._wanted]
+        if self._goal is None:
+            asked.max_velocity = [1.0] * 3 + [10.0] * 3
+            asked.control_interface = ruckig.ControlInterface.Velocity
+            asked.target_velocity = rates
+        else:
+            asked.max_velocity = [max(map(abs, rates))] * 6
+            asked.target_position = list(self._goal)
+        asked.synchronization = ruckig.Synchronization.Phase  # a straight line where that is possible
+        jerk = [ease * TIP_JERK_m_s3] * 3 + [ease * TURN_JERK_rad_s3] * 3
+        return calculated(asked, jerk, f"jog of the tip at {self._wanted} m/s and rad/s")
+
+
+def _sample(trajectory: "ruckig.Trajectory", time_s: float) -> TipRate:
+    """State at a time; beyond the end it keeps its rate, or is exactly at rest."""
+    way, rate, change = trajectory.at_time(time_s)
+    if time_s >= trajectory.duration and all(abs(x) < _REST for x in rate):
+        return TipRate(_twist(trajectory.at_time(trajectory.duration)[0]), STILL, STILL)
+    return TipRate(_twist(way), _twist(rate), _twist(change))
+
+
+def _twist(values: Any) -> Twist:
+    a, b, c, d, e, f = values
+    return a, b, c, d, e, f

@@ -1,0 +1,45 @@
+"""A CAN bus of python-can within this process: what one member sends, all others find in their queues. No locks, no copies."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import can
+
+_MEMBERS: dict[str, list[MockCanBus]] = {}
+_QUEUE_FRAMES = 4096  # of a node that does not read; then its oldest are lost
+
+
+class MockCanBus(can.BusABC):
+    """A node of the bus `channel`. Messages are handed on as they are: nobody changes one that was sent."""
+
+    def __init__(self, channel: str, **_: Any) -> None:
+        super().__init__(channel=channel)
+        self.channel_info = f"mock bus {channel}"
+        self._queue: deque[can.Message] = deque(maxlen=_QUEUE_FRAMES)
+        self._others = _MEMBERS.setdefault(channel, [])
+        self._others.append(self)
+        self._is_open = True
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send to all other nodes. CanOperationError if this one has left."""
+        self._require_open()
+        for member in self._others:
+            if member is not self:
+                member._queue.append(msg)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        self._require_open()
+        return (self._queue.popleft() if self._queue else None), True
+
+    def shutdown(self) -> None:
+        """Leave the bus."""
+        super().shutdown()
+        if self._is_open:
+            self._is_open = False
+            self._others.remove(self)
+
+    def _require_open(self) -> None:
+        if not self._is_open:
+            raise can.CanOperationError("closed")

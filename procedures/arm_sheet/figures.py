@@ -1,0 +1,191 @@
+"""Figures of an arm from its file alone: by sampled poses within its limits, nothing connected."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.design.reach import joint_box, spread_poses
+from control.dynamics.dynamics import Dynamics
+from control.errors import MissingModel
+from control.kinematics.corners import Corners
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm, Drive
+from control.model.joint_map import JointMap
+from firmware_iface.encoder.wire import REPORT_WIRE_BYTES
+from procedures.doctor.judging import CAN_FRAME_bits
+
+POSES: Final = 4000
+BITS_A_BYTE: Final = 10  # 8N1
+RATE_Hz: Final = 500.0  # of `armwright serve`, where nothing else is said
+BUSY: Final = 0.7  # of a CAN bus: what `doctor` calls good
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Where the tip gets within the joint limits, of poses that stay above the floor; heights in the base frame."""
+
+    farthest_m: float  # from axis 1
+    highest_m: float
+    lowest_m: float
+    above_floor: float  # share of the sampled poses
+
+
+@dataclass(frozen=True, slots=True)
+class JointFigures:
+    """One joint; torques at the joint, NaN where masses or a drive are missing."""
+
+    joint: int
+    lower_rad: float
+    upper_rad: float
+    speed_rad_s: float  # limit
+    free_speed_rad_s: float  # of the motor without load
+    torque_Nm: float  # at the current limit
+    gravity_Nm: float  # in the worst pose
+    moving_Nm: float  # there, accelerating as limited
+    step_rad: float  # of the encoder, at the joint
+
+    @property
+    def share(self) -> float:
+        """Gravity's share of the torque."""
+        return self.gravity_Nm / self.torque_Nm
+
+
+@dataclass(frozen=True, slots=True)
+class Payload:
+    """Masses at the tip, in kg, that all motors hold: in every pose above the floor, and in half of them."""
+
+    everywhere_kg: float
+    in_half_kg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Buses:
+    """Loads at a cycle rate, and the highest rate with a CAN load that `doctor` calls good."""
+
+    rate_Hz: float
+    can: float
+    serial: tuple[float, ...]  # of each encoder board
+    can_rate_Hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """All figures; None where the file lacks what they need (`procedures.arm_sheet.missing`)."""
+
+    reach: Reach
+    joints: tuple[JointFigures, ...]
+    payload: Payload | None
+    buses: Buses | None
+
+
+def sheet(arm: Arm, rate_Hz: float = RATE_Hz) -> Sheet:
+    """The figures of an arm at a cycle rate."""
+    q = spread_poses(joint_box(arm, margin_rad=0.0), POSES)
+    above = _above_floor(arm, q)
+    kept = q[above] if above.any() else q
+    gravity = _torques(arm, kept, 0.0)
+    payload = None
+    if gravity is not None and len(arm.drives) == arm.joint_count:
+        payload = _payload(arm, gravity, _torques(arm, kept, 1.0))
+    return Sheet(
+        reach=_reach(arm, kept, float(above.mean())),
+        joints=tuple(_joint(arm, joint, kept, gravity) for joint in range(1, arm.joint_count + 1)),
+        payload=payload,
+        buses=_buses(arm, rate_Hz),
+    )
+
+
+def torque_limit_Nm(drive: Drive) -> float:
+    """At the joint: at the current limit, or stalled at the full supply if that is less."""
+    current_A = min(drive.current_limit_A, drive.supply_V / drive.resistance_ohm)
+    return current_A * drive.torque_constant_Nm_A * drive.gear_ratio
+
+
+def _above_floor(arm: Arm, q: Array) -> np.ndarray:
+    lowest = np.min([corner[2] for corner in Corners(arm).batch(q)], axis=0)
+    return np.asarray(lowest >= arm.limits.floor_z_m + arm.limits.floor_clearance_m)
+
+
+def _reach(arm: Arm, q: Array, above_floor: float) -> Reach:
+    tips = Kinematics(arm).tips(q)
+    x, y = _axis_1(arm)
+    across = np.hypot(tips[:, 0] - x, tips[:, 1] - y)
+    heights = tips[:, 2]
+    return Reach(float(across.max()), float(heights.max()), float(heights.min()), above_floor)
+
+
+def _axis_1(arm: Arm) -> tuple[float, float]:
+    """Where joint 1's axis meets the base plane: not at the origin if fixed rows come before."""
+    first = arm.joints.index(True)
+    if first == 0:
+        return 0.0, 0.0
+    frame = Kinematics(arm).link_transforms(np.zeros((1, arm.joint_count)))[0][first]
+    return float(frame[0, 3]), float(frame[1, 3])
+
+
+def _torques(arm: Arm, q: Array, payload_kg: float) -> Array | None:
+    """Gravity torques (poses, n); None if masses are missing."""
+    try:
+        dynamics = Dynamics(arm, payload_kg)
+    except MissingModel:
+        return None
+    return dynamics.torques(q, 0.0 * q, 0.0 * q)
+
+
+def _joint(arm: Arm, joint: int, q: Array, gravity: Array | None) -> JointFigures:
+    drive = next((one for one in arm.drives if one.joint == joint), None)
+    lower, upper = arm.limits_rad[joint - 1]
+    held = math.nan if gravity is None else float(np.abs(gravity[:, joint - 1]).max())
+    if drive is None:
+        nothing = math.nan
+        return JointFigures(joint, lower, upper, nothing, nothing, nothing, held, nothing, nothing)
+    return JointFigures(
+        joint=joint,
+        lower_rad=lower,
+        upper_rad=upper,
+        speed_rad_s=drive.joint_speed_limit_rad_s,
+        free_speed_rad_s=drive.supply_V / (drive.torque_constant_Nm_A * drive.gear_ratio),
+        torque_Nm=torque_limit_Nm(drive),
+        gravity_Nm=held,
+        moving_Nm=_moving_Nm(arm, drive, q, gravity),
+        step_rad=1.0 / abs(JointMap(drive).counts_per_radian),
+    )
+
+
+def _moving_Nm(arm: Arm, drive: Drive, q: Array, gravity: Array | None) -> float:
+    """Gravity and this joint's own acceleration limit together, in the worst pose."""
+    if gravity is None or not math.isfinite(drive.joint_acceleration_limit_rad_s2):
+        return math.nan
+    j = drive.joint - 1
+    inertia = Dynamics(arm).mass_matrices(q)[:, j, j]
+    return float((np.abs(gravity[:, j]) + inertia * drive.joint_acceleration_limit_rad_s2).max())
+
+
+def _payload(arm: Arm, empty: Array, laden: Array | None) -> Payload | None:
+    """Torques are linear in the mass: limit >= |empty + m (laden - empty)| for each joint and pose."""
+    if laden is None:
+        return None
+    limits = np.array([torque_limit_Nm(arm.drive(j)) for j in range(1, arm.joint_count + 1)])
+    per_kg = laden - empty
+    with np.errstate(divide="ignore"):
+        most = (limits - np.sign(per_kg) * empty) / np.abs(per_kg)
+    held = np.maximum(most.min(axis=1), 0.0)
+    return Payload(float(held.min()), float(np.median(held)))
+
+
+def _buses(arm: Arm, rate_Hz: float) -> Buses | None:
+    if arm.can is None or not arm.drives or not arm.encoder_boards:
+        return None
+    a_cycle_bits = 2 * len(arm.drives) * CAN_FRAME_bits
+    reports = 2 * REPORT_WIRE_BYTES * BITS_A_BYTE  # two a cycle
+    return Buses(
+        rate_Hz=rate_Hz,
+        can=a_cycle_bits * rate_Hz / arm.can.bitrate,
+        serial=tuple(reports * rate_Hz / board.baud for board in arm.encoder_boards),
+        can_rate_Hz=BUSY * arm.can.bitrate / a_cycle_bits,
+    )

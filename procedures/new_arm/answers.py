@@ -1,0 +1,162 @@
+"""What `armwright new` asks, and the defaults."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from control.errors import ArmError
+from control.model.arm import ENCODER_CHANNELS, Convention
+from control.model.rules import LENGTH, NAME
+
+T = TypeVar("T")
+FEWEST, MOST = 2, 7
+# Axes in the stretched pose: z along the arm, y and x across it. Six joints end in a spherical wrist, seven are an iiwa's.
+USUAL_AXES = {2: "zy", 3: "zyy", 4: "zyyy", 5: "zyyyz", 6: "zyyzyz", 7: "zyzyzyz"}
+USUAL_LENGTHS_m = {
+    2: (0.10, 0.30),
+    3: (0.10, 0.35, 0.30),
+    4: (0.10, 0.30, 0.25, 0.12),
+    5: (0.10, 0.30, 0.25, 0.08, 0.06),
+    6: (0.12, 0.32, 0.15, 0.15, 0.08, 0.08),
+    7: (0.12, 0.20, 0.15, 0.20, 0.12, 0.08, 0.08),
+}
+COUNTS_PER_REV = 2048
+FIRST_PORT = "/dev/ttyACM"
+CAN = "socketcan:can0"
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Joint axes and lengths: from the base to joint 2 (joint 1 stands in the base), from joint to joint, to the tip."""
+
+    axes: str
+    lengths_m: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What is bolted to the joints, one value each; no gears: chosen to hold the arm."""
+
+    gear_ratios: tuple[float, ...] | None
+    counts_per_rev: tuple[int, ...]
+    has_home_switches: bool
+    ports: tuple[str, ...]
+    can: tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """All that a first arm.toml is made of, besides its shape."""
+
+    name: str
+    convention: Convention
+    parts: Parts
+
+
+def boards_for(joints: int) -> int:
+    """Encoder boards that an arm needs: each reads three encoders."""
+    return -(-joints // ENCODER_CHANNELS)
+
+
+def usual_ports(joints: int) -> tuple[str, ...]:
+    """Ports of the encoder boards where nothing else is said."""
+    return tuple(f"{FIRST_PORT}{number}" for number in range(boards_for(joints)))
+
+
+def name_from(text: str) -> str:
+    """An arm's name; ArmError if no file can carry it."""
+    if not NAME.holds(text):
+        raise ArmError(f"name: expected {NAME.expected}, got {text!r}")
+    return text
+
+
+def joints_from(text: str) -> int:
+    """How many joints turn."""
+    if not text.isdigit() or not FEWEST <= int(text) <= MOST:
+        raise ArmError(f"joints: expected a whole number from {FEWEST} to {MOST}, got {text!r}")
+    return int(text)
+
+
+def axes_from(text: str, joints: int) -> str:
+    """One letter a joint, x, y or z."""
+    letters = text.strip().lower()
+    if len(letters) != joints or set(letters) - set("xyz"):
+        raise ArmError(
+            f"axes: expected {joints} letters of x, y, z, such as {USUAL_AXES[joints]}, got {text!r}"
+        )
+    return letters
+
+
+def lengths_from(words: Sequence[str], joints: int) -> tuple[float, ...]:
+    """One length a joint, in m, none below 0 and not all 0."""
+    lengths = tuple(_number(word, "lengths") for word in words)
+    if len(lengths) != joints:
+        raise ArmError(f"lengths: expected {joints} lengths in m, got {len(lengths)}")
+    for length in lengths:
+        if not LENGTH.holds(length):
+            raise ArmError(f"lengths: expected {LENGTH.expected}, got {length:g} ({LENGTH.remedy(length)})")
+        if length < 0.0:
+            raise ArmError(f"lengths: expected none below 0, got {length:g}")
+    if not any(lengths[1:]):
+        raise ArmError("lengths: expected one above 0 behind joint 2, or the tip does not move")
+    return lengths
+
+
+def gears_from(words: Sequence[str], joints: int) -> tuple[float, ...]:
+    """Motor turns per joint turn, one for all or one each."""
+    ratios = _for_each([_number(word, "gears") for word in words], joints, "gears")
+    if min(ratios) <= 0.0:
+        raise ArmError(f"gears: expected motor turns per joint turn above 0, got {min(ratios):g}")
+    return ratios
+
+
+def counts_from(words: Sequence[str], joints: int) -> tuple[int, ...]:
+    """Counts per motor turn after quadrature, one for all or one each."""
+    for word in words:
+        if not word.isdigit() or int(word) < 1:
+            raise ArmError(f"counts: expected whole numbers of 1 or more per motor turn, got {word!r}")
+    return _for_each([int(word) for word in words], joints, "counts")
+
+
+def ports_from(words: Sequence[str], joints: int) -> tuple[str, ...]:
+    """One serial port an encoder board."""
+    boards = boards_for(joints)
+    if len(words) != boards or len(set(words)) != boards:
+        what = f"{boards} different serial ports ({joints} joints need {boards} encoder boards, three channels each)"
+        raise ArmError(f"ports: expected {what}, got {' '.join(words) or 'none'}")
+    return tuple(words)
+
+
+def can_from(text: str) -> tuple[str, str]:
+    """python-can's interface and channel, joined by a colon."""
+    interface, colon, channel = text.partition(":")
+    if not (interface and colon and channel):
+        raise ArmError(f"can: expected INTERFACE:CHANNEL, such as {CAN}, got {text!r}")
+    return interface, channel
+
+
+def yes_from(text: str) -> bool:
+    """A yes or a no."""
+    word = text.strip().lower()
+    if word not in ("y", "yes", "n", "no"):
+        raise ArmError(f"expected yes or no, got {text!r}")
+    return word.startswith("y")
+
+
+def _for_each(values: Sequence[T], joints: int, what: str) -> tuple[T, ...]:
+    if len(values) not in (1, joints):
+        raise ArmError(f"{what}: expected one value for all or {joints} of them, got {len(values)}")
+    return tuple(values) * (joints if len(values) == 1 else 1)
+
+
+def _number(word: str, what: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ArmError(f"{what}: expected numbers, got {word!r}")
+    return value

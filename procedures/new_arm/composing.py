@@ -1,0 +1,87 @@
+"""Puts a first arm together: links from axes or from a model, motors that hold them, boards, a pose to wait in."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arm_import import SerialArm, arm_links, friction_effects
+from control.kinematics.corners import Corners
+from control.model.arm import Arm, CanBus, EncoderBoardPort, Limits, Rest
+from procedures.new_arm.answers import Answers
+from procedures.new_arm.motors import Load, drives, loads, range_of
+from procedures.new_arm.rest import rest_pose
+from procedures.new_arm.stretched import is_level
+
+NO_FLOOR_z_m = -10.0  # below every arm: the lowest that arm.toml takes
+BELOW_REST_m = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class NewArm:
+    """An arm, what each of its joints is called in the model it came from, and what there is to say about it."""
+
+    arm: Arm
+    joint_names: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def compose(serial: SerialArm, answers: Answers) -> NewArm:
+    """The arm of these axes with these parts."""
+    links, notes = arm_links(serial, answers.convention)
+    ranges = [range_of(joint) for joint in serial.joints]
+    bare = Arm(
+        answers.name,
+        links,
+        gravity_m_s2=serial.gravity_m_s2,
+        dh_convention=answers.convention,
+        effects=friction_effects(serial),
+    )
+    limits, floor_notes = _limits(serial)
+    rest = rest_pose(bare, ranges, limits.floor_z_m)
+    limits, more = _floor_below(bare, rest, limits)
+    needed = loads(bare, ranges)
+    arm = dataclasses.replace(
+        bare,
+        drives=drives(serial.joints, needed, answers.parts, rest),
+        encoder_boards=tuple(
+            EncoderBoardPort(f"enc{number}", port) for number, port in enumerate(answers.parts.ports)
+        ),
+        can=CanBus(*answers.parts.can),
+        rest=Rest(rest),
+        limits=limits,
+    )
+    names = tuple(joint.name for joint in serial.joints)
+    return NewArm(arm, names, (*serial.notes, *notes, *floor_notes, *more, *_weak(arm, needed)))
+
+
+def _limits(serial: SerialArm) -> tuple[Limits, list[str]]:
+    if is_level(serial.gravity_m_s2):
+        return Limits(), []
+    note = "gravity is not along -z of the base: no floor is watched; set [limits] floor_z_m if there is one"
+    return Limits(floor_z_m=NO_FLOOR_z_m), [note]
+
+
+def _floor_below(arm: Arm, rest: tuple[float, ...], limits: Limits) -> tuple[Limits, list[str]]:
+    """A base link whose origin is not on the floor: the floor is then below the arm at rest."""
+    lowest = min(float(corner[2, 0]) for corner in Corners(arm).batch(np.array([rest])))
+    if lowest >= limits.floor_z_m:
+        return limits, []
+    floor = round(lowest - BELOW_REST_m, 3)
+    note = f"the arm reaches below z = 0 at rest: [limits] floor_z_m = {floor:g}; measure where the floor is"
+    return dataclasses.replace(limits, floor_z_m=floor), [note]
+
+
+def _weak(arm: Arm, needed: tuple[Load, ...]) -> list[str]:
+    """Joints whose motor does not hold the arm in every pose."""
+    notes = []
+    for drive, load in zip(arm.drives, needed, strict=True):
+        torque = drive.current_limit_A * drive.torque_constant_Nm_A * drive.gear_ratio
+        if torque < load.torque_Nm:
+            notes.append(
+                f"joint {drive.joint}: {torque:.3g} N m at {drive.current_limit_A:.3g} A do not hold"
+                f" {load.torque_Nm:.3g} N m of gravity"
+            )
+    return notes

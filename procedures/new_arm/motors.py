@@ -1,0 +1,175 @@
+"""Motors and gears for a first arm.toml: the smallest of a short list that hold the arm with reserve.
+
+They are placeholders with the values of usual parts; the file says so. Currents stay within the motor boards' 20 A.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arm_import.tree import TreeJoint
+from control.dynamics.dynamics import Dynamics
+from control.model.arm import Arm, Drive, Home
+from procedures.new_arm.answers import Parts
+
+POSES: Final = 400
+RESERVE: Final = (
+    3.0  # torque at the current limit over what the worst pose needs; homing has half the current
+)
+GEARS: Final = (50.0, 80.0, 100.0, 120.0, 160.0, 200.0, 300.0, 500.0)
+FREE_SHARE: Final = 0.7  # of the speed without load that a loaded motor reaches
+USUAL_SPEED_rad_s: Final = 2.0
+MOST_ACCELERATION_rad_s2: Final = 10.0
+WANTED_ACCELERATION_rad_s2: Final = 5.0  # against gravity, in the worst pose
+MISMATCH: Final = (
+    5.0  # largest inertia over that of the rotor at the joint: a lighter rotor hunts in its gear's backlash
+)
+ACCELERATING: Final = 0.5  # share of the torque beyond gravity that accelerates
+JERK_PER_ACCELERATION_1_s: Final = 20.0
+WITHOUT_LIMIT_rad: Final = math.pi  # range of a joint whose file has no limits
+HOMING_SPEED_rad_s: Final = 0.3
+SWITCH_BEFORE_REST_rad: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Motor:
+    """A usual brushed or block-commutated motor."""
+
+    torque_constant_Nm_A: float
+    resistance_ohm: float
+    inductance_H: float
+    rotor_inertia_kg_m2: float
+    supply_V: float
+    current_A: float
+
+    def torque_Nm(self, gear: float) -> float:
+        """At the joint, at the current limit."""
+        return self.torque_constant_Nm_A * self.current_A * gear
+
+    def speed_rad_s(self, gear: float) -> float:
+        """Of the joint that a loaded motor still reaches."""
+        return FREE_SHARE * self.supply_V / (self.torque_constant_Nm_A * gear)
+
+
+MOTORS: Final = (
+    Motor(0.024, 4.8, 4.8e-4, 1.0e-6, 24.0, 1.0),
+    Motor(0.0302, 0.299, 8.2e-5, 1.42e-5, 24.0, 8.0),  # the reference arm's
+    Motor(0.1, 0.12, 1.5e-4, 1.2e-4, 48.0, 20.0),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """What a joint has to move: the largest gravity torque and the largest inertia of poses within the limits."""
+
+    torque_Nm: float
+    inertia_kg_m2: float
+
+
+def range_of(joint: TreeJoint) -> tuple[float, float]:
+    """Limits of a joint, both finite: the mock's end stops stand there."""
+    lower = joint.lower_rad if math.isfinite(joint.lower_rad) else -WITHOUT_LIMIT_rad
+    upper = joint.upper_rad if math.isfinite(joint.upper_rad) else WITHOUT_LIMIT_rad
+    return lower, upper
+
+
+def loads(arm: Arm, ranges: Sequence[tuple[float, float]]) -> tuple[Load, ...]:
+    """The load of each joint; unknown masses weigh nothing."""
+    if not any(link.mass_kg for link in arm.links):
+        return (Load(0.0, 0.0),) * arm.joint_count
+    low, high = np.array(ranges).T
+    q = np.random.default_rng(0).uniform(low, high, (POSES, arm.joint_count))
+    q[0] = np.clip(0.0, low, high)
+    dynamics = Dynamics(arm)
+    torques = np.abs(dynamics.torques(q, 0.0 * q, 0.0 * q)).max(axis=0)
+    inertias = np.diagonal(dynamics.mass_matrices(q), axis1=1, axis2=2).max(axis=0)
+    return tuple(Load(float(t), float(j)) for t, j in zip(torques, inertias, strict=True))
+
+
+def drives(
+    joints: Sequence[TreeJoint], needed: Sequence[Load], parts: Parts, rest_rad: Sequence[float]
+) -> tuple[Drive, ...]:
+    """A drive for every joint."""
+    return tuple(
+        _drive(number, joint, load, parts, rest)
+        for number, (joint, load, rest) in enumerate(zip(joints, needed, rest_rad, strict=True), start=1)
+    )
+
+
+def _drive(number: int, joint: TreeJoint, load: Load, parts: Parts, rest_rad: float) -> Drive:
+    given = None if parts.gear_ratios is None else parts.gear_ratios[number - 1]
+    motor, gear = _chosen(joint, load, (given,) if given else GEARS)
+    current_A = motor.current_A
+    if math.isfinite(joint.torque_Nm) and joint.torque_Nm < motor.torque_Nm(gear):
+        current_A = joint.torque_Nm / (motor.torque_constant_Nm_A * gear)
+    speed = min(
+        motor.speed_rad_s(gear), joint.speed_rad_s if math.isfinite(joint.speed_rad_s) else USUAL_SPEED_rad_s
+    )
+    acceleration = _acceleration(motor, gear, current_A, load, joint)
+    lower, upper = range_of(joint)
+    return Drive(
+        joint=number,
+        gear_ratio=gear,
+        encoder_counts_per_rev=parts.counts_per_rev[number - 1],
+        torque_constant_Nm_A=motor.torque_constant_Nm_A,
+        resistance_ohm=motor.resistance_ohm,
+        supply_V=motor.supply_V,
+        inductance_H=motor.inductance_H,
+        rotor_inertia_kg_m2=_rotor(motor, gear, joint),
+        current_limit_A=current_A,
+        joint_lower_rad=lower,
+        joint_upper_rad=upper,
+        joint_speed_limit_rad_s=_rounded(speed),
+        joint_acceleration_limit_rad_s2=_rounded(acceleration),
+        joint_jerk_limit_rad_s3=_rounded(JERK_PER_ACCELERATION_1_s * acceleration),
+        home=_home(rest_rad, gear, lower, speed) if parts.has_home_switches else None,
+    )
+
+
+def _chosen(joint: TreeJoint, load: Load, gears: Sequence[float]) -> tuple[Motor, float]:
+    """The smallest motor with a gear that gives torque and speed; else torque alone; else the strongest."""
+    wanted_rad_s = joint.speed_rad_s if math.isfinite(joint.speed_rad_s) else 0.5 * USUAL_SPEED_rad_s
+    choices = [(motor, gear) for motor in MOTORS for gear in gears]
+    strong = [(motor, gear) for motor, gear in choices if _is_strong(motor, gear, joint, load)]
+    quick = [(motor, gear) for motor, gear in strong if motor.speed_rad_s(gear) >= wanted_rad_s]
+    return (quick or strong or choices[-1:])[0]
+
+
+def _is_strong(motor: Motor, gear: float, joint: TreeJoint, load: Load) -> bool:
+    """As strong as the file says, else it holds the arm with reserve and accelerates it; and its rotor fits the load."""
+    torque, rotor = motor.torque_Nm(gear), gear**2 * _rotor(motor, gear, joint)
+    if load.inertia_kg_m2 > MISMATCH * rotor:
+        return False
+    if math.isfinite(joint.torque_Nm):
+        return torque >= joint.torque_Nm
+    spare = load.torque_Nm + WANTED_ACCELERATION_rad_s2 * (load.inertia_kg_m2 + rotor) / ACCELERATING
+    return torque >= max(RESERVE * load.torque_Nm, spare)
+
+
+def _rotor(motor: Motor, gear: float, joint: TreeJoint) -> float:
+    """The file's own inertia at the joint, if it has one."""
+    return joint.rotor_kg_m2 / gear**2 if joint.rotor_kg_m2 > 0.0 else motor.rotor_inertia_kg_m2
+
+
+def _acceleration(motor: Motor, gear: float, current_A: float, load: Load, joint: TreeJoint) -> float:
+    torque = motor.torque_constant_Nm_A * current_A * gear
+    inertia = load.inertia_kg_m2 + gear**2 * _rotor(motor, gear, joint)
+    spare = ACCELERATING * max(torque - load.torque_Nm, 0.1 * torque)
+    return min(MOST_ACCELERATION_rad_s2, spare / inertia)
+
+
+def _home(rest_rad: float, gear: float, lower: float, speed: float) -> Home:
+    """Beside the rest pose, so that homing moves little; the index half a motor turn further."""
+    switch = round(max(rest_rad - SWITCH_BEFORE_REST_rad, lower), 4)
+    return Home(switch, round(switch + math.pi / gear, 7), min(HOMING_SPEED_rad_s, _rounded(0.5 * speed)))
+
+
+def _rounded(value: float) -> float:
+    """To two digits, downwards: these are limits."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / step + 1e-9) * step:.2g}")

@@ -1,0 +1,125 @@
+"""The questions of `armwright new`: each has an option that answers it and a default; a bad answer is asked again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+from calib.arm_import import SerialArm
+from control.errors import ArmError
+from control.model.arm import Convention
+from procedures.new_arm import answers
+from procedures.new_arm.answers import Answers, Parts, Shape
+
+T = TypeVar("T")
+
+
+class Asker(Protocol):
+    """Somebody who answers a line at a time."""
+
+    def ask(self, question: str, default: str) -> str:
+        """The answer; `default` if it is empty."""
+
+    def say(self, text: str) -> None:
+        """Tell them something."""
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """Answers given as options; None: asked."""
+
+    joints: str | None = None
+    axes: str | None = None
+    lengths: Sequence[str] | None = None
+    gears: Sequence[str] | None = None
+    counts: Sequence[str] | None = None
+    ports: Sequence[str] | None = None
+    can: str | None = None
+    home: str | None = None
+
+
+def ask_shape(given: Given, asker: Asker) -> Shape:
+    """Joints, axes and lengths. ArmError if an option is wrong."""
+    joints = _joints(given, asker)
+    axes = _answer(
+        given.axes,
+        asker,
+        "Axis of each joint in the stretched pose: z along the arm, y or x across it",
+        answers.USUAL_AXES[joints],
+        lambda text: answers.axes_from(text, joints),
+    )
+    lengths = _answer(
+        _joined(given.lengths),
+        asker,
+        "Lengths in m: base to joint 2, then joint to joint, last joint to tip",
+        " ".join(f"{length:g}" for length in answers.USUAL_LENGTHS_m[joints]),
+        lambda text: answers.lengths_from(_words(text), joints),
+    )
+    return Shape(axes, lengths)
+
+
+def ask_parts(given: Given, asker: Asker, joints: int) -> Parts:
+    """Gears, encoders, switches and boards. ArmError if an option is wrong."""
+    gears = _answer(
+        _joined(given.gears),
+        asker,
+        "Motor turns per joint turn, one for all or one each; auto: chosen with the motors to hold the arm",
+        "auto",
+        lambda text: None if text.strip() == "auto" else answers.gears_from(_words(text), joints),
+    )
+    counts = _answer(
+        _joined(given.counts),
+        asker,
+        "Encoder counts per motor turn after quadrature, one for all or one each",
+        str(answers.COUNTS_PER_REV),
+        lambda text: answers.counts_from(_words(text), joints),
+    )
+    question = "Has every joint a home switch, and its encoder an index"
+    home = _answer(given.home, asker, question, "yes", answers.yes_from)
+    boards = answers.boards_for(joints)
+    ports = _answer(
+        _joined(given.ports),
+        asker,
+        f"Serial port{'s' * (boards > 1)} of the {boards} encoder board{'s' * (boards > 1)} (three joints each)",
+        " ".join(answers.usual_ports(joints)),
+        lambda text: answers.ports_from(_words(text), joints),
+    )
+    question = "CAN bus of the motor boards, as python-can's INTERFACE:CHANNEL"
+    can = _answer(given.can, asker, question, answers.CAN, answers.can_from)
+    return Parts(gears, counts, home, ports, can)
+
+
+def _joints(given: Given, asker: Asker) -> int:
+    """As told, or as many as there are letters or lengths."""
+    told = given.joints
+    if told is None and given.axes is not None:
+        told = str(len(given.axes.strip()))
+    if told is None and given.lengths is not None:
+        told = str(len(given.lengths))
+    question = f"How many joints turn, {answers.FEWEST} to {answers.MOST}"
+    return _answer(told, asker, question, "6", answers.joints_from)
+
+
+def answers_for(serial: SerialArm, name: str, convention: Convention, given: Given, asker: Asker) -> Answers:
+    """Everything else about an arm whose axes are known."""
+    return Answers(answers.name_from(name), convention, ask_parts(given, asker, len(serial.joints)))
+
+
+def _answer(given: str | None, asker: Asker, question: str, default: str, read: Callable[[str], T]) -> T:
+    """The option's answer, whose error ends the command; else the asked one, whose error is said and asked again."""
+    if given is not None:
+        return read(given)
+    while True:
+        try:
+            return read(asker.ask(question, default))
+        except ArmError as error:
+            asker.say(f"  {error}")
+
+
+def _words(text: str) -> list[str]:
+    return text.replace(",", " ").split()
+
+
+def _joined(words: Sequence[str] | None) -> str | None:
+    return None if words is None else " ".join(words)

@@ -1,0 +1,114 @@
+"""An arm.toml with a comment on every key, in the words of docs/arm_toml.md."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import tomli_w
+
+from control.model.arm import Arm, CanBus, Drive, Effect, EncoderBoardPort, Home, Limits, Link, Rest, Tool
+from control.model.reader import keys_of
+from control.model.reference import texts_of
+from procedures.new_arm.composing import NewArm
+
+VALUE_WIDTH = 38
+PLACEHOLDERS = "Placeholders where you did not say otherwise: compare every value with your parts."
+SECTIONS = {
+    "link": "links: DH rows from base to tip, and what each weighs",
+    "drive": f"motors, gears, encoders and limits, one a joint. {PLACEHOLDERS}",
+    "home": "home switch; `armwright bringup` measures where it changes and where the index is",
+    "encoder_board": "encoder boards: three channels each, joints in order",
+    "can": "bus of the motor boards: node j drives joint j",
+    "rest": "a pose to wait in",
+    "limits": "limits that the loop enforces; more of them in docs/arm_toml.md",
+    "effect": "effects of the model (docs/formats.md#effects)",
+}
+LATER = """# Not here yet: [table] with its cavities (session, calibrate without a camera), [camera] (verify), [drive.pid] (gains
+# from `armwright tune`; until then from the model). What the arm can do: armwright arm FILE. To try: armwright mock --arm FILE
+"""
+
+
+def commented_text(new: NewArm, origin: str) -> str:
+    """The arm as a commented arm.toml; `origin` says what it was made from."""
+    arm = new.arm
+    lines = [f"# Arm {arm.name}, {origin}. SI units, radians; every key: docs/arm_toml.md."]
+    lines += [f"# {_plain(note)}." for note in new.notes]
+    lines += _keys(arm, Arm, ("name", "gravity_m_s2", "dh_convention"))
+    lines += _links(arm, new.joint_names)
+    if arm.tool != Tool():
+        lines += ["", "[tool]", *_keys(arm.tool, Tool, ("position_m",))]
+    lines += _drives(arm)
+    lines += _tables("encoder_board", EncoderBoardPort, arm.encoder_boards, ("name", "port", "baud"))
+    if arm.can is not None:
+        lines += _table("can", arm.can, CanBus, ("interface", "channel", "bitrate"))
+    if arm.rest is not None:
+        lines += _table("rest", arm.rest, Rest, ("q_rad",))
+    limits = ("tip_speed_m_s", "floor_z_m", "floor_tolerance_m", "base_radius_m", "payload_limit_kg")
+    lines += _table("limits", arm.limits, Limits, limits)
+    lines += _tables("effect", Effect, arm.effects, ("effect", "joint", "parameters"))
+    return "\n".join([*lines, "", LATER])
+
+
+def _links(arm: Arm, names: Sequence[str]) -> list[str]:
+    lines, joint = ["", f"# {SECTIONS['link']}"], 0
+    for number, link in enumerate(arm.links):
+        joint += link.joint == "revolute"
+        what = "# fixed"
+        if link.joint == "revolute":
+            called = names[joint - 1]
+            what = f"# joint {joint}" + (f": {_plain(called)}" if called != f"joint{joint}" else "")
+        lines += ["", f"{'[[link]]':<{VALUE_WIDTH}}  {what}"]
+        lines += _keys(link, Link, tuple(keys_of(Link)), with_comments=number == 0)
+    return lines
+
+
+def _drives(arm: Arm) -> list[str]:
+    keys = tuple(key for key in keys_of(Drive) if key not in ("pid", "home", "zero_count"))
+    lines = ["", f"# {SECTIONS['drive']}"]
+    for number, drive in enumerate(arm.drives):
+        lines += ["", "[[drive]]", *_keys(drive, Drive, keys, with_comments=number == 0)]
+        if drive.home is not None:
+            lines += ["", *([f"# {SECTIONS['home']}"] if number == 0 else []), "[drive.home]"]
+            lines += _keys(drive.home, Home, tuple(keys_of(Home)), with_comments=number == 0)
+    return lines
+
+
+def _tables(name: str, kind: type[Any], items: Sequence[object], keys: tuple[str, ...]) -> list[str]:
+    lines = ["", f"# {SECTIONS[name]}"] if items else []
+    for number, item in enumerate(items):
+        lines += [*([""] if number else []), f"[[{name}]]"]
+        lines += _keys(item, kind, keys, with_comments=number == 0)
+    return lines
+
+
+def _table(name: str, item: object, kind: type[Any], keys: tuple[str, ...]) -> list[str]:
+    return ["", f"# {SECTIONS[name]}", f"[{name}]", *_keys(item, kind, keys)]
+
+
+def _keys(item: object, kind: type[Any], keys: Sequence[str], with_comments: bool = True) -> list[str]:
+    """A line for each key that has a value."""
+    texts, fields = texts_of(kind), keys_of(kind)
+    lines = []
+    for key in keys:
+        value = getattr(item, fields[key].name)
+        if value is None or (isinstance(value, float) and math.isinf(value)):
+            continue
+        line = f"{key} = {_toml(value)}"
+        comment = texts[key].partition(";")[0]
+        lines.append(f"{line:<{VALUE_WIDTH}}  # {comment}" if with_comments and comment else line)
+    return lines
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{key} = {_toml(one)}' for key, one in value.items())} }}"
+    return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip("\n")
+
+
+def _plain(text: str) -> str:
+    """One line without control characters, fit for a comment."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())

@@ -1,0 +1,74 @@
+"""Good inputs of every target, to be mutated: fuzzers that begin with them get behind the first check."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+
+from control.recording.record import Layout
+from control.recording.rotation import PartFile, begin
+from firmware_iface.camera import CameraFrame
+from firmware_iface.encoder import wire
+from firmware_iface.motor import wire as motor_wire
+from tests.recordings import row_of
+
+ROOT = Path(__file__).parents[2]
+REPORTS = [wire.Report(k, 1000 * k, (0, 4, 8), (k * 50, -k, 1 << 20)) for k in range(3)]
+REQUESTS = (
+    {"do": "status", "id": 1},
+    {"do": "jog", "joints": [0.1, 0.0, -0.1], "lease_s": 0.3},
+    {"do": "move_joints", "q_rad": [0.1, 0.2, 0.3], "speed": 0.5, "as_encoders": False, "key": "k"},
+    {"do": "payload", "mass_kg": 0.5},
+    {"do": "stop"},
+)
+POINTS = (
+    "setup,point,repeat,q1_rad,q2_rad,q3_rad,x_m,y_m,z_m\n"
+    "normal,1,1,0.1,-0.5,0.4,0.5,0.0,0.1\nnormal,2,1,0.2,-0.5,0.4,0.5,0.1,0.1\n"
+)
+LOG = "run,t_s,q1_rad,q2_rad,q3_rad,i1_A,i2_A,i3_A\n" + "".join(
+    f"1,{0.002 * k:.3f},{0.001 * k},0.1,0.2,0.5,0.6,0.7\n" for k in range(12)
+)
+SCENARIO = 'name = "x"\nseed = 3\n[start]\nhomed = true\n'
+
+
+def recording() -> bytes:
+    """A small recording in frames."""
+    layout = Layout.of(1)
+    rows = b"".join(
+        layout.packing.pack(*(row_of(k, 1).get(name, 0) for name in layout.names)) for k in range(12)
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "x.armlog"
+        begin(path, layout.about(arm="x", period_s=0.002, **layout.framed((1e-4,))))
+        part = PartFile(path)
+        for at in (0, 6):
+            part.append(rows[at * layout.packing.size : (at + 6) * layout.packing.size])
+        part.close()
+        return path.read_bytes()
+
+
+def seeds_of(name: str) -> list[bytes]:
+    """Good inputs of a target, or near ones."""
+    recorded = recording()
+    arm = (ROOT / "tests/control/model/arms/pendulum.toml").read_bytes()
+    known: dict[str, list[bytes]] = {
+        "encoder": [b"".join(map(wire.encode, REPORTS)), wire.encode(wire.Ack(1, 2, 3))],
+        "cobs": [wire.encode(report)[:-1] for report in REPORTS],
+        "motor": [motor_wire.Command(15, 1, 3, -20, 0).pack(), bytes(8), b"\xff" * 8],
+        "camera": [CameraFrame(3, 1.5, (0.1, 0.2, 0.3)).pack()],
+        "socket": [json.dumps(request).encode() for request in REQUESTS],
+        "recording frames": [recorded[recorded.index(b"}") + 1 :]],
+        "run.armlog": [recorded],
+        "arm.toml": [arm],
+        "points.csv": [POINTS.encode()],
+        "log.csv": [LOG.encode()],
+        "scenario.toml": [SCENARIO.encode(), (ROOT / "hil_mocks/scenarios/demo.toml").read_bytes()],
+        "path.csv": [b"x_m,y_m,z_m\n0.4,0.0,0.1\n0.4,0.1,0.1\n"],
+        "markers.csv": [b"marker,x_m,y_m,z_m\n1,0.1,0.2,0.3\n"],
+        "boards.json": [b'{"format": "boards/1", "boards": {"normal": {"points": {"1": [0, 0, 0]}}}}'],
+        "session.json": [b'{"format": "session/1", "arm": "right", "marks": []}'],
+        "programme.json": [b'{"format": "rectangle/1", "corners_m": [[0, 0, 0]]}'],
+        "places.toml": [b"[places.home]\nq_rad = [0.0, 0.1, 0.2]\n"],
+    }
+    return known[name]

@@ -1,0 +1,156 @@
+"""What fuzzers throw bytes at: every decoder and file reader. Each takes any bytes and returns, or raises one of our errors.
+
+Anything else that leaves a target is a finding: a crash, or a broken promise that the target checks itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from calib.boards.boards import read_boards
+from calib.boards.markers import read_markers
+from calib.gap.log import read_log
+from calib.iso9283.recorded import read_rectangle
+from calib.points.points import read_points
+from calib.session.folder import SessionFolder
+from console.places import read_places
+from control.model.description import load_arm
+from control.motion.waypoints import read_waypoints
+from control.recording.fixed_point import stored_columns
+from control.recording.frame_decoder import FrameDecoder
+from control.recording.reading import Recording
+from control.recording.record import Layout
+from control.server import messages
+from firmware_iface import camera
+from firmware_iface.encoder import cobs, wire
+from firmware_iface.errors import ArmwrightError, LinkError
+from firmware_iface.memory_link import MemoryBus
+from firmware_iface.motor import wire as motor_wire
+from firmware_iface.motor.board import MotorBoard
+from firmware_iface.motor.bus import MotorBus
+from hil_mocks.scenario import load_scenario
+
+SENTENCE_MOST = 4000  # characters
+Target = Callable[[bytes], None]
+
+
+def encoder_stream(content: bytes) -> None:
+    """The encoder's decoder never raises, whatever the pieces are in which bytes arrive, and finds a frame behind them."""
+    whole, pieces = wire.Decoder(), wire.Decoder()
+    at_once = whole.feed(content)
+    assert [frame for k in range(len(content)) for frame in pieces.feed(content[k : k + 1])] == at_once
+    behind = wire.Poll(7)
+    assert pieces.feed(b"\x00" + wire.encode(behind))[-1:] == [behind]
+
+
+def cobs_block(content: bytes) -> None:
+    """COBS returns None for what is no block."""
+    decoded = cobs.decode(content)
+    assert decoded is None or len(decoded) <= len(content)
+
+
+def motor_frames(content: bytes) -> None:
+    """A motor board's payloads, and any frames on its bus: a board that is not there is never believed."""
+    if len(content) == 8:
+        for kind in (motor_wire.Command, motor_wire.ParameterRequest, motor_wire.ParameterAnswer):
+            with contextlib.suppress(ValueError):  # a mode or an operation that there is not
+                assert kind.unpack(content).pack()
+    memory, clock = MemoryBus(), _Still()
+    ours, theirs = memory.join(), memory.join()
+    bus = MotorBus(ours, clock)
+    board = MotorBoard(bus, 1)
+    for can_id, payload in _frames(content):
+        theirs.send(can_id, payload)
+    for _ in range(len(content) + 1):
+        with contextlib.suppress(LinkError):
+            board.command_voltage(0.1)
+            bus.update()
+    assert board.state is None or board.state.name
+
+
+def _frames(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """An id, a length and a payload, again and again; ids are often those of the board."""
+    at = 0
+    while at + 2 <= len(content):
+        base = (motor_wire.REPLY_ID, motor_wire.PARAMETER_ANSWER_ID, motor_wire.EMERGENCY_STOP_ID, 0x7E0)
+        yield base[content[at] & 3] + (content[at] >> 2) % 3, content[at + 2 : at + 2 + content[at + 1] % 9]
+        at += 2 + content[at + 1] % 9
+
+
+class _Still:
+    def now_s(self) -> float:
+        return 0.0
+
+    def wait_until_s(self, t: float) -> None:
+        pass
+
+
+def camera_datagram(content: bytes) -> None:
+    """A datagram is a frame that packs to itself, or nothing."""
+    frame = camera.unpack(content)
+    assert frame is None or frame.pack() == content
+
+
+def socket_line(content: bytes) -> None:
+    """A line of the socket is a request of a known type, or an ArmError."""
+    messages.is_at_once(content)
+    messages.decoded(messages.asked(content))
+
+
+def recording_frames(content: bytes) -> None:
+    """Frames of a recording, read without their file."""
+    layout = Layout.of(1)
+    decoder = FrameDecoder(stored_columns(layout.names, layout.codes, (1e-4,)), layout.names, layout.packing)
+    rows, used = decoder.rows(content)
+    assert len(rows) % layout.packing.size == 0
+    assert used <= len(content)
+
+
+def _recording(path: Path) -> object:
+    opened = Recording.open(path)
+    return opened.row_count, sum(1 for _ in opened.rows())
+
+
+def _session(path: Path) -> object:
+    path.rename(path.parent / "session.json")
+    return SessionFolder(path.parent)
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "arm.toml": load_arm, "points.csv": read_points, "log.csv": read_log, "markers.csv": read_markers,
+    "path.csv": read_waypoints, "boards.json": read_boards, "session.json": _session, "run.armlog": _recording,
+    "programme.json": read_rectangle, "places.toml": read_places, "scenario.toml": load_scenario,
+}  # fmt: skip
+
+
+def _of_file(name: str) -> Target:
+    def read(content: bytes) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / name
+            path.write_bytes(content)
+            READERS[name](path)
+
+    return read
+
+
+DECODERS: dict[str, Target] = {
+    "encoder": encoder_stream, "cobs": cobs_block, "motor": motor_frames, "camera": camera_datagram,
+    "socket": socket_line, "recording frames": recording_frames,
+}  # fmt: skip
+TARGETS: dict[str, Target] = {**DECODERS, **{name: _of_file(name) for name in READERS}}
+
+
+def is_survived(name: str, content: bytes) -> bool:
+    """Run a target: True if it took the bytes, False if it refused them in one sentence. What else it raises is passed on."""
+    try:
+        TARGETS[name](content)
+    except ArmwrightError as error:
+        said = str(error)
+    else:
+        return True
+    if not 0 < len(said) < SENTENCE_MOST:
+        raise ValueError(f"{name}: an error of {len(said)} characters")
+    return False

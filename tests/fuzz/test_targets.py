@@ -1,0 +1,48 @@
+"""Random and mutated bytes at every decoder and file reader: taken or refused in one sentence, never a crash."""
+
+from __future__ import annotations
+
+import random
+import zlib
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_iface.encoder import cobs, wire
+from tests.fuzz.frames import mutated, wrong_accepts
+from tests.fuzz.seeds import seeds_of
+from tests.fuzz.targets import DECODERS, TARGETS, is_survived
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_mutants_of_good_input_are_taken_or_refused_in_a_sentence(name: str) -> None:
+    chance = random.Random(zlib.crc32(name.encode()))
+    for seed in seeds_of(name):
+        is_survived(name, seed)
+        for _ in range(60 if name in DECODERS else 25):
+            is_survived(name, mutated(seed, chance))
+
+
+@pytest.mark.parametrize("name", DECODERS)
+@settings(deadline=None, max_examples=40)
+@given(content=st.binary(max_size=200))
+def test_any_bytes_are_taken_or_refused_in_a_sentence(name: str, content: bytes) -> None:
+    is_survived(name, content)
+
+
+def test_fewer_frames_are_wrongly_accepted_than_the_length_of_the_crc_allows() -> None:
+    found = wrong_accepts(20_000, seed=2)
+    assert found.random_accepted <= 5  # 0.3 expected
+    assert found.mutants_accepted <= 5
+
+
+def test_no_frame_with_one_to_three_wrong_bits_is_accepted() -> None:
+    """The distance of this CRC is 4 up to 32,751 bits."""
+    right = bytes(cobs.decode(wire.encode(wire.Report(1, 2, (3, 4, 5), (6, 7, 8)))[:-1]) or b"")
+    chance = random.Random(3)
+    for _ in range(3000):
+        content = bytearray(right)
+        for at in chance.sample(range(8 * len(content)), 1 + chance.randrange(3)):
+            content[at // 8] ^= 1 << at % 8
+        assert wire.Decoder().feed(cobs.encode(bytes(content)) + b"\0") == []

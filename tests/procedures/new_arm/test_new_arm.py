@@ -1,0 +1,146 @@
+"""`armwright new`: from answers or a model to a commented arm.toml that homes and moves on the mock."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.arm_import import read_arm
+from calib.export import export_text
+from console.main import main
+from control.kinematics.corners import Corners
+from control.kinematics.kinematics import Kinematics
+from control.model.description import load_arm
+from hil_mocks.scenario import load_scenario
+from tests.cell import open_cell
+
+RIGHT = load_arm("right")
+SEEN_rad = 0.005
+
+
+def new(tmp_path: Path, *options: str, name: str = "mine.toml") -> tuple[int, Path]:
+    file = tmp_path / name
+    return main(["new", "--out", str(file), *options]), file
+
+
+@pytest.mark.parametrize("joints", range(2, 8))
+def test_every_number_of_joints_makes_an_arm_with_the_boards_that_it_needs(
+    joints: int, tmp_path: Path
+) -> None:
+    status, file = new(tmp_path, "--joints", str(joints), "--yes")
+    arm = load_arm(file)
+    assert status == 0
+    assert arm.joint_count == len(arm.drives) == joints
+    assert len(arm.encoder_boards) == (2 if joints > 3 else 1) + (joints > 6)
+    assert arm.rest is not None
+    corners = Corners(arm).batch(np.array([arm.rest.q_rad]))
+    assert min(float(corner[2, 0]) for corner in corners) >= 0.0
+    keys = [line for line in file.read_text(encoding="utf-8").splitlines() if " = " in line]
+    assert sum("# " in line for line in keys) > 40
+
+
+@pytest.mark.parametrize("joints", [2, 4])
+def test_it_homes_and_moves_on_the_mock_at_once(joints: int, tmp_path: Path) -> None:
+    _, file = new(tmp_path, "--joints", str(joints), "--yes")
+    arm = load_arm(file)
+    assert arm.rest is not None
+    with open_cell(load_scenario("demo"), arm=arm) as cell:
+        cell.client.enable()
+        cell.client.home()
+        target = [angle + 0.2 for angle in arm.rest.q_rad]
+        cell.run(cell.start_move(target) + 0.5)
+        assert cell.faults == []
+        assert np.abs(np.array(cell.rig.joint_rad()) - target).max() < SEEN_rad
+
+
+def test_the_lengths_are_where_the_joints_are(tmp_path: Path) -> None:
+    options = ("--axes", "zyy", "--lengths", "0.1", "0.4", "0.35", "--convention", "modified", "--yes")
+    _, file = new(tmp_path, *options)
+    arm = load_arm(file)
+    tips = Kinematics(arm).tips(np.array([[0.0, 0.0, 0.0], [0.0, np.pi / 2, 0.0], [0.0, 0.0, np.pi / 2]]))
+    assert np.allclose(tips, [[0, 0, 0.85], [0.75, 0, 0.1], [0.35, 0, 0.5]], atol=1e-12)
+
+
+def test_answers_are_asked_for_and_a_bad_one_is_asked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = ["nine", "4", "zyyz", "100 300 250 50", "0.1 0.3 0.25 0.05", "100", "1024", "no", "/dev/a /dev/a",
+             "/dev/a /dev/b", "slcan:/dev/ttyS1"]  # fmt: skip
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(lines) + "\n"))
+    status, file = new(tmp_path)
+    said = capsys.readouterr().out
+    arm = load_arm(file)
+    assert status == 0
+    assert "a whole number from 2 to 7, got 'nine'" in said
+    assert "this looks like millimetres: write 0.1" in said
+    assert "2 different serial ports (4 joints need 2 encoder boards" in said
+    assert [drive.gear_ratio for drive in arm.drives] == [100.0] * 4
+    assert [drive.encoder_counts_per_rev for drive in arm.drives] == [1024] * 4
+    assert all(drive.home is None for drive in arm.drives)
+    assert [board.port for board in arm.encoder_boards] == ["/dev/a", "/dev/b"]
+    assert arm.can is not None
+    assert (arm.can.interface, arm.can.channel) == ("slcan", "/dev/ttyS1")
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--joints", "8"), "from 2 to 7, got '8'"),
+        (("--axes", "zyq"), "3 letters of x, y, z"),
+        (("--joints", "3", "--lengths", "0.1", "0.2"), "expected 3 lengths in m, got 2"),
+        (("--joints", "2", "--lengths", "80", "300"), "this looks like millimetres: write 0.08"),
+        (("--joints", "3", "--gears", "100", "50"), "one value for all or 3 of them, got 2"),
+        (("--joints", "3", "--gears", "-3"), "above 0, got -3"),
+        (("--joints", "3", "--counts", "2048.5"), "whole numbers of 1 or more"),
+        (("--joints", "4", "--ports", "/dev/a"), "2 different serial ports"),
+        (("--joints", "3", "--can", "can0"), "expected INTERFACE:CHANNEL"),
+        (("--joints", "3", "--home", "maybe"), "expected yes or no"),
+        (("--joints", "3", "--name", "../up"), "name: expected a name of 1 to 64"),
+        (("--tip", "hand"), "--from-urdf or --from-mjcf"),
+        (("--from-urdf", "nowhere.urdf"), "nowhere.urdf: cannot be read"),
+    ],
+)
+def test_a_wrong_option_is_one_error_and_nothing_is_written(
+    options: tuple[str, ...], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, file = new(tmp_path, *options, "--yes")
+    assert status == 2
+    assert says in capsys.readouterr().err
+    assert not file.exists()
+
+
+def test_an_existing_file_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mine.toml").write_text("mine", encoding="utf-8")
+    status, file = new(tmp_path, "--yes")
+    assert status == 2
+    assert "is not overwritten" in capsys.readouterr().err
+    assert file.read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize("form", ["urdf", "mjcf"])
+def test_a_model_gives_the_same_arm_with_limits_torque_and_friction(form: str, tmp_path: Path) -> None:
+    model = tmp_path / f"right.{form}"
+    model.write_text(export_text(RIGHT, form), encoding="utf-8")
+    out = tmp_path / "again.toml"
+    assert main(["arm", f"--from-{form}", str(model), "--out", str(out)]) == 0
+    arm = load_arm(out)
+    q = np.random.default_rng(3).uniform(-1.0, 1.0, (20, 3))
+    assert np.abs(Kinematics(arm).tips(q) - Kinematics(RIGHT).tips(q)).max() < 1e-9
+    assert arm.limits_rad == RIGHT.limits_rad
+    again = tmp_path / f"again.{form}"
+    again.write_text(export_text(arm, form), encoding="utf-8")
+    first, second = read_arm(model, form), read_arm(again, form)
+    assert [j.torque_Nm for j in second.joints] == pytest.approx([j.torque_Nm for j in first.joints])
+
+
+def test_a_hanging_arm_has_no_floor_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hanging = dataclasses.replace(RIGHT, gravity_m_s2=(0.0, 0.0, 9.81))
+    model = tmp_path / "hanging.xml"
+    model.write_text(export_text(hanging, "mjcf"), encoding="utf-8")
+    assert main(["arm", "--from-mjcf", str(model), "--out", str(tmp_path / "h.toml")]) == 0
+    assert "no floor is watched" in capsys.readouterr().out
+    assert load_arm(tmp_path / "h.toml").gravity_m_s2 == (0.0, 0.0, 9.81)
