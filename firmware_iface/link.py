@@ -79,10 +79,11 @@ class FrameLink(Protocol):
         ...
 
 
-def open_serial(url: str, baud: int) -> ByteLink:
+def open_serial(url: str, baud: int, patience: int = _PATIENT_READS) -> ByteLink:
     """Open a serial port by any URL that pyserial takes: /dev/ttyUSB0, COM3, socket://host:port, loop:// ...
 
-    8N1, exclusive, low-latency mode where supported. Raises PortMissing, which lists the available ports.
+    8N1, exclusive, low-latency mode where supported. `patience`: how many empty looks in a row before a tty is read all the
+    same, which may wait for the kernel. Raises PortMissing, which lists the available ports.
     """
     if baud <= 0:
         raise MisuseError(f"serial port {url}: baud must be positive, got {baud}")
@@ -96,9 +97,9 @@ def open_serial(url: str, baud: int) -> ByteLink:
         # Only real UARTs on USB have this mode; a pty answers with an error, and needs none.
         with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):
             port.set_low_latency_mode(True)
-        return _PosixByteLink(port, url, baud)
+        return _PosixByteLink(port, url, baud, patience)
     if url.startswith("socket:") and os.name == "posix":
-        return _SocketByteLink(port, url, 0)
+        return _SocketByteLink(port, url, 0, patience)
     return _PyserialByteLink(port, url, 0 if url.startswith("socket:") else baud)
 
 
@@ -135,12 +136,13 @@ def _ports_here() -> str:
 class _PosixByteLink:
     """A tty or pty: opened by pyserial, read and written directly (pyserial's layers cost some 20 us a read)."""
 
-    def __init__(self, port: serial.SerialBase, name: str, baud: int) -> None:
+    def __init__(self, port: serial.SerialBase, name: str, baud: int, patience: int) -> None:
         self.name = name
         self.baud = baud
         self._port = port
         self._fd = port.fileno()
         os.set_blocking(self._fd, False)
+        self._patience = patience
         self._empty_reads = 0
         self._writable = select.poll()
         self._writable.register(self._fd, select.POLLOUT)
@@ -153,7 +155,7 @@ class _PosixByteLink:
         try:
             (waiting,) = _INT.unpack(fcntl.ioctl(self._fd, termios.FIONREAD, _NO_BYTES))
             self._empty_reads = 0 if waiting else self._empty_reads + 1
-            if self._empty_reads % (_PATIENT_READS + 1) == _PATIENT_READS:
+            if self._empty_reads % (self._patience + 1) == self._patience:
                 waiting = _READ_BYTES
             return os.read(self._fd, waiting) if waiting else b""
         except BlockingIOError:

@@ -63,9 +63,19 @@ def with_cia402(mode: str = "position") -> Arm:
     return replace(RIGHT, boards=boards, drives=drives, encoder_boards=(), path=None)
 
 
+def mixed() -> Arm:
+    """Joints 1 and 2 on a RoboClaw, joint 3 on reference boards."""
+    claws = with_roboclaws()
+    drives = (*claws.drives[:2], RIGHT.drives[2])
+    return replace(
+        claws, boards=claws.boards[:1], drives=drives, encoder_boards=RIGHT.encoder_boards, can=RIGHT.can
+    )
+
+
 ON_BOARDS = {
     "reference": OnBoards(RIGHT, 0.002, "motor1", "motor3"),
     "cia402": OnBoards(with_cia402(), 0.004, "drive11", "drive13"),
     "cia402 torque": OnBoards(with_cia402("current"), 0.002, "drive11", "drive13"),
+    "mixed": OnBoards(mixed(), 0.01, "roboclaw1", "motor3"),
     "roboclaw": OnBoards(with_roboclaws(), 0.01, "roboclaw1", "roboclaw2"),
 }

@@ -102,7 +102,11 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
     ]
     motors = _motors(arm, clock, opened)
     open_boards(arm, clock, period_s, opened)
-    attempted = len(arm.encoder_boards) + max(len(motors), 0 if arm.can is None else 1) + len(arm.boards)
+    attempted = (
+        len(arm.encoder_boards)
+        + max(len(motors), any(not drive.board for drive in arm.drives))
+        + len(arm.boards)
+    )
     camera = None
     if not opened.failures and camera_port is not None:
         with collect(opened.failures):

@@ -48,6 +48,8 @@ _SWITCH = (Status.S4_TRIGGERED, Status.S5_TRIGGERED)
 # Bytes of a cycle a board, there and back: duties 8 + 1, currents 2 + 6, status 2 + 6, encoders 2 + 10.
 CYCLE_BYTES = 37
 QUESTIONS = 4
+# A line is looked at every quarter of a millisecond, so a read that may wait for the kernel comes once in 10 ms at most.
+LOOKS_BEFORE_A_READ = 40
 TURN_AROUND_S = 0.0005  # from a request's last byte to the answer's first, and from there to the next request
 
 
@@ -251,7 +253,7 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
     for port in dict.fromkeys(board.port for board in boards):
         on_it = [board for board in boards if board.port == port]
         with collect(opened.failures):
-            link = open_serial(port, on_it[0].baud)
+            link = open_serial(port, on_it[0].baud, LOOKS_BEFORE_A_READ)
             opened.closers.append(link.close)
             _require_time(on_it, link.baud, period_s)
             line = PacketLine(link, clock)

@@ -412,6 +412,13 @@ class Arm:
         return REFERENCE if board is None else KINDS[board.kind]
 
     @property
+    def usual_rate_Hz(self) -> float:
+        """The loop's rate if none is asked for: what the slowest kind of board carries."""
+        return min(
+            (self.kind_of(drive).usual_rate_Hz for drive in self.drives), default=REFERENCE.usual_rate_Hz
+        )
+
+    @property
     def limits_rad(self) -> tuple[tuple[float, float], ...]:
         """Lower and upper limit of every joint [rad]; infinite if no drive gives one."""
         ranges = {drive.joint: (drive.joint_lower_rad, drive.joint_upper_rad) for drive in self.drives}

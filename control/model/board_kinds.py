@@ -21,9 +21,8 @@ class BoardKind:
     has_encoder: bool  # its own, which the loop can use
     can_free: bool  # opens the motor's circuit, so that a hand can move the joint
     can_hold: bool  # brings its joint to rest and holds it without the host
-    stops_early: (
-        bool  # begins its own stop some cycles after the last command; else it obeys that until its watchdog
-    )
+    usual_rate_Hz: float  # of the loop
+    stops_early: bool  # begins its own stop some cycles after the last command, not only at its watchdog
 
 
 REFERENCE: Final = BoardKind(
@@ -34,6 +33,7 @@ REFERENCE: Final = BoardKind(
     has_encoder=False,  # what the loop uses is the encoder board's
     can_free=True,
     can_hold=True,
+    usual_rate_Hz=500.0,
     stops_early=True,
 )
 
@@ -47,6 +47,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             has_encoder=True,
             can_free=False,
             can_hold=False,
+            usual_rate_Hz=100.0,
             stops_early=False,
         ),
         "cia402": BoardKind(
@@ -57,6 +58,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             has_encoder=True,
             can_free=True,
             can_hold=True,
+            usual_rate_Hz=250.0,
             stops_early=False,
         ),
     }

@@ -12,14 +12,13 @@ from control.server.scheduling import punctuality_remedy
 from firmware_iface.clock import MonotonicClock
 from procedures.link_options import link_options
 
-PERIOD_S = 0.002
 FORMAT = "check/1"
 
 
 def run(given: argparse.Namespace) -> int:
     """Connect, print the boards that answered, disconnect."""
     arm = with_links(load_arm(given.arm), link_options(given))
-    connection = connect(arm, MonotonicClock(), PERIOD_S, camera_port(given, arm))
+    connection = connect(arm, MonotonicClock(), 1.0 / arm.usual_rate_Hz, camera_port(given, arm))
     try:
         found = found_boards(connection)
     finally:
