@@ -5,17 +5,26 @@ RoboClaws on serial lines, CiA 402 drives on the CAN bus.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from control.model.description import Arm
-from hil_mocks.devices import cia402_drive
+from hil_mocks.devices import cia402_drive, dynamixel
 from hil_mocks.devices.cia402_drive import Cia402Mock, Cia402Setup
+from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
 from hil_mocks.devices.motor_board import BRAKE, Output
 from hil_mocks.devices.roboclaw import DRIVER_FAULT, E_STOP, FULL, OVER_HEATED, RoboClawLineMock, RoboClawMock
 from hil_mocks.scenario import FaultTable
 from hil_mocks.wiring import JointWiring
 
-_CHANNELS = (0, 1)
+
+class PacketLine(Protocol):
+    """A serial line whose boards answer; `outgoing` has bytes and when they arrive at the host."""
+
+    outgoing: list[tuple[float, bytes]]
+
+    def receive(self, received: bytes, now_s: float) -> None: ...
 
 
 class CanDrives:
@@ -69,6 +78,60 @@ class CanDrives:
 
     def _reader(self, j: int, encoder_rad: Callable[[int], float]) -> Callable[[], int]:
         return lambda: self._wiring[j].motor_count(encoder_rad(j))
+
+
+class Servos:
+    """The smart servos of an arm, by joint (0-based), on their lines."""
+
+    def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
+        described = {board.name: board for board in arm.boards if board.kind == "dynamixel"}
+        self.joints = [j for j, drive in enumerate(arm.drives) if drive.board in described]
+        boards = [described[arm.drives[j].board] for j in self.joints]
+        self.names = [f"servo{board.address}" for board in boards]
+        self.ports = list(dict.fromkeys(board.port for board in boards))
+        self.mocks = [
+            DynamixelMock(
+                ServoSetup(board.address, arm.drives[j].gear_ratio * arm.drives[j].torque_constant_Nm_A),
+                self._reader(wiring[j], j, encoder_rad),
+            )
+            for j, board in zip(self.joints, boards, strict=True)
+        ]
+        self.lines = [
+            DynamixelLineMock(
+                [mock for mock, board in zip(self.mocks, boards, strict=True) if board.port == port],
+                next(board.baud for board in boards if board.port == port),
+            )
+            for port in self.ports
+        ]
+        self.line_of = [self.ports.index(board.port) for board in boards]
+
+    def tick(
+        self, now_s: float, currents_A: Sequence[float], supply_V: Sequence[float]
+    ) -> list[tuple[int, Output, float]]:
+        """Advance the servos; the output of each joint, and its current limit."""
+        outputs = []
+        for j, mock in zip(self.joints, self.mocks, strict=True):
+            mock.tick(now_s, currents_A[j], supply_V[j])
+            outputs.append((j, mock.output, math.inf))
+        return outputs
+
+    def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:
+        """Begin or end a fault of a servo itself."""
+        mock = self.mocks[self.names.index(fault.board)]
+        errors = {"over_temperature": dynamixel.OVER_HEATED, "over_current": dynamixel.OVERLOAD}
+        if fault.kind in errors:
+            mock.forced_error = errors[fault.kind] if is_on else 0
+        elif fault.kind == "board_reset" and is_on:
+            mock.power_up(now_s)
+
+    def joint(self, fault: FaultTable) -> int:
+        """The joint of a fault's servo."""
+        return self.joints[self.names.index(fault.board)]
+
+    def _reader(self, wired: JointWiring, j: int, encoder_rad: Callable[[int], float]) -> Callable[[], float]:
+        turns_per_rad = wired.encoder_direction * wired.counts_per_rad / dynamixel.COUNTS_PER_TURN
+        zero_turns = wired.zero_count / dynamixel.COUNTS_PER_TURN
+        return lambda: encoder_rad(j) * turns_per_rad + zero_turns
 
 
 class BoughtBoards:

@@ -64,6 +64,7 @@ def check_fault(fault: FaultTable, boards: Sequence[str], where: str) -> None:
         "c": OF_CAMERA,
         "r": OF_BOUGHT,
         "d": OF_BOUGHT - {"e_stop", "stuck_encoder"},
+        "s": OF_BOUGHT - {"e_stop", "stuck_encoder"},
     }
     place = f'{where}: fault "{fault.kind}"'
     if fault.board not in boards:

@@ -14,7 +14,7 @@ from functools import partial
 
 from control.model.description import Arm
 from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
-from hil_mocks.bought import BoughtBoards, CanDrives
+from hil_mocks.bought import BoughtBoards, CanDrives, PacketLine, Servos
 from hil_mocks.devices.motor_board import BRAKE, OPEN, Frame, Output
 from hil_mocks.errors import ScenarioError
 from hil_mocks.faults import FaultPlan, Frames, Line, check_fault
@@ -43,7 +43,10 @@ class MockRobot:
         self.encoder_boards = build_encoder_boards(arm, scenario, self._wiring)
         self.bought = BoughtBoards(arm, self._wiring, lambda j: self._encoder_rad()[j])
         self.can_drives = CanDrives(arm, self._wiring, lambda j: self._encoder_rad()[j])
-        bought = [*self.bought.joints, *self.can_drives.joints]
+        self.servos = Servos(arm, self._wiring, lambda j: self._encoder_rad()[j])
+        self.packet_lines: list[PacketLine] = [*self.bought.lines, *self.servos.lines]
+        self.ports = [*self.bought.ports, *self.servos.ports]
+        bought = [*self.bought.joints, *self.can_drives.joints, *self.servos.joints]
         self._motor_joints = [j for j in range(len(self._wiring)) if j not in bought]
         self.motor_boards = [
             build_motor_board(self._wiring[j], scenario, partial(self._motor_count, j))
@@ -59,14 +62,19 @@ class MockRobot:
         self._encoder_names = ["encoder" + (str(i + 1) if i else "") for i in range(len(self.encoder_boards))]
         self._motor_names = [f"motor{self._wiring[j].motor_node}" for j in self._motor_joints]
         self._line_names = [
-            next(name for name, line in zip(self.bought.names, self.bought.line_of, strict=True) if line == i)
-            for i in range(len(self.bought.lines))
+            names[line_of.index(i)]
+            for names, line_of in (
+                (self.bought.names, self.bought.line_of),
+                (self.servos.names, self.servos.line_of),
+            )
+            for i in dict.fromkeys(line_of)
         ]
         self.board_names = [
             *self._encoder_names,
             *self._motor_names,
             *self.bought.names,
             *self.can_drives.names,
+            *self.servos.names,
             "camera",
         ]
         for fault in scenario.fault:
@@ -76,7 +84,7 @@ class MockRobot:
         self._polarity = [w.motor_direction for w in self._wiring]
         self._applied: list[Output] = [OPEN for _ in joints]
         self._limits_A = [math.inf for _ in joints]
-        self._serial: list[Frames] = [[] for _ in (*self.encoder_boards, *self.bought.lines)]
+        self._serial: list[Frames] = [[] for _ in (*self.encoder_boards, *self.packet_lines)]
         self._can_on_its_way: list[tuple[float, Frame]] = []
         self.can_outgoing: list[Frame] = []
         self.camera_outgoing: list[bytes] = []
@@ -115,7 +123,7 @@ class MockRobot:
         line = board - len(self.encoder_boards)
         if line >= 0:
             if not self._lines[self._line_names[line]].is_silent:
-                self.bought.lines[line].receive(received, self.now_s)
+                self.packet_lines[line].receive(received, self.now_s)
                 self._gather_line(line)
         elif not self._lines[self._encoder_names[board]].is_silent:
             self.encoder_boards[board].receive(received, self.now_s)
@@ -155,6 +163,10 @@ class MockRobot:
         if self.bought.lines:
             signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
             for j, output, limit_A in self.bought.tick(now_s, signed_A, supply_V, is_clamped, joint_rad):
+                self._apply(j, output, limit_A)
+        if self.servos.joints:
+            signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
+            for j, output, limit_A in self.servos.tick(now_s, signed_A, supply_V):
                 self._apply(j, output, limit_A)
         if self.can_drives.joints:
             signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
@@ -210,7 +222,7 @@ class MockRobot:
         for at, (j, board) in enumerate(zip(self._motor_joints, self.motor_boards, strict=True)):
             self._send_can(self._motor_names[at], board.tick(0.0, 0.0, self.plant.bridges.supply_V[j], False))
             self._apply(j, board.output, board.current_limit_A)
-        for j in (*self.bought.joints, *self.can_drives.joints):
+        for j in (*self.bought.joints, *self.can_drives.joints, *self.servos.joints):
             self._apply(j, BRAKE, math.inf)
 
     def _motor_count(self, j: int) -> int:
@@ -295,7 +307,7 @@ class MockRobot:
 
     def _gather_line(self, line: int) -> None:
         """Answers of a bought board's line; the faults of its first board act on its frames."""
-        outgoing = self.bought.lines[line].outgoing
+        outgoing = self.packet_lines[line].outgoing
         through = self._lines[self._line_names[line]]
         sent = through.passed(outgoing) if through.faults else outgoing
         self._serial[len(self.encoder_boards) + line] += sent
@@ -320,6 +332,9 @@ class MockRobot:
     def _switch(self, fault: FaultTable, is_on: bool) -> None:
         if fault.board in self._motor_names:
             self._switch_motor(fault, self._motor_names.index(fault.board), is_on)
+        elif fault.board in self.servos.names:
+            if not self._switch_wiring(fault, self.servos.joint(fault), is_on):
+                self.servos.switch(fault, is_on, self.now_s)
         elif fault.board in self.can_drives.names:
             if not self._switch_wiring(fault, self.can_drives.joint(fault), is_on):
                 self.can_drives.switch(fault, is_on)

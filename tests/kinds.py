@@ -63,6 +63,32 @@ def with_cia402(mode: str = "position") -> Arm:
     return replace(RIGHT, boards=boards, drives=drives, encoder_boards=(), path=None)
 
 
+def with_dynamixels() -> Arm:
+    """A servo for each joint on one line; its gear is in the servo, so the drive has that of its output shaft."""
+    boards = tuple(
+        Board(f"servo{drive.joint}", "dynamixel", drive.joint, "servos", 1_000_000) for drive in RIGHT.drives
+    )
+    drives = tuple(
+        replace(
+            drive,
+            board=f"servo{drive.joint}",
+            encoder_board=-1,
+            encoder_channel=-1,
+            motor_node=-1,
+            gear_ratio=1.0,
+            encoder_counts_per_rev=4096,
+            zero_count=2048,
+            torque_constant_Nm_A=drive.gear_ratio * drive.torque_constant_Nm_A,
+            rotor_inertia_kg_m2=drive.gear_ratio**2 * drive.rotor_inertia_kg_m2,
+            pid=replace(drive.pid, mode="position"),
+            home=None,
+        )
+        for drive in RIGHT.drives
+    )
+    limits = replace(RIGHT.limits, stale_s=0.06)
+    return replace(RIGHT, boards=boards, drives=drives, encoder_boards=(), can=None, limits=limits, path=None)
+
+
 def mixed() -> Arm:
     """Joints 1 and 2 on a RoboClaw, joint 3 on reference boards."""
     claws = with_roboclaws()
@@ -76,6 +102,7 @@ ON_BOARDS = {
     "reference": OnBoards(RIGHT, 0.002, "motor1", "motor3"),
     "cia402": OnBoards(with_cia402(), 0.004, "drive11", "drive13"),
     "cia402 torque": OnBoards(with_cia402("current"), 0.002, "drive11", "drive13"),
+    "dynamixel": OnBoards(with_dynamixels(), 0.01, "servo1", "servo3"),
     "mixed": OnBoards(mixed(), 0.01, "roboclaw1", "motor3"),
     "roboclaw": OnBoards(with_roboclaws(), 0.01, "roboclaw1", "roboclaw2"),
 }

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
-from control.hardware import cia402, roboclaw
+from control.hardware import cia402, dynamixel, roboclaw
 from control.hardware.opened import Opened
 from control.model.arm import Arm, Board
 from firmware_iface.clock import Clock
@@ -11,7 +11,11 @@ from firmware_iface.clock import Clock
 Opener = Callable[[Arm, Sequence[Board], Clock, float, Opened], None]
 """Opens all boards of one kind for a cycle of so many seconds; failures are collected, not raised."""
 
-OPENERS: Final[Mapping[str, Opener]] = {"roboclaw": roboclaw.open_boards, "cia402": cia402.open_boards}
+OPENERS: Final[Mapping[str, Opener]] = {
+    "roboclaw": roboclaw.open_boards,
+    "cia402": cia402.open_boards,
+    "dynamixel": dynamixel.open_boards,
+}
 
 
 def open_boards(arm: Arm, clock: Clock, period_s: float, opened: Opened) -> None:

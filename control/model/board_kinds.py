@@ -61,5 +61,16 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             usual_rate_Hz=250.0,
             stops_early=False,
         ),
+        "dynamixel": BoardKind(
+            line="serial",
+            motors=1,
+            addresses=range(253),
+            modes=("position",),
+            has_encoder=True,
+            can_free=True,
+            can_hold=True,
+            usual_rate_Hz=100.0,
+            stops_early=False,
+        ),
     }
 )
