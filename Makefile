@@ -71,6 +71,9 @@ arm-reference: install  ## docs/arm_toml.md, from the definitions that the reade
 gap-score: install  ## how often the gap workflow is right on poses, time series and the mock arm: fresh cases, six minutes; CASES=60 of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap.score $(if $(CASES),--cases $(CASES))
 
+trust-study: install  ## do 95 % ellipsoids of predicted tip errors hold the truth over the whole workspace? some minutes; CASES=20 arms of each sort
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.trust_coverage $(if $(CASES),--cases $(CASES))
+
 rough-score: install  ## the same for poses of parts whose laws are only roughly right, up to six at once; CASES=60 of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap.static.rough_score $(if $(CASES),--cases $(CASES))
 
@@ -80,4 +83,4 @@ lock: install  ## pin again what pyproject.toml names (needs uv)
 clean:  ## remove what make made
 	rm -rf .venv .venv-peers .venv-fuzz .venv-mutants out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help install demo demo-gap drills lint test format bench coverage-study solver-study fuzz screenshots arm-reference gap-score rough-score lock clean
+.PHONY: help install demo demo-gap drills lint test format bench coverage-study solver-study fuzz screenshots arm-reference gap-score trust-study rough-score lock clean

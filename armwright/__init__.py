@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from armwright.calibration import CalibrationResult, calibrate, make_points, read_points, verify
-    from armwright.connection import RunningArm, Status, connect
+    from armwright.connection import GripperState, RunningArm, Status, connect
     from armwright.gap import Gap, find_gap
     from armwright.kinematics import Kinematics
     from armwright.mock import MockArm, mock_arm
@@ -51,6 +51,7 @@ __all__ = [
     "CalibrationResult",
     "Comparison",
     "Gap",
+    "GripperState",
     "JointLimitViolated",
     "Kinematics",
     "LinkError",
@@ -86,7 +87,7 @@ __all__ = [
 
 _NAMES = {
     "armwright.calibration": ("CalibrationResult", "calibrate", "make_points", "read_points", "verify"),
-    "armwright.connection": ("RunningArm", "Status", "connect"),
+    "armwright.connection": ("GripperState", "RunningArm", "Status", "connect"),
     "armwright.gap": ("Gap", "find_gap"),
     "armwright.kinematics": ("Kinematics",),
     "armwright.mock": ("MockArm", "mock_arm"),

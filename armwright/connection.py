@@ -44,6 +44,21 @@ class Status:
     warnings: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class GripperState:
+    """What the gripper does.
+
+    `state` is one of OFF, HOLDING, MOVING, OPEN, CLOSED, GRIPPED, STOPPED, RELEASED, FAILED; `text` says it in words.
+    opening_m: None while unknown. force_N: by the motor's current, without friction. has_lost: what it held, since then.
+    """
+
+    state: str
+    text: str
+    opening_m: float | None
+    force_N: float
+    has_lost: bool
+
+
 class RunningArm:
     """A running arm, from `connect` or `mock_arm`; a context manager that disconnects on exit.
 
@@ -58,8 +73,18 @@ class RunningArm:
 
     def __init__(self, client: ArmClient, arm: Arm) -> None:
         """`arm`: the description used by the loop."""
-        self.arm = arm
+        self._arm = arm
         self._client = client
+
+    @property
+    def arm(self) -> Arm:
+        """The arm, with the tool on that the loop has on now."""
+        on = self._client.status()["tool"]
+        return self._arm.with_tool(on) if on else self._arm
+
+    def tool(self, name: str) -> None:
+        """Another of the arm's tools is on: the tip is its. The arm must be at rest, or RequestRefused."""
+        self._client.tool(name)
 
     def status(self) -> Status:
         """The present state of the arm."""
@@ -88,7 +113,7 @@ class RunningArm:
         """Present tip position (3,) [m] in the base frame by the model. ArmError before homing."""
         tip = self.status().tip_m
         if tip is None:
-            raise ArmError(f"arm {self.arm.name}: the tip position is unknown before homing: call home()")
+            raise ArmError(f"arm {self._arm.name}: the tip position is unknown before homing: call home()")
         return tip
 
     @property
@@ -112,7 +137,7 @@ class RunningArm:
 
         With `wait=False` it returns at once; `wait_until_holding` then waits for the end.
         """
-        self._client.move_joints(_numbers(joint_rad, self.arm.joint_count, "joint_rad"), speed, wait)
+        self._client.move_joints(_numbers(joint_rad, self._arm.joint_count, "joint_rad"), speed, wait)
 
     def move_tip(self, tip_m: Sequence[float] | Array, speed: float = 1.0, *, wait: bool = True) -> None:
         """Move the joints so that the tip ends at `tip_m` (3,) [m] in the base frame; the tip's path is not straight.
@@ -124,12 +149,15 @@ class RunningArm:
         self._client.move_joints(target, speed, wait)
 
     def run(self, trajectory: Trajectory, *, wait: bool = True) -> None:
-        """Move to the start of a planned path at half speed, then run the path.
+        """Move to the start of a planned path at half speed, then run the path; ArmError if it is another tool's.
 
         With `wait=False` it returns when the path has started.
         """
+        planned, on = trajectory.arm.tool.name, self._client.status()["tool"]
+        if planned != on:
+            raise ArmError(f"the path is for the tip of tool {planned!r}, and {on!r} is on: plan it again")
         self._client.move_joints(trajectory.start_rad, APPROACH_SPEED)
-        self._client.run_path(trajectory.path.to_message(), wait)
+        self._client.run_path(trajectory.path.to_message(), wait, tool=planned)
 
     def jog_joint(self, joint: int, by_rad: float) -> str:
         """Move one joint (1-based) by an angle; returns what limited the motion as text, or ""."""
@@ -138,6 +166,32 @@ class RunningArm:
     def jog_tip(self, axis: Literal["x", "y", "z"], by_m: float) -> str:
         """Move the tip along an axis of the base frame; returns what limited the motion as text, or ""."""
         return self._client.jog(axis=axis, by_m=by_m)
+
+    def grip(
+        self,
+        action: Literal["open", "close"] | None = None,
+        *,
+        opening_m: float | None = None,
+        force_N: float | None = None,
+        wait: bool = True,
+    ) -> GripperState:
+        """Open or close the gripper, or go to an opening, with a force [N]; by default that of the arm's file.
+
+        Returns its state when it has come to its end or holds something. Without arguments, nothing moves.
+        """
+        if action is None and opening_m is None:
+            return _gripper_state(self._client.status()["gripper"], self._arm)
+        if action is not None and opening_m is not None:
+            raise BadTarget("grip: give either an action or opening_m")
+        return _gripper_state(self._client.grip(action or "move", opening_m, force_N, wait), self._arm)
+
+    def digital(self) -> dict[str, bool | None]:
+        """Levels of the named pins; None while a board does not say."""
+        return {name: pin["level"] for name, pin in self._client.status()["digital"].items()}
+
+    def set_output(self, name: str, level: bool) -> None:
+        """Set a digital output. RequestRefused while the drives are off or the arm is in FAULT."""
+        self._client.set_output(name, level)
 
     def stop(self) -> None:
         """Controlled stop; returns when the arm holds. Not a replacement for an emergency stop."""
@@ -214,6 +268,14 @@ def connect(arm: Arm | str | Path, socket: str | Path | None = None, timeout_s: 
     described = arm if isinstance(arm, Arm) else load_arm(arm)
     path = Path(socket) if socket is not None else default_path(described.name)
     return RunningArm(ArmClient(SocketChannel(path, timeout_s)), described)
+
+
+def _gripper_state(found: dict[str, Any] | None, arm: Arm) -> GripperState:
+    if found is None:
+        raise ArmError(f"arm {arm.name}: its file describes no gripper: add a [gripper]")
+    return GripperState(
+        found["state"], found["text"], found["opening_m"], found["force_N"], found["has_lost"]
+    )
 
 
 def _array(values: Any) -> Array:

@@ -56,6 +56,7 @@ def find_gap(
     *,
     without: Sequence[str] = (),
     current_unit: str = "A",
+    with_maps: bool = False,
 ) -> Gap:
     """Find effects that the model of `arm` lacks, from static poses, time series, or both.
 
@@ -66,12 +67,14 @@ def find_gap(
         without: names of effects to exclude.
         current_unit: what the files' columns i1_A ... are: "A", "mA", "percent" of the drives' current limits, "Nm" (torques
             of the joints), "motor_Nm".
+        with_maps: measure what is left as maps, which the controller corrects; they stand in the new arm where they help
+            measurements that were not fitted.
 
     Raises:
         CalibrationError: a file names its line and column; or the measurements are too few.
     """
     recordings = _recordings(arm, points, log, current_unit)
-    outcome = find_gap_in(arm, recordings, without=without)
+    outcome = find_gap_in(arm, recordings, without=without, with_maps=with_maps)
     return Gap(arm, recordings, outcome)
 
 

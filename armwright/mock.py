@@ -37,6 +37,22 @@ class MockArm(RunningArm):
         """Attach a mass to the tip; 0 removes it."""
         self._rig.set_payload(mass_kg)
 
+    def put_between_fingers(self, width_m: float | None) -> None:
+        """Put an object of this width between the gripper's fingers; None removes it."""
+        self._rig.set_object(width_m)
+
+    def true_grip(self) -> tuple[float, float]:
+        """The true opening [m] of the gripper, and its force on the object [N]."""
+        return self._rig.gripper()
+
+    def set_input(self, name: str, level: bool) -> None:
+        """Put a level on a digital input from outside."""
+        self._rig.set_pin(name, level)
+
+    def mount(self, tool: str) -> None:
+        """Mount another of the arm's tools; `tool()` tells the loop."""
+        self._rig.set_tool(tool)
+
 
 @contextmanager
 def mock_arm(

@@ -14,6 +14,7 @@ UNITS = {
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
 }
+MOST_NOISE_rad = 0.05
 
 
 def quantity(text: str, unit: str, what: str) -> float:
@@ -30,6 +31,18 @@ def quantity(text: str, unit: str, what: str) -> float:
     if not math.isfinite(value):
         raise ArmError(
             f'{what}: expected a number with one of the units {", ".join(UNITS[unit])}, got "{text}"'
+        )
+    return value
+
+
+def orientation_noise_rad(text: str | None) -> float | None:
+    """The angle of --orientation-noise, None if it was not given; ArmError if invalid."""
+    if text is None:
+        return None
+    value = quantity(text, "rad", "--orientation-noise")
+    if not 0.0 < value <= MOST_NOISE_rad:
+        raise ArmError(
+            f"--orientation-noise: expected an angle above 0, up to {MOST_NOISE_rad} rad, got {text}"
         )
     return value
 

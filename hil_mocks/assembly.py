@@ -118,6 +118,7 @@ def build_motor_board(
         bridge_ohm=table.bridge_ohm,
         rated_degC=table.rated_degC,
         period_us=min(1000, round(scenario.tick_s * 1e6)),
+        digital_pins=table.digital_pins,
         seed=scenario.seed,
     )
     return MotorBoardMock(setup, read_shaft)

@@ -100,6 +100,28 @@ class RealTimeRig:
         """Set the point mass at the tip."""
         self.ask("payload", mass_kg=mass_kg)
 
+    def set_tool(self, name: str) -> None:
+        """Mount another of the arm's tools."""
+        self.ask("tool", name=name)
+
+    def set_object(self, width_m: float | None) -> None:
+        """Put an object between the gripper's fingers, or remove it (None)."""
+        self.ask("object", width_m=width_m)
+
+    def gripper(self) -> tuple[float, float]:
+        """True opening [m] of the gripper, and its force on the object [N]."""
+        answer = self.ask("gripper")
+        return float(answer["opening_m"]), float(answer["force_N"])
+
+    def set_pin(self, name: str, level: bool) -> None:
+        """Put a level on an input from outside."""
+        self.ask("pin", name=name, level=level)
+
+    def pins(self) -> dict[str, bool]:
+        """Levels at all named pins."""
+        levels: dict[str, bool] = self.ask("pins")["levels"]
+        return levels
+
     def inject(self, fault: FaultTable) -> None:
         """Inject a fault."""
         self.ask("inject", fault=msgspec.to_builtins(fault))

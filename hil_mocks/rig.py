@@ -72,6 +72,11 @@ class MockArm(Protocol):
     def tip_m(self) -> Point: ...
     def joint_rad(self) -> tuple[float, ...]: ...
     def set_payload(self, mass_kg: float) -> None: ...
+    def set_tool(self, name: str) -> None: ...
+    def set_object(self, width_m: float | None) -> None: ...
+    def gripper(self) -> tuple[float, float]: ...
+    def set_pin(self, name: str, level: bool) -> None: ...
+    def pins(self) -> dict[str, bool]: ...
     def inject(self, fault: FaultTable) -> None: ...
     def clear_faults(self) -> None: ...
     def close(self) -> None: ...
@@ -157,6 +162,26 @@ class SteppedRig:
     def set_payload(self, mass_kg: float) -> None:
         """Set the point mass at the tip."""
         self.robot.plant.set_payload(mass_kg)
+
+    def set_tool(self, name: str) -> None:
+        """Mount another of the arm's tools."""
+        self.robot.set_tool(name)
+
+    def set_object(self, width_m: float | None) -> None:
+        """Put an object between the gripper's fingers, or remove it (None)."""
+        self.robot.set_object(width_m)
+
+    def gripper(self) -> tuple[float, float]:
+        """True opening [m] of the gripper, and its force on the object [N]."""
+        return self.robot.gripper_truth()
+
+    def set_pin(self, name: str, level: bool) -> None:
+        """Put a level on an input from outside."""
+        self.robot.pins.set_level(name, level)
+
+    def pins(self) -> dict[str, bool]:
+        """Levels at all named pins."""
+        return self.robot.pins.levels()
 
     def inject(self, fault: FaultTable) -> None:
         """Inject a fault."""

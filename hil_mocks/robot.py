@@ -16,10 +16,13 @@ from control.model.description import Arm
 from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
 from hil_mocks.bought import BoughtBoards, CanDrives, PacketLine, Servos
 from hil_mocks.devices.motor_board import BRAKE, OPEN, Frame, Output
-from hil_mocks.errors import ScenarioError
+from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.faults import FaultPlan, Frames, Line, check_fault
+from hil_mocks.gripper import PinWires, build_gripper, build_gripper_board
 from hil_mocks.miswiring import LOOSE_PART, LooseCoupling, as_built
+from hil_mocks.plant.gripper import GripperPlant
 from hil_mocks.plant.hand import Hand, Point
+from hil_mocks.plant.parts import tool_parts
 from hil_mocks.scenario import FaultTable, Scenario
 from hil_mocks.wiring import Channels, wiring_of
 
@@ -35,6 +38,7 @@ class MockRobot:
         self._ticks, self._steps = 0, _steps_per_tick(scenario)
         where = f"scenario {scenario.path or scenario.name}"
         arm = as_built(arm, scenario)
+        self._tools = {tool.name: tool_parts(tool) for tool in arm.tools}
         self._dead: set[int] = set()  # joints whose motor has a broken wire
         self._loose: dict[int, LooseCoupling] = {}
         self._turn_rad = [2.0 * math.pi / drive.gear_ratio for drive in arm.drives]
@@ -52,15 +56,24 @@ class MockRobot:
             build_motor_board(self._wiring[j], scenario, partial(self._motor_count, j))
             for j in self._motor_joints
         ]
+        self.gripper: GripperPlant | None = None
+        if arm.gripper is not None:
+            self.gripper = build_gripper(arm.gripper, scenario)
+            self.motor_boards.append(build_gripper_board(arm.gripper, scenario, self.gripper))
+        self.pins = PinWires(arm, scenario, self.motor_boards)
         self._channels = [
             Channels(i, self._wiring, len(board.setup.counts_per_turn))
             for i, board in enumerate(self.encoder_boards)
         ]
         self.camera = build_camera(arm, scenario)
-        joints = range(self.plant.joints)
-        self._board_of_node = {self._wiring[j].motor_node: at for at, j in enumerate(self._motor_joints)}
+        if self.gripper is not None:
+            self._motor_joints.append(
+                self.plant.joints
+            )  # the gripper's motor comes after those of the joints
+        motors = range(self.plant.joints + (self.gripper is not None))
+        self._board_of_node = {board.setup.node: at for at, board in enumerate(self.motor_boards)}
         self._encoder_names = ["encoder" + (str(i + 1) if i else "") for i in range(len(self.encoder_boards))]
-        self._motor_names = [f"motor{self._wiring[j].motor_node}" for j in self._motor_joints]
+        self._motor_names = [f"motor{board.setup.node}" for board in self.motor_boards]
         self._line_names = [
             names[line_of.index(i)]
             for names, line_of in (
@@ -81,9 +94,12 @@ class MockRobot:
             check_fault(fault, self.board_names, where)
         self._lines = {name: Line(name, scenario.seed) for name in self.board_names}
         self._plan = FaultPlan(scenario.fault)
-        self._polarity = [w.motor_direction for w in self._wiring]
-        self._applied: list[Output] = [OPEN for _ in joints]
-        self._limits_A = [math.inf for _ in joints]
+        self._directions = [w.motor_direction for w in self._wiring]
+        if arm.gripper is not None:
+            self._directions.append(arm.gripper.motor_direction)
+        self._polarity = list(self._directions)
+        self._applied: list[Output] = [OPEN for _ in motors]
+        self._limits_A = [math.inf for _ in motors]
         self._serial: list[Frames] = [[] for _ in (*self.encoder_boards, *self.packet_lines)]
         self._can_on_its_way: list[tuple[float, Frame]] = []
         self.can_outgoing: list[Frame] = []
@@ -118,6 +134,24 @@ class MockRobot:
         """True joint angles."""
         return self.plant.joint_rad()
 
+    def set_tool(self, name: str) -> None:
+        """Mount another of the arm's tools. RigError lists them."""
+        if name not in self._tools:
+            raise RigError(f'mock arm: no tool "{name}"; there are {", ".join(self._tools)}.')
+        self.plant.set_tool(self._tools[name])
+
+    def set_object(self, width_m: float | None, stiffness_N_m: float = 2e4) -> None:
+        """Put an object between the fingers, or remove it (None). RigError without a gripper."""
+        if self.gripper is None:
+            raise RigError("mock arm: it has no gripper; arm.toml describes it as [gripper].")
+        self.gripper.object_m = None if width_m is None else (width_m, stiffness_N_m)
+
+    def gripper_truth(self) -> tuple[float, float]:
+        """True opening [m], and force on the object [N]. RigError without a gripper."""
+        if self.gripper is None:
+            raise RigError("mock arm: it has no gripper; arm.toml describes it as [gripper].")
+        return self.gripper.opening_m, self.gripper.force_N()
+
     def from_host_serial(self, board: int, received: bytes) -> None:
         """Process bytes from the host to a serial line now: the encoder boards', then the bought boards'."""
         line = board - len(self.encoder_boards)
@@ -151,12 +185,17 @@ class MockRobot:
             self._change_faults(now_s)
         bridges, polarity = self.plant.bridges, self._polarity
         currents_A, supply_V, is_clamped = bridges.currents_A(), bridges.supply_V, bridges.is_clamped
+        if (gripper := self.gripper) is not None:
+            gripper.step(self._steps)
+            currents_A = [*currents_A, gripper.current_A]
+            supply_V, is_clamped = [*supply_V, gripper.supply_V], [*is_clamped, gripper.is_clamped]
         for at, (j, board) in enumerate(zip(self._motor_joints, self.motor_boards, strict=True)):
             frames = board.tick(now_s, polarity[j] * currents_A[j], supply_V[j], is_clamped[j])
             if frames:
                 self._send_can(self._motor_names[at], frames)
             if board.output is not self._applied[j]:
                 self._apply(j, board.output, board.current_limit_A)
+        self.pins.tick()
         if self._can_on_its_way:
             self._release_can(now_s)
         encoder_rad, joint_rad = self._encoder_rad(), self.plant.joint_rad()
@@ -219,8 +258,9 @@ class MockRobot:
             elif start.raw_counts is not None:
                 encoder.preset([start.raw_counts[j] for _, j in on_it], False)
             self._gather_serial(i)
+        supply_V = [*self.plant.bridges.supply_V, self.gripper.supply_V if self.gripper else 0.0]
         for at, (j, board) in enumerate(zip(self._motor_joints, self.motor_boards, strict=True)):
-            self._send_can(self._motor_names[at], board.tick(0.0, 0.0, self.plant.bridges.supply_V[j], False))
+            self._send_can(self._motor_names[at], board.tick(0.0, 0.0, supply_V[j], False))
             self._apply(j, board.output, board.current_limit_A)
         for j in (*self.bought.joints, *self.can_drives.joints, *self.servos.joints):
             self._apply(j, BRAKE, math.inf)
@@ -257,11 +297,14 @@ class MockRobot:
         self._apply(j, self._applied[j], self._limits_A[j])
 
     def _apply(self, j: int, output: Output, limit_A: float) -> None:
-        """Apply a board's output to the motor of a joint."""
+        """Apply a board's output to the motor of a joint, or of the gripper."""
         plant = self.plant
         self._limits_A[j] = limit_A
-        plant.bridges.limit_current(j, limit_A)
         kind, value = self._applied[j] = output
+        if j == plant.joints and self.gripper is not None:
+            self.gripper.drive("open" if j in self._dead else kind, self._polarity[j] * value, limit_A)
+            return
+        plant.bridges.limit_current(j, limit_A)
         if j in self._dead:
             plant.drive_open(j)
         elif kind == "voltage":
@@ -348,15 +391,15 @@ class MockRobot:
     def _switch_wiring(self, fault: FaultTable, j: int, is_on: bool) -> bool:
         """Begin or end a fault between any board and its motor; False if it is another sort."""
         if fault.kind == "swapped_polarity":
-            self._polarity[j] = self._wiring[j].motor_direction * (-1 if is_on else 1)
+            self._polarity[j] = self._directions[j] * (-1 if is_on else 1)
             self._drive(j)
         elif fault.kind == "dead_motor":
             (self._dead.add if is_on else self._dead.discard)(j)
             self._drive(j)
         elif fault.kind == "stuck_joint":
-            self.plant.block(j, is_on)
+            self._jam(j, is_on)
         elif fault.kind == "supply":
-            self.plant.bridges.set_supply(j, fault.value if is_on else None)
+            self._supply(j, fault.value if is_on else None)
         else:
             return False
         return True
@@ -378,6 +421,18 @@ class MockRobot:
             board.setup = replace(board.setup, protocol=int(fault.value or 0))
         elif fault.kind == "wrong_counts" and is_on:
             board.setup = replace(board.setup, counts_per_turn=int(fault.value or 0))
+
+    def _jam(self, j: int, is_on: bool) -> None:
+        if j == self.plant.joints and self.gripper is not None:
+            self.gripper.is_jammed = is_on
+        else:
+            self.plant.block(j, is_on)
+
+    def _supply(self, j: int, supply_V: float | None) -> None:
+        if j == self.plant.joints and self.gripper is not None:
+            self.gripper.set_supply(supply_V)
+        else:
+            self.plant.bridges.set_supply(j, supply_V)
 
     def _switch_encoder(self, fault: FaultTable, i: int, is_on: bool) -> None:
         board = self.encoder_boards[i]

@@ -96,6 +96,18 @@ class MotorBoardTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     thermal_time_s: Positive = 60.0
     bridge_ohm: NotNegative = 0.02  # heats the power stage
     rated_degC: float = 90.0
+    digital_pins: Annotated[int, msgspec.Meta(ge=0, le=8)] = (
+        8  # spare pins of each board; 0: an older firmware
+    )
+
+
+class GripperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The gripper of arm.toml as it really is, and what is between its fingers."""
+
+    start: Share = 0.5  # of its travel, at power-up
+    friction_N: NotNegative = 1.0
+    object_m: NotNegative | None = None  # width of an object; absent: nothing
+    object_N_m: Positive = 2e4  # its stiffness
 
 
 class CameraTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -134,6 +146,8 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     hand: HandTable = HandTable()
     encoder_board: EncoderBoardTable = EncoderBoardTable()
     motor_board: MotorBoardTable = MotorBoardTable()
+    gripper: GripperTable = GripperTable()
+    wire: dict[str, str] = {}  # from an output's name to the input that it is connected to
     camera: CameraTable = CameraTable()
     fault: tuple[FaultTable, ...] = ()
     path: str = ""  # set by the reader

@@ -166,6 +166,18 @@ class Server:
                 return {"state": hand.state, "residual_m": hand.residual_m(), "problem": hand.problem}
             case "payload":
                 robot.plant.set_payload(float(request["mass_kg"]))
+            case "tool":
+                robot.set_tool(str(request["name"]))
+            case "object":
+                width_m = request["width_m"]
+                robot.set_object(None if width_m is None else float(width_m))
+            case "gripper":
+                opening_m, force_N = robot.gripper_truth()
+                return {"opening_m": opening_m, "force_N": force_N}
+            case "pin":
+                robot.pins.set_level(str(request["name"]), bool(request["level"]))
+            case "pins":
+                return {"levels": robot.pins.levels()}
             case "inject":
                 robot.inject(msgspec.convert(request["fault"], FaultTable))
             case "clear_faults":

@@ -11,6 +11,7 @@ import pytest
 from console.main import parser
 from control.model.effects import EFFECTS, parameter_names
 from control.model.reference import reference_text, sections
+from control.recording.layout import END_FIELDS
 from control.recording.record import Layout
 from firmware_iface.installation import PACKAGES
 
@@ -264,4 +265,5 @@ def test_every_key_of_an_arm_file_is_explained() -> None:
 
 
 def test_every_column_of_a_recording_is_in_the_formats() -> None:
-    assert sorted(set(Layout.of(1, has_joint_side=True).names) - words_of_the_formats()) == []
+    layout = Layout.of(1, has_joint_side=True, more=END_FIELDS)
+    assert sorted(set(layout.names) - words_of_the_formats()) == []

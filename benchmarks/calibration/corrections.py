@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from control.hardware.connect import connect
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
-from control.model.arm import Effect
+from control.model.arm import Arm, Effect
 from control.model.description import load_arm
 from control.motion.plan import PlannedPath, plan_path
 from control.safety.table import Mode
@@ -77,8 +77,12 @@ class Errors:
 
 
 def run(hidden: Sequence[Effect], modelled: Sequence[Effect], seed: int = 7) -> Errors:
-    """One run of the whole programme."""
-    arm = dataclasses.replace(RIGHT, effects=tuple(modelled))
+    """One run of the whole programme on an arm of nominal geometry."""
+    return run_as(dataclasses.replace(RIGHT, effects=tuple(modelled)), hidden, seed)
+
+
+def run_as(arm: Arm, hidden: Sequence[Effect], seed: int = 7) -> Errors:
+    """One run with this model of the mock arm."""
     with SteppedRig(RIGHT, _scenario(hidden, seed)) as rig:
         connection = connect(wired_to(arm, rig), rig.clock, PERIOD_S)
         assembly = assemble(arm, connection.hardware, PERIOD_S, stopwatch_s=rig.clock.now_s)
@@ -87,8 +91,8 @@ def run(hidden: Sequence[Effect], modelled: Sequence[Effect], seed: int = 7) -> 
         client.enable()
         client.home()
         try:
-            rest = _stops(rig, client)
-            path = _path(rig, assembly, client)
+            rest = _stops(arm, rig, client)
+            path = _path(arm, rig, assembly, client)
         finally:
             connection.close()
     return Errors(_rms(rest), _most(rest), _rms(path), _most(path))
@@ -101,9 +105,9 @@ def _scenario(hidden: Sequence[Effect], seed: int) -> Scenario:
     return msgspec.structs.replace(shipped, seed=seed, start=start, effect=tables)
 
 
-def _stops(rig: SteppedRig, client: ArmClient) -> Points:
+def _stops(arm: Arm, rig: SteppedRig, client: ArmClient) -> Points:
     """Errors (m, 3) at rest; each stop is approached in both directions, so that joints come from both sides."""
-    inverse = InverseKinematics(RIGHT)
+    inverse = InverseKinematics(arm)
     q: tuple[float, ...] = (0.1, -0.6, 0.2)
     errors = []
     for stop in (*STOPS_m, *reversed(STOPS_m[:-1])):
@@ -114,7 +118,7 @@ def _stops(rig: SteppedRig, client: ArmClient) -> Points:
     return np.array(errors)
 
 
-def circle() -> PlannedPath:
+def circle(arm: Arm = RIGHT) -> PlannedPath:
     """A circle in a tilted plane on which all joints reverse."""
     turns = np.linspace(0.0, 2.0 * np.pi, 25)
     x, y, z = CIRCLE_m
@@ -122,12 +126,12 @@ def circle() -> PlannedPath:
         (x + RADIUS_m * np.cos(a), y + RADIUS_m * np.sin(a), z + 0.5 * RADIUS_m * np.sin(a + 1.0))
         for a in turns
     ]
-    return plan_path(RIGHT, [tuple(map(float, p)) for p in points], SPEED_m_s)
+    return plan_path(arm, [tuple(map(float, p)) for p in points], SPEED_m_s)
 
 
-def _path(rig: SteppedRig, assembly: Assembly, client: ArmClient) -> Points:
+def _path(arm: Arm, rig: SteppedRig, assembly: Assembly, client: ArmClient) -> Points:
     """Errors (m, 3) of every cycle on the circle."""
-    path, runtime, kinematics = circle(), assembly.runtime, Kinematics(RIGHT)
+    path, runtime, kinematics = circle(arm), assembly.runtime, Kinematics(arm)
     client.move_joints(path.q_start_rad, GENTLE)
     client.wait(0.2)
     errors: list[Points] = []

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from benchmarks.loop.jobs import PidMode, circle_path, go_to_start, known_geometry, reference_arm
 from benchmarks.table import BenchRow
-from control.dynamics.joint_side import has_joint_side
 from control.hardware.connect import connect
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
+from control.recording.layout import layout_of
 from control.recording.record import Layout, NoSink
 from control.safety.table import Mode
 from control.server.assemble import assemble
@@ -85,7 +85,7 @@ def tip_errors_m(arm: Arm, has_friction: bool, seed: int) -> Points:
     """True minus set-point tip (cycles, 3) in m, once around the circle, in the base frame."""
     with SteppedRig(arm, known_geometry(has_friction, seed)) as rig:
         connection = connect(wired_to(arm, rig), rig.clock, PERIOD_S)
-        sink = TruthSink(rig, Layout.of(arm.joint_count, has_joint_side(arm)))
+        sink = TruthSink(rig, layout_of(arm))
         assembly = assemble(arm, connection.hardware, PERIOD_S, sink=sink, stopwatch_s=rig.clock.now_s)
         client = ArmClient(InProcessChannel(assembly, rig.clock))
         client.wait(0.05)

@@ -13,15 +13,20 @@ from calib.arm_problem.joint_effects import corrections, known_corrections
 from calib.arm_problem.link_bending import known_bending_m
 from calib.arm_problem.observations import Correction, Observations
 from calib.arm_problem.parameters import Bounds
+from calib.arm_problem.posed import TARGET
 from calib.arm_problem.problem import ArmProblem
 from calib.arm_problem.starts import started_tool, with_started_frames
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError, UnusablePointsError
 from calib.points.points import Points
+from control.kinematics.rotation import matrices
 from control.model.arm import Arm
 from control.model.table import SETUPS, board_cavities, board_origin, board_rotation, table_of
 
 BASE = "base"
+# Where neither the arm's [camera] nor an option says: a tracker's, and what its target of some 100 mm makes of it.
+POSITION_NOISE_m = 0.00014
+ORIENTATION_NOISE_rad = 0.002
 FREEABLE = (BASE, "table", "tool")
 BASE_FRAME = (
     "x_m",
@@ -38,7 +43,9 @@ class Choice:
     """What is identified besides the DH parameters: `freed` of base, table, tool; `fixed` single parameters by name, or base.
 
     `boards` are measured board poses by setup, which override the arm's [table]. `effects`: static ones
-    behind the encoders to identify too, such as "backlash:2"; `corrections`: any others.
+    behind the encoders to identify too, such as "backlash:2"; `corrections`: any others. `orientation_noise_rad`: standard
+    deviation of measured orientations about each axis, None: the arm's [camera], else ORIENTATION_NOISE_rad; "target" in `fixed`:
+    the axes of the measured target are those of the last link.
     """
 
     bounds: Bounds = field(default_factory=Bounds)
@@ -47,6 +54,7 @@ class Choice:
     boards: Mapping[str, Frame] = field(default_factory=dict)
     effects: tuple[str, ...] = ()
     corrections: tuple[Correction, ...] = ()
+    orientation_noise_rad: float | None = None
 
     def for_points(self, arm: Arm, points: Points) -> Choice:
         """The same choice, with the base frame freed if the tips' frame has no known relation to the arm's base.
@@ -85,7 +93,7 @@ def problem_of(arm: Arm, points: Points, choice: Choice | None = None) -> ArmPro
         model,
         with_started_frames(model, observed, tool_m),
         bounds=wanted.bounds,
-        fixed=[name for name in wanted.fixed if name != BASE],
+        fixed=[name for name in wanted.fixed if name not in (BASE, TARGET)],
         is_tool_free=is_tool_free,
         tool_m=tool_m,
     )
@@ -119,7 +127,32 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
         points.point,
         (*corrections(arm, points, choice.effects), *choice.corrections),
         known_bending_m(arm, points.q_rad, points.payload_kg),
+        *_orientations(arm, points, choice),
     )
+
+
+def _orientations(arm: Arm, points: Points, choice: Choice) -> tuple[Array | None, float, bool]:
+    """Measured rotations (m, 3, 3), the lever that makes their angles lengths, and whether the target's axes are known."""
+    measured = np.isfinite(points.orientation).all(axis=1)
+    if not measured.any():
+        return None, 0.0, False
+    rotation = np.full((len(points), 3, 3), np.nan)
+    rotation[measured] = matrices(points.orientation[measured])
+    return frozen(rotation), lever_m(arm, choice.orientation_noise_rad), TARGET in choice.fixed
+
+
+def lever_m(arm: Arm, noise_rad: float | None = None) -> float:
+    """Position noise over orientation noise: as stated, else the arm's [camera], else usual values."""
+    camera = arm.camera
+    has_own = camera is not None and camera.position_noise_m > 0.0
+    position = camera.position_noise_m if camera is not None and has_own else POSITION_NOISE_m
+    return position / (turn_noise_rad(arm) if noise_rad is None else noise_rad)
+
+
+def turn_noise_rad(arm: Arm) -> float:
+    """Standard deviation of measured orientations about each axis: the arm's [camera], else a usual value."""
+    own = arm.camera.orientation_noise_rad if arm.camera is not None else 0.0
+    return own if own > 0.0 else ORIENTATION_NOISE_rad
 
 
 def referenced(arm: Arm, points: Points, choice: Choice) -> Points:

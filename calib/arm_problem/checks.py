@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.arm_problem.assembly import Choice, problem_of, referenced
 from calib.arm_problem.misread import require_read_as_meant
+from calib.arm_problem.misread_turns import require_turns_meant
 from calib.arm_problem.other_arm import require_own_arm
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
@@ -57,6 +58,7 @@ def require_usable(
     _require_count(problem.observed.q_rad, problem.references_m)
     warnings = require_of_arm(arm, points, choice)
     require_sound(problem)
+    require_turns_meant(problem)
     return (*warnings, *_still_joints(points.q_rad))
 
 

@@ -74,6 +74,12 @@ def rotation_vector(rotation: Array) -> Array:
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
+def mean_rotation(rotations: Array) -> Array:
+    """The rotation (3, 3) nearest to rotations (r, 3, 3) in the least squares sense: their projected mean (Moakher, 2002)."""
+    left, _, right = np.linalg.svd(rotations.mean(axis=0))
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+
+
 def left_jacobian(vector_rad: Array) -> Array:
     """J (3, 3) with exp([w + dw]x) = exp([J dw]x) exp([w]x) to first order (Barfoot, State Estimation for Robotics)."""
     angle = float(np.linalg.norm(vector_rad))

@@ -24,6 +24,7 @@ from itertools import chain, repeat
 import numpy as np
 
 from calib.arm_problem.joint_laws import COUPLING, LAWS, RestingPoints
+from calib.arm_problem.measured_maps import along
 from calib.arm_problem.observations import Correction
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
@@ -55,7 +56,7 @@ def corrections(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[Correc
 
 
 def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> Array:
-    """Joint minus encoder angles by the arm's own static effects, (m, n) [rad], except those in `wanted`."""
+    """Joint minus encoder angles by the arm's own static effects and maps, (m, n) [rad], except effects in `wanted`."""
     left_out = {_key(text, arm.joint_count) for text in wanted}
     known = [
         f"{effect.effect}:{effect.joint}" if effect.joint is not None else effect.effect
@@ -65,6 +66,11 @@ def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> A
     shift = np.zeros(points.q_rad.shape)
     for correction in corrections(arm, points, known):
         shift += correction.nominal * correction.slope_rad
+    at = RestingPoints(arm, points)
+    for one in arm.maps:
+        if one.corrects == "angle_rad":
+            place = at.gravity_Nm(one.joint) if one.over == "load_Nm" else at.q_rad(one.joint)
+            shift[:, one.joint - 1] += along(one, place, points.direction[:, one.joint - 1])
     return frozen(shift)
 
 

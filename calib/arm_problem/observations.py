@@ -42,7 +42,8 @@ class Observations:
 
     q_rad (m, n) from the encoders; position_m (m, 3): where the tip was, in the frame frames[frame[i]];
     `setup` and `point` name each pose. `known_shift_m` (m, 3): displacement of the tip by the arm's present effects, besides
-    joint angles.
+    joint angles. `rotation` (m, 3, 3): the measured target's orientation in the same frame, NaN where there is none, or None;
+    an error of it counts as `lever_m` times its angle; `is_target_known`: the target's axes are the last link's.
     """
 
     q_rad: Array
@@ -53,6 +54,9 @@ class Observations:
     point: tuple[str, ...] = ()
     corrections: tuple[Correction, ...] = field(default=())
     known_shift_m: Array | None = None
+    rotation: Array | None = None
+    lever_m: float = 0.0
+    is_target_known: bool = False
 
     def __post_init__(self) -> None:
         """ValueError for inconsistent shapes, which are a programming error."""
@@ -89,4 +93,14 @@ class Observations:
             tuple(self.point[k] for k in keep) if self.point else (),
             tuple(c.chosen(keep) for c in self.corrections),
             None if self.known_shift_m is None else frozen(self.known_shift_m[keep]),
+            None if self.rotation is None else frozen(self.rotation[keep]),
+            self.lever_m,
+            self.is_target_known,
         )
+
+    @property
+    def turned_rows(self) -> npt.NDArray[np.intp]:
+        """The poses with a measured orientation."""
+        if self.rotation is None:
+            return np.zeros(0, dtype=np.intp)
+        return np.flatnonzero(np.isfinite(self.rotation[:, 0, 0]))

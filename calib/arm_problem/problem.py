@@ -31,6 +31,20 @@ SEATING_LIMIT_rad = 0.1  # of one such step
 REACHABLE = 1e-2  # share of the strongest direction of the tip that joints must have to move it
 
 
+class Expanded(Protocol):
+    """Residuals around one x, to second order."""
+
+    @property
+    def residuals(self) -> Array:
+        """(m, 3) [m]."""
+
+    def sums(self, pull: Array, bend: Array | None) -> tuple[Array, Array]:
+        """Sums of pull . d residual / dx (k,) and of (d residual / dx)' bend (d residual / dx) (k, k)."""
+
+    def curvature(self, pull: Array) -> Array:
+        """Sum of pull . d2 residual / dx2, (k, k)."""
+
+
 class Problem(Protocol):
     """The problem for the solver: unknowns x (k,) within +-limits, and residuals reference minus modelled [m].
 
@@ -50,7 +64,7 @@ class Problem(Protocol):
     def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
         """(m, 3) [m] and the derivative of the residuals (m, 3, k) [m per scaled unknown]."""
 
-    def expanded(self, x: Array, rows: slice = ALL) -> Expansion:
+    def expanded(self, x: Array, rows: slice = ALL) -> Expanded:
         """The residuals, and sums of their derivatives for Newton's steps."""
 
     def sensitivity(self, x: Array) -> Array:
@@ -65,6 +79,19 @@ class Solution:
     tool_m: Array
     frames: tuple[Frame, ...]
     corrections: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Turns:
+    """Orientations of r poses in the base frame: of the last link by the model, and as measured (r, 3, 3 each).
+
+    `by_model`, `by_measured` (r, 3, k): how each turns with every scaled unknown, as angular velocities in the base frame.
+    """
+
+    model: Array
+    measured: Array
+    by_model: Array
+    by_measured: Array
 
 
 class ArmProblem:
@@ -225,6 +252,44 @@ class ArmProblem:
             theta_places=self.model.theta_places,
             corrections=tuple(correction.slope_rad[rows] for correction in self.observed.corrections),
         )
+
+    def turns(self, x: Array, rows: npt.NDArray[np.intp]) -> Turns:
+        """Orientations of these poses, whose orientation was measured, and their derivatives.
+
+        A turn about an axis turns the last link about it; that axis is the derivative of the tip by the move along it.
+        """
+        dh, tool, moves, values = self._parts(x)
+        q = self.observed.q_rad[rows]
+        for value, correction in zip(values, self.observed.corrections, strict=True):
+            q = q + value * correction.slope_rad[rows]
+        slopes = self.model.slopes(dh, q, tool)
+        by_model = np.zeros((len(rows), 3, self._whole_size))
+        by_model[:, :, 1 : self._tool_at : 4] = slopes.by_dh[:, :, 0::4]
+        by_model[:, :, 3 : self._tool_at : 4] = slopes.by_dh[:, :, 2::4]
+        theta = list(self.model.theta_places)
+        for place, correction in enumerate(self.observed.corrections, self._corrections_at):
+            by_model[:, :, place] = np.einsum("rij,rj->ri", by_model[:, :, theta], correction.slope_rad[rows])
+        measured, by_measured = self._measured_turns(moves, rows)
+        scaled = [part[:, :, self._places] * self._scale for part in (by_model, by_measured)]
+        return Turns(slopes.by_tool, measured, *scaled)
+
+    def _measured_turns(self, moves: Array, rows: npt.NDArray[np.intp]) -> tuple[Array, Array]:
+        """Measured orientations in the base frame, (r, 3, 3), and their derivatives by free frames (r, 3, K)."""
+        if self.observed.rotation is None:
+            raise CalibrationError("these points have no measured orientation")
+        rotations, by_measured = self.observed.rotation[rows], np.zeros((len(rows), 3, self._whole_size))
+        which, found = self.observed.frame[rows], np.empty((len(rows), 3, 3))
+        for index, frame in enumerate(self.observed.frames):
+            here = np.flatnonzero(which == index)
+            turn = frame.rotation
+            if index in self._free:
+                place = self._free.index(index)
+                move = moves[place]
+                turn = rotation_of(move[3:]) @ turn
+                first = self._frames_at + 6 * place + 3
+                by_measured[here, :, first : first + 3] = left_jacobian(move[3:])
+            found[here] = turn @ rotations[here]
+        return found, by_measured
 
     def sensitivity(self, x: Array) -> Array:
         """The Jacobian (m, 3, k) at poses near the measured ones whose tips are at their references.

@@ -25,6 +25,7 @@ from control.model.arm import Arm
 from control.model.table import board_cavities
 from control.progress import Advance, silent
 
+NOISE_RATIO = 2.0  # between the scatter of orientations and positions and their stated noises, either way
 LeaveOut = Literal["setup"] | int | None
 
 
@@ -80,7 +81,7 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
         seed=plan.seed,
         accuracy_limit_m=plan.accuracy_limit_m,
     )
-    warnings += unphysical(found.solution.corrections)
+    warnings += [*unphysical(found.solution.corrections), *_about_orientations(found)]
     advance("looking for outliers", 0.4)
     floor = noise_floor(arm, points, problem, found.x)
     suspects = find_suspects(problem, found.x, _cavities(arm), floor.axis_m if floor is not None else 0.0)
@@ -106,6 +107,21 @@ def _about_frame(arm: Arm) -> str:
         f"the file of arm {arm.name} does not tie the tips' frame to the arm's base (no base_frame, no table with known_pose):"
         " the frame's pose was identified too; --fix base equates it with the arm's base"
     )
+
+
+def _about_orientations(found: Identification) -> list[str]:
+    """A warning if orientations scatter unlike their stated noise: weights and intervals follow from it."""
+    turned = found.orientation
+    if turned is None:
+        return []
+    ratio = turned.noise_ratio(found.error_after_m)
+    if 1.0 / NOISE_RATIO <= ratio <= NOISE_RATIO:
+        return []
+    rms_rad = float(np.sqrt(np.mean(turned.error_after_rad**2)))
+    return [
+        f"orientations scatter {ratio:.2g} times as much as their noise says, compared with positions: if nothing else is wrong,"
+        f" state --orientation-noise {1e3 * rms_rad:.2g}mrad"
+    ]
 
 
 def _cavities(arm: Arm) -> Mapping[str, Array]:

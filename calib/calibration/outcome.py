@@ -11,7 +11,7 @@ from pathlib import Path
 from calib.arm_problem.assembly import BASE_FRAME
 from calib.arm_problem.frames import Frame, rotation_vector
 from calib.arm_problem.joint_effects import with_effects
-from calib.identify.identification import Estimate, Identification
+from calib.identify.identification import Estimate, Identification, OrientationFit
 from calib.validation.verify import Comparison, ErrorSummary
 from control.files import write_whole
 from control.model.arm import Arm, Calibration, Effect
@@ -47,13 +47,12 @@ def calibrated_arm(nominal: Arm, found: Identification) -> Arm:
     tool = nominal.tool
     if any(estimate.parameter.name.startswith("tool_") for estimate in found.estimates):
         tool = dataclasses.replace(tool, position_m=(x, y, z), known=True)
-    framed = _with_base_frame(nominal.with_dh(found.dh), found)
+    framed = with_base_frame(nominal.with_dh(found.dh), found.solution.frames[0])
     return with_effects(dataclasses.replace(framed, tool=tool), found.solution.corrections)
 
 
-def _with_base_frame(arm: Arm, found: Identification) -> Arm:
-    """The arm with the identified base frame, if any."""
-    base = found.solution.frames[0]
+def with_base_frame(arm: Arm, base: Frame) -> Arm:
+    """The arm with a base frame that was identified; unchanged if it was not."""
     if not base.is_free:
         return arm
     vector = [*base.origin_m.tolist(), *rotation_vector(base.rotation).tolist()]
@@ -104,10 +103,20 @@ def _found(found: Identification) -> dict[str, object]:
         "condition_number": _number(found.condition_number),
         "parameters": {estimate.parameter.name: _parameter(estimate) for estimate in found.estimates},
         "tool_m": _rounded(found.solution.tool_m.tolist()),
+        "orientation": None if found.orientation is None else _orientation(found.orientation),
         "frames": {frame.name: _frame(frame) for frame in found.solution.frames if frame.is_free},
         "undetermined": [{"names": list(g.names), "freedoms": g.freedoms_count} for g in found.undetermined],
         "at_bound": list(found.binding),
         "in_words": list(found.in_words()),
+    }
+
+
+def _orientation(found: OrientationFit) -> dict[str, object]:
+    """Errors of measured orientations, and the target's axes in the last link's frame (link_R_target)."""
+    return {
+        "points": len(found.rows),
+        "mean_error_rad": {"before": found.mean_before_rad, "after": found.mean_after_rad},
+        "target_rotation": [_rounded(row) for row in found.target.tolist()],
     }
 
 

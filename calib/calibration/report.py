@@ -65,6 +65,8 @@ def _sections(made: Calibrated) -> list[Section]:
     sections.append(Section("Suspicious points", bullets(findings)))
     if any(frame.is_free for frame in made.found.solution.frames):
         sections.append(frames_section(made.found))
+    if made.found.orientation is not None:
+        sections.append(Section("Orientations", paragraph(made.found.orientation.in_words())))
     if made.found.accuracy is not None:
         sections.append(Section("Requested accuracy", paragraph(made.found.accuracy.in_words())))
     return sections

@@ -26,6 +26,7 @@ def summary_text(made: Calibrated) -> str:
         f" {1e3 * found.mean_after_m:.3f} mm after, at the points of the fit.",
         *(made.held.in_words() if made.held is not None else ()),
         *([found.accuracy.in_words()] if found.accuracy is not None else []),
+        *([found.orientation.in_words()] if found.orientation is not None else []),
     ]
     suspicious = made.suspects.in_words()
     if suspicious:

@@ -9,6 +9,7 @@ Donev, Optimum Experimental Designs, 1992).
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +17,15 @@ import numpy as np
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.frames import cross_matrix
 from calib.arm_problem.parameters import Parameter, dh_names
+from calib.arm_problem.posed import TARGET_NAMES, PosedProblem
 from calib.arm_problem.problem import TOOL_NAMES, ArmProblem
 from calib.arrays import Array, frozen
 from calib.design.observability import Indices, indices_of
 from calib.design.reach import Mask, Rows
 from calib.identify.determinability import RANK_TOLERANCE
 from calib.points.points import Points
+from control.kinematics.kinematics import Kinematics
+from control.kinematics.rotation import quaternions
 from control.model.arm import Arm
 
 
@@ -29,10 +33,10 @@ from control.model.arm import Arm
 class Experiment:
     """Information of all recorded and candidate poses; arrays are read-only.
 
-    `rows` (p, 3, r + s): derivatives of the tips by r combinations of the arm's scaled parameters and s unknowns of
-    boards and base, in standard deviations of the noise. `basis` (k, r) are the combinations: those that move a tip
-    anywhere in the workspace, or in some pose. `visible` (r, v): those of them that the poses can determine
-    together. `workspace` (w, 3, r) [m]: derivatives of tips over the workspace by the combinations; if nothing
+    `rows` (p, 3, r + s), with orientations (p, 6, r + s): derivatives of the tips by r combinations of the arm's scaled
+    parameters and s unknowns of boards and base, in standard deviations of the noise. `basis` (k, r) are the combinations:
+    those that move a tip anywhere in the workspace, or in some pose. `visible` (r, v): those of them that the poses can
+    determine together. `workspace` (w, 3, r) [m]: derivatives of tips over the workspace by the combinations; if nothing
     relates the base to a known place (`is_tied`), without rigid motions.
     """
 
@@ -85,14 +89,23 @@ class Uncertainty:
     rank: int
 
 
-def experiment_of(arm: Arm, poses: Points, workspace_q: Array, noise_m: float, choice: Choice) -> Experiment:
-    """All poses (taken and candidates) of an arm as information; `choice` as for the identification."""
+def experiment_of(
+    arm: Arm,
+    poses: Points,
+    workspace_q: Array,
+    noise_m: float,
+    choice: Choice,
+    turn_noise_rad: float | None = None,
+) -> Experiment:
+    """All poses (taken and candidates) of an arm as information; `choice` as for the identification.
+
+    `turn_noise_rad`: the orientation of every measured tip is measured, too, with this noise.
+    """
     problem = problem_of(arm, poses, choice)
-    _, jacobian = problem.residuals_and_jacobian(np.zeros(len(problem.parameters)))
-    rows = np.array(jacobian) / noise_m
-    is_place = _is_place(problem)
+    parameters, rows = _rows(arm, poses, problem, noise_m, choice, turn_noise_rad)
+    is_place = _is_place(problem, parameters)
     tied = ~np.array([frame.is_free for frame in problem.observed.frames])[problem.observed.frame]
-    parameters = tuple(p for p, place in zip(problem.parameters, is_place, strict=True) if not place)
+    parameters = tuple(p for p, place in zip(parameters, is_place, strict=True) if not place)
     workspace = _workspace_rows(problem, parameters, workspace_q, bool(tied.any()))
     shown, scale = _arm_information(rows, is_place), np.array([p.has_bound for p in parameters])
     everything = shown + np.einsum("wik,wil->kl", workspace, workspace) / noise_m**2
@@ -131,10 +144,35 @@ def uncertainty_of(experiment: Experiment, chosen: Rows | list[int]) -> Uncertai
     )
 
 
-def _is_place(problem: ArmProblem) -> Mask:
-    """Mask of unknowns for poses of boards or the base."""
-    places = {name for frame in problem.free_frames for name in frame.parameter_names}
-    return np.array([parameter.name in places for parameter in problem.parameters])
+def _rows(
+    arm: Arm,
+    poses: Points,
+    problem: ArmProblem,
+    noise_m: float,
+    choice: Choice,
+    turn_noise_rad: float | None,
+) -> tuple[tuple[Parameter, ...], Array]:
+    """The unknowns, and each pose's derivatives over their noise: (m, 3, k), with orientations (m, 6, k)."""
+    if turn_noise_rad is None:
+        _, jacobian = problem.residuals_and_jacobian(np.zeros(len(problem.parameters)))
+        return problem.parameters, np.array(jacobian) / noise_m
+    seen = np.isfinite(poses.tip_m).all(axis=1)
+    turned = np.full((len(poses), 4), np.nan)
+    turned[seen] = quaternions(Kinematics(arm).link_transforms(poses.q_rad[seen])[:, -1, :3, :3])
+    known = dataclasses.replace(choice, orientation_noise_rad=turn_noise_rad)
+    whole = PosedProblem(problem_of(arm, dataclasses.replace(poses, orientation=turned), known))
+    _, jacobian = whole.residuals_and_jacobian(np.zeros(len(whole.parameters)))
+    m, k = len(poses), len(whole.parameters)
+    rows = np.zeros((m, 6, k))
+    rows[:, :3] = jacobian[:m] / noise_m
+    rows[whole.rows, 3:] = jacobian[m:] / (whole.lever_m * turn_noise_rad)
+    return whole.parameters, rows
+
+
+def _is_place(problem: ArmProblem, parameters: tuple[Parameter, ...]) -> Mask:
+    """Mask of unknowns for poses of boards, the base or the measured target."""
+    places = {name for frame in problem.free_frames for name in frame.parameter_names} | set(TARGET_NAMES)
+    return np.array([parameter.name in places for parameter in parameters])
 
 
 def _arm_information(rows: Array, is_place: Mask) -> Array:

@@ -18,7 +18,8 @@ class Request:
     """A request: `count` poses, `free_count` of them free poses (None: the criterion decides).
 
     setups: those to plan in (None: the table's own); only: only free poses, or only cavities; noise_m:
-    standard deviation of a tip coordinate (None: the camera's); view: the camera's field of view (None: all).
+    standard deviation of a tip coordinate (None: the camera's); turn_noise_rad: of orientations measured beside tips (None: of
+    points taken, if they have some); view: the camera's field of view (None: all).
     """
 
     count: int = USUAL_COUNT
@@ -27,6 +28,7 @@ class Request:
     only: Literal["free", "table"] | None = None
     criterion: str = "D"
     noise_m: float | None = None
+    turn_noise_rad: float | None = None
     view: View | None = None
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arm_problem.assembly import Choice
+from calib.arm_problem.assembly import Choice, turn_noise_rad
 from calib.arm_problem.checks import require_of_arm
 from calib.design.boards import OTHER_TILTS, PlacedBoard, boards_in_the_way, placed_boards, usual_setups
 from calib.design.candidates import (
@@ -91,6 +91,14 @@ def _noise_m(arm: Arm, request: Request) -> float:
     return noise_m
 
 
+def _turn_noise_rad(arm: Arm, taken: Points | None, request: Request) -> float | None:
+    """The noise of measured orientations: as asked for, or as for the calibration if the points taken have some."""
+    has_some = taken is not None and bool(np.isfinite(taken.orientation).any())
+    if request.turn_noise_rad is not None or not has_some:
+        return request.turn_noise_rad
+    return turn_noise_rad(arm)
+
+
 def _setups(arm: Arm, taken: Points | None, request: Request, choice: Choice) -> list[str]:
     """The setups to plan in."""
     if request.only == "free" or (request.free_count is not None and request.free_count == request.count):
@@ -137,7 +145,7 @@ def _offer_of(
     workspace = workspace_poses(arm, in_the_way, 2 * WORKSPACE_POSES_COUNT)[:WORKSPACE_POSES_COUNT]
     starts = np.cumsum([0 if taken is None else len(taken), *(len(part) for part in parts.values())])
     return _Offer(
-        experiment_of(arm, poses, workspace, noise_m, known),
+        experiment_of(arm, poses, workspace, noise_m, known, _turn_noise_rad(arm, taken, request)),
         poses,
         np.arange(starts[0]),
         {setup: np.arange(a, b) for setup, a, b in zip(parts, starts[:-1], starts[1:], strict=True)},

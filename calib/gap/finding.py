@@ -10,6 +10,7 @@ from pathlib import Path
 
 from control.files import write_whole
 from control.model.effects import COUPLED
+from control.model.maps import CorrectionMap
 
 Parameters = Mapping[str, tuple[float, float]]  # by name: value and standard deviation
 
@@ -77,6 +78,27 @@ class OpenQuestion:
 
 
 @dataclass(frozen=True, slots=True)
+class MapCheck:
+    """What is left on recordings that were not fitted, root mean square in SI, without and with the measured maps.
+
+    `channel`: tip_m for maps of angles, torque_Nm of one joint (1-based) for maps of torques.
+    """
+
+    channel: str
+    joint: int | None
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredMaps:
+    """Maps that correct what has no name or departs from its law, and what they were checked on; none where none helps."""
+
+    maps: tuple[CorrectionMap, ...] = ()
+    checks: tuple[MapCheck, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Nameable:
     """Whether this data could name an effect at all: detectability in standard deviations, and its confounders.
 
@@ -109,7 +131,7 @@ class GapFinding:
     """All that gap.json holds. `noise_floor`, `before_si`, `after_si`: by channel, as tip_m, current_A, q_rad.
 
     `gap_before` and `gap_after`: root mean square over the noise floor, on recordings that were used for nothing else;
-    `is_held_out` is False where there were none to spare and the gap is that of what was fitted.
+    `is_held_out` is False where there were none to spare and the gap is that of what was fitted. `maps`: None if not asked for.
     """
 
     arm: str
@@ -127,6 +149,7 @@ class GapFinding:
     is_held_out: bool = True
     remainder: tuple[Remainder, ...] = ()
     open_questions: tuple[OpenQuestion, ...] = ()
+    maps: MeasuredMaps | None = None
 
     @property
     def judged_on(self) -> str:
@@ -173,6 +196,7 @@ def gap_content(found: GapFinding) -> dict[str, object]:
         "open_questions": [
             {"question": one.question, "next_experiment": one.next_experiment} for one in found.open_questions
         ],
+        "maps": None if found.maps is None else _maps(found.maps),
     }
 
 
@@ -190,6 +214,25 @@ def _named(effect: NamedEffect) -> dict[str, object]:
         if math.isnan(effect.departure)
         else {"fraction": effect.departure, "variable": effect.variable},
         "evidence": _numbers(effect.evidence),
+    }
+
+
+def _maps(found: MeasuredMaps) -> dict[str, object]:
+    return {
+        "tables": [
+            {
+                "joint": one.joint,
+                "corrects": one.corrects,
+                "over": one.over,
+                "largest": max(map(abs, one.values)),
+                "largest_by_direction": max(map(abs, one.by_direction), default=0.0),
+            }
+            for one in found.maps
+        ],
+        "checked": [
+            {"channel": one.channel, "joint": one.joint, "before_si": one.before, "after_si": one.after}
+            for one in found.checks
+        ],
     }
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from calib.arrays import Array
 from calib.gap.finding import GEOMETRY, EffectName, GapFinding, Parameters
-from control.model.arm import Arm, Calibration, Effect
+from control.model.arm import Arm, Effect
 
 # Where a change and what the file knows add up to one effect of the same kind, their sum is the total. Others are replaced: no
 # single law is the sum of two of different speed, order or time.
@@ -18,17 +18,17 @@ SUMMED = (
 )  # fmt: skip
 
 
-def updated_arm(arm: Arm, found: GapFinding, dh: Array | None, made: Calibration) -> Arm:
+def updated_arm(arm: Arm, found: GapFinding, dh: Array | None) -> Arm:
     """The arm with what was named, which is a total, in place of what its file has, and with the geometry `dh`.
 
-    An effect whose total is none is taken out.
+    An effect whose total is none is taken out, and so are measured maps: they were measured beside other effects.
     """
     effects = [one for one in found.effects if one.name.effect != GEOMETRY]
     named = [effect_of(one.name, one.parameters) for one in effects if not one.is_nothing]
     gone = {(one.name.effect, one.name.joint) for one in effects if one.is_nothing}
     kept = tuple(one for one in arm.effects if (one.effect, one.joint) not in gone)
-    fitted = dataclasses.replace(arm if dh is None else arm.with_dh(dh), effects=kept)
-    return dataclasses.replace(with_totals(fitted, named), calibration=made)
+    fitted = dataclasses.replace(arm if dh is None else arm.with_dh(dh), effects=kept, maps=())
+    return with_totals(fitted, named)
 
 
 def effect_of(name: EffectName, parameters: Mapping[str, tuple[float, float]]) -> Effect:

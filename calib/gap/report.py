@@ -10,6 +10,8 @@ import numpy as np
 
 from calib.gap.finding import GapFinding, NamedEffect
 from calib.gap.ladder import in_units, ladder
+from calib.gap.maps.outcome import MapsFound
+from calib.gap.maps.pictures import map_sections
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.pictures import joint_picture, law_picture, places_picture, recordings_picture
 from calib.gap.series.outcome import DynamicOutcome
@@ -30,6 +32,7 @@ class GapReport:
     notes: tuple[str, ...]
     date: str
     program_version: str
+    maps: MapsFound | None = None
 
 
 def gap_page(report: GapReport) -> str:
@@ -52,6 +55,8 @@ def gap_parts(report: GapReport) -> Iterator[Section | str]:
         yield from _static(report.static)
     if report.dynamic is not None:
         yield from dynamic_sections(report.dynamic)
+    if report.maps is not None:
+        yield from map_sections(report.maps)
     yield _nameable(found)
     yield from _open(found)
 

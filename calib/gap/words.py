@@ -38,6 +38,7 @@ def _sentences(found: GapFinding) -> Iterator[str]:
         yield f"The gap could not be evaluated: on {found.judged_on} nothing moves that any channel shows."
     else:
         yield f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {after} after."
+    yield from _maps(found)
     blind = [
         one.name for one in found.nameable if not one.is_nameable and one.name not in {n.name for n in named}
     ]
@@ -48,6 +49,21 @@ def _sentences(found: GapFinding) -> Iterator[str]:
         )
     if found.next_experiment:
         yield found.next_experiment
+
+
+def _maps(found: GapFinding) -> Iterator[str]:
+    """What was measured as maps, apart from all names."""
+    if found.maps is None or not found.maps.maps:
+        return
+    yield f"Measured as maps, which correct and explain nothing: {', '.join(map(str, found.maps.maps))}."
+    for one in found.maps.checks:
+        unit, factor = (
+            ("mm at the tip", 1e3) if one.channel == "tip_m" else (f"N m on joint {one.joint}", 1.0)
+        )
+        yield (
+            f"On recordings that were not fitted, arm.toml leaves {factor * one.before:.3g} {unit} without its maps and"
+            f" {factor * one.after:.3g} with them."
+        )
 
 
 def _nearest(unknown: Unknown) -> str:

@@ -14,6 +14,9 @@ from calib.gap.both import brought_together
 from calib.gap.consistent import consistent
 from calib.gap.finding import GapFinding, write_gap_json
 from calib.gap.log import Log, joined_logs, read_log
+from calib.gap.maps.angles import angle_maps
+from calib.gap.maps.outcome import MapsFound
+from calib.gap.maps.torques import torque_maps
 from calib.gap.model_update import as_totals, updated_arm
 from calib.gap.poses.find import find
 from calib.gap.poses.outcome import StaticGap
@@ -60,13 +63,18 @@ class Recordings:
 
 @dataclass(frozen=True, slots=True)
 class GapOutcome:
-    """The finding of both levels together, each level's own, and what was said about how they agree."""
+    """The finding of both levels together, each level's own, and what was said about how they agree.
+
+    `maps`, and the arm with everything named and them, where maps were asked for.
+    """
 
     finding: GapFinding
     static: StaticGap | None
     dynamic: DynamicOutcome | None
     agreement: tuple[str, ...]
     warnings: tuple[str, ...]
+    maps: MapsFound | None = None
+    mapped: Arm | None = None
 
 
 def read_recordings(
@@ -113,6 +121,8 @@ def find_gap(
     `without`, or where there are neither points nor a log.
     """
     require_effects(without)
+    told = [f"{arm.name}: its measured maps are left aside and measured anew"] if arm.maps else []
+    arm = dataclasses.replace(arm, maps=())
     split = POSES_SHARE if points is not None and log is not None else None
     static = dynamic = None
     if points is not None:
@@ -129,14 +139,21 @@ def find_gap(
         None if static is None else static.finding,
         None if dynamic is None else as_totals(arm, dynamic.finding),
     )
-    warnings = [sentence for one in (static, dynamic) if one is not None for sentence in one.warnings]
+    warnings = told + [sentence for one in (static, dynamic) if one is not None for sentence in one.warnings]
     return GapOutcome(consistent(finding), static, dynamic, agreement, tuple(warnings))
 
 
 def find_gap_in(
-    arm: Arm, recordings: Recordings, without: Collection[str] = (), advance: Advance = silent
+    arm: Arm,
+    recordings: Recordings,
+    without: Collection[str] = (),
+    advance: Advance = silent,
+    with_maps: bool = False,
 ) -> GapOutcome:
-    """`find_gap` of recordings that were read from files: the finding names the files."""
+    """`find_gap` of recordings that were read from files: the finding names the files.
+
+    `with_maps`: what is left is measured as maps besides, which stand in arm.toml where they help what was not fitted.
+    """
     searched, said = arm, list(recordings.warnings)
     if recordings.are_torques and len(arm.drives) < arm.joint_count:
         searched, without = with_ideal_drives(arm), (*without, *NEED_DRIVES)
@@ -146,11 +163,31 @@ def find_gap_in(
         )
     found = find_gap(searched, recordings.points, recordings.log, without=without, advance=advance)
     files = (*recordings.point_files, *recordings.log_files)
-    return dataclasses.replace(
+    found = dataclasses.replace(
         found,
         finding=dataclasses.replace(found.finding, data=tuple(path.name for path in files)),
         warnings=(*said, *found.warnings),
     )
+    return _mapped(arm, found) if with_maps else found
+
+
+def _mapped(arm: Arm, found: GapOutcome) -> GapOutcome:
+    """With maps of what the arm leaves that has everything named."""
+    model, maps = _updated(arm, found), MapsFound((), ())
+    if found.static is not None:
+        model, angles = angle_maps(model, found.static)
+        maps += angles
+    if found.dynamic is not None:
+        model, torques = torque_maps(model, found.dynamic)
+        maps += torques
+    finding = dataclasses.replace(found.finding, maps=maps.summary)
+    return dataclasses.replace(
+        found, finding=finding, maps=maps, mapped=model, warnings=(*found.warnings, *maps.sentences)
+    )
+
+
+def _updated(arm: Arm, found: GapOutcome) -> Arm:
+    return updated_arm(arm, found.finding, found.static.dh if found.static is not None else None)
 
 
 def require_effects(names: Collection[str]) -> None:
@@ -181,11 +218,10 @@ def write_gap(outcome: GapOutcome, arm: Arm, recordings: Recordings, out: Path) 
     made = Calibration(source, hashes, date, "gap workflow", program)
     out.mkdir(parents=True, exist_ok=True)
     write_gap_json(out / "gap.json", outcome.finding)
-    dh = outcome.static.dh if outcome.static is not None else None
-    model = updated_arm(arm, outcome.finding, dh, made)
+    model = dataclasses.replace(outcome.mapped or _updated(arm, outcome), calibration=made)
     save_arm(model, out / "arm.toml")
     notes = (*outcome.agreement, *outcome.warnings)
-    report = GapReport(outcome.finding, outcome.static, outcome.dynamic, notes, date, program)
+    report = GapReport(outcome.finding, outcome.static, outcome.dynamic, notes, date, program, outcome.maps)
     write_whole(out / "report.html", _page(report))
     return model
 

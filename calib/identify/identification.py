@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.arm_problem.checks import require_sound
-from calib.arm_problem.problem import ArmProblem, Solution
+from calib.arm_problem.posed import PosedProblem, whole_problem
+from calib.arm_problem.problem import ArmProblem, Problem, Solution
 from calib.arrays import Array, frozen, norms
+from calib.errors import CalibrationError
 from calib.identify.budget import Accuracy
 from calib.identify.estimates import Estimate, uncertainty
 from calib.identify.objective import Objective, SumOfDistances, value_of
@@ -17,6 +19,41 @@ from calib.identify.solver import Minimum, minimise
 from calib.identify.spread import NoiseScale
 
 __all__ = ["Estimate", "Identification", "fit", "identify"]
+
+
+@dataclass(frozen=True, slots=True)
+class OrientationFit:
+    """What was identified from orientations: `rows` of the points that have one, errors (r, 3) as rotation vectors in the base
+    frame, position noise over orientation noise, and the target's axes in the last link's frame (3, 3).
+    """
+
+    rows: tuple[int, ...]
+    error_before_rad: Array
+    error_after_rad: Array
+    lever_m: float
+    target: Array
+
+    @property
+    def mean_before_rad(self) -> float:
+        """Mean angle at nominal."""
+        return float(np.mean(norms(self.error_before_rad)))
+
+    @property
+    def mean_after_rad(self) -> float:
+        """Mean angle after identification."""
+        return float(np.mean(norms(self.error_after_rad)))
+
+    def in_words(self) -> str:
+        """A sentence for the operator."""
+        return (
+            f"{len(self.rows)} measured orientations: mean error {1e3 * self.mean_before_rad:.2f} mrad before,"
+            f" {1e3 * self.mean_after_rad:.2f} mrad after."
+        )
+
+    def noise_ratio(self, position_m: Array) -> float:
+        """Scatter of the orientations over that of the positions (m, 3), as a multiple of what the stated noises say."""
+        turned = self.lever_m * float(np.sqrt(np.mean(self.error_after_rad**2)))
+        return turned / max(float(np.sqrt(np.mean(position_m**2))), 1e-300)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +81,7 @@ class Identification:
     x: Array
     noise: NoiseScale
     accuracy: Accuracy | None = None
+    orientation: OrientationFit | None = None
 
     @property
     def dh(self) -> Array:
@@ -89,8 +127,10 @@ def fit(
     problem: ArmProblem, objective: Objective | None = None, starts_count: int = 4, seed: int = 0
 ) -> tuple[Minimum, Objective]:
     """The optimum only, and the minimised objective: Huber's without a threshold derives it from the noise."""
-    best = minimise(problem, objective or SumOfDistances(), starts_count, seed, equal="by noise")
-    return best, best.objective
+    best = minimise(
+        whole_problem(problem), objective or SumOfDistances(), starts_count, seed, equal="by noise"
+    )
+    return replace(best, x=best.x[: len(problem.parameters)]), best.objective
 
 
 def identify(
@@ -107,12 +147,17 @@ def identify(
     UnusablePointsError if the points allow no calibration. Deterministic for the same inputs and seed.
     """
     require_sound(problem)
-    best = minimise(problem, objective or SumOfDistances(), starts_count, seed, accuracy_limit_m, "by noise")
-    wanted = best.objective
-    before = problem.residuals(np.zeros(len(best.x)))
-    after, sensitivity = problem.residuals(best.x), problem.sensitivity(best.x)
-    found = uncertainty(problem.parameters, wanted, best.x, after, sensitivity)
-    solution = problem.solution(best.x)
+    whole = whole_problem(problem)
+    if accuracy_limit_m is not None and whole is not problem:
+        raise CalibrationError(
+            "a required accuracy is one of positions: leave it out, or qw, qx, qy, qz of the points"
+        )
+    best = minimise(whole, objective or SumOfDistances(), starts_count, seed, accuracy_limit_m, "by noise")
+    wanted, x = best.objective, best.x[: len(problem.parameters)]
+    before, after = whole.residuals(np.zeros(len(best.x))), whole.residuals(best.x)
+    found = uncertainty(whole.parameters, wanted, best.x, after, whole.sensitivity(best.x))
+    m = len(problem)
+    solution = problem.solution(x)
     return Identification(
         objective=wanted.name,
         solution=solution,
@@ -120,8 +165,8 @@ def identify(
         estimates=found.estimates,
         objective_before=value_of(wanted, before),
         objective_after=value_of(wanted, after),
-        error_before_m=frozen(before),
-        error_after_m=frozen(after),
+        error_before_m=frozen(before[:m]),
+        error_after_m=frozen(after[:m]),
         noise_m=float(np.sqrt(np.sum(after**2) / max(1, after.size - found.known.rank))),
         rank=found.known.rank,
         condition_number=found.known.condition_number,
@@ -129,9 +174,22 @@ def identify(
         undetermined=found.known.undetermined,
         steps_count=best.steps_count,
         is_converged=best.is_converged,
-        x=frozen(best.x),
+        x=frozen(x),
         noise=found.noise,
         accuracy=best.accuracy,
+        orientation=_orientation(whole, best.x),
+    )
+
+
+def _orientation(whole: Problem, x: Array) -> OrientationFit | None:
+    if not isinstance(whole, PosedProblem):
+        return None
+    return OrientationFit(
+        rows=tuple(whole.rows.tolist()),
+        error_before_rad=frozen(whole.angles_rad(np.zeros(len(x)))),
+        error_after_rad=frozen(whole.angles_rad(x)),
+        lever_m=whole.lever_m,
+        target=frozen(whole.target(x)),
     )
 
 

@@ -20,7 +20,7 @@ NAMES_SAID = 5
 Groups = Sequence[PoseGroup]
 ORIENTATION = (
     "for the orientation (AP_a, AP_b, AP_c, RP_a, RP_b, RP_c) a measured orientation of the tip: points.csv with"
-    " a_rad, b_rad, c_rad and a_set_rad, b_set_rad, c_set_rad"
+    " qw, qx, qy, qz, or a_rad, b_rad, c_rad and a_set_rad, b_set_rad, c_set_rad"
 )
 
 

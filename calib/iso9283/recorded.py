@@ -18,12 +18,14 @@ import numpy.typing as npt
 
 from calib.arm_problem.assembly import Choice
 from calib.arm_problem.checks import require_columns_meant, require_of_arm
+from calib.arm_problem.frames import mean_rotation
 from calib.arrays import Array, frozen
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.files import SET, TIP
 from calib.points.points import Points, make_points, require_commas
 from control.files import open_file, parsed_json, read_text
 from control.kinematics.kinematics import Kinematics
+from control.kinematics.rotation import logarithms, matrices
 from control.model.arm import Arm
 
 ANGLES, ANGLES_SET, FORCE = (
@@ -32,6 +34,7 @@ ANGLES, ANGLES_SET, FORCE = (
     ("fx_N", "fy_N", "fz_N"),
 )
 
+TARGET_NOTE = "orientation: measured quaternions, with the target where it fits all commanded poses best"
 CAMERA, ENCODERS = "camera", "encoders"
 NO_LOG = "a recording of runs (--log with log.csv): "
 STILL_m = 1e-9  # between two rows: a smaller change of the set-point is rest
@@ -112,12 +115,15 @@ def pose_groups(points: Points, arm: Arm, path: str) -> tuple[list[PoseGroup], t
     if force is None:
         force = np.outer(np.nan_to_num(points.payload_kg), arm.gravity_m_s2)
     angle_set, angle = _columns(points, ANGLES_SET, path), _columns(points, ANGLES, path)
+    if angle is None and points.joint_count == arm.joint_count:
+        angle_set, angle = _turned(points, arm, path)
+    turns = (TARGET_NOTE,) if angle is not None and ANGLES[0] not in points.extra else ()
     keys = list(zip(points.setup, points.point, strict=True))
     groups = []
     for key in dict.fromkeys(keys):
         rows = np.array([k for k, other in enumerate(keys) if other == key])
         seen = rows[np.isfinite(points.tip_m[rows]).all(axis=1)]
-        turned = None if angle is None or angle_set is None else (angle_set[rows].mean(axis=0), angle[rows])
+        turned = None if angle is None or angle_set is None else _angles_of(angle_set, angle, rows)
         groups.append(
             PoseGroup(
                 *key,
@@ -129,7 +135,30 @@ def pose_groups(points: Points, arm: Arm, path: str) -> tuple[list[PoseGroup], t
                 *(turned or (None, None)),
             )
         )
-    return groups, (source, *warnings)
+    return groups, (source, *turns, *warnings)
+
+
+def _angles_of(angle_set: Array, angle: Array, rows: npt.NDArray[np.intp]) -> tuple[Array, Array] | None:
+    """Commanded (3,) and attained (n, 3) angles of one pose; None if none was measured there."""
+    seen = rows[np.isfinite(angle[rows]).all(axis=1)]
+    return (angle_set[seen].mean(axis=0), angle[seen]) if len(seen) else None
+
+
+def _turned(points: Points, arm: Arm, path: str) -> tuple[Array | None, Array | None]:
+    """Angles (m, 3) about x, y, z of the base by which measured orientations are off the commanded ones, whose are 0.
+
+    The target sits on the last link where it fits all poses best.
+    """
+    seen = np.flatnonzero(np.isfinite(points.orientation).all(axis=1))
+    if not len(seen):
+        return None, None
+    q_rad, _ = _commanded_rad(points, arm, path)
+    commanded = Kinematics(arm).link_transforms(q_rad[seen])[:, -1, :3, :3]
+    measured = matrices(points.orientation[seen])
+    target = mean_rotation(np.swapaxes(commanded, 1, 2) @ measured)
+    angle = np.full((len(points), 3), np.nan)
+    angle[seen] = logarithms(measured @ np.swapaxes(commanded @ target, 1, 2))
+    return np.zeros_like(angle), angle
 
 
 def _commanded(points: Points, arm: Arm, path: str) -> tuple[Array, str]:
@@ -142,15 +171,21 @@ def _commanded(points: Points, arm: Arm, path: str) -> tuple[Array, str]:
             f"{path}: no commanded positions: columns {', '.join(SET)} are missing, and arm {arm.name} has {arm.joint_count}"
             f" joints, the file {points.joint_count}: add the columns, or give the right --arm"
         )
+    q_rad, source = _commanded_rad(points, arm, path)
+    return Kinematics(arm).tips(
+        q_rad
+    ), f"commanded positions: forward kinematics of arm {arm.name} at the {source}"
+
+
+def _commanded_rad(points: Points, arm: Arm, path: str) -> tuple[Array, str]:
+    """Commanded joint angles (m, n), and where they are from."""
     of_joints, of_encoders = (
         tuple(form.format(j) for j in range(1, arm.joint_count + 1))
         for form in ("joint{}_set_rad", "q{}_set_rad")
     )
     q_rad = _columns(points, of_joints, path)
     q_rad = _columns(points, of_encoders, path) if q_rad is None else q_rad
-    source = "set-points" if q_rad is not None else "encoder angles at rest"
-    tips = Kinematics(arm).tips(points.q_rad if q_rad is None else q_rad)
-    return tips, f"commanded positions: forward kinematics of arm {arm.name} at the {source}"
+    return (points.q_rad, "encoder angles at rest") if q_rad is None else (q_rad, "set-points")
 
 
 def _columns(points: Points, names: Sequence[str], path: str) -> Array | None:

@@ -1,7 +1,7 @@
 """points.csv: static poses in the interchange format.
 
-Required columns: setup, point, repeat, q1_rad ... qn_rad. Optional: t_s, payload_kg, dir1 ..., i1_A ..., and
-x_m, y_m, z_m (empty where nothing was measured). Other columns are kept as text and warned about.
+Required columns: setup, point, repeat, q1_rad ... qn_rad. Optional: t_s, payload_kg, dir1 ..., i1_A ..., x_m, y_m, z_m
+(empty where nothing was measured), and beside them qw, qx, qy, qz. Other columns are kept as text and warned about.
 Comma-separated, .csv or .csv.gz.
 """
 
@@ -26,10 +26,13 @@ import numpy.typing as npt
 
 from calib.arrays import Array, frozen
 from calib.errors import PointsFileError
+from control.errors import BadTarget
 from control.files import open_file
+from control.kinematics.rotation import checked_quaternion
 
 REQUIRED = ("setup", "point", "repeat")
 TIP = ("x_m", "y_m", "z_m")
+ORIENTATION = ("qw", "qx", "qy", "qz")
 SCALARS = ("t_s", "payload_kg")
 OWN_EXTRAS = re.compile(
     r"q\d+_sd_rad|temperature\d+_C|approach|take"
@@ -43,7 +46,8 @@ class Points:
 
     q_rad (m, n) from the encoders; tip_m (m, 3) in the base frame, NaN where not measured; direction (m, n)
     sign of each joint's last motion, 0 unknown; current_A (m, n), t_s (m,), payload_kg (m,): NaN where
-    unknown. `extra` holds columns beyond the format, as text.
+    unknown. orientation (m, 4): unit quaternion w, x, y, z of the measured target in the same frame as tip_m, NaN where not
+    measured. `extra` holds columns beyond the format, as text.
     """
 
     setup: tuple[str, ...]
@@ -56,6 +60,12 @@ class Points:
     t_s: Array
     payload_kg: Array
     extra: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    orientation: Array = field(default_factory=lambda: frozen(np.zeros((0, 4))))  # empty: none was measured
+
+    def __post_init__(self) -> None:
+        """Without any orientation, a row of NaN for each pose."""
+        if not len(self.orientation):
+            object.__setattr__(self, "orientation", frozen(np.full((len(self.setup), 4), np.nan)))
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -80,6 +90,7 @@ class Points:
             self.t_s[k],
             self.payload_kg[k],
             {name: tuple(column[i] for i in k) for name, column in self.extra.items()},
+            self.orientation[k],
         )
 
 
@@ -94,6 +105,7 @@ def make_points(
     t_s: Array | None = None,
     payload_kg: Array | None = None,
     extra: Mapping[str, tuple[str, ...]] | None = None,
+    orientation: Array | None = None,
 ) -> Points:
     """Make points from arrays; missing values are NaN, missing directions 0."""
     m, n = np.shape(q_rad)
@@ -108,6 +120,7 @@ def make_points(
         frozen(np.full(m, np.nan) if t_s is None else t_s),
         frozen(np.full(m, np.nan) if payload_kg is None else payload_kg),
         MappingProxyType(dict(extra or {})),
+        frozen(np.zeros((0, 4)) if orientation is None else orientation),
     )
 
 
@@ -126,6 +139,7 @@ def joined(parts: Sequence[Points]) -> Points:
         np.concatenate([part.t_s for part in parts]),
         np.concatenate([part.payload_kg for part in parts]),
         {name: tuple(cell for part in parts for cell in part.extra[name]) for name in shared},
+        np.concatenate([part.orientation for part in parts]),
     )
 
 
@@ -212,7 +226,7 @@ class _Columns:
     @property
     def extra(self) -> tuple[str, ...]:
         """Columns beyond the format."""
-        known = {*REQUIRED, *SCALARS, *TIP}
+        known = {*REQUIRED, *SCALARS, *TIP, *ORIENTATION}
         known.update(*(_each(self.joint_count, form) for form in ("q{}_rad", "dir{}", "i{}_A")))
         return tuple(name for name in self.names if name not in known)
 
@@ -229,8 +243,10 @@ def _require_unique(path: Path, names: tuple[str, ...]) -> None:
 
 
 def _require_whole_groups(path: Path, names: tuple[str, ...], n: int) -> None:
-    """Require x, y, z together; directions and currents of every joint or of none."""
-    for group in (TIP, _each(n, "dir{}"), _each(n, "i{}_A")):
+    """Require x, y, z together, and the quaternion; directions and currents of every joint or of none."""
+    if ORIENTATION[0] in names and TIP[0] not in names:
+        raise PointsFileError(f"{path}, line 1: columns {', '.join(TIP)} are missing beside {ORIENTATION[0]}")
+    for group in (TIP, ORIENTATION, _each(n, "dir{}"), _each(n, "i{}_A")):
         present = [name for name in group if name in names]
         if present and len(present) < len(group):
             absent = next(name for name in group if name not in present)
@@ -252,7 +268,8 @@ class _Table:
         self._numeric = {
             name: (place, array("d"), name in _each(n, "q{}_rad"))
             for place, name in enumerate(columns.names)
-            if name in (*SCALARS, *TIP, *_each(n, "q{}_rad"), *_each(n, "dir{}"), *_each(n, "i{}_A"))
+            if name
+            in (*SCALARS, *TIP, *ORIENTATION, *_each(n, "q{}_rad"), *_each(n, "dir{}"), *_each(n, "i{}_A"))
         }
         self._text: dict[str, list[str]] = {name: [] for name in ("setup", "point", *columns.extra)}
         self.repeat: list[int] = []
@@ -291,17 +308,37 @@ class _Table:
         return value
 
     def _require_sound(self, line: int) -> None:
-        """Require that a tip has three coordinates or none, and a direction is a sign."""
+        """Require that a tip has three coordinates or none, an orientation has length 1, and a direction is a sign."""
         if "x_m" in self._numeric:
             unknown = [name for name in TIP if math.isnan(self._numeric[name][1][-1])]
             if 0 < len(unknown) < 3:
                 raise self._bad(line, unknown[0], "", "a number, since the other coordinates are given")
+        if ORIENTATION[0] in self._numeric:
+            self._require_quaternion(line)
         for name in _each(self._columns.joint_count, "dir{}"):
             if name in self._numeric and self._numeric[name][1][-1] not in (-1.0, 0.0, 1.0):
                 value = self._numeric[name][1]
                 if not math.isnan(value[-1]):
                     raise self._bad(line, name, f"{value[-1]:g}", "-1, 0 or 1")
                 value[-1] = 0.0
+
+    def _require_quaternion(self, line: int) -> None:
+        """Require four numbers or none, a tip beside them, and length 1; they are scaled to it."""
+        columns = [self._numeric[name][1] for name in ORIENTATION]
+        values = [column[-1] for column in columns]
+        missing = [name for name, value in zip(ORIENTATION, values, strict=True) if math.isnan(value)]
+        if len(missing) == 4:
+            return
+        if missing:
+            raise self._bad(line, missing[0], "", "a number, since the rest of the quaternion is given")
+        if math.isnan(self._numeric[TIP[0]][1][-1]):
+            raise self._bad(line, TIP[0], "", "a number, since an orientation was measured there")
+        try:
+            unit = checked_quaternion(values)
+        except BadTarget as error:
+            raise PointsFileError(f"{self._path}, line {line}: {error}") from None
+        for column, value in zip(columns, unit, strict=True):
+            column[-1] = value
 
     def _bad(self, line: int, name: str, text: str, expected: str) -> PointsFileError:
         got = f'"{text.strip()}"' if text.strip() else "an empty cell"
@@ -321,6 +358,7 @@ class _Table:
             self._stacked(("t_s",))[:, 0],
             self._stacked(("payload_kg",))[:, 0],
             {name: tuple(self._text[name]) for name in self._columns.extra},
+            self._stacked(ORIENTATION),
         )
 
     def _stacked(self, names: Sequence[str]) -> Array:

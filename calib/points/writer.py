@@ -14,7 +14,7 @@ from types import TracebackType
 import numpy as np
 
 from calib.errors import SessionError
-from calib.points.points import SCALARS, TIP, Points, read_points
+from calib.points.points import ORIENTATION, SCALARS, TIP, Points, read_points
 from control.files import append_whole, read_bytes, write_whole
 
 Key = tuple[str, str, int]
@@ -67,6 +67,9 @@ def write_points(path: Path, points: Points) -> None:
         columns |= {f"i{j + 1}_A": [_text(v, 6) for v in points.current_A[:, j]] for j in q}
     if np.isfinite(points.tip_m).any():
         columns |= {name: [_text(v, 9) for v in points.tip_m[:, k]] for k, name in enumerate(TIP)}
+    if np.isfinite(points.orientation).any():
+        quaternion = points.orientation.T
+        columns |= {name: [_text(v, 9) for v in quaternion[k]] for k, name in enumerate(ORIENTATION)}
     columns |= points.extra
     lines = [_line(list(columns)), *(_line(row) for row in zip(*columns.values(), strict=True))]
     replace_file(path, "".join(lines).encode())

@@ -14,6 +14,7 @@ from calib.report.report import write_report
 from calib.report.report_data import UNUSED, ReportData
 from calib.validation.statistics import Difference, ErrorSummary, Finding
 from calib.validation.tracks import TrackPair, compare_tracks
+from calib.validation.turned import TurnComparison
 from calib.validation.verify import ALL, Comparison, SetupComparison, findings
 from control.files import write_whole
 from control.model.arm import Arm
@@ -39,6 +40,7 @@ class Verification:
     date: str
     program_version: str
     used_count: int = 0
+    turns: TurnComparison | None = None
 
     @property
     def is_worse(self) -> bool:
@@ -55,6 +57,8 @@ class Verification:
             f" {before:.2f} mm before, {after:.2f} mm after ({entry.improvement_percent:+.1f} %)."
         ]
         sentences += [f"Board {one.setup}: worse, although the total is not." for one in self._worse_alone()]
+        if self.turns is not None:
+            sentences.append(self.turns.in_words())
         along = compare_tracks(self.paths)
         if along is not None:
             sentences.append(f"Along trajectories: {along.of(ALL).difference.in_words()}.")
@@ -118,6 +122,7 @@ def write_verification_json(path: Path, verification: Verification) -> None:
         "warnings": list(verification.warnings),
         "by_setup": comparison_figures(compared),
         "points": _points(compared),
+        "orientation": None if verification.turns is None else verification.turns.as_dict(),
         "trajectories": None
         if along is None
         else {"by_setup": comparison_figures(along), "parts": _points(along)},

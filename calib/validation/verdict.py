@@ -40,6 +40,9 @@ GOOD = 1.5  # held-out over noise: the remaining error is then about as large as
 CONDITION_LIMIT = (
     100.0  # above, the weakest combination of parameters is 100 times less certain than the best
 )
+# Of its arm, Table 5 "Original": |d| and |L| of each link; a calibrated one of that kind is within some millimetres.
+PAPER_LENGTHS_m = np.array([[0.076, 0.0], [0.0, 0.4], [0.012, 0.0], [0.3543, 0.0]])
+SAME_ARM_m = 0.01
 PAPER_PERCENT = {"normal": 38.8, "roll": 28.9, "pitch": 17.3}  # SpringerPlus 5:1771, Table 4
 MEAN_OF_NORM = math.sqrt(
     8.0 / math.pi
@@ -130,7 +133,7 @@ def verdict(
     grade = _grade(found, held, floor, slips)
     sentences = [_answer(grade, found)]
     if held is not None:
-        sentences += _on_held_out(held, floor, len(slips))
+        sentences += [*_on_held_out(held, floor, len(slips)), *_against_paper(found, held)]
     if grade == "over-fitted" and held is not None:
         sentences.append(
             f"The mean error is {1e3 * found.mean_after_m:.3f} mm at the points of the fit and"
@@ -215,11 +218,14 @@ def _on_held_out(held: HeldOut, floor: NoiseFloor | None, slips_count: int = 0) 
         sentences.append(
             "The noise is unknown: there are no repeats in one posture, and the arm's file gives no camera noise."
         )
-    return [*sentences, *_against_paper(held)]
+    return sentences
 
 
-def _against_paper(held: HeldOut) -> list[str]:
+def _against_paper(found: Identification, held: HeldOut) -> list[str]:
     """Improvement beside SpringerPlus 5:1771, Table 4, for setups of the paper's names; another arm is not compared."""
+    lengths_m = np.abs(found.nominal_dh[:, [0, 2]])
+    if lengths_m.shape != PAPER_LENGTHS_m.shape or np.abs(lengths_m - PAPER_LENGTHS_m).max() > SAME_ARM_m:
+        return []
     own = {
         name: 100.0 * (1.0 - fold.mean_after_m / max(fold.mean_before_m, 1e-12))
         for fold in held.folds

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient, SocketChannel
@@ -27,3 +28,22 @@ def in_control(given: argparse.Namespace) -> ArmClient:
     client = connected(given)
     client.take_control()
     return client
+
+
+def in_control_of(given: argparse.Namespace, arm: Arm) -> ArmClient:
+    """As `in_control`, for work that records poses of `arm`'s tip. ArmError if the runtime has another tool on."""
+    client = in_control(given)
+    on = client.status()["tool"]
+    if on != arm.tool.name:
+        client.close()
+        raise ArmError(
+            f"tool {on!r} is on, and {arm.path} begins with {arm.tool.name!r}: `armwright tool {arm.tool.name}`, or give a file"
+            " whose first [[tool]] it is"
+        )
+    return client
+
+
+def with_present_tool(arm: Arm, client: ArmClient) -> Arm:
+    """The arm with the tool on that the runtime has on, for planning."""
+    on = client.status()["tool"]
+    return arm.with_tool(on) if on else arm

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from console.commands.connection import connected
+from console.commands.connection import connected, with_present_tool
 from console.places import find_place, save_place
 from console.waiting import shown
 from control.errors import ArmError
@@ -48,7 +48,8 @@ def _joint_move(given: argparse.Namespace, q_rad: Any, tip_m: Any, orientation: 
     """Move to joint angles, or to the nearest ones with the tip at a position, and turned as asked."""
     client = connected(given)
     if q_rad is None:
-        q_rad = _nearest(load_arm(given.arm), tip_m, orientation, client.status()["joint_rad"])
+        arm = with_present_tool(load_arm(given.arm), client)
+        q_rad = _nearest(arm, tip_m, orientation, client.status()["joint_rad"])
     with shown(client, given):
         client.move_joints(tuple(q_rad), given.speed, waits=_waits(given))
     return 0
@@ -72,13 +73,14 @@ def _run(given: argparse.Namespace) -> int:
         sys.stdout.write(described(plan_path(arm, waypoints, given.speed)))
         return 0
     client = connected(given)
+    arm = with_present_tool(arm, client)
     path = plan_path(arm, waypoints, given.speed, q_near_rad=client.status()["joint_rad"])
     sys.stdout.write(described(path))
     sys.stdout.flush()
     with shown(client, given, "run: to the first way-point"):
         client.move_joints(path.q_start_rad, 0.5)
     with shown(client, given):
-        client.run_path(path.to_message(), waits=_waits(given))
+        client.run_path(path.to_message(), waits=_waits(given), tool=arm.tool.name)
     return 0
 
 

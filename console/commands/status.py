@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from console.commands.connection import connected
+from console.commands.end_effector import gripper_text, pin_text
 from control.recording.recorder_state import RecorderState
 from control.server.client import Message
 
@@ -34,6 +35,7 @@ def described(status: Message) -> str:
         "",
         *stale_lines(status),
         *_tip_lines(status),
+        *_end_lines(status),
         f"loop: {1e3 * status['period_s']:g} ms, p99 {1e6 * status['late_p99_s']:.0f} us late,"
         f" {1e6 * status['busy_p50_s']:.0f} us busy, {status['missed_cycles']} cycles missed",
     ]
@@ -72,6 +74,14 @@ def _tip_lines(status: Message) -> list[str]:
     if status["camera_m"]:
         lines.append(f"tip at {', '.join(_numbers(status['camera_m'], 4))} m by the camera")
     return lines
+
+
+def _end_lines(status: Message) -> list[str]:
+    """Tool, gripper and pins, where the arm has them."""
+    lines = [f"tool {status['tool']} is on"] if status["tools"] else []
+    if status["gripper"] is not None:
+        lines.append(gripper_text(status["gripper"]))
+    return lines + [pin_text(name, pin) for name, pin in status["digital"].items()]
 
 
 def _recording(recorder: RecorderState) -> str:

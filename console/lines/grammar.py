@@ -12,6 +12,7 @@ from typing import NoReturn
 
 from console import options
 from console.options import CommandSpec
+from console.specs.end_effector import END_EFFECTOR
 from console.specs.operating import OPERATING
 from control.errors import ArmError
 
@@ -48,7 +49,7 @@ class Grammar:
         self._specs = {spec.name: spec for spec in commands if spec.name not in NOT_HERE}
         self._elsewhere = {spec.name for spec in commands if spec.name in NOT_HERE}
         self._defaults = dict(defaults)
-        self._moving = {spec.name for spec in OPERATING}
+        self._moving = {spec.name for spec in (*OPERATING, *END_EFFECTOR)}
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from console.screen.events import Event, events_between, stale_s
 from console.screen.jogging import Jogger
 from console.screen.link import Message, RuntimeLink
 from console.screen.operator import Operator
-from console.screen.texts import headline, joint_rows, status_rows, tip_row
+from console.screen.texts import end_rows, headline, joint_rows, status_rows, tip_row
 from control.model.arm import Arm
 
 TEXT_S, VIEW_S, PLOT_S = 0.3, 0.3, 0.9  # multiples, so that updates coincide and are drawn in one pass
@@ -84,7 +84,9 @@ class Dashboard:
         yield "head", [headline(status, arm, why_lost, room("head")[0], clock())]
         yield "status", status_rows(status, why_lost, room("status")[0])
         if status is not None:
-            yield "joints", [*joint_rows(status, arm, selected, room("joints")[0]), tip_row(status, selected)]
+            width = room("joints")[0]
+            joints = joint_rows(status, arm, selected, width)
+            yield "joints", [*joints, tip_row(status, selected), *end_rows(status, width)]
         yield "jog", [self._jog_row()]
 
     def _jog_row(self) -> Row:

@@ -7,6 +7,7 @@ from typing import Any
 
 from console.screen.drawing.rows import Row, Span, row, width_of, wrapped
 from console.screen.events import stale_s
+from control.end_effector.bus_load import end_frames_Hz
 from control.model.arm import Arm, Drive
 
 Message = dict[str, Any]
@@ -58,9 +59,9 @@ def headline(status: Message | None, arm: Arm, why_lost: str, width: int, clock:
 
 
 def bus_load(arm: Arm, period_s: float) -> float:
-    """Worst-case share of the CAN bus used by commands and replies."""
+    """Worst-case share of the CAN bus used by commands and replies: of joints, gripper (its count, too) and pins."""
     bitrate = arm.can.bitrate if arm.can is not None and arm.can.bitrate else 1_000_000
-    return 2 * arm.joint_count * FRAME_bits / (bitrate * period_s)
+    return (2 * arm.joint_count / period_s + end_frames_Hz(arm)) * FRAME_bits / bitrate
 
 
 def joint_rows(status: Message, arm: Arm, selected: str, width: int) -> list[Row]:
@@ -104,6 +105,17 @@ def tip_row(status: Message, selected: str) -> Row:
         camera_mm = 1e3 * math.dist(status["camera_m"], status["tip_m"])
         spans += row(("  camera off ", "muted"), f"{camera_mm:.2f}")
     return spans
+
+
+def end_rows(status: Message, width: int) -> list[Row]:
+    """What is at the end of the arm: tool, gripper and pins, where it has them."""
+    parts = [f"tool {status['tool']}"] if status.get("tools") else []
+    if (grip := status.get("gripper")) is not None:
+        opening = "" if grip["opening_m"] is None else f" {1e3 * grip['opening_m']:.1f} mm"
+        parts.append(f"gripper {grip['state'].lower()}{opening} {grip['force_N']:.0f} N")
+    signs = {None: "?", True: "1", False: "0"}
+    parts += [f"{name} {signs[pin['level']]}" for name, pin in status.get("digital", {}).items()]
+    return wrapped("  ".join(parts), "plain", width) if parts else []
 
 
 def status_rows(status: Message | None, why_lost: str, width: int) -> list[Row]:

@@ -37,7 +37,13 @@ CALIBRATING = (
                 "--fix",
                 metavar="NAMES",
                 action="append",
-                help="parameters to keep fixed: theta4,tool_x; base: the tips are in the arm's base frame",
+                help="parameters to keep fixed: theta4,tool_x; base: the tips are in the arm's base frame; target: the axes of"
+                " measured orientations are the last link's",
+            ),
+            option(
+                "--orientation-noise",
+                metavar="ANGLE",
+                help="standard deviation of measured orientations, e.g. 0.5mrad (default: arm.toml's [camera], else 2mrad)",
             ),
             option(
                 "--free",
@@ -77,6 +83,41 @@ CALIBRATING = (
         ),
         "Writes arm.toml, calibration.json and report.html; never overwrites.",
         module="calibration.calibrate",
+    ),
+    CommandSpec(
+        "trust",
+        "predict the tip's error over the workspace, with intervals, and whether a path keeps a tolerance",
+        (
+            ARM,
+            option(
+                "--points",
+                metavar="P",
+                action="append",
+                required=True,
+                help="points.csv or .csv.gz of the real arm; may be repeated",
+            ),
+            OUT,
+            option("--tolerance", metavar="LENGTH", help="the accuracy that is wanted, e.g. 0.5mm"),
+            option(
+                "--task",
+                metavar="FILE",
+                action="append",
+                help="way-points as for `armwright run`: the probability that the path keeps the tolerance; may be repeated",
+            ),
+            option(
+                "--payload",
+                type=finite,
+                metavar="KG",
+                action="append",
+                help="mass at the tip that the map is made for (default: 0); may be repeated",
+            ),
+            option(
+                "--boards", metavar="FILE", help="boards.json of `armwright register`: measured board poses"
+            ),
+            JSON,
+        ),
+        "Nothing moves. Writes report.html, map.npz and trust.json; docs/trust.md.",
+        module="calibration.trust",
     ),
     CommandSpec(
         "verify",
@@ -149,6 +190,11 @@ CALIBRATING = (
                 metavar="EFFECT",
                 action="append",
                 help="do not try this effect; may be repeated",
+            ),
+            option(
+                "--map",
+                action="store_true",
+                help="measure what is left as maps of the joints, which the controller corrects",
             ),
             option(
                 "--current-unit",

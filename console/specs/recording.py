@@ -97,6 +97,12 @@ RECORDING = (
                 help="D (default), O1 to O5, or tip: the tip's uncertainty over the workspace",
             ),
             option(
+                "--orientation-noise",
+                metavar="ANGLE",
+                help="orientations are measured beside tips, with this standard deviation, e.g. 0.5mrad (default: if the points"
+                " have some)",
+            ),
+            option(
                 "--noise",
                 type=finite,
                 metavar="M",

@@ -1,6 +1,7 @@
 """Feed-forward torque of a motion: rigid body, rotors, and the arm's effects.
 
-`payload` and `link_inertia` change masses, friction takes the sign of the set-point's speed, cogging the motor's angle.
+`payload` and `link_inertia` change masses, friction takes the sign of the set-point's speed, cogging the motor's angle. A
+measured map adds what it has at the set-point.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,7 +11,9 @@ from typing import Final, Protocol
 
 from control.dynamics.dynamics import Dynamics
 from control.dynamics.effect_laws import SMOOTH_rad_s
+from control.kinematics.smooth_table import SmoothTable
 from control.model.arm import Arm, Effect
+from control.model.maps import CorrectionMap
 
 FED_FORWARD: Final = frozenset(
     {
@@ -44,6 +47,7 @@ def torque_model(arm: Arm, payload_kg: float = 0.0) -> MotionTorques:
     """
     rigid = Dynamics(with_link_inertia(arm), payload_kg + own_payload_kg(arm)).inverse
     terms = [(e.joint - 1, _term(arm, e)) for e in arm.effects if e.joint is not None and e.effect in _LAWS]
+    terms += [(one.joint - 1, _map(arm, one)) for one in arm.maps if one.corrects == "torque_Nm"]
 
     def torques(
         q: Sequence[float],
@@ -129,6 +133,37 @@ def _cogging(arm: Arm, effect: Effect) -> FrictionTerm:
     amplitude, phase = effect.parameters["amplitude_Nm"], effect.parameters["phase_rad"]
     per_rad = effect.parameters["order"] * arm.drive(effect.joint or 0).gear_ratio
     return lambda q, speed, load: amplitude * sin(per_rad * q + phase)
+
+
+def _map(arm: Arm, one: CorrectionMap) -> FrictionTerm:
+    table, directed = SmoothTable.of(one), SmoothTable.of_direction(one)
+    turn = arm.drive(one.joint).gear_ratio if one.is_periodic else 1.0
+    place: FrictionTerm
+    match one.over:
+        case "load_Nm":
+            place = _at_load
+        case "speed_rad_s":
+            place = _at_speed
+        case _:
+            place = _at_angle
+
+    def torque(q: float, speed: float, load: float) -> float:
+        at = turn * place(q, speed, load)
+        return table(at) if directed is None else table(at) + tanh(speed / SMOOTH_rad_s) * directed(at)
+
+    return torque
+
+
+def _at_angle(q: float, speed: float, load: float) -> float:
+    return q
+
+
+def _at_speed(q: float, speed: float, load: float) -> float:
+    return speed
+
+
+def _at_load(q: float, speed: float, load: float) -> float:
+    return load
 
 
 _LAWS: dict[str, Callable[[Arm, Effect], FrictionTerm]] = {

@@ -1,6 +1,6 @@
 """Encoder set-points for joint set-points, on an arm with known backlash, compliance, belt coupling or encoder errors.
 
-    joint = rigid(encoder) - offset,    offset = flank width / 2 + transmitted torque / stiffness
+    joint = rigid(encoder) - offset,    offset = flank width / 2 + transmitted torque / stiffness - map(load, direction)
 
 `rigid` is control.kinematics.encoder_chain. Encoders are on the motors; the offset is motor minus joint angle.
 It is computed from set-point and model, never from measurements (control.dynamics.gear). The transmitted torque
@@ -14,9 +14,10 @@ from typing import Final, Self
 
 from control.dynamics.dynamics import Dynamics
 from control.dynamics.feedforward import own_payload_kg, torque_constants_Nm_A, with_link_inertia
-from control.dynamics.gear import Gear, GearLaw
+from control.dynamics.gear import Gear, GearLaw, MeasuredLag
 from control.errors import ArmError
 from control.kinematics.encoder_chain import RIGID_EFFECTS, EncoderChain, Floats
+from control.kinematics.smooth_table import SmoothTable
 from control.model.arm import Arm
 
 GEAR_EFFECTS: Final = frozenset({"backlash", "joint_compliance"})
@@ -28,13 +29,16 @@ UNKNOWN_FRICTION: Final = (
 SHARE_OF_SPEED, SHARE_OF_ACCELERATION = 0.25, 0.5  # of a joint's limits, for the offset's own motion
 
 State = tuple[Floats, Floats, Floats]  # angles, speeds, accelerations
+Carried = Callable[[Sequence[float], Sequence[float], Sequence[float]], Sequence[float] | None]
 LinkTorque = Callable[[Sequence[float], Sequence[float], Sequence[float], float], Sequence[float]]
 
 
 class JointSide:
     """Maps between joints and encoders of one arm. Keeps the state of the gears, so call `aim` once a cycle, in order of time."""
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: Arm, carried: Carried | None = None) -> None:
+        """`carried`: torques of masses that change at run time, beside the arm's own and `payload_kg`."""
+        self._carried = carried
         self._rigid = EncoderChain(arm)
         self._offset = [0.0] * arm.joint_count
         laws = gear_laws(arm)
@@ -43,9 +47,9 @@ class JointSide:
         self._still = (0.0,) * arm.joint_count
 
     @classmethod
-    def of(cls, arm: Arm) -> Self | None:
+    def of(cls, arm: Arm, carried: Carried | None = None) -> Self | None:
         """The joint side of an arm whose file has such effects, else None. MissingModel if gears lack masses or drives."""
-        return cls(arm) if has_joint_side(arm) else None
+        return cls(arm, carried) if has_joint_side(arm) else None
 
     @property
     def flanks(self) -> Mapping[int, int]:
@@ -58,9 +62,9 @@ class JointSide:
         if self._torque is None:
             return joints
         for _ in range(2):  # gravity at the joints' angles; one iteration is accurate to a thousandth
-            torques = self._torque(joints, self._still, self._still, payload_kg)
+            torques = self._transmitted((joints, self._still, self._still), payload_kg)
             for joint, gear in self._gears:
-                gear.rest(torques[joint])
+                gear.rest(torques[joint], joints[joint])
                 self._offset[joint] = gear.offset_rad
             joints = self.joint_rad(encoder_rad)
         return joints
@@ -69,15 +73,21 @@ class JointSide:
         """Encoder set-points for the joint set-points `wanted`, `elapsed_s` after the last call."""
         q, speed, acceleration = wanted
         if self._torque is not None:
-            torques = self._torque(q, speed, acceleration, payload_kg)
+            torques = self._transmitted(wanted, payload_kg)
             for joint, gear in self._gears:
-                gear.follow(torques[joint], speed[joint], acceleration[joint], elapsed_s)
+                gear.follow(torques[joint], speed[joint], acceleration[joint], elapsed_s, q[joint])
                 self._offset[joint] = gear.offset_rad
         return self._rigid.encoders(*self._motors(q, speed, acceleration))
 
     def joint_rad(self, encoder_rad: Sequence[float]) -> Floats:
         """Joint angles at encoder angles, with the present state of the gears."""
         return self._rigid.joints(encoder_rad, self._offset)
+
+    def _transmitted(self, state: State, payload_kg: float) -> Sequence[float]:
+        """Torques [N m] that the gears pass on, without friction."""
+        known = self._torque(*state, payload_kg) if self._torque is not None else self._still
+        more = None if self._carried is None else self._carried(*state)
+        return known if more is None else [k + m for k, m in zip(known, more, strict=True)]
 
     def _motors(self, q: Floats, speed: Floats, acceleration: Floats) -> tuple[list[float], ...]:
         """The joints' motion minus the belt's share, plus the gears' offsets."""
@@ -90,8 +100,10 @@ class JointSide:
 
 
 def has_joint_side(arm: Arm) -> bool:
-    """Whether the arm has effects between encoders and joints."""
-    return any(effect.effect in SIDE_EFFECTS for effect in arm.effects)
+    """Whether the arm has effects or measured maps between encoders and joints."""
+    return any(effect.effect in SIDE_EFFECTS for effect in arm.effects) or any(
+        one.corrects == "angle_rad" for one in arm.maps
+    )
 
 
 def link_torque(arm: Arm) -> LinkTorque:
@@ -115,9 +127,11 @@ def link_torque(arm: Arm) -> LinkTorque:
 
 
 def gear_laws(arm: Arm) -> dict[int, GearLaw]:
-    """The gears with backlash or compliance, by joint (1-based)."""
+    """The gears with backlash, compliance, or a map over load or direction, by joint (1-based)."""
     found = {}
-    for joint in sorted({e.joint for e in arm.effects if e.effect in GEAR_EFFECTS and e.joint is not None}):
+    measured = measured_lags(arm)
+    geared = {e.joint for e in arm.effects if e.effect in GEAR_EFFECTS and e.joint is not None}
+    for joint in sorted(geared | measured.keys()):
         drive = arm.drive(joint)
         stiffness = _sum(arm, joint, "joint_compliance", "stiffness_Nm_rad")
         dry_Nm = _sum(arm, joint, "coulomb_friction", "torque_Nm")
@@ -129,7 +143,20 @@ def gear_laws(arm: Arm) -> dict[int, GearLaw]:
             load_fraction=LINK_SHARE * _sum(arm, joint, "load_friction", "fraction"),
             speed_rad_s=SHARE_OF_SPEED * drive.joint_speed_limit_rad_s,
             acceleration_rad_s2=SHARE_OF_ACCELERATION * drive.joint_acceleration_limit_rad_s2,
+            measured=measured.get(joint),
         )
+    return found
+
+
+def measured_lags(arm: Arm) -> dict[int, MeasuredLag]:
+    """What maps say beyond a joint's angle alone, which is the encoder chain's, by joint (1-based)."""
+    found: dict[int, MeasuredLag] = {}
+    for one in arm.maps:
+        before, directed = found.get(one.joint, MeasuredLag()), SmoothTable.of_direction(one)
+        if one.corrects == "angle_rad" and one.over == "load_Nm":
+            found[one.joint] = replace(before, over_load=SmoothTable.of(one), directed_over_load=directed)
+        elif one.corrects == "angle_rad" and directed is not None:
+            found[one.joint] = replace(before, directed_over_angle=directed)
     return found
 
 
@@ -154,9 +181,7 @@ def usable_range_rad(arm: Arm) -> tuple[tuple[float, float], ...]:
     found = []
     for j, (lower, upper) in enumerate(arm.limits_rad):
         law = laws.get(j + 1)
-        off = (
-            0.0 if law is None else 0.5 * law.width_rad + law.compliance_rad_Nm * torque_limit_Nm(arm, j + 1)
-        )
+        off = 0.0 if law is None else _largest_offset_rad(arm, j + 1, law)
         low, high = (min(belt), max(belt)) if j == 2 else (0.0, 0.0)
         room = (
             max(lower, rigid.joint_of(j, lower) + off + high),
@@ -168,3 +193,9 @@ def usable_range_rad(arm: Arm) -> tuple[tuple[float, float], ...]:
             )
         found.append(room)
     return tuple(found)
+
+
+def _largest_offset_rad(arm: Arm, joint: int, law: GearLaw) -> float:
+    """By which the motor may be ahead of the joint, either way."""
+    known = 0.5 * law.width_rad + law.compliance_rad_Nm * torque_limit_Nm(arm, joint)
+    return known + (law.measured.largest_rad if law.measured is not None else 0.0)

@@ -13,7 +13,7 @@ from control.kinematics.tracing import Scalar, cos, sin
 from control.model.arm import Arm, Vector3
 
 Vector = tuple[Scalar, Scalar, Scalar]
-ZERO: Vector = (0.0, 0.0, 0.0)
+ZERO: Vector3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +29,15 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """The parameters of an arm that the equations need."""
+    """The parameters of an arm that the equations need; the tool's mass is a point in the last frame."""
 
     bodies: tuple[Body, ...]
     is_modified: bool
     tool_m: Vector3
     rotor_kg_m2: tuple[float, ...]  # of each joint, reflected: ratio^2 times the rotor's
     joint_count: int
+    tool_kg: float = 0.0
+    tool_com_m: Vector3 = ZERO
 
 
 def chain_of(arm: Arm) -> Chain:
@@ -51,7 +53,16 @@ def chain_of(arm: Arm) -> Chain:
         joint += turns
     rotors = {d.joint: d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives}
     reflected = tuple(rotors.get(j, 0.0) for j in range(1, joint + 1))
-    return Chain(tuple(bodies), arm.dh_convention == "modified", arm.tool.position_m, reflected, joint)
+    tool = arm.tool
+    return Chain(
+        tuple(bodies),
+        arm.dh_convention == "modified",
+        tool.position_m,
+        reflected,
+        joint,
+        tool.mass_kg,
+        tool.centre_m,
+    )
 
 
 def _check_masses(arm: Arm) -> None:
@@ -129,14 +140,20 @@ def _forward(
             linear = _add(_rotate_back(turn, linear), _carried(omega, alpha, _rotate_back(turn, move)))
         force, moment = _inertial(body, omega, alpha, linear)
         if number == len(chain.bodies) - 1:
-            load = Body(body.dh, None, payload_kg, chain.tool_m, ZERO)
-            extra, twist = _inertial(load, omega, alpha, linear)
-            force, moment = _add(force, extra), _add(moment, twist)
+            for mass, place in _carried_masses(chain, payload_kg):
+                extra, twist = _inertial(Body(body.dh, None, mass, place, ZERO), omega, alpha, linear)
+                force, moment = _add(force, extra), _add(moment, twist)
         turns.append(turn)
         moves.append(move)
         forces.append(force)
         moments.append(moment)
     return turns, moves, forces, moments
+
+
+def _carried_masses(chain: Chain, payload_kg: Scalar) -> list[tuple[Scalar, Vector3]]:
+    """Point masses in the last frame: the payload at the tip, and the tool."""
+    tool: list[tuple[Scalar, Vector3]] = [(chain.tool_kg, chain.tool_com_m)] if chain.tool_kg else []
+    return [(payload_kg, chain.tool_m), *tool]
 
 
 def _turned(omega: Vector, alpha: Vector, rate: Scalar, push: Scalar) -> tuple[Vector, Vector]:

@@ -6,12 +6,13 @@ Mock boards are connected behind the links; the code here is the same for both.
 import contextlib
 from collections.abc import Sequence
 
-from control.hardware.interface import Feedback, OutputMode
+from control.hardware.interface import EndBoards, Feedback, OutputMode
 from control.hardware.roles import Drives, Encoders, Line, PolledLine
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError
 
 ATTEND_EVERY_S = 0.00025  # an answer waits so long at most until the next request goes out
+NO_END = EndBoards()
 
 
 class BoardHardware:
@@ -26,6 +27,7 @@ class BoardHardware:
         clock: Clock,
         polled: Sequence[PolledLine] = (),
         offers: frozenset[OutputMode] = frozenset(OutputMode),
+        end: EndBoards = NO_END,
     ) -> None:
         """`lines`: in the order in which they are drained; those also in `polled` are attended to between the cycles.
 
@@ -34,6 +36,7 @@ class BoardHardware:
         self.feedback = Feedback(joint_count)
         self.offers = offers
         self._polled = tuple(polled)
+        self.end = end
         self._encoders, self._drives, self._lines = tuple(encoders), tuple(drives), tuple(lines)
         self._encoder_of = {joint: encoder for encoder in encoders for joint in encoder.joints}
         self._drive_of = {joint: drive for drive in drives for joint in drive.joints}
@@ -92,11 +95,13 @@ class BoardHardware:
     def enable(self) -> None:
         """Upload the boards' parameters and let `write` bring them to OPERATION ENABLED."""
         self._configure()
+        self.end.enable()
         self._wants_enabled = True
 
     def disable(self) -> None:
         """Let `write` bring the drives to SWITCH ON DISABLED, where the boards short the windings."""
         self._wants_enabled = False
+        self.end.disable()
 
     def reset_drive_faults(self) -> None:
         """Acknowledge the drives' faults and restore the state of boards that were reset. Raises BoardFaulted."""
@@ -105,6 +110,14 @@ class BoardHardware:
         for drive in self._drives:
             drive.acknowledge_faults()
         self._configure()
+        self.reset_gripper()
+
+    def reset_gripper(self) -> None:
+        """Let `write` acknowledge the fault of the gripper's board; a board that restarted gets its parameters. BoardSilent."""
+        if self.end.gripper is not None:
+            self.end.gripper.reset_fault()
+        if self._wants_enabled:
+            self.end.enable()
 
     def emergency_stop(self) -> None:
         """Stop all drives. Never raises: the boards' watchdogs do the same a little later."""

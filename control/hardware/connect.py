@@ -9,10 +9,13 @@ from dataclasses import dataclass, field, replace
 
 from control.dynamics.gains import volt_gains_of
 from control.errors import MissingModel
-from control.hardware.boards import BoardHardware
-from control.hardware.interface import OutputMode
+from control.hardware.board_stop import board_stop
+from control.hardware.boards import NO_END, BoardHardware
+from control.hardware.gripper_board import GripperBoard
+from control.hardware.interface import EndBoards, OutputMode
 from control.hardware.kinds import open_boards
 from control.hardware.opened import Opened, collect
+from control.hardware.pins import NamedPins
 from control.hardware.reference_drives import DriveWiring, ReferenceDrives
 from control.hardware.reference_encoders import ReferenceEncoders, start_stream
 from control.hardware.roles import Line
@@ -23,6 +26,7 @@ from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import ConnectionFailed, LinkError, WrongIdentity
 from firmware_iface.link import open_can, open_serial
 from firmware_iface.motor.board import MotorBoard, MotorBus
+from firmware_iface.motor.digital_pins import DigitalPins
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +105,7 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
         board for port in arm.encoder_boards if (board := _encoder(port, arm, clock, opened)) is not None
     ]
     motors = _motors(arm, clock, opened)
+    end = _end_boards(arm, motors, period_s, opened.failures) if motors else EndBoards()
     open_boards(arm, clock, period_s, opened)
     attempted = (
         len(arm.encoder_boards)
@@ -122,7 +127,7 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
         raise ConnectionFailed(opened.failures, attempted)
     _add_reference(arm, clock, encoders, motors, period_s, opened)
     return Connection(
-        _composed(arm, clock, opened),
+        _composed(arm, clock, opened, end),
         camera,
         tuple(encoders),
         tuple(motor for _, motor in motors),
@@ -138,11 +143,12 @@ def reference_hardware(
     bus: MotorBus,
     motors: Sequence[MotorBoard],
     period_s: float,
+    end: EndBoards = NO_END,
 ) -> BoardHardware:
     """The hardware of identified reference boards: `encoders` in the order of arm.toml, `motors` in that of the drives."""
     opened = Opened()
     _add_reference(arm, clock, encoders, [(bus, motor) for motor in motors], period_s, opened)
-    return _composed(arm, clock, opened)
+    return _composed(arm, clock, opened, end)
 
 
 def _add_reference(
@@ -173,9 +179,9 @@ def _add_reference(
     opened.lines[:0] = lines
 
 
-def _composed(arm: Arm, clock: Clock, opened: Opened) -> BoardHardware:
+def _composed(arm: Arm, clock: Clock, opened: Opened, end: EndBoards) -> BoardHardware:
     return BoardHardware(
-        len(arm.drives), opened.encoders, opened.drives, opened.lines, clock, opened.polled, _offers(arm)
+        len(arm.drives), opened.encoders, opened.drives, opened.lines, clock, opened.polled, _offers(arm), end
     )
 
 
@@ -257,6 +263,43 @@ def _motors(arm: Arm, clock: Clock, opened: Opened) -> list[tuple[MotorBus, Moto
                 )
                 motors.append((bus, board))
     return motors
+
+
+def _end_boards(
+    arm: Arm, motors: Sequence[tuple[MotorBus, MotorBoard]], period_s: float, failures: list[LinkError]
+) -> EndBoards:
+    """The gripper's board and the pins of all boards, checked against arm.toml."""
+    bus, boards = motors[0][0], {board.node: board for _, board in motors}
+    gripper: GripperBoard | None = None
+    if arm.gripper is not None:
+        problems: list[LinkError] = []
+        board = MotorBoard(bus, arm.gripper.motor_node, "gripper", problems)
+        with collect(failures):
+            identity = board.identify(arm.gripper.motor_serial_number)
+            expected, got = arm.gripper.encoder_counts_per_rev, identity.encoder_counts_per_turn
+            if expected not in (0, got):
+                raise WrongIdentity(
+                    f"{board.where}: expected {expected} counts a motor turn (arm.toml, [gripper]), got {got}; correct"
+                    " arm.toml, or the board's settings"
+                )
+            boards[board.node] = board
+            stop = board_stop(arm, period_s)
+            gripper = GripperBoard(arm.gripper, board, problems, arm.limits.watchdog_s, stop)
+    return EndBoards(gripper, _pins(arm, bus, boards, failures))
+
+
+def _pins(
+    arm: Arm, bus: MotorBus, boards: Mapping[int, MotorBoard], failures: list[LinkError]
+) -> NamedPins | None:
+    """The pins; a board that was not found has failed already."""
+    wanted = {pin.board for pin in arm.digital} & boards.keys()
+    if not wanted:
+        return None
+    found = {node: DigitalPins(bus, boards[node]) for node in sorted(wanted)}
+    for node, pins in found.items():
+        with collect(failures):
+            pins.require(1 + max(pin.pin for pin in arm.digital if pin.board == node))
+    return NamedPins(arm.digital, found)
 
 
 def _compare(where: str, what: str, joint: int, expected: int, got: int) -> None:

@@ -10,6 +10,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
+from control.hardware.gripper_board import GripperBoard
+from control.hardware.pins import NamedPins
+
 
 class OutputMode(Enum):
     """Meaning of the numbers passed to `write`. `OFF` opens the motor circuit: the joint is free and a loaded arm drops. `HOLD`:
@@ -60,10 +63,31 @@ class Feedback:
         self.sent_V = [float("nan")] * n
 
 
+@dataclass(frozen=True, slots=True)
+class EndBoards:
+    """What is at the end of the arm, if anything: the boards that the joints do not need."""
+
+    gripper: GripperBoard | None = None
+    pins: NamedPins | None = None
+
+    def enable(self) -> None:
+        """Upload what the boards do not have, and enable the gripper's; waits. Pins belong to boards that are not enabled yet."""
+        if self.pins is not None:
+            self.pins.configure()
+        if self.gripper is not None:
+            self.gripper.enable()
+
+    def disable(self) -> None:
+        """The gripper's board goes off with the joints'."""
+        if self.gripper is not None:
+            self.gripper.disable()
+
+
 class Hardware(Protocol):
     """The arm as seen by the loop; real and mock boards implement it alike."""
 
     feedback: Feedback
+    end: EndBoards
     offers: frozenset[OutputMode]
     """The modes in which every drive of the arm can be commanded."""
 
@@ -80,7 +104,10 @@ class Hardware(Protocol):
         ...
 
     def enable(self) -> None:
-        """Bring every drive to OPERATION ENABLED with 0 V output. Raises a firmware_iface error that names each failed drive."""
+        """Bring every drive, the gripper's too, to OPERATION ENABLED with 0 V output.
+
+        Raises a firmware_iface error that names each failed drive.
+        """
         ...
 
     def disable(self) -> None:
@@ -89,6 +116,10 @@ class Hardware(Protocol):
 
     def reset_drive_faults(self) -> None:
         """Acknowledge the drives' own faults. Raises when a drive stays in FAULT."""
+        ...
+
+    def reset_gripper(self) -> None:
+        """Let `write` acknowledge the fault of the gripper's board; a board that restarted gets its parameters now."""
         ...
 
     def emergency_stop(self) -> None:

@@ -1,6 +1,6 @@
-"""Rigid map from encoder to joint angles (scale, eccentric discs, belt) and back, with speeds and accelerations.
+"""Rigid map from encoder to joint angles (scale, eccentric discs, belt, measured map) and back, with speeds and accelerations.
 
-    joint_j = (1 + scale_j) e_j + a_j sin e_j + b_j cos e_j  [+ ratio joint_2 for joint 3]
+    joint_j = (1 + scale_j) e_j + a_j sin e_j + b_j cos e_j + map_j(e_j)  [+ ratio joint_2 for joint 3]
 
 with a, b = amplitude cos(phase), amplitude sin(phase). Plain floats: both ways run every cycle.
 """
@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from math import cos, sin
 from typing import Final
 
+from control.kinematics.smooth_table import SmoothTable
 from control.model.arm import Arm
 from control.model.effects import COUPLED, COUPLED_TO
 
@@ -21,12 +22,16 @@ Floats = tuple[float, ...]
 class EncoderChain:
     """The rigid part of the map between encoder and joint angles, one of each per joint."""
 
-    __slots__ = ("_cosine", "_gain", "_ratio", "_sine")
+    __slots__ = ("_cosine", "_gain", "_ratio", "_sine", "_table")
 
     def __init__(self, arm: Arm) -> None:
         n = arm.joint_count
         self._gain, self._sine, self._cosine = [1.0] * n, [0.0] * n, [0.0] * n
         self._ratio = 0.0
+        self._table: list[SmoothTable | None] = [None] * n
+        for one in arm.maps:
+            if one.corrects == one.over == "angle_rad":
+                self._table[one.joint - 1] = SmoothTable.of(one)
         for effect in arm.effects:
             p, j = effect.parameters, (effect.joint or 0) - 1
             if effect.effect == "encoder_scale":
@@ -39,7 +44,9 @@ class EncoderChain:
 
     def joint_of(self, joint: int, e: float) -> float:
         """Angle of one joint (0-based) without the belt's share."""
-        return self._gain[joint] * e + self._sine[joint] * sin(e) + self._cosine[joint] * cos(e)
+        table = self._table[joint]
+        measured = 0.0 if table is None else table(e)
+        return self._gain[joint] * e + self._sine[joint] * sin(e) + self._cosine[joint] * cos(e) + measured
 
     def joints(self, encoder_rad: Sequence[float], offset_rad: Sequence[float]) -> Floats:
         """Joint angles if each motor leads its joint by `offset_rad`."""
@@ -69,12 +76,27 @@ class EncoderChain:
         return self._ratio * second
 
     def _encoder(self, j: int, q: float, speed: float, acceleration: float) -> tuple[float, float, float]:
-        gain, a, b = self._gain[j], self._sine[j], self._cosine[j]
-        if a == b == 0.0:
+        gain = self._gain[j]
+        if self._sine[j] == self._cosine[j] == 0.0 and self._table[j] is None:
             return q / gain, speed / gain, acceleration / gain
         e = q / gain
         for _ in range(_ROUNDS):
-            e -= (gain * e + a * sin(e) + b * cos(e) - q) / (gain + a * cos(e) - b * sin(e))
-        slope, bend = gain + a * cos(e) - b * sin(e), a * sin(e) + b * cos(e)
+            value, slope, _ = self._derivatives(j, e)
+            e -= (value - q) / slope
+        _, slope, bend = self._derivatives(j, e)
         turned = speed / slope
-        return e, turned, (acceleration + bend * turned * turned) / slope
+        return e, turned, (acceleration - bend * turned * turned) / slope
+
+    def _derivatives(self, j: int, e: float) -> tuple[float, float, float]:
+        """The joint's angle without the belt's share, and its first and second derivative by the encoder's."""
+        gain, a, b = self._gain[j], self._sine[j], self._cosine[j]
+        sine, cosine, table = sin(e), cos(e), self._table[j]
+        value, slope, bend = (
+            gain * e + a * sine + b * cosine,
+            gain + a * cosine - b * sine,
+            -a * sine - b * cosine,
+        )
+        if table is None:
+            return value, slope, bend
+        own = table.derivatives(e)
+        return value + own[0], slope + own[1], bend + own[2]

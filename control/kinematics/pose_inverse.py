@@ -31,7 +31,7 @@ from control.model.arm import Arm, Vector3
 POSITION_TOLERANCE_M = 1e-4  # where the joints cannot hold all: a way-point read off this arm is nearer
 ORIENTATION_TOLERANCE_RAD = 2e-3  # the same: three decimals of a quaternion
 SINGULAR_MARGIN_M = 0.005  # m/rad, as for positions
-_SCATTERED = 40  # starting poses: with orientation, fewer of them lead to the target
+_SCATTERED, _SCATTERED_TURNED = 12, 40  # starting poses: with orientation, fewer of them lead to the target
 _ANOTHER_RAD = 0.05  # solutions further apart than this are different ones
 
 
@@ -88,7 +88,8 @@ class PoseInverse:
         self._range.check_pose(q_near)
         found: list[tuple[float, ...]] = []
         failures: list[OutOfReach | NearSingular] = []
-        for start in seeds(self._limits, [q_near, self._rest], _SCATTERED):
+        scattered = _SCATTERED if target.orientation is None else _SCATTERED_TURNED
+        for start in seeds(self._limits, [q_near, self._rest], scattered):
             solved = self._descended(target, start)
             q = tuple(solved.q_rad[0].tolist())
             if failure := self._failure(target, solved):

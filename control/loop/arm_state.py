@@ -86,7 +86,7 @@ class ArmState:
 
     def payload_kg(self) -> float:
         """Mass at the tip in the model now; it follows the stated one."""
-        return self.parts.servo.torque_model.payload_kg
+        return self.parts.loads.at_tip_kg
 
     def progress(self) -> float:
         """Progress of the active motion, 0 to 1; 1 if there is none."""

@@ -99,7 +99,7 @@ def jog(state: ArmState, request: JogRequest) -> None:
         state.jogging.ask(state.now_s, request, state.set_point)
         return
     state.monitor.require(Event.JOG)
-    jogging = state.parts.jogging(state.monitor.is_homed)
+    jogging = state.parts.tool.jogging(state.monitor.is_homed)
     jogging.ask(state.now_s, request, state.set_point)
     state.on(Event.JOG)
     state.run_number += 1

@@ -1,19 +1,24 @@
 """The fixed parts of a runtime, built by control.server.assemble."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from control.dynamics.joint_side import JointSide
+from control.dynamics.loads import Loads
+from control.end_effector.gripper import GripperControl
+from control.end_effector.outputs import Outputs
 from control.hardware.board_stop import BoardStop
 from control.hardware.interface import Hardware
 from control.hardware.measurement import Measurement
 from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import Kinematics
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.watch import Watch
 from control.loop.witnesses import IndexWatch, MotorCountWatch, SwitchWatch, Witnesses
+from control.model.arm import Tool
 from control.motion.guard import Guard
 from control.motion.setpoint import Motion, SetPoint
 from control.recording.record import Recorder
@@ -34,6 +39,17 @@ class Camera(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class ToolParts:
+    """The parts that depend on where the tip is, with one of the arm's tools on."""
+
+    tool: Tool
+    kinematics: Kinematics
+    inverse: InverseKinematics
+    guard: Guard
+    jogging: Callable[[bool], Jogging]  # of an arm that is homed; of one that is not
+
+
+@dataclass(frozen=True, slots=True)
 class Parts:
     """The parts of a runtime; see control.server.assemble."""
 
@@ -49,10 +65,10 @@ class Parts:
     set_point_limits: tuple[SetPointLimits, ...]
     homing: Callable[[], HomingSequence]
     gravity_compensation: GravityCompensation
-    jogging: Callable[[bool], Jogging]  # of an arm that is homed; of one that is not
     stop_from: Callable[[SetPoint], Motion]
-    guard: Guard
-    inverse: InverseKinematics
+    tools: Mapping[str, ToolParts]  # by name
+    tool: ToolParts  # the one that is on
+    loads: Loads
     camera: Camera | None
     joint_names: tuple[str, ...]
     do_counters_span: bool  # whose counters cover the whole travel of their joints without a wrap
@@ -62,4 +78,10 @@ class Parts:
     payload_limit_kg: float = math.inf
     allows_unrecorded: bool = False  # motions while the recording has stopped
     aim_limits: tuple[SetPointLimits, ...] = ()  # of the encoders' set-points, for such an arm
+    gripper: GripperControl | None = None
+    outputs: Outputs | None = None
     joint_side: JointSide | None = None  # of an arm whose encoders do not say where its joints are
+
+    def with_tool(self, name: str) -> "Parts":
+        """The same parts with another tool on."""
+        return replace(self, tool=self.tools[name])

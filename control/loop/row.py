@@ -2,10 +2,12 @@
 
 import math
 
+from control.end_effector.gripper import State
 from control.loop import set_points
 from control.loop.arm_state import ArmState
 from control.safety.table import Mode
 
+GRIPPER_STATE_NUMBER = {state: number for number, state in enumerate(State)}
 MODE_NUMBER = {mode: number for number, mode in enumerate(Mode)}  # as recorded
 
 
@@ -33,4 +35,19 @@ def row_of(state: ArmState, late_s: float) -> list[float]:
         )  # fmt: skip
         if joints is not None:
             row += (joints[0][joint], joints[1][joint])
+    return row + _end_of(state)
+
+
+def _end_of(state: ArmState) -> list[float]:
+    """The columns of control.recording.layout: what is at the end of the arm."""
+    parts = state.parts
+    row: list[float] = [list(parts.tools).index(parts.tool.tool.name)] if len(parts.tools) > 1 else []
+    if (gripper := parts.gripper) is not None:
+        goal_m = gripper.goal.opening_m if gripper.goal is not None else None
+        row += [
+            math.nan if gripper.opening_m is None else gripper.opening_m, math.nan if goal_m is None else goal_m,
+            gripper.feedback.current_A, GRIPPER_STATE_NUMBER[gripper.state],
+        ]  # fmt: skip
+    if parts.outputs is not None:
+        row.append(sum(1 << bit for bit, level in enumerate(parts.outputs.levels.values()) if level))
     return row

@@ -6,6 +6,7 @@
       _advance         the mode's change of the set-point (hold, motion, jog, homing, stop, nothing)
       _aim             encoder set-points, on an arm whose gears or belt are known
       _drive           set-point -> feed-forward + PID -> hardware.write()
+      _drive_end       gripper and digital outputs
       _record          one row
 
 The runtime never waits and opens nothing: hardware, recorder and the rest are passed in (control.server.assemble). The
@@ -15,6 +16,7 @@ modes are in control.loop.set_points, motion_modes, homing, shutdown and fault_r
 
 import contextlib
 
+from control.end_effector.gripper import State as GripperState
 from control.errors import ArmError
 from control.hardware.interface import OutputMode
 from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown
@@ -31,6 +33,12 @@ from firmware_iface.errors import BoardReset, LinkError
 # Feed-forward and PID share the weight: 1 kg at 0.75 m is 7 Nm, which the PID takes over in a second without being noticed.
 PAYLOAD_RATE_kg_s = 1.0
 RECORDING_LOOK_cycles = 50  # 0.1 s at 500 Hz; asking costs a system call
+NO_GRIP_MODES = (Mode.OFF, Mode.BRAKED, Mode.FAULT)
+TOOL_MODES = (
+    Mode.OFF,
+    Mode.BRAKED,
+    Mode.HOLDING,
+)  # in which nothing moves, so that the tip may be another one
 UNRECORDED_STOPS = (Mode.MOVING, Mode.HOMING)
 HOMING_CURRENT_FRACTION = 0.5  # during homing, and while joints without a zero are jogged
 
@@ -57,10 +65,11 @@ class Runtime(ArmState):
             if self.bridge is not None:
                 motion_modes.take_up(self, self.bridge)
             self._watch(missed_in_row)
-            self._follow_payload()
+            self._follow_loads()
             self._advance()
             self._aim()
             self._drive()
+            self._drive_end()
         except Exception as error:  # whatever fails here, the arm must not be left moving
             self._break_down(error)
         self._record(late_s)
@@ -129,16 +138,12 @@ class Runtime(ArmState):
         if self.is_shutting_down:
             shutdown.follow(self)
 
-    def _follow_payload(self) -> None:
-        """Let the model's payload follow the stated one: at once while nothing depends on it, else slowly."""
-        model, stated_kg = self.parts.servo.torque_model, self.stated_payload_kg
-        if model.payload_kg == stated_kg:
-            return
+    def _follow_loads(self) -> None:
+        """Let the model's masses follow tool and payload as stated: at once while nothing depends on them, else slowly."""
         if self.monitor.mode in (Mode.OFF, Mode.BRAKED):
-            model.payload_kg = stated_kg
-            return
-        most_kg = PAYLOAD_RATE_kg_s * self.elapsed_s
-        model.payload_kg += min(max(stated_kg - model.payload_kg, -most_kg), most_kg)
+            self.parts.loads.take_at_once()
+        else:
+            self.parts.loads.follow(PAYLOAD_RATE_kg_s * self.elapsed_s)
 
     def _aim(self) -> None:
         if (clip := set_points.aim(self)) is not None:
@@ -158,6 +163,18 @@ class Runtime(ArmState):
         is_free = self.monitor.mode is Mode.GUIDING
         output_mode = OutputMode.OFF if is_free else self._mode_without_control()
         self.parts.hardware.write(output_mode, servo.output, servo.feedforward_V)
+
+    def _drive_end(self) -> None:
+        """Gripper and outputs: they follow the drives on and off, and a fault of the arm."""
+        parts, mode = self.parts, self.monitor.mode
+        if parts.gripper is not None:
+            fault = parts.gripper.cycle(
+                self.now_s, self.drives.is_ready, mode is Mode.FAULT, mode is Mode.OFF
+            )
+            if fault is not None:
+                self.fail(fault)
+        if parts.outputs is not None:
+            parts.outputs.cycle(self.now_s, mode in (Mode.OFF, Mode.FAULT) or not self.drives.is_ready)
 
     def _mode_without_control(self) -> OutputMode:
         """0 V, or the boards' own hold after a fault that leaves them their feedback."""
@@ -219,6 +236,10 @@ class Runtime(ArmState):
 
     def acknowledge(self) -> tuple[Fault, ...]:
         """Acknowledge the faults on a person's request. Faulted drives are reset and enabled again at 0 V."""
+        if self.parts.gripper is not None and self.parts.gripper.state is GripperState.FAILED:
+            self.parts.gripper.recover()
+            self.has_waited = True
+            self.parts.hardware.reset_gripper()
         are_drives_faulted = any(self.parts.hardware.feedback.drive_faults)
         if are_drives_faulted or (self.monitor.mode is Mode.FAULT and not self.monitor.is_held_fault):
             self.has_waited = True
@@ -249,6 +270,23 @@ class Runtime(ArmState):
                 f"payload: expected mass_kg from 0 to {most_kg:g} kg ([limits] payload_limit_kg), got {mass_kg:g}"
             )
         self.stated_payload_kg = mass_kg
+        self.parts.loads.state(self.parts.tool.tool, mass_kg)
+
+    def change_tool(self, name: str) -> None:
+        """Another tool is on: the tip, the masses and what the arm must not meet are its. ArmError if the arm is not at rest."""
+        if name not in self.parts.tools:
+            known = ", ".join(tool for tool in self.parts.tools if tool)
+            raise ArmError(
+                f"tool: no tool {name!r}: expected one of {known}"
+                if known
+                else f"tool: no tool {name!r}: arm.toml names none; add a [[tool]] for each, with a name"
+            )
+        if self.monitor.mode not in TOOL_MODES:
+            raise ArmError(
+                f"the arm is {self.monitor.mode.name}, so its tool cannot be changed: it must hold at rest, or be off"
+            )
+        self.parts = self.parts.with_tool(name)
+        self.parts.loads.state(self.parts.tool.tool, self.stated_payload_kg)
 
     def take_known_zeros(self) -> bool:
         """Use the boards' zeros if all of them were set since power-up; return whether they were."""
@@ -282,12 +320,36 @@ class Runtime(ArmState):
         self.on(Event.RESUME)
 
     def stop(self) -> None:
-        """Controlled stop; legal in every mode."""
+        """Controlled stop, of the gripper, too; legal in every mode."""
+        if self.parts.gripper is not None:
+            self.parts.gripper.stop()
         motion_modes.stop(self)
 
     def brake(self) -> None:
-        """Short the windings now, without a controlled stop (see `stop`)."""
+        """Short the windings now, without a controlled stop (see `stop`); the gripper stops and holds."""
+        if self.parts.gripper is not None:
+            self.parts.gripper.stop()
         motion_modes.brake(self)
+
+    def grip(self, action: str, opening_m: float | None, force_N: float | None) -> None:
+        """Open, close or move the gripper. ArmError says why not, and then nothing changes."""
+        gripper = self.parts.gripper
+        if gripper is None:
+            raise ArmError("gripper: arm.toml describes none: add a [gripper]")
+        if action == "stop":
+            gripper.stop()
+            return
+        if self.monitor.mode in NO_GRIP_MODES or self.is_shutting_down:
+            raise ArmError(
+                f"the arm is {self.monitor.mode.name}, so the gripper does not move: the arm must hold, move or be guided"
+            )
+        gripper.ask(action, opening_m, force_N)
+
+    def set_output(self, name: str, level: bool) -> None:
+        """Set a digital output. ArmError says why not."""
+        if self.parts.outputs is None:
+            raise ArmError("digital: arm.toml names no pins: add a [[digital]]")
+        self.parts.outputs.set(name, level)
 
     def guide(self, weightless: bool) -> None:
         """Start hand guiding: circuits open, so somebody must hold the arm; or `weightless`, with gravity compensation.

@@ -20,7 +20,7 @@ def joints_standing(state: ArmState, encoder_rad: Sequence[float]) -> Angles:
     side = state.parts.joint_side
     if side is None or not state.monitor.is_homed:
         return tuple(encoder_rad)
-    return side.stand(encoder_rad, state.payload_kg())
+    return side.stand(encoder_rad)
 
 
 def measured(state: ArmState) -> SetPoint:
@@ -73,7 +73,7 @@ def objection(state: ArmState, wanted: SetPoint) -> str:
     """
     if state.monitor.mode not in ON_PATH:
         return ""
-    return state.parts.guard.objection(wanted.q_rad, state.set_point.q_rad)
+    return state.parts.tool.guard.objection(wanted.q_rad, state.set_point.q_rad)
 
 
 def aim(state: ArmState) -> Clip | None:
@@ -82,7 +82,7 @@ def aim(state: ArmState) -> Clip | None:
     if side is None or not state.monitor.is_homed:
         state.aim = state.set_point
         return None
-    wanted = SetPoint(*side.aim(state.set_point, state.elapsed_s, state.payload_kg()))
+    wanted = SetPoint(*side.aim(state.set_point, state.elapsed_s))
     if state.is_of_encoders:
         state.aim = state.set_point
         return None

@@ -17,6 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from control.errors import ArmError, MissingModel
 from control.model.board_kinds import KINDS, REFERENCE, BoardKind
+from control.model.end_effector import NO_TOOL, Digital, Gripper
+from control.model.end_effector import Tool as Tool
+from control.model.end_effector import Vector3 as Vector3
+from control.model.maps import CorrectionMap
 from control.model.rules import (
     ANGLE,
     BACKOFF,
@@ -47,13 +51,13 @@ from control.model.rules import (
     STALE,
     TILT,
     TIP_SPEED,
+    TURN_NOISE,
     UDP_PORT,
     WATCHDOG,
     ZERO_OR_MORE,
 )
 
 Convention = Literal["standard", "modified"]
-Vector3 = tuple[float, float, float]
 Position = Annotated[Vector3, POSITION]
 Direction = Annotated[int, DIRECTION]
 NonNegative = Annotated[float, NOT_NEGATIVE]
@@ -174,14 +178,6 @@ class Drive:
 
 
 @dataclass(frozen=True, slots=True)
-class Tool:
-    """Position of the tip in the last frame, and whether it is known or to be identified."""
-
-    position_m: Annotated[Position, "the tip (tool centre point) in the last link's frame"] = (0.0, 0.0, 0.0)
-    known: Annotated[bool, "false: `calibrate` identifies it"] = True
-
-
-@dataclass(frozen=True, slots=True)
 class Table:
     """The calibration table; `control.model.table` computes its points."""
 
@@ -205,6 +201,12 @@ class Camera:
     """The camera that measures the tip (docs/camera.md)."""
 
     position_noise_m: Annotated[NonNegative, CAMERA_NOISE, "standard deviation per axis"] = 0.0
+    orientation_noise_rad: Annotated[
+        NonNegative,
+        TURN_NOISE,
+        "standard deviation about each axis of measured orientations",
+        "0.002 is assumed",
+    ] = 0.0
     udp_port: Annotated[int, UDP_PORT, "on which its frames arrive"] = 47_310
 
 
@@ -335,7 +337,7 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """An arm: geometry, masses, drives, boards and limits, read from the file `path`."""
+    """An arm: geometry, masses, drives, boards and limits, read from the file `path`. `tool` is the one that is on."""
 
     name: Annotated[str, NAME, "sockets and recordings carry it"]
     links: Annotated[tuple[Link, ...], "base to tip"] = field(metadata={"key": "link"})
@@ -345,10 +347,15 @@ class Arm:
         '"standard": Tz(d) Rz(theta) Tx(L) Rx(alpha); "modified": Rx(alpha) Tx(L) Rz(theta) Tz(d)',
     ] = "standard"
     drives: Annotated[tuple[Drive, ...], "one a joint"] = field(default=(), metadata={"key": "drive"})
-    tool: Annotated[Tool, ""] = Tool()
+    tool: Annotated[Tool, ""] = NO_TOOL
     table: Annotated[Table | None, ""] = None
     camera: Annotated[Camera | None, ""] = None
+    gripper: Annotated[Gripper | None, ""] = None
+    digital: Annotated[tuple[Digital, ...], "spare pins of the motor boards"] = ()
     effects: Annotated[tuple[Effect, ...], ""] = field(default=(), metadata={"key": "effect"})
+    maps: Annotated[tuple[CorrectionMap, ...], "what `gap --map` measured beyond every effect"] = field(
+        default=(), metadata={"key": "map"}
+    )
     encoder_boards: Annotated[tuple[EncoderBoardPort, ...], "three channels each"] = field(
         default=(), metadata={"key": "encoder_board"}
     )
@@ -360,7 +367,28 @@ class Arm:
     limits: Annotated[Limits, ""] = Limits()
     recording: Annotated[RecordingPolicy, ""] = RecordingPolicy()
     calibration: Annotated[Calibration | None, ""] = None
+    spare_tools: tuple[Tool, ...] = field(default=(), metadata={"key": ""})  # the other [[tool]]s of the file
     path: Path | None = field(default=None, compare=False, metadata={"key": ""})
+
+    @property
+    def tools(self) -> tuple[Tool, ...]:
+        """All tools; the first is on."""
+        return (self.tool, *self.spare_tools)
+
+    def with_tool(self, name: str) -> "Arm":
+        """Return the same arm with another of its tools on. ArmError lists the tools if there is none of this name."""
+        if name == self.tool.name:
+            return self
+        named = {tool.name: tool for tool in self.spare_tools}
+        if name not in named:
+            known = ", ".join(tool.name for tool in self.tools if tool.name)
+            raise ArmError(
+                f"arm {self.name}: no tool {name!r}: expected one of {known}"
+                if known
+                else f"arm {self.name}: no tool {name!r}: its file names none; add a [[tool]] for each, with a name"
+            )
+        others = tuple(tool for tool in self.tools if tool.name != name)
+        return dataclasses.replace(self, tool=named[name], spare_tools=others)
 
     @property
     def joints(self) -> tuple[bool, ...]:

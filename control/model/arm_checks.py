@@ -5,10 +5,12 @@ from collections.abc import Hashable, Iterable
 from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Table
 from control.model.board_kinds import KINDS
 from control.model.effects import check_effect
+from control.model.maps import check_map
 from control.model.plausible import check_plausible
 from control.model.reader import Rejected
 
 LONGEST_JOG_SILENCE_S = 0.5
+DIGITAL_MOST = 32
 Named = tuple[tuple[str | int, ...], Hashable]
 
 
@@ -23,6 +25,7 @@ def check_arm(arm: Arm) -> None:
         _check_drive(arm, drive, index)
     _check_wiring(arm)
     _check_boards(arm)
+    _check_end(arm)
     _check_rest(arm)
     _check_recording(arm)
     if arm.limits.jog_silence_s > LONGEST_JOG_SILENCE_S:
@@ -31,6 +34,7 @@ def check_arm(arm: Arm) -> None:
     if arm.table is not None:
         _check_table(arm.table)
     _check_effects(arm)
+    _check_maps(arm)
     check_plausible(arm)
 
 
@@ -135,6 +139,48 @@ def _check_drive_board(arm: Arm, drive: Drive, path: tuple[str | int, ...]) -> N
         raise Rejected((*path, "encoder_board"), expected, "nothing")
 
 
+def _check_end(arm: Arm) -> None:
+    nodes = {drive.motor_node: f"joint {drive.joint}" for drive in arm.drives if not drive.board}
+    if arm.drives and not nodes and (arm.gripper is not None or arm.digital):
+        key = "gripper" if arm.gripper is not None else "digital"
+        expected = "a reference motor board among the drives: their bus carries gripper and pins"
+        raise Rejected((key,), expected, "only drives with a [[board]]")
+    if (gripper := arm.gripper) is not None:
+        if gripper.motor_node in nodes:
+            expected = "a motor board of its own"
+            raise Rejected(
+                ("gripper", "motor_node"),
+                expected,
+                f"{gripper.motor_node}, that of {nodes[gripper.motor_node]}",
+            )
+        if gripper.usual_force_N > gripper.force_limit_N:
+            expected = f"at most {gripper.force_limit_N:.1f} N, the force at current_limit_A"
+            raise Rejected(("gripper", "force_N"), expected, str(gripper.force_N))
+        nodes[gripper.motor_node] = "the gripper"
+    for i, pin in enumerate(arm.digital):
+        if pin.board not in nodes:
+            known = ", ".join(str(node) for node in sorted(nodes)) or "none"
+            raise Rejected(
+                ("digital", i, "board"), f"the motor_node of a drive or the gripper: {known}", str(pin.board)
+            )
+        if pin.direction == "input" and pin.safe != "low":
+            raise Rejected(("digital", i, "safe"), "no safe level: an input has none", pin.safe)
+    _check_unique(
+        ((("digital", i, "name"), pin.name) for i, pin in enumerate(arm.digital)),
+        "a unique name for every [[digital]]",
+    )
+    _check_unique(
+        ((("digital", i, "pin"), (pin.board, pin.pin)) for i, pin in enumerate(arm.digital)),
+        "one [[digital]] per pin (board, pin)",
+    )
+    if len(arm.digital) > DIGITAL_MOST:
+        raise Rejected(
+            ("digital",),
+            f"at most {DIGITAL_MOST} pins (a recording holds them in 32 bits)",
+            str(len(arm.digital)),
+        )
+
+
 def _check_unique(items: Iterable[Named], expected: str) -> None:
     seen: set[Hashable] = set()
     for path, value in items:
@@ -183,4 +229,18 @@ def _check_effects(arm: Arm) -> None:
     _check_unique(
         ((("effect", i, "effect"), (effect.effect, effect.joint)) for i, effect in enumerate(arm.effects)),
         "each effect once per joint",
+    )
+
+
+def _check_maps(arm: Arm) -> None:
+    driven = frozenset(drive.joint for drive in arm.drives)
+    for index, one in enumerate(arm.maps):
+
+        def fault(path: tuple[str, ...], expected: str, got: str, index: int = index) -> Rejected:
+            return Rejected(("map", index, *path), expected, got)
+
+        check_map(one, arm.joint_count, driven, fault)
+    _check_unique(
+        ((("map", i, "over"), (one.joint, one.corrects, one.over)) for i, one in enumerate(arm.maps)),
+        "each map once per joint",
     )

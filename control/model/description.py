@@ -36,6 +36,7 @@ from control.model.arm import (
     Vector3,
 )
 from control.model.arm_checks import check_arm
+from control.model.end_effector import Gripper, read_tools
 from control.model.reader import Rejected, keys_of, read_table, show
 from control.model.toml_lines import Path as KeyPath
 from control.model.toml_lines import key_lines, nearest_line
@@ -51,6 +52,7 @@ __all__ = [
     "DrivePid",
     "Effect",
     "EncoderBoardPort",
+    "Gripper",
     "Home",
     "Limits",
     "Link",
@@ -95,7 +97,10 @@ def parse_arm(text: str, path: Path) -> Arm:
     except tomllib.TOMLDecodeError as error:
         raise _syntax_error(error, text, path) from None
     try:
+        document, tools = read_tools(document)
         arm = read_table(Arm, document)
+        if tools:
+            arm = dataclasses.replace(arm, tool=tools[0], spare_tools=tools[1:])
         check_arm(arm)
     except Rejected as error:
         line = nearest_line(key_lines(text), error.path)
@@ -123,7 +128,10 @@ def save_arm(arm: Arm, path: str | Path) -> None:
 
 def arm_text(arm: Arm) -> str:
     """Return the arm as the text of an arm.toml, with exact numbers."""
-    text = tomli_w.dumps(_table_of(arm))
+    table = _table_of(arm)
+    if arm.spare_tools:
+        table["tool"] = [_table_of(tool) for tool in arm.tools]
+    text = tomli_w.dumps(table)
     if arm.calibration is not None:
         return f"# A calibrated arm, from {_one_line(arm.calibration.source)}; see [calibration].\n{text}"
     return text

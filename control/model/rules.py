@@ -60,6 +60,11 @@ NAME: Final = Rule(
     is_file_name,
     "sockets and recordings are named after the arm",
 )
+LONGEST_WORD = 32
+WORD: Final = Rule(
+    f"a name of 1 to {LONGEST_WORD} letters, digits, - and _, that begins with a letter",
+    lambda name: bool(re.fullmatch(rf"[A-Za-z][A-Za-z0-9_-]{{0,{LONGEST_WORD - 1}}}", name)),
+)
 # What protects the arm may be set wider than its default, but not without end.
 WATCHDOG: Final = Rule(
     "a time from 0.005 to 1 s",
@@ -85,6 +90,7 @@ ROTATE_BYTES: Final = Rule("a size of at least 1000000 bytes", lambda n: n >= 1_
 DIRECTION: Final = Rule("1 or -1", lambda n: n in (1, -1))
 KIND: Final = Rule(f"a kind of board: {', '.join(KINDS)}", lambda kind: kind in KINDS)
 NODE: Final = Rule("a motor node from 1 to 15", lambda n: 1 <= n <= 15)
+PIN: Final = Rule("a pin from 0 to 7", lambda n: 0 <= n <= 7)
 ENCODER_BITS: Final = Rule("a counter width from 8 to 32 bits (a report has 32)", lambda n: 8 <= n <= 32)
 UDP_PORT: Final = Rule("a UDP port from 1 to 65535", lambda n: 1 <= n <= 65535)
 ANGLE: Final = Rule("an angle within +-2 pi rad", lambda x: abs(x) <= 2 * math.pi, *_DEG)
@@ -100,8 +106,12 @@ HEIGHT: Final = Rule("a height within +-10 m", lambda x: abs(x) <= 10.0, *_MM)
 BOARD_SIZE: Final = Rule("a length up to 3 m", lambda x: x <= 3.0, *_MM)
 CLEARANCE: Final = Rule("a distance up to 1 m", lambda x: x <= 1.0, *_MM)
 CAMERA_NOISE: Final = Rule("a noise up to 0.05 m", lambda x: x <= 0.05, *_MM)
+TURN_NOISE: Final = Rule("a noise up to 0.05 rad", lambda x: x <= 0.05, *_DEG)
 TIP_SPEED: Final = Rule("a speed up to 20 m/s", lambda x: x <= 20.0, "", "millimetres per second", 1e-3)
 PAYLOAD: Final = Rule("a mass up to 3000 kg", lambda x: x <= 3000.0, *_GRAMS)
+TOOL_MASS: Final = Rule("a mass up to 100 kg", lambda x: x <= 100.0, *_GRAMS)
+TRAVEL: Final = Rule("a length up to 0.5 m", lambda x: x <= 0.5, *_MM)
+FINGER_SPEED: Final = Rule("a speed up to 2 m/s", lambda x: x <= 2.0, "", "millimetres per second", 1e-3)
 ROTOR: Final = Rule("an inertia up to 0.5 kg m^2", lambda x: x <= 0.5, "", "g cm^2", 1e-7)
 GRAVITY: Final = Rule(
     "an acceleration up to 30 m/s^2", lambda v: math.hypot(*v) <= 30.0, "", "millimetres per s^2", 1e-3

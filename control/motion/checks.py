@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from control.kinematics.corners import Corners
 from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
 from control.model.arm import Arm, Limits
@@ -17,6 +18,7 @@ from control.motion.errors import PathError
 from control.motion.joint_limits import JointLimits
 from control.motion.samples import Array, JointSamples, TipSamples
 from control.motion.waypoints import Waypoints
+from control.safety.room import Room
 
 # Smallest singular value of J [m/rad] allowed on a path: with less, a tip speed of 0.02 m/s needs 1
 # rad/s.
@@ -26,6 +28,7 @@ TOUCH_TOLERANCE_M = 0.0005
 # The board reaches this far beyond its outermost cavity.
 _BOARD_MARGIN_M = 0.03
 _ROUNDING_RAD = 1e-6
+_DEEPER_M = 1e-6  # rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +115,23 @@ def check_clearance(
             return f"the {what} would go {-height[i]:.4f} m below the {'table' if is_over[i] else 'floor'}"
 
         _require(height >= -TOUCH_TOLERANCE_M, waypoints, times_s, tip, say, height)
+
+
+def check_room(
+    arm: Arm, waypoints: Waypoints, times_s: Sequence[float], tip: TipSamples, q_rad: Array
+) -> None:
+    """Raise PathError where any link would meet floor, table or its own base, as the loop's guard sees it.
+
+    An arm that begins inside may move out.
+    """
+    corners, room = Corners(arm), Room.of(arm)
+    for distance_m, what in room.clearances(corners.batch(q_rad), corners.first_free):
+        allowed_m = min(float(distance_m[0]), 0.0) - _DEEPER_M
+
+        def say(i: int, what: str = what, distance_m: Array = distance_m) -> str:
+            return f"{what}, by {-distance_m[i]:.4f} m"
+
+        _require(distance_m >= allowed_m, waypoints, times_s, tip, say, distance_m)
 
 
 def demands(tip: TipSamples, joints: JointSamples, limits: JointLimits, of_tip: Limits) -> list[Demand]:

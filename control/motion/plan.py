@@ -7,7 +7,7 @@ follow, and the velocity stays continuous. Other sections keep their speed. Afte
 excess of a few per mille is removed by slowing the whole path.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -148,10 +148,15 @@ def plan_path(
     recipe = timed(named.points, asked, pace_m_s=pace_m_s, turns_rad=turns)
     kinematics = kinematics or Kinematics(arm)
     follower = _follower(arm, named, inverse, kinematics)
-    planner = _Planner(arm, kinematics, follower, named, setup)
     rest = arm.rest.q_rad if arm.rest else (0.0,) * arm.joint_count
+    starts = islice(follower.starts(rest if q_near_rad is None else q_near_rad), _STARTS)
+    return _first(_Planner(arm, kinematics, follower, named, setup), recipe, starts)
+
+
+def _first(planner: "_Planner", recipe: TimedWaypoints, starts: Iterable[Start]) -> PlannedPath:
+    """The plan from the first start that can be run; else the first start's error."""
     problems: list[ArmError] = []
-    for start in islice(follower.starts(rest if q_near_rad is None else q_near_rad), _STARTS):
+    for start in starts:
         try:
             return planner.plan(recipe, start)
         except ArmError as problem:
@@ -220,6 +225,8 @@ class _Planner:
         checks.check_clearance(
             self._arm, self._kinematics, self._setup, self._waypoints, spline.times_s, tip, joints.q_rad
         )
+        if joints.jacobian is not None:  # links whose place the tip's position does not fix
+            checks.check_room(self._arm, self._waypoints, spline.times_s, tip, joints.q_rad)
 
     def _factors(
         self,

@@ -13,6 +13,7 @@ from typing import TextIO
 
 from control.files import make_whole
 from control.model.arm import Arm
+from control.recording.layout import END_FIELDS
 from control.recording.mcap_file import to_mcap
 from control.recording.reading import RecordError, Recording
 from control.recording.record import JOINT_SIDE_FIELDS, Layout
@@ -68,13 +69,15 @@ def _run_rows(recording: Recording, every: int, report: Callable[[int], None]) -
 
 def _csv_columns(layout: Layout) -> list[str]:
     joints = range(1, layout.joint_count + 1)
-    sides = [form.format(j) for form, _ in JOINT_SIDE_FIELDS for j in joints]
+    more = [form.format(j) for form, _ in JOINT_SIDE_FIELDS for j in joints] + [
+        name for name, _ in END_FIELDS
+    ]
     return [
         *CSV_SCALARS[:2],
         *(n.format(j) for n in CSV_JOINT for j in joints),
         *CSV_SCALARS[2:],
         *CSV_REST,
-        *(name for name in sides if name in layout.names),
+        *(name for name in more if name in layout.names),
     ]
 
 

@@ -53,6 +53,9 @@ KINDS: Final[Mapping[str, Kind]] = {
     "i{}_A": Kind(10**3, 1),
     "supply{}_V": Kind(10**3, 1),
     "temperature{}_C": Kind(10**2, 1),
+    "gripper_m": Kind(10**7, 1),
+    "gripper_goal_m": Kind(10**7, 1),
+    "gripper_A": Kind(10**3, 1),
 }
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 Schema = dict[str, Any]
-JOINTS, SET_POINT, ERROR, DRIVES, CAMERA, LOOP = (
-    "/joints", "/joints/set_point", "/joints/following_error", "/drives", "/camera", "/loop",
+JOINTS, SET_POINT, ERROR, DRIVES, CAMERA, LOOP, END = (
+    "/joints", "/joints/set_point", "/joints/following_error", "/drives", "/camera", "/loop", "/end_effector",
 )  # fmt: skip
 
 
@@ -57,6 +57,14 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("late_s", "s", "how late the cycle began"),
         Field("busy_s", "s", "how long the cycle took"),
         Field("payload_kg", "kg", "mass at the tip, as stated"),
+    ),
+    END: (
+        Field("tool", "1", "number of the tool that is on, from 0, in the order of the arm.toml"),
+        Field("gripper_m", "m", "opening of the gripper; absent: not known"),
+        Field("gripper_goal_m", "m", "opening that was asked for; absent: none, or its end"),
+        Field("gripper_A", "A", "current of the gripper's motor, opening positive"),
+        Field("gripper_state", "1", "number of the gripper's state, by control.end_effector.gripper.State"),
+        Field("digital", "1", "levels of the named pins as bits, in the order of the arm.toml"),
     ),
 }  # fmt: skip
 MODE_NAME: Final = Field("mode_name", "1", "mode of the arm: OFF, BRAKED, HOLDING, MOVING, ...")

@@ -53,14 +53,20 @@ class Layout:
     packing: struct.Struct
 
     @classmethod
-    def of(cls, joint_count: int, has_joint_side: bool = False) -> "Layout":
-        """The layout that this version writes; with joint angles beside encoder angles if the arm distinguishes them."""
+    def of(
+        cls, joint_count: int, has_joint_side: bool = False, more: Sequence[tuple[str, str]] = ()
+    ) -> "Layout":
+        """The layout that this version writes; with joint angles beside encoder angles if the arm distinguishes them.
+
+        `more`: name and code of columns at the end of each row (control.recording.layout).
+        """
         fields, of_joint = (
             list(SCALAR_FIELDS),
             (*JOINT_FIELDS, *(JOINT_SIDE_FIELDS if has_joint_side else ())),
         )
         for joint in range(1, joint_count + 1):
             fields += [(name.format(joint), code) for name, code in of_joint]
+        fields += more
         return cls(
             joint_count, tuple(n for n, _ in fields), struct.Struct("<" + "".join(c for _, c in fields))
         )

@@ -5,10 +5,12 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 
-from control.dynamics.dynamics import Dynamics
-from control.dynamics.feedforward import torque_constants_Nm_A, torque_model
+from control.dynamics.feedforward import torque_constants_Nm_A
 from control.dynamics.gains import InertiaScale, gains_of
-from control.dynamics.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, JointSide, has_joint_side
+from control.dynamics.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, JointSide
+from control.dynamics.loads import Loads, without_tool_mass
+from control.end_effector.gripper import GripperControl
+from control.end_effector.outputs import Outputs
 from control.errors import MissingModel
 from control.hardware.board_stop import board_stop
 from control.hardware.interface import Hardware, OutputMode
@@ -17,7 +19,7 @@ from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.loop.homing_sequence import TURN_TOLERANCE, HomingSequence, JointHome
 from control.loop.jogging import Jogging
-from control.loop.parts import Camera, Parts
+from control.loop.parts import Camera, Parts, ToolParts
 from control.loop.runtime import Runtime
 from control.loop.watch import JointLimits as MeasuredLimits
 from control.loop.watch import Watch, WatchLimits
@@ -35,13 +37,14 @@ from control.motion.guard import Guard
 from control.motion.jog_limits import JogLimits
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import Stop
-from control.motion.setpoint import SetPoint
-from control.recording.record import Layout, NoSink, Recorder, RowSink
+from control.recording.layout import layout_of
+from control.recording.record import NoSink, Recorder, RowSink
 from control.safety.limits import SetPointLimits
 from control.server.requests import Requests
 from control.servo.gravity_compensation import GravityCompensation
 from control.servo.pid import Pid
 from control.servo.servo import Motor, Servo
+from control.servo.torque_model import MotionTorque
 
 PAUSE_LIMIT = 0.9  # of the boards' watchdog: a host with longer pauses is not fit to control an arm
 OVERSPEED = 1.5  # of the speed limit: no controlled motion overshoots as much
@@ -73,15 +76,14 @@ def assemble(
 ) -> Assembly:
     """Build a runtime that is ready for its first cycle. MissingModel if arm.toml lacks data for control."""
     limits = JointLimits.of(arm)
-    jog_limits = JogLimits.of(arm)
-    kinematics, inverse = Kinematics(arm), InverseKinematics(arm)
-    inverse.prepare()
+    tools = {tool.name: _tool_parts(arm.with_tool(tool.name), limits) for tool in arm.tools}
+    tool, loads = tools[arm.tool.name], Loads(arm)
     names = tuple(f"joint {drive.joint}" for drive in arm.drives)
-    servo, guard = _servo(arm, period_s), Guard(arm, limits)
+    servo = _servo(arm, loads, period_s)
     measurement = _measurement(arm)
     parts = Parts(
         hardware=hardware,
-        recorder=Recorder(Layout.of(arm.joint_count, has_joint_side(arm)), sink or NoSink()),
+        recorder=Recorder(layout_of(arm), sink or NoSink()),
         measurement=measurement,
         servo=servo,
         watch=Watch(_watch_limits(arm, period_s), names),
@@ -94,10 +96,10 @@ def assemble(
         gravity_compensation=GravityCompensation(
             _motors(arm), servo.torque_model, names, [OVERSPEED * limit for limit in limits.speed_rad_s]
         ),
-        jogging=lambda is_homed: Jogging(jog_limits, inverse, guard if is_homed else None),
         stop_from=lambda state: Stop(state, limits),
-        guard=guard,
-        inverse=inverse,
+        tools=tools,
+        tool=tool,
+        loads=loads,
         camera=camera,
         joint_names=names,
         do_counters_span=all(_does_counter_span(drive) for drive in arm.drives),
@@ -107,10 +109,30 @@ def assemble(
         allows_unrecorded=arm.recording.unrecorded == "allow",
         payload_limit_kg=arm.limits.payload_limit_kg,
         aim_limits=tuple(_aim_limits(drive) for drive in arm.drives),
-        joint_side=JointSide.of(arm),
+        gripper=_gripper(arm, hardware),
+        outputs=Outputs(arm.digital, hardware.end.pins) if hardware.end.pins is not None else None,
+        joint_side=JointSide.of(without_tool_mass(arm), loads.torques),
     )
     runtime = Runtime(parts)
-    return Assembly(runtime, Requests(runtime, limits, kinematics, {"arm": arm.name, **(about or {})}))
+    return Assembly(runtime, Requests(runtime, limits, {"arm": arm.name, **(about or {})}))
+
+
+def _gripper(arm: Arm, hardware: Hardware) -> GripperControl | None:
+    board = hardware.end.gripper
+    return GripperControl(arm.gripper, board) if arm.gripper is not None and board is not None else None
+
+
+def _tool_parts(arm: Arm, limits: JointLimits) -> ToolParts:
+    """What depends on where the tip is; the arm's present tool is on."""
+    inverse, guard, jog_limits = InverseKinematics(arm), Guard(arm, limits), JogLimits.of(arm)
+    inverse.prepare()
+    return ToolParts(
+        tool=arm.tool,
+        kinematics=Kinematics(arm),
+        inverse=inverse,
+        guard=guard,
+        jogging=lambda is_homed: Jogging(jog_limits, inverse, guard if is_homed else None),
+    )
 
 
 def _motor_counts(arm: Arm, names: Sequence[str]) -> MotorCountWatch:
@@ -164,7 +186,7 @@ def _witness_limits(arm: Arm) -> WitnessLimits:
     )
 
 
-def _servo(arm: Arm, period_s: float) -> Servo:
+def _servo(arm: Arm, loads: Loads, period_s: float) -> Servo:
     modes = {drive.pid.mode for drive in arm.drives}
     if len(modes) != 1:
         raise MissingModel(
@@ -177,7 +199,7 @@ def _servo(arm: Arm, period_s: float) -> Servo:
         limit = drive.current_limit_A if mode is OutputMode.CURRENT else drive.supply_V
         pids.append(Pid(gains.kp, gains.ki, gains.kd, gains.derivative_filter_s, limit, period_s))
     shares = InertiaScale(arm) if mode is OutputMode.CURRENT else None
-    return Servo(mode, _motors(arm), pids, TorqueModel(arm), period_s, shares)
+    return Servo(mode, _motors(arm), pids, MotionTorque(arm, loads), period_s, shares)
 
 
 def _motors(arm: Arm) -> list[Motor]:
@@ -189,46 +211,6 @@ def _motor(drive: Drive, joint_constant: float) -> Motor:
     return Motor(
         1.0 / joint_constant, drive.resistance_ohm, joint_constant, drive.supply_V, drive.current_limit_A
     )
-
-
-class TorqueModel:
-    """Feed-forward torques of a motion; the payload at the tip may change at run time.
-
-    Torques are linear in the payload's mass, so those of 1 kg are scaled.
-    """
-
-    def __init__(self, arm: Arm) -> None:
-        self.payload_kg = 0.0
-        self._known = torque_model(arm)
-        self._empty = Dynamics(arm).inverse
-        self._laden = Dynamics(arm, 1.0).inverse
-        self._rotor_kg_m2 = tuple(d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives)
-
-    def __call__(
-        self,
-        q_rad: Sequence[float],
-        speed_rad_s: Sequence[float],
-        acceleration_rad_s2: Sequence[float],
-        motors: SetPoint | None = None,
-        /,
-    ) -> Sequence[float]:
-        """Torques in N m: rigid body, rotors, payload, and the effects of the arm's file.
-
-        `motors` is their own set-point if it differs from the joints': it determines rotor inertia and cogging.
-        """
-        known: Sequence[float] = self._known(
-            q_rad, speed_rad_s, acceleration_rad_s2, None if motors is None else motors.q_rad
-        )
-        if motors is not None:
-            parts = zip(
-                known, self._rotor_kg_m2, motors.acceleration_rad_s2, acceleration_rad_s2, strict=True
-            )
-            known = [torque + inertia * (motor - joint) for torque, inertia, motor, joint in parts]
-        if self.payload_kg == 0.0:
-            return known
-        laden = self._laden(q_rad, speed_rad_s, acceleration_rad_s2)
-        empty = self._empty(q_rad, speed_rad_s, acceleration_rad_s2)
-        return [k + self.payload_kg * (w - e) for k, w, e in zip(known, laden, empty, strict=True)]
 
 
 def _watch_limits(arm: Arm, period_s: float) -> WatchLimits:

@@ -189,13 +189,16 @@ class ArmClient:
         if waits:
             self.arrive(answer["duration_s"] + 5.0)
 
-    def run_path(self, path: Message, waits: bool = True, as_encoders: bool = False) -> None:
+    def run_path(
+        self, path: Message, waits: bool = True, as_encoders: bool = False, tool: str | None = None
+    ) -> None:
         """Run a planned path (PlannedPath.to_message()); the arm must stand at its first point. `as_encoders`: as move_joints.
 
-        Where the tip's position does not fix the joints, the message is that of the joints' own path.
+        Where the tip's position does not fix the joints, the message is that of the joints' own path. `tool`: the one whose
+        tip it was planned for, if that is to be checked.
         """
         do = "run_joints" if "q_rad" in path else "run_path"
-        answer = self.ask(do, path=path, as_encoders=as_encoders)
+        answer = self.ask(do, path=path, as_encoders=as_encoders, tool=tool)
         if waits:
             self.arrive(answer["duration_s"] + 5.0)
 
@@ -242,6 +245,43 @@ class ArmClient:
         """Controlled stop; returns when the arm holds."""
         self.ask("stop")
         self.until(["HOLDING", "BRAKED", "OFF", "GUIDING"], 5.0)
+
+    def tool(self, name: str) -> None:
+        """Another of the arm's tools is on. RequestRefused unless the arm is at rest."""
+        self.ask("tool", name=name)
+
+    def grip(
+        self, action: str, opening_m: float | None = None, force_N: float | None = None, waits: bool = True
+    ) -> Message:
+        """Open, close or move (to `opening_m`) the gripper; returns its state (docs/socket.md) at the end of its motion.
+
+        RequestRefused says why it does not move. ArmFaulted if the arm goes to FAULT meanwhile.
+        """
+        gripper: Message = self.ask("gripper", action=action, opening_m=opening_m, force_N=force_N)["gripper"]
+        number = gripper["number"]
+        while waits and gripper["is_moving"] and gripper["number"] == number:
+            self._channel.wait(POLL_S)
+            status = self.status()
+            if status["mode"] == "FAULT":
+                raise ArmFaulted(fault_text(status))
+            gripper = status["gripper"]
+        return gripper
+
+    def set_output(self, name: str, level: bool) -> None:
+        """Set a digital output. RequestRefused while the drives are off or the arm is in FAULT."""
+        self.ask("digital", name=name, level=level)
+
+    def await_level(self, name: str, level: bool, timeout_s: float) -> bool:
+        """Wait until a pin has a level; False on time-out. ArmError if there is no such pin."""
+        waited_s = 0.0
+        while True:
+            pins = self.status()["digital"]
+            if name not in pins:
+                raise ArmError(f"digital: no pin {name!r}: expected one of {', '.join(pins) or 'none'}")
+            if pins[name]["level"] is level or waited_s >= timeout_s:
+                return bool(pins[name]["level"] is level)
+            self._channel.wait(POLL_S)
+            waited_s += POLL_S
 
     def guide(self, weightless: bool = False) -> None:
         """Start hand guiding: open circuits, so somebody must hold the arm; or `weightless`, with gravity compensation."""

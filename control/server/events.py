@@ -38,6 +38,7 @@ class Events:
         self._faults = runtime.monitor.faults
         self._is_homed = runtime.monitor.is_homed
         self._next_step_s = 0.0
+        self._gripper: object = None  # its state
 
     def look(self) -> None:
         """Report changes since the last call."""
@@ -49,6 +50,10 @@ class Events:
         if monitor.is_homed is not self._is_homed:
             self._is_homed = monitor.is_homed
             self._say("every joint is homed" if self._is_homed else "not homed: zeros unknown")
+        if (gripper := runtime.parts.gripper) is not None and gripper.state is not self._gripper:
+            self._gripper = gripper.state
+            lost = "; it has lost what it held" if gripper.has_lost else ""
+            self._say(f"gripper: {gripper.state.value}{f' ({gripper.why})' if gripper.why else ''}{lost}")
         if runtime.is_shutting_down and runtime.now_s >= self._next_step_s:
             self._say_step()
 

@@ -66,9 +66,10 @@ class MoveJoints(Owned, tag="move_joints", kw_only=True):
 
 
 class RunPath(Owned, tag="run_path", kw_only=True):
-    """A planned path of the tip; read by control.motion.plan."""
+    """A planned path of the tip (of `tool`, if that is given); read by control.motion.plan."""
 
     path: dict[str, Any]
+    tool: Annotated[str, Meta(max_length=LONGEST_ID)] | None = None
     as_encoders: bool = False
 
 
@@ -76,6 +77,7 @@ class RunJoints(Owned, tag="run_joints", kw_only=True):
     """A path of the joints; read by control.motion.joint_path."""
 
     path: dict[str, Any]
+    tool: Annotated[str, Meta(max_length=LONGEST_ID)] | None = None
     as_encoders: bool = False
 
 
@@ -120,6 +122,27 @@ class Payload(_Message, tag="payload", kw_only=True):
     mass_kg: Annotated[float, Meta(ge=0.0)]
 
 
+class ChangeTool(_Message, tag="tool", kw_only=True):
+    """Another tool is on."""
+
+    name: Annotated[str, Meta(max_length=LONGEST_ID)]
+
+
+class Grip(_Message, tag="gripper", kw_only=True):
+    """Open, close, go to an opening, or stop."""
+
+    action: Literal["open", "close", "move", "stop"]
+    opening_m: float | None = None
+    force_N: float | None = None
+
+
+class SetOutput(_Message, tag="digital", kw_only=True):
+    """Set a digital output."""
+
+    name: Annotated[str, Meta(max_length=LONGEST_ID)]
+    level: bool
+
+
 class Off(_Message, tag="off", kw_only=True):
     """Shutdown."""
 
@@ -149,7 +172,22 @@ class _Envelope(msgspec.Struct):
 _ENVELOPE = msgspec.json.Decoder(_Envelope)
 _KINDS: Mapping[str, type[_Message]] = {
     str(kind.__struct_config__.tag): kind
-    for kind in (Home, MoveJoints, RunPath, RunJoints, Jog, Override, Guide, Average, Payload, Off, Control)
+    for kind in (
+        Home,
+        MoveJoints,
+        RunPath,
+        RunJoints,
+        Jog,
+        Override,
+        Guide,
+        Average,
+        Payload,
+        ChangeTool,
+        Grip,
+        SetOutput,
+        Off,
+        Control,
+    )
 }
 _DECODERS = {do: msgspec.json.Decoder(kind) for do, kind in _KINDS.items()}
 _PLAIN = msgspec.json.Decoder(Plain)

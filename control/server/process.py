@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from control.dynamics.joint_side import has_joint_side
 from control.hardware.attended_clock import AttendedClock
 from control.hardware.connect import Connection, connect
 from control.model.arm import Arm
 from control.model.description import arm_text
 from control.model.joint_map import JointMap
-from control.recording.record import Layout, PipeSink
+from control.recording.layout import about_columns, layout_of
+from control.recording.record import PipeSink
 from control.recording.recorder_state import RecorderState, hours_left
 from control.recording.rotation import begin, stored_row_bytes
 from control.server.assemble import Assembly, assemble
@@ -126,7 +126,7 @@ def _begun_recording(arm: Arm, options: ServeOptions) -> Path:
     started_s = time.time()
     name = time.strftime("%Y%m%d-%H%M%S", time.localtime(started_s))
     path = _free(options.log_folder, f"{arm.name}-{name}")
-    layout = Layout.of(arm.joint_count, has_joint_side(arm))
+    layout = layout_of(arm)
     begin(
         path,
         layout.about(
@@ -136,6 +136,7 @@ def _begun_recording(arm: Arm, options: ServeOptions) -> Path:
             program=f"armwright {version('armwright')}",
             started_unix_s=started_s,
             period_s=options.period_s,
+            **about_columns(arm),
             **layout.framed([JointMap(drive).radians_per_count for drive in arm.drives]),
         ),
     )
@@ -160,7 +161,7 @@ def _start_writer(arm: Arm, recording: Path) -> tuple["subprocess.Popen[bytes]",
 
 
 def _usage(arm: Arm, options: ServeOptions) -> str:
-    row_bytes = stored_row_bytes(Layout.of(arm.joint_count, has_joint_side(arm)).packing.size)
+    row_bytes = stored_row_bytes(layout_of(arm).packing.size)
     rate = 3600.0 * row_bytes / options.period_s
     return RecorderState(True, bytes_per_h=rate, hours_left=hours_left(options.log_folder, rate)).usage()
 

@@ -11,7 +11,6 @@ from typing import Any, Protocol
 
 from control.errors import ArmError
 from control.hardware.averaging import Averaging
-from control.kinematics.kinematics import Kinematics
 from control.loop.runtime import Runtime
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
@@ -24,7 +23,7 @@ from control.server import messages
 from control.server.control_right import ControlRight
 from control.server.jog_requests import jog_request
 from control.server.messages import Asked, decoded, numbers
-from control.server.status import status_of, step_of
+from control.server.status import gripper_status, status_of, step_of
 from firmware_iface.errors import LinkError
 
 Message = dict[str, Any]
@@ -59,12 +58,12 @@ class Listener(Protocol):
 class Requests:
     """Serves the requests of all clients of one runtime, and knows which of them is in control."""
 
-    def __init__(self, runtime: Runtime, limits: JointLimits, kinematics: Kinematics, about: Message) -> None:
+    def __init__(self, runtime: Runtime, limits: JointLimits, about: Message) -> None:
         self._runtime = runtime
         self._limits = limits
-        self._kinematics, self._poses = kinematics, runtime.parts.inverse.poses
         self._about = about
         self._right = ControlRight()
+        self._grips: int | None = None  # the client that moved the gripper last
         self.events: Listener | None = None
         self._serve: Mapping[str, Callable[[Any, int], Message]] = {
             "status": self._status,
@@ -87,6 +86,9 @@ class Requests:
             "average": self._average,
             "average_result": self._average_result,
             "payload": self._payload,
+            "tool": self._tool,
+            "gripper": self._grip,
+            "digital": self._set_output,
             "acknowledge": self._acknowledge,
             "fault_cycles": self._fault_cycles,
             "off": self._off,
@@ -124,7 +126,9 @@ class Requests:
             return _refused(f"request {do!r}: {type(error).__name__}: {error}")
 
     def on_gone(self, client: int) -> None:
-        """A client disconnected: what it began and what still goes on is stopped."""
+        """A client disconnected: what it began and what still goes on is stopped, a gripper on its way, too."""
+        if client == self._grips and self._runtime.parts.gripper is not None:
+            self._runtime.parts.gripper.stop()
         was_owner = self._right.owns(client, self._runtime.monitor.mode)
         self._right.gone(client)
         if was_owner:
@@ -137,7 +141,7 @@ class Requests:
 
     def _status(self, request: Any, client: int) -> Message:
         holder = self._right.holder(self._runtime.monitor.mode)
-        return {**self._about, **status_of(self._runtime, self._poses), "in_control": holder}
+        return {**self._about, **status_of(self._runtime), "in_control": holder}
 
     def _mode(self, request: Any, client: int) -> Message:
         runtime = self._runtime
@@ -178,22 +182,31 @@ class Requests:
         target = numbers("q_rad", request.q_rad, len(self._runtime.parts.joint_names))
         start = self._runtime.seen(request.as_encoders)
         move = JointMove(start, target, self._limits.scaled(request.speed))
-        self._runtime.parts.guard.require_move(move, start, target)
+        self._runtime.parts.tool.guard.require_move(move, start, target)
         return self._start(move, request.as_encoders, request, client)
 
     def _run_path(self, request: messages.RunPath, client: int) -> Message:
         path = PlannedPath.from_message(request.path)
+        tool = self._runtime.parts.tool
+        self._require_tool(request.tool)
         self._require_at(path.q_start_rad, request.as_encoders)
-        self._runtime.parts.guard.require_path(path)
-        motion = path.motion(self._runtime.parts.inverse, self._kinematics)
+        tool.guard.require_path(path)
+        motion = path.motion(tool.inverse, tool.kinematics)
         return self._start(motion, request.as_encoders, request, client)
 
     def _run_joints(self, request: messages.RunJoints, client: int) -> Message:
         path = JointPath.from_message(request.path)
+        self._require_tool(request.tool)
         path.require_within(self._limits)
         self._require_at(path.knots[0].q_rad, request.as_encoders)
-        self._runtime.parts.guard.require_joint_path(path)
+        self._runtime.parts.tool.guard.require_joint_path(path)
         return self._start(path, request.as_encoders, request, client)
+
+    def _require_tool(self, planned: str | None) -> None:
+        """Check that a path is for the tip of the tool that is on, if it says for which."""
+        on = self._runtime.parts.tool.tool.name
+        if planned is not None and planned != on:
+            raise ArmError(f"the path is for the tip of tool {planned!r}, and {on!r} is on: plan it again")
 
     def _require_at(self, first_rad: Sequence[float], as_encoders: bool) -> None:
         """Check that the arm holds at a path's first point."""
@@ -265,6 +278,21 @@ class Requests:
 
     def _payload(self, request: messages.Payload, client: int) -> Message:
         self._runtime.state_payload(request.mass_kg)
+        return {}
+
+    def _tool(self, request: messages.ChangeTool, client: int) -> Message:
+        self._runtime.change_tool(request.name)
+        return {"tool": request.name}
+
+    def _grip(self, request: messages.Grip, client: int) -> Message:
+        if (request.action == "move") is (request.opening_m is None):
+            raise ArmError("gripper: `move` needs opening_m, and the other actions have none")
+        self._runtime.grip(request.action, request.opening_m, request.force_N)
+        self._grips = client
+        return {"gripper": gripper_status(self._runtime)}
+
+    def _set_output(self, request: messages.SetOutput, client: int) -> Message:
+        self._runtime.set_output(request.name, request.level)
         return {}
 
     def _acknowledge(self, request: Any, client: int) -> Message:

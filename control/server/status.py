@@ -4,6 +4,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from control.end_effector.gripper import State as GripperState
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.rotation import quaternion_of
 from control.loop.runtime import Runtime
@@ -24,7 +25,7 @@ SHUTDOWN_STEPS = {
 NEAR = 0.9  # of a limit: warn below
 
 
-def status_of(runtime: Runtime, kinematics: PoseKinematics) -> dict[str, Any]:
+def status_of(runtime: Runtime) -> dict[str, Any]:
     """The complete state of the arm for operators and programs."""
     monitor = runtime.monitor
     recorder = runtime.parts.recorder.state()
@@ -34,7 +35,7 @@ def status_of(runtime: Runtime, kinematics: PoseKinematics) -> dict[str, Any]:
         "is_homed": monitor.is_homed,
         "t_s": runtime.now_s,
         "cycle": runtime.cycles,
-        **_angles(runtime, kinematics),
+        **_angles(runtime, runtime.parts.tool.inverse.poses),
         **_boards(runtime),
         "progress": runtime.progress(),
         "pace": runtime.pace(),
@@ -42,6 +43,11 @@ def status_of(runtime: Runtime, kinematics: PoseKinematics) -> dict[str, Any]:
         "step": step_of(runtime),
         "is_weightless": runtime.is_weightless and monitor.mode is Mode.GUIDING,
         "override": runtime.override,
+        "tool": runtime.parts.tool.tool.name,
+        "tools": [name for name in runtime.parts.tools if name],
+        "payload_kg": runtime.stated_payload_kg,
+        "gripper": gripper_status(runtime),
+        "digital": _digital(runtime),
         "faults": [
             {"code": f.code, "where": f.where, "message": f.message, "remedy": f.remedy}
             for f in monitor.faults
@@ -51,6 +57,34 @@ def status_of(runtime: Runtime, kinematics: PoseKinematics) -> dict[str, Any]:
         "lost_rows": recorder.lost_rows,
         "recording": recorder.file,
         "recorder": recorder.content(),
+    }
+
+
+def gripper_status(runtime: Runtime) -> dict[str, Any] | None:
+    """State and values of the gripper; None without one."""
+    if (gripper := runtime.parts.gripper) is None:
+        return None
+    goal = gripper.goal
+    return {
+        "state": gripper.state.name,
+        "is_moving": gripper.state is GripperState.MOVING,
+        "text": gripper.state.value + (f": {gripper.why}" if gripper.why else ""),
+        "opening_m": gripper.opening_m,
+        "goal_m": goal.opening_m if goal is not None else None,
+        "force_N": abs(gripper.feedback.current_A) * gripper.described.constant_N_A,
+        "current_A": gripper.feedback.current_A,
+        "has_lost": gripper.has_lost,
+        "number": gripper.number,
+    }
+
+
+def _digital(runtime: Runtime) -> dict[str, Any]:
+    """Direction and level of each pin by name; null: its board does not say."""
+    outputs = runtime.parts.outputs
+    if outputs is None:
+        return {}
+    return {
+        pin.name: {"direction": pin.direction, "level": outputs.levels[pin.name]} for pin in outputs.described
     }
 
 

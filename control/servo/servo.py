@@ -32,12 +32,10 @@ class JointPid(Protocol):
 
 
 class TorqueModel(Protocol):
-    """Feed-forward joint torques in N m for angles, speeds and accelerations, with a payload at the tip.
+    """Feed-forward joint torques in N m for angles, speeds and accelerations, with what the last link carries.
 
     `motors`: the set-point of the encoders, if it differs from the joints'.
     """
-
-    payload_kg: float
 
     def __call__(
         self,

@@ -8,6 +8,7 @@ from firmware_iface.errors import (
     BoardFaulted,
     BoardReset,
     BoardSilent,
+    LinkError,
     MisuseError,
     ProtocolViolation,
     WrongIdentity,
@@ -45,7 +46,11 @@ class MotorBoard:
     use them before and after a run only.
     """
 
-    def __init__(self, bus: MotorBus, node: int, name: str = "") -> None:
+    def __init__(
+        self, bus: MotorBus, node: int, name: str = "", problems: list[LinkError] | None = None
+    ) -> None:
+        """`problems`: where restarts and violations of this board go, if not to those that `MotorBus.update` raises."""
+        self._problems = bus.problems if problems is None else problems
         self.node = node
         self.name = name or f"motor{node}"
         self.reply: wire.Reply | None = None
@@ -219,6 +224,15 @@ class MotorBoard:
                 )
             self._send_and_wait(DriveCommand.FAULT_RESET, deadline_s)
 
+    def step_fault_reset(self) -> bool:
+        """One step of `acknowledge_fault` without waiting; True once no reply says FAULT. LinkLost."""
+        if self._last_state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            return True
+        if self._is_answered() or self._is_due():
+            was_reset = self._controlword == DriveCommand.FAULT_RESET
+            self._send_walking(DriveCommand.DISABLE_VOLTAGE if was_reset else DriveCommand.FAULT_RESET)
+        return False
+
     def _send_and_wait(self, controlword: int, deadline_s: float) -> None:
         self._send_walking(controlword)
         while True:
@@ -323,7 +337,7 @@ class MotorBoard:
         self.reply, self.reply_at_s, self._last_state = None, -math.inf, None
         self._order.forget()
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
-        self._bus.problems.append(
+        self._problems.append(
             BoardReset(
                 f"{self.where}: restarted by itself; it is off, and its gains, limits and count are lost: "
                 "check its supply, then connect again"
@@ -331,4 +345,4 @@ class MotorBoard:
         )
 
     def _violation(self, what: str, received: bytes) -> None:
-        self._bus.problems.append(ProtocolViolation(f"{self.where}: {what}", received))
+        self._problems.append(ProtocolViolation(f"{self.where}: {what}", received))

@@ -10,6 +10,7 @@ from firmware_iface.motor import wire
 FrameHandler = Callable[[bytes, float], None]
 """Takes a payload and the time it was read [s]. Appends to `MotorBus.problems`, never raises."""
 
+_OF_HOSTS = (wire.COMMAND_ID, wire.PARAMETER_REQUEST_ID, wire.DIGITAL_COMMAND_ID)
 _EMERGENCY_REPEATS = 3  # docs/motor_board.md: sent three times, so that one lost frame does not matter
 
 
@@ -36,6 +37,10 @@ class MotorBus:
         self.nodes.append(node)
         self._handlers[wire.REPLY_ID + node] = take_reply
         self._handlers[wire.PARAMETER_ANSWER_ID + node] = take_answer
+
+    def add_digital(self, node: int, take_digital: FrameHandler) -> None:
+        """Dispatch the DIGITAL_REPLYs of `node` from now on."""
+        self._handlers[wire.DIGITAL_REPLY_ID + node] = take_digital
 
     def update(self) -> None:
         """Process everything received. Raises LinkLost, and once per event BoardReset or ProtocolViolation.
@@ -74,7 +79,7 @@ class MotorBus:
         node = can_id & 0x7F
         if can_id == wire.EMERGENCY_STOP_ID:
             self.foreign_emergency_stops += 1
-        elif node in self.nodes and can_id - node in (wire.COMMAND_ID, wire.PARAMETER_REQUEST_ID):
+        elif node in self.nodes and can_id - node in _OF_HOSTS:
             self.problems.append(
                 ProtocolViolation(
                     f"CAN bus {self.name}: another program commands node {node} (id {can_id:#05x}); "

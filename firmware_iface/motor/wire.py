@@ -9,6 +9,8 @@ Little endian; ids are base + node. Tests compare this file with the DBC.
                                   temperature i8 (degC), faults u8
     PARAMETER_REQUEST 0x200+node  operation u8, index u8, sequence u8, zero u8, value i32
     PARAMETER_ANSWER  0x280+node  result u8, index u8, sequence u8, zero u8, value i32
+    DIGITAL_COMMAND   0x300+node  sequence u8, mask u8, levels u8, zeros
+    DIGITAL_REPLY     0x380+node  sequence u8, levels u8, outputs u8, is_safe u8, zeros
 """
 
 from dataclasses import dataclass
@@ -25,12 +27,16 @@ COMMAND_ID = 0x100
 REPLY_ID = 0x180
 PARAMETER_REQUEST_ID = 0x200
 PARAMETER_ANSWER_ID = 0x280
+DIGITAL_COMMAND_ID = 0x300
+DIGITAL_REPLY_ID = 0x380
 SEQUENCE_MASK = 0x1F
 WARNING_BIT = 0x80
 
 _COMMAND = Struct("<BBih")
 _REPLY = Struct("<BBhHbB")
 _PARAMETER = Struct("<BBBxi")
+_DIGITAL_COMMAND = Struct("<BBB5x")
+_DIGITAL_REPLY = Struct("<BBBB4x")
 
 pack_raw_command = _COMMAND.pack
 """(controlword, mode | sequence << 3, setpoint_raw, feedforward_mV) to bytes; struct.error if a number does not fit."""
@@ -98,6 +104,10 @@ class Parameter(IntEnum):
     DISABLED_OUTPUT = 34
     STOP_AFTER_ms = 35
     STOP_TIME_ms = 36
+    DIGITAL_PINS = 48
+    DIGITAL_OUTPUTS = 49
+    DIGITAL_SAFE_LEVELS = 50
+    DIGITAL_SAFE_KEEP = 51
 
 
 class Output(IntEnum):
@@ -206,3 +216,40 @@ class ParameterAnswer:
     def unpack(cls, payload: bytes) -> Self:
         """Unpack 8 bytes."""
         return cls(*_PARAMETER.unpack(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class DigitalCommand:
+    """Set the outputs of `mask` to their bits of `levels`, and ask for the pins."""
+
+    sequence: int
+    mask: int = 0
+    levels: int = 0
+
+    def pack(self) -> bytes:
+        """Pack the payload; struct.error if a number does not fit its field."""
+        return _DIGITAL_COMMAND.pack(self.sequence, self.mask, self.levels)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Unpack 8 bytes."""
+        return cls(*_DIGITAL_COMMAND.unpack(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class DigitalReply:
+    """The levels of all pins, and of the outputs as the board drives them; `is_safe`: they have their safe levels."""
+
+    sequence: int
+    levels: int
+    outputs: int
+    is_safe: int
+
+    def pack(self) -> bytes:
+        """Pack the payload; struct.error if a number does not fit its field."""
+        return _DIGITAL_REPLY.pack(self.sequence, self.levels, self.outputs, self.is_safe)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Unpack 8 bytes."""
+        return cls(*_DIGITAL_REPLY.unpack(payload))

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from hil_mocks.devices import motor_parameters as parameter
+from hil_mocks.devices.digital_pins import DigitalPinsMock
 from hil_mocks.devices.motor_states import NEXT, State, Word, word_of
 
 HOLD = 4  # mode
-COMMAND, REPLY, REQUEST, ANSWER = 0x100, 0x180, 0x200, 0x280
+COMMAND, REPLY, REQUEST, ANSWER, DIGITAL_COMMAND, DIGITAL_REPLY = 0x100, 0x180, 0x200, 0x280, 0x300, 0x380
 OVER_CURRENT, OVER_TEMPERATURE, UNDER_VOLTAGE, OVER_VOLTAGE = 1, 2, 4, 8
 WATCHDOG, ENCODER, BAD_COMMAND, EMERGENCY_STOP = 16, 32, 64, 128
 
@@ -69,6 +70,7 @@ class MotorBoardSetup:
     bridge_ohm: float = 0.02
     rated_degC: float = 90.0
     period_us: int = 1000
+    digital_pins: int = 0  # 0: an older board, which does not know them
     seed: int = 0
 
 
@@ -78,7 +80,8 @@ class MotorBoardMock:
     def __init__(self, setup: MotorBoardSetup, read_shaft: Callable[[], int]) -> None:
         self.setup = setup
         self._read_shaft = read_shaft
-        self._rows = parameter.writable(setup.rating_mA)
+        self._rows = parameter.writable(setup.rating_mA, setup.digital_pins)
+        self.pins = DigitalPinsMock(setup.digital_pins)
         source = random.Random(f"motor board {setup.node} {setup.seed}")
         self._noise = [source.gauss(0.0, 1.0) for _ in range(_NOISE_VALUES)]
         self._replies = 0
@@ -89,6 +92,7 @@ class MotorBoardMock:
     def power_up(self) -> None:
         """State after power-up or reset: outputs open, parameters at their defaults, count 0."""
         self.state = State.NOT_READY
+        self.pins.reset()
         self.output = OPEN
         self.faults = 0
         self.values = {index: row.at_power_up for index, row in self._rows.items()}
@@ -125,6 +129,9 @@ class MotorBoardMock:
             return [(REPLY + self.setup.node, self._command(payload, now_s))]
         if can_id == REQUEST + self.setup.node:
             return [(ANSWER + self.setup.node, self._parameter(payload))]
+        if can_id == DIGITAL_COMMAND + self.setup.node and self.setup.digital_pins:
+            self.pins.follow(self.state is State.ENABLED)
+            return [(DIGITAL_REPLY + self.setup.node, self.pins.command(payload))]
         return []
 
     def tick(self, now_s: float, current_A: float, supply_V: float, is_limited: bool) -> list[Frame]:
@@ -164,6 +171,8 @@ class MotorBoardMock:
             self._control(step_s)
         elif self._is_measuring_speed:
             self._measure_speed(step_s)
+        if self.setup.digital_pins:
+            self.pins.follow(self.state is State.ENABLED)
         return []
 
     def _causes(self) -> int:
@@ -406,6 +415,8 @@ class MotorBoardMock:
         }
         if index == parameter.POSITION_COUNT:
             return self.position_count
+        if index == parameter.DIGITAL_PINS:
+            return setup.digital_pins or None
         return fixed.get(index, self.values.get(index))
 
     def _write(self, index: int, value: int) -> int:
@@ -421,6 +432,12 @@ class MotorBoardMock:
         else:
             self.values[index] = value
             self._take_values()
+            if index in (
+                parameter.DIGITAL_OUTPUTS,
+                parameter.DIGITAL_SAFE_LEVELS,
+                parameter.DIGITAL_SAFE_KEEP,
+            ):
+                self.pins.configure(*(self.values[k] for k in range(49, 52)))
         self._apply()
         return parameter.DONE
 

@@ -11,6 +11,7 @@ POSITION_COUNT, KP, KI, KD, DERIVATIVE_FILTER_US = 4, 16, 17, 18, 19
 CURRENT_LIMIT_MA, VOLTAGE_LIMIT_MV, INTEGRAL_LIMIT_MV, SPEED_FEEDFORWARD = 20, 21, 22, 23
 WATCHDOG_MS, WATCHDOG_ACTION, DISABLED_OUTPUT = 32, 33, 34
 STOP_AFTER_MS, STOP_TIME_MS = 35, 36
+DIGITAL_PINS, DIGITAL_OUTPUTS, DIGITAL_SAFE_LEVELS, DIGITAL_SAFE_KEEP = 48, 49, 50, 51
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +23,12 @@ class Row:
     at_power_up: int
 
 
-def writable(rating_mA: int) -> dict[int, Row]:
-    """All writable parameters; `rating_mA` is the board's."""
+def writable(rating_mA: int, digital_pins: int = 0) -> dict[int, Row]:
+    """All writable parameters; `rating_mA` and `digital_pins` are the board's."""
+    pins = Row(0, (1 << digital_pins) - 1, 0)
+    digital = (DIGITAL_OUTPUTS, DIGITAL_SAFE_LEVELS, DIGITAL_SAFE_KEEP) if digital_pins else ()
     return {
+        **dict.fromkeys(digital, pins),
         POSITION_COUNT: Row(*_I32, 0),
         KP: Row(0, _I32[1], 0),
         KI: Row(0, _I32[1], 0),
@@ -45,7 +49,8 @@ def writable(rating_mA: int) -> dict[int, Row]:
 def refusal(rows: dict[int, Row], index: int, value: int) -> int:
     """DONE if the value is allowed at the index, else UNKNOWN_INDEX, READ_ONLY or OUT_OF_RANGE."""
     if index not in rows:
-        return READ_ONLY if index <= 5 else UNKNOWN_INDEX
+        is_read_only = index <= 5 or (index == DIGITAL_PINS and DIGITAL_OUTPUTS in rows)
+        return READ_ONLY if is_read_only else UNKNOWN_INDEX
     row = rows[index]
     if not row.lowest <= value <= row.highest or (index in (WATCHDOG_MS, STOP_AFTER_MS) and 0 < value < 5):
         return OUT_OF_RANGE

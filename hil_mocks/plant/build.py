@@ -45,6 +45,8 @@ class PlantModel:
     bristles: tuple[tuple[tuple[int, float], ...], ...]  # per joint (actuator, share) of its LuGre elements
     tip_site: int
     payload_body: int
+    tool_body: int
+    end_shift_m: Matrix  # of the frame that tip, payload and tool are in, from that of the last link
     bends: tuple[int, ...] = ()  # indices of the joints in the middle of bending links
 
 
@@ -71,6 +73,7 @@ class _Builder:
         self._spec = mujoco.MjSpec()
         self._bristles: list[list[tuple[str, float]]] = [[] for _ in arm.drives]
         self._bends: list[str] = []
+        self._end_shift_m: Matrix = np.zeros(3)
 
     def run(self) -> PlantModel:
         self._options()
@@ -126,10 +129,16 @@ class _Builder:
                 f'arm "{self._arm.name}": {joint} revolute links but {len(self._arm.drives)} [[drive]] sections; '
                 "the plant needs one drive for each joint."
             )
-        parent.add_site(name="tip", pos=self._arm.tool_m - shift_m)
-        load = parent.add_body(name="payload", pos=self._arm.tool_m - shift_m, explicitinertial=True)
-        load.mass, load.inertia = self._effects.payload_kg, [0.0, 0.0, 0.0]
-        load.ipos = [0.0, 0.0, 0.0]  # if unset, it would add the body's own pose again
+        tool = self._arm.tool
+        self._end_shift_m = shift_m
+        parent.add_site(name="tip", pos=tool.tip_m - shift_m)
+        for name, place_m, mass_kg in (
+            ("payload", tool.tip_m, self._effects.payload_kg),
+            ("tool", tool.com_m, tool.mass_kg),
+        ):
+            load = parent.add_body(name=name, pos=place_m - shift_m, explicitinertial=True)
+            load.mass, load.inertia = mass_kg, [0.0, 0.0, 0.0]
+            load.ipos = [0.0, 0.0, 0.0]  # if unset, it would add the body's own pose again
 
     def _true_frame(self, i: int) -> Frame:
         deviation = {key: value for (at, key), value in self._effects.dh_deviation.items() if at == i}
@@ -149,7 +158,7 @@ class _Builder:
 
     def _beam(self, i: int, frames: Sequence[Frame]) -> Beam:
         turns = [link.is_revolute for link in self._arm.links]
-        ends = ends_of(i, frames, turns, self._arm.convention == "standard", np.array(self._arm.tool_m))
+        ends = ends_of(i, frames, turns, self._arm.convention == "standard", np.array(self._arm.tool.tip_m))
         return beam(*ends, self._effects.link_EI_Nm2[i], f'arm "{self._arm.name}", link {i + 1}')
 
     def _bending(self, near: Any, bent: Beam, i: int) -> Any:
@@ -313,6 +322,8 @@ class _Builder:
             bristles=bristles,
             tip_site=int(model.site("tip").id),
             payload_body=int(model.body("payload").id),
+            tool_body=int(model.body("tool").id),
+            end_shift_m=self._end_shift_m,
             bends=tuple(int(model.joint(name).qposadr[0]) for name in self._bends),
         )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from control.model.description import Arm, Drive, Link
+from control.model.description import Arm, Drive, Link, Tool
 from hil_mocks.errors import MockError
 from hil_mocks.plant.geometry import Convention
 
@@ -43,6 +43,15 @@ class DriveParts:
 
 
 @dataclass(frozen=True, slots=True)
+class ToolParts:
+    """A tool: its tip, and a point mass, in the frame of the last link."""
+
+    tip_m: Vector
+    mass_kg: float = 0.0
+    com_m: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class ArmParts:
     """The physical arm; `convention` of its DH parameters."""
 
@@ -51,7 +60,7 @@ class ArmParts:
     convention: Convention
     links: tuple[LinkParts, ...]
     drives: tuple[DriveParts, ...]
-    tool_m: Vector
+    tool: ToolParts
 
 
 def parts_of(arm: Arm) -> ArmParts:
@@ -62,7 +71,16 @@ def parts_of(arm: Arm) -> ArmParts:
         convention="modified" if arm.dh_convention == "modified" else "standard",
         links=tuple(_link(arm, i, link) for i, link in enumerate(arm.links)),
         drives=tuple(_drive(drive) for drive in arm.drives),
-        tool_m=_vector(arm.tool.position_m),
+        tool=tool_parts(arm.tool),
+    )
+
+
+def tool_parts(tool: Tool) -> ToolParts:
+    """The parts of a [tool]; its mass is at the tip if its centre is not given."""
+    return ToolParts(
+        _vector(tool.position_m),
+        tool.mass_kg,
+        _vector(tool.position_m if tool.com_m is None else tool.com_m),
     )
 
 

@@ -15,7 +15,7 @@ from hil_mocks.plant.bridge import CURRENT, OPEN, VOLTAGE, Bridges, Winding
 from hil_mocks.plant.build import PlantModel, build
 from hil_mocks.plant.effects import PlantEffects
 from hil_mocks.plant.hand import Hand, Point
-from hil_mocks.plant.parts import ArmParts
+from hil_mocks.plant.parts import ArmParts, ToolParts
 from hil_mocks.plant.shaft import Shaft
 
 _FALL_rad_s = 0.5  # of a link that an operator lets down by hand
@@ -166,7 +166,18 @@ class Plant:
         if not mass_kg >= 0.0:
             raise MockError(f"payload: the mass must not be negative, got {mass_kg} kg.")
         self._model.body_mass[self._at.payload_body] = mass_kg
-        # Derived constants go through a scratch state: mj_setConst leaves it at the reference pose.
+        self._derive()
+
+    def set_tool(self, tool: ToolParts) -> None:
+        """Mount another tool; the payload goes with its tip."""
+        at, model = self._at, self._model
+        model.site_pos[at.tip_site] = model.body_pos[at.payload_body] = tool.tip_m - at.end_shift_m
+        model.body_pos[at.tool_body] = tool.com_m - at.end_shift_m
+        model.body_mass[at.tool_body] = tool.mass_kg
+        self._derive()
+
+    def _derive(self) -> None:
+        """Derived constants go through a scratch state: mj_setConst leaves it at the reference pose."""
         mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
 
     def energy_J(self) -> tuple[float, float]:

@@ -11,6 +11,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.design.reach import joint_box, spread_poses
 from control.dynamics.dynamics import Dynamics
+from control.end_effector.bus_load import end_frames_Hz
 from control.errors import MissingModel
 from control.kinematics.corners import Corners
 from control.kinematics.kinematics import Kinematics
@@ -182,10 +183,11 @@ def _buses(arm: Arm, rate_Hz: float) -> Buses | None:
     if arm.can is None or not arm.drives or not arm.encoder_boards:
         return None
     a_cycle_bits = 2 * len(arm.drives) * CAN_FRAME_bits
+    end_bits_s = end_frames_Hz(arm) * CAN_FRAME_bits
     reports = 2 * REPORT_WIRE_BYTES * BITS_A_BYTE  # two a cycle
     return Buses(
         rate_Hz=rate_Hz,
-        can=a_cycle_bits * rate_Hz / arm.can.bitrate,
+        can=(a_cycle_bits * rate_Hz + end_bits_s) / arm.can.bitrate,
         serial=tuple(reports * rate_Hz / board.baud for board in arm.encoder_boards),
-        can_rate_Hz=BUSY * arm.can.bitrate / a_cycle_bits,
+        can_rate_Hz=max(0.0, BUSY * arm.can.bitrate - end_bits_s) / a_cycle_bits,
     )

@@ -1,6 +1,7 @@
 """All drills, by name. What each promises is what docs/safety.md says."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from control.errors import ArmError
 from procedures.drills.drill import Drill
@@ -114,6 +115,16 @@ def _boards() -> Iterator[Drill]:
     )
 
 
+def _gripper() -> Iterator[Drill]:
+    """With an object in the gripper."""
+    gone, reset = _fault("silent", "motor4"), _fault("board_reset", "motor4")
+    for drill in (
+        *_both("gripper-silent", "gripper's board unplugged", gone, "gripper_silent"),
+        *_both("gripper-reset", "gripper's board restarts", reset, "gripper_link"),
+    ):
+        yield replace(drill, has_gripper=True)
+
+
 def _encoders() -> Iterator[Drill]:
     yield from _both("clock-frozen", "time stamps stand", _fault("frozen_clock", "encoder"), "encoder_stale")
     for rate in (2_000.0, 20_000.0):
@@ -175,7 +186,7 @@ def _in_real_time() -> Iterator[RealTimeDrill]:
 def drills() -> dict[str, Promise]:
     """Every drill, in the order of the table."""
     groups: tuple[Iterator[Promise], ...] = (
-        _frames(), _boards(), _encoders(), _motors(), _host(), _in_real_time()
+        _frames(), _boards(), _gripper(), _encoders(), _motors(), _host(), _in_real_time()
     )  # fmt: skip
     return {drill.name: drill for group in groups for drill in group}
 

@@ -4,9 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from procedures.drills.promise import Outcome, Promise, length_m, stood_s
-from procedures.drills.stage import MOVE, THINNED, Stage, asked_way, off_way_m, stage
+from procedures.drills.stage import MOVE, THINNED, Stage, asked_way, gripping_stage, off_way_m, stage
 
 WATCHED_S = 2.0  # after the fault
+KEPT = 0.5  # of the grip's force: less holds no part
 LOOKED = 10  # cycles between two looks at the speed of the tip
 
 
@@ -19,15 +20,17 @@ class Drill(Promise):
     """A fault that is injected into a stage."""
 
     inject: Callable[[Stage], None] = field(default=_nothing)
+    has_gripper: bool = False  # with an object in it
 
     def run(self) -> Outcome:
         """Run it on a fresh arm, and let the arm recover."""
-        with stage() as played:
+        with gripping_stage() if self.has_gripper else stage() as played:
             played.begin(self.during)
-            begun_s = played.now_s
+            begun_s, grip_N = played.now_s, played.grip_N()
             played.way = played.way[-1:]
             self.inject(played)
             played.run(max(0.0, begun_s + WATCHED_S - played.now_s))
+            has_dropped = played.grip_N() < KEPT * grip_N
             way, noticed_s, found, message = played.way.copy(), played.noticed_s, played.found, played.message
             played.recover()
             asked = asked_way(self.during, WATCHED_S)
@@ -37,13 +40,16 @@ class Drill(Promise):
                 length_m(way) * 1e3,
                 None if noticed_s is None else noticed_s - begun_s,
                 stood_s(way, begun_s, LOOKED),
-                self._lost(played, found),
+                self._lost(played, found, has_dropped),
                 found,
                 message,
                 played.wrong_rad() * 1e3,
             )
 
-    def _lost(self, played: Stage, found: tuple[str, ...]) -> str:
+    def _lost(self, played: Stage, found: tuple[str, ...], has_dropped: bool) -> str:
+        lost = []
         if not played.assembly.runtime.monitor.is_homed:
-            return "the zero"
-        return "the motion" if self.during == MOVE and found else "nothing"
+            lost.append("the zero")
+        elif self.during == MOVE and found:
+            lost.append("the motion")
+        return ", ".join((*lost, *(["the grip"] if has_dropped else []))) or "nothing"

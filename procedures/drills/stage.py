@@ -16,6 +16,7 @@ from control.errors import ArmError
 from control.hardware.connect import Connection, connect
 from control.model.arm import Arm, CanBus
 from control.model.description import load_arm
+from control.model.end_effector import Gripper
 from control.safety.table import Mode
 from control.server.assemble import Assembly, assemble
 from control.server.client import ArmClient
@@ -23,7 +24,7 @@ from control.server.in_process import InProcessChannel
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point
 from hil_mocks.rig import SteppedRig
-from hil_mocks.scenario import FaultTable, Scenario, Start, load_scenario
+from hil_mocks.scenario import FaultTable, GripperTable, Scenario, Start, load_scenario
 
 PERIOD_S = 0.002
 FROM_rad, TO_rad = (-0.8, -0.6, 0.2), (0.8, -0.3, 0.6)
@@ -31,6 +32,13 @@ UNDER_WAY_S = 0.35  # of the motion when the fault comes: joint 1 is at full spe
 SETTLED_S = 0.4  # at rest before the fault
 THINNED = 4  # cycles: 10 mm of way at full speed, whose chord is 0.03 mm off its arc
 REST, MOVE = "at rest", "in motion"
+
+
+GRIPPER = Gripper(
+    motor_node=4, travel_m=0.08, travel_per_turn_m=0.004, torque_constant_Nm_A=0.02, resistance_ohm=2.0, supply_V=24.0,
+    current_limit_A=2.0, speed_limit_m_s=0.16, encoder_counts_per_rev=2048, rotor_inertia_kg_m2=4e-7,
+)  # fmt: skip
+HELD_m = 0.03  # the width of what it holds
 
 
 @dataclass(slots=True)
@@ -86,6 +94,8 @@ class Stage:
     def begin(self, during: str) -> None:
         """Bring the arm to where the fault finds it."""
         self.client.enable()
+        if self.assembly.runtime.parts.gripper is not None:
+            self.client.grip("close")
         self.run(SETTLED_S)
         if during == MOVE:
             self.client.move_joints(TO_rad, waits=False)
@@ -101,6 +111,10 @@ class Stage:
             self.client.hold()
         self.run(0.3)
 
+    def grip_N(self) -> float:
+        """True force on what the gripper holds; 0 without a gripper."""
+        return self.rig.gripper()[1] if self.assembly.runtime.parts.gripper is not None else 0.0
+
     def wrong_rad(self) -> float:
         """By how much an arm that takes itself for homed is elsewhere than it says; 0 if it does not."""
         runtime = self.assembly.runtime
@@ -114,6 +128,14 @@ def drill_scenario() -> Scenario:
     """The demo's arm, homed, with its friction and play."""
     demo = load_scenario("demo")
     return msgspec.structs.replace(demo, start=Start(q_rad=FROM_rad, homed=True))
+
+
+@contextmanager
+def gripping_stage() -> Iterator[Stage]:
+    """A stage whose arm has a gripper with an object between its fingers, which `begin` closes."""
+    held = msgspec.structs.replace(drill_scenario(), gripper=GripperTable(object_m=HELD_m))
+    with stage(replace(load_arm("right"), gripper=GRIPPER), held) as opened:
+        yield opened
 
 
 @contextmanager

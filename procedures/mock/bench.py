@@ -8,12 +8,12 @@ import time
 from pathlib import Path
 from typing import Protocol
 
-from control.dynamics.joint_side import has_joint_side
 from control.errors import ArmError
 from control.hardware.connect import Connection, connect
 from control.model.arm import Arm
 from control.model.description import arm_text, save_arm
-from control.recording.record import FileSink, Layout
+from control.recording.layout import about_columns, layout_of
+from control.recording.record import FileSink
 from control.server.assemble import assemble
 from control.server.client import ArmClient, RuntimeGone, SocketChannel
 from control.server.in_process import InProcessChannel
@@ -74,8 +74,8 @@ class SteppedBench:
         self._connection = connect(wired_to(arm, self.rig), self.rig.clock, PERIOD_S, self.rig.camera_port)
         self._log_folder.mkdir(parents=True, exist_ok=True)
         path = self._log_folder / f"run-{len(self._recordings) + 1}.armlog"
-        header = Layout.of(arm.joint_count, has_joint_side(arm)).header(
-            {"arm": arm.name, "arm_toml": arm_text(arm), "period_s": PERIOD_S}
+        header = layout_of(arm).header(
+            {"arm": arm.name, "arm_toml": arm_text(arm), "period_s": PERIOD_S, **about_columns(arm)}
         )
         self._sink = FileSink(path, header)
         assembly = assemble(

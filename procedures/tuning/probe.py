@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from control.hardware.interface import Feedback, Hardware, OutputMode
+from control.hardware.interface import EndBoards, Feedback, Hardware, OutputMode
 from firmware_iface.clock import Clock
 
 
@@ -23,6 +23,7 @@ class Probe:
     def __init__(self, hardware: Hardware, clock: Clock) -> None:
         self.feedback: Feedback = hardware.feedback
         self.offers = hardware.offers
+        self.end: EndBoards = hardware.end
         self.trace = Trace()
         self._hardware, self._clock = hardware, clock
         self._joint: int | None = None
@@ -90,6 +91,10 @@ class Probe:
     def reset_drive_faults(self) -> None:
         """As the hardware."""
         self._hardware.reset_drive_faults()
+
+    def reset_gripper(self) -> None:
+        """As the hardware."""
+        self._hardware.reset_gripper()
 
     def emergency_stop(self) -> None:
         """As the hardware."""

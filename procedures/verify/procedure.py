@@ -1,5 +1,6 @@
 """A whole verification, on an arm through its runtime or on recorded points."""
 
+import dataclasses
 import datetime
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from calib.points.writer import write_points
 from calib.report.verification import Verification, write_verification_json, write_verification_report
 from calib.session.table import with_reference_tips
 from calib.validation.tracks import TrackPair
+from calib.validation.turned import compare_turns
 from calib.validation.used_points import Used, already_used
 from calib.validation.verify import Comparison
 from calib.validation.verify_recorded import compare_arms
@@ -111,7 +113,8 @@ def on_recorded(pair: Pair, file: Path) -> Verification:
         " and the calibrated model from the encoders. Nothing moved.",
     )
     used = already_used(calibrated, points.q_rad, used_file.sha256)
-    return _verification(pair, comparison, (), how, used, warnings, is_driven=False, more=(used_file,))
+    verified = _verification(pair, comparison, (), how, used, warnings, is_driven=False, more=(used_file,))
+    return dataclasses.replace(verified, turns=compare_turns(nominal, calibrated, points))
 
 
 def _with_tips(arm: Arm, points: Points) -> Points:

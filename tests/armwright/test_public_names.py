@@ -110,7 +110,7 @@ def test_wrong_input_is_one_error_of_the_family_that_says_the_shape() -> None:
     two_joints = armwright.make_points([[1.0, 2.0]], [[1.0, 2.0, 3.0]])
     with pytest.raises(armwright.BadTarget, match=r"expected shape \(..., 3\), got \(2,\)"):
         armwright.Kinematics(arm).forward([1.0, 2.0])
-    with pytest.raises(armwright.PathError, match=r"expected shape \(m, 3\), got \(2, 2\)"):
+    with pytest.raises(armwright.PathError, match=r"expected shape \(m, 3\).*got \(2, 2\)"):
         armwright.plan_path(arm, [[1.0, 2.0], [3.0, 4.0]])
     with pytest.raises(armwright.CalibrationError, match=r"tip_m: expected shape \(1, 3\), got \(1, 2\)"):
         armwright.make_points([[1.0, 2.0, 3.0]], [[1.0, 2.0]])

@@ -36,6 +36,7 @@ COMMANDS = {
     "verify": ["verify", "--arm", "right", "--against", "right"],
     "iso9283": ["iso9283", "--arm", "right"],
     "plan-poses": ["plan-poses", "--arm", "right"],
+    "trust": ["trust", "--arm", "right"],
 }
 
 

@@ -7,7 +7,16 @@ import cantools
 import pytest
 
 from firmware_iface.motor import wire
-from firmware_iface.motor.wire import Command, Mode, ParameterAnswer, ParameterRequest, Reply, unpack_reply
+from firmware_iface.motor.wire import (
+    Command,
+    DigitalCommand,
+    DigitalReply,
+    Mode,
+    ParameterAnswer,
+    ParameterRequest,
+    Reply,
+    unpack_reply,
+)
 from tests.places import ROOT
 
 I32 = (-(2**31), -100_000, -1, 0, 1, 2**31 - 1)
@@ -35,6 +44,10 @@ PARAMETER_SIGNALS = {
     34: "DisabledOutput",
     35: "StopAfter",
     36: "StopTime",
+    48: "DigitalPins",
+    49: "DigitalOutputs",
+    50: "DigitalSafeLevels",
+    51: "DigitalSafeKeep",
 }
 
 
@@ -49,7 +62,8 @@ def golden() -> list[tuple[str, int, bytes]]:
     return [(name, int(can_id, 16), bytes.fromhex(payload)) for name, can_id, payload in rows]
 
 
-FRAMES: dict[str, Command | Reply | ParameterRequest | ParameterAnswer] = {
+Frame = Command | Reply | ParameterRequest | ParameterAnswer | DigitalCommand | DigitalReply
+FRAMES: dict[str, Frame] = {
     "COMMAND voltage": Command(0x0F, Mode.VOLTAGE, 5, -12_000),
     "COMMAND current": Command(0x0F, Mode.CURRENT, 31, 1500),
     "COMMAND position": Command(0x0F, Mode.POSITION, 0, -100_000, 250),
@@ -65,6 +79,8 @@ FRAMES: dict[str, Command | Reply | ParameterRequest | ParameterAnswer] = {
     "PARAMETER_ANSWER not in this state": ParameterAnswer(4, 32, 3, 200),
     "PARAMETER_REQUEST write stop_after": ParameterRequest(1, 35, 4, 24),
     "PARAMETER_ANSWER stop_after": ParameterAnswer(0, 35, 4, 24),
+    "DIGITAL_COMMAND set": DigitalCommand(7, 0b101, 0b100),
+    "DIGITAL_REPLY set": DigitalReply(7, 0b1100, 0b100, 0),
 }
 
 
@@ -96,6 +112,7 @@ def test_the_document_quotes_the_golden_frames() -> None:
 def test_ids_and_lengths_are_those_of_the_dbc(dbc: Any) -> None:
     bases = {"COMMAND": wire.COMMAND_ID, "REPLY": wire.REPLY_ID}
     bases |= {"PARAMETER_REQUEST": wire.PARAMETER_REQUEST_ID, "PARAMETER_ANSWER": wire.PARAMETER_ANSWER_ID}
+    bases |= {"DIGITAL_COMMAND": wire.DIGITAL_COMMAND_ID, "DIGITAL_REPLY": wire.DIGITAL_REPLY_ID}
     expected = {f"{name}_{node}": (base + node, 8) for name, base in bases.items() for node in NODES}
     expected["EMERGENCY_STOP"] = (wire.EMERGENCY_STOP_ID, 1)
     assert {message.name: (message.frame_id, message.length) for message in dbc.messages} == expected
@@ -149,6 +166,18 @@ def test_replies_are_those_of_the_dbc(
             (statusword, 3, 31, current_mA * 1e-3, supply_mV * 1e-3, temperature, faults), abs=1e-9
         )
         assert reply.pack() == payload
+
+
+def test_digital_frames_are_those_of_the_dbc(dbc: Any) -> None:
+    for byte in (0, 1, 0x55, 0xFF):
+        command, reply = DigitalCommand(byte, 0xA5, byte), DigitalReply(byte, 0xA5, byte, 1)
+        for name, frame, keys in (
+            ("COMMAND", command, ("Sequence", "Mask", "Levels")),
+            ("REPLY", reply, ("Sequence", "Levels", "Outputs", "IsSafe")),
+        ):
+            signals = dbc.decode_message(f"DIGITAL_{name}_1", frame.pack())
+            values = [getattr(frame, field) for field in frame.__dataclass_fields__]
+            assert signals == dict(zip(keys, values, strict=True))
 
 
 @pytest.mark.parametrize("index", wire.Parameter)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from hil_mocks.plant.effects import EffectEntry, PlantEffects, gather
-from hil_mocks.plant.parts import ArmParts, DriveParts, LinkParts, Vector
+from hil_mocks.plant.parts import ArmParts, DriveParts, LinkParts, ToolParts, Vector
 from hil_mocks.plant.plant import Plant, PlantOptions
 
 MASS_KG, COM_M, LENGTH_M, INERTIA_kg_m2 = 1.2, 0.3, 0.5, 0.01
@@ -40,7 +40,12 @@ def arm(joints: int = 1, gravity_m_s2: Vector = (0.0, -G_m_s2, 0.0), **of_drive:
         0.0, 0.0, LENGTH_M, 0.0, True, MASS_KG, (COM_M - LENGTH_M, 0.0, 0.0), (INERTIA_kg_m2,) * 3
     )
     return ArmParts(
-        "pendulum", gravity_m_s2, "standard", (link,) * joints, (drive(**of_drive),) * joints, (0.0, 0.0, 0.0)
+        "pendulum",
+        gravity_m_s2,
+        "standard",
+        (link,) * joints,
+        (drive(**of_drive),) * joints,
+        ToolParts((0.0, 0.0, 0.0)),
     )
 
 

@@ -23,9 +23,9 @@ WAY_IN = {
 class Bench:
     """A board with a motor whose shaft, current and supply the test sets."""
 
-    def __init__(self, state: State = State.SWITCH_ON_DISABLED) -> None:
+    def __init__(self, state: State = State.SWITCH_ON_DISABLED, pins: int = 0) -> None:
         self.shaft, self.current_A, self.supply_V, self.now_s = 0, 0.0, 24.0, 0.0
-        setup = MotorBoardSetup(node=2, serial_number=0xF0A1B2C3, counts_per_turn=2048)
+        setup = MotorBoardSetup(node=2, serial_number=0xF0A1B2C3, counts_per_turn=2048, digital_pins=pins)
         self.board = MotorBoardMock(setup, lambda: self.shaft)
         self.announced = self.tick()
         for word in WAY_IN[state]:
@@ -350,3 +350,68 @@ def test_mode_4_stops_at_once_and_holds_for_as_long_as_it_is_commanded() -> None
     assert bench.board.output.value == pytest.approx(2.003)
     bench.command(ENABLE, 1, 0)
     assert bench.board.output == BRAKE
+
+
+class PinBench(Bench):
+    """A board of four pins, 0 and 1 outputs: 0 safe high, 1 keeps its level."""
+
+    def __init__(self) -> None:
+        super().__init__(pins=4)
+        for index, value in ((parameter.DIGITAL_OUTPUTS, 3), (50, 1), (51, 2)):
+            assert self.ask(1, index, value) == (0, value)
+
+    def digital(self, mask: int = 0, levels: int = 0) -> tuple[int, int, int]:
+        """Levels, outputs, is_safe."""
+        ((can_id, payload),) = self.board.receive(0x302, bytes((9, mask, levels, 0, 0, 0, 0, 0)), self.now_s)
+        assert (can_id, payload[0], payload[4:]) == (0x382, 9, bytes(4))
+        return payload[1], payload[2], payload[3]
+
+    def enable(self) -> None:
+        for word in WAY_IN[State.ENABLED]:
+            self.command(word)
+
+
+def test_pins_of_a_board_that_has_none_are_unknown_and_unanswered() -> None:
+    bench = Bench(State.ENABLED)
+    assert [bench.ask(0, index) for index in (48, 49, 50, 51)] == [(1, 0)] * 4
+    assert bench.board.receive(0x302, bytes(8), bench.now_s) == []
+
+
+def test_outputs_are_set_while_the_drive_is_enabled_and_inputs_follow_the_world() -> None:
+    bench = PinBench()
+    assert bench.ask(0, 48) == (0, 4)
+    assert bench.ask(1, 48, 3)[0] == 2
+    assert bench.ask(1, 49, 16)[0] == 3
+    assert bench.digital(3, 2) == (1, 1, 1)  # safe: nothing was set
+    bench.enable()
+    bench.board.pins.outside = 0b1101
+    assert bench.digital() == (0b1101, 1, 0)
+    assert bench.digital(0b1111, 0b0010) == (0b1110, 0b0010, 0)
+
+
+@pytest.mark.parametrize("end", ["off", "quick stop", "watchdog", "emergency stop", "reset"])
+def test_outputs_go_to_their_safe_levels_whatever_ends_the_enabled_drive(end: str) -> None:
+    bench = PinBench()
+    bench.enable()
+    bench.digital(3, 2)
+    if end == "watchdog":
+        bench.tick(201)
+    elif end == "emergency stop":
+        bench.estop()
+        bench.tick()
+    elif end == "reset":
+        bench.board.power_up()
+    else:
+        bench.command(DISABLE if end == "off" else QUICK_STOP)
+    expected = (0, 0, 1) if end == "reset" else (3, 3, 1)
+    assert bench.digital(3, 0) == expected
+
+
+def test_outputs_stay_while_the_board_stops_without_its_host() -> None:
+    bench = PinBench()
+    assert bench.ask(1, parameter.STOP_AFTER_MS, 10)[0] == 0
+    bench.enable()
+    bench.digital(3, 2)
+    bench.command(ENABLE, mode=1)
+    bench.tick(50)
+    assert bench.digital() == (2, 2, 0)

@@ -14,7 +14,7 @@ from control.model.description import load_arm
 from hil_mocks.errors import MockError
 from hil_mocks.plant.effects import gather
 from hil_mocks.plant.geometry import Convention
-from hil_mocks.plant.parts import ArmParts, LinkParts, parts_of
+from hil_mocks.plant.parts import ArmParts, LinkParts, ToolParts, parts_of
 from hil_mocks.plant.plant import Plant
 
 Matrix = NDArray[np.float64]
@@ -36,7 +36,7 @@ def chain_tip(arm: ArmParts, q_rad: list[float]) -> Matrix:
         about_z = transform("z", link.d_m) @ transform("z", 0.0, theta)
         about_x = transform("x", link.L_m) @ transform("x", 0.0, link.alpha_rad)
         pose = pose @ (about_z @ about_x if arm.convention == "standard" else about_x @ about_z)
-    tip: Matrix = (pose @ np.array([*arm.tool_m, 1.0]))[:3]
+    tip: Matrix = (pose @ np.array([*arm.tool.tip_m, 1.0]))[:3]
     return tip
 
 
@@ -54,7 +54,9 @@ def random_arm(seed: int, convention: Convention) -> ArmParts:
         )
         for link in nominal.links
     )
-    return dataclasses.replace(nominal, links=links, convention=convention, tool_m=(0.02, -0.03, 0.05))
+    return dataclasses.replace(
+        nominal, links=links, convention=convention, tool=ToolParts((0.02, -0.03, 0.05))
+    )
 
 
 @pytest.mark.parametrize("convention", ["standard", "modified"])

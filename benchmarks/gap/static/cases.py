@@ -109,11 +109,11 @@ def designed(seed: int, hidden: tuple[Hidden, ...], design: Design) -> tuple[Arm
     rows: list[Row] = []
     for setup in design.tilts if rig.arm is ARM else ():
         q = angles_for(REFERENCE, true_dh, board_points(*TILTS[setup])[:: design.step], SEEDS_rad)
-        rows += _visited(rig, setup, q, design)
+        rows += visited(rig, setup, q, design)
     for part in range(1 if rig.arm is ARM else len(design.tilts)):
         count = design.free if rig.arm is ARM else design.free // len(design.tilts)
         free = rng.uniform(rig.lower, rig.upper, (count, len(rig.lower)))
-        rows += _visited(rig, "free" if rig.arm is ARM else f"view{part + 1}", free, design)
+        rows += visited(rig, "free" if rig.arm is ARM else f"view{part + 1}", free, design)
     arm = rig.arm
     if not design.is_noise_told:
         arm = dataclasses.replace(arm, camera=None)
@@ -122,7 +122,7 @@ def designed(seed: int, hidden: tuple[Hidden, ...], design: Design) -> tuple[Arm
     return arm, _measured(rng, rig, true_dh, rows, hidden, design)
 
 
-def _visited(rig: Rig, setup: str, q: np.ndarray, design: Design) -> list[Row]:
+def visited(rig: Rig, setup: str, q: np.ndarray, design: Design) -> list[Row]:
     """Rows of one setup: visit after visit, all poses each."""
     up, n = np.ones(len(rig.lower)), len(rig.lower)
     mixed = np.array([1.0 if j % 2 == 0 else -1.0 for j in range(n)])

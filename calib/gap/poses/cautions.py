@@ -27,11 +27,17 @@ UNBEARABLE = 5.0  # times what a drive holds at its current limit
 MILLI = 10.0  # times the limit
 INFLATED = 1.3  # times the floor, from which on what the list leaves is worth saying
 
+POSITIONS_ONLY = (
+    "the measured orientations (qw to qz) are checked and not used: effects are named from positions"
+)
+
 
 def require_posed(arm: Arm, points: Points) -> tuple[str, ...]:
     """UnusablePointsError for points that are misread or too few; warnings otherwise."""
     warnings = require_usable(arm, points, problem_of(arm, points))
     _require_bearable(arm, points)
+    if np.isfinite(points.orientation).any():
+        return (*warnings, POSITIONS_ONLY)
     return warnings
 
 

@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterable
 from itertools import combinations
 
 from calib.gap.finding import EffectName
+from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Search, Weighed
 from calib.gap.posterior.term import Key
 
@@ -20,11 +21,15 @@ BESIDE = 2  # terms that are tried in the place of two
 
 
 class MergingSearch(Search):
-    """Over the sets of an Evidence."""
+    """Over the sets of an Evidence without keys that are `barred`."""
+
+    def __init__(self, evidence: Evidence, barred: Collection[Key] = ()) -> None:
+        super().__init__(evidence)
+        self.barred = frozenset(barred)
 
     def run(self, known: Iterable[frozenset[Key]] = ()) -> list[Weighed]:
         """All sets that were weighed, best first; `known`: sets to start from besides."""
-        found = super().run(start & self.evidence.of_key.keys() for start in known)
+        found = super().run((start & self.evidence.of_key.keys()) - self.barred for start in known)
         for _ in range(MERGES):
             best = found[0]
             for pair in combinations(best.members, 2):
@@ -41,6 +46,8 @@ class MergingSearch(Search):
 
     def may_join(self, key: Key, present: Collection[Key]) -> bool:
         """Not two that are one thing: with both, each hides what the other does."""
+        if key in self.barred:
+            return False
         if not isinstance(key, EffectName):
             return True
         either = next((some for some in EITHER if key.effect in some), ())

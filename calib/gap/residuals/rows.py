@@ -5,6 +5,7 @@ A cell is one channel of one joint: the current that the motion needs, the volta
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -62,6 +63,12 @@ class Rows:
         self._masks = [_mask(self.recording, run) for run in self.recording.runs]
         self._electrical = [_driven_rows(self.recording, run) for run in self.recording.runs]
         self.table = self._tabled(model)
+
+    def told_by(self, physics: Physics) -> Rows:
+        """The same rows, at the same floors, of another account of the same motions."""
+        other = copy.copy(self)
+        other.physics, other.recording = physics, physics.recording
+        return other
 
     def residual(self, model: Sequence[Term]) -> Array:
         """Rows (k,): model less measurement over the floor."""

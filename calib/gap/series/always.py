@@ -53,8 +53,8 @@ def always(around: Around, terms: Sequence[SeriesTerm]) -> Iterator[SeriesTerm]:
 def _departing(around: Around, law: Law) -> Iterator[SeriesTerm]:
     if law.form not in (*FRICTION, "stribeck_friction", "cogging") or law.name.joint is None:
         return
-    column = around.scene.split(around.scene.rows.friction_slope(law)[:, None])
-    bent = departures(around.scene, law.form, law.name.joint - 1, column)
+    column = around.scene.split(around.scene.columns.friction_slope(law)[:, None])
+    bent, _ = departures(around.scene, law.form, law.name.joint - 1, column)
     if bent:
         yield _always(
             f"{law.name}, as it departs", scaled(bent, KNOWN_DEPARTURE), next(iter(bent.values())).shape[1]

@@ -15,17 +15,16 @@ from calib.gap.posterior.constants import DEPARTURES, FLOOR_DOUBT
 from calib.gap.posterior.decide import left_with
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.nameable import nameable
-from calib.gap.posterior.parameters import is_exact
 from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.sizes import is_worth_a_name
 from calib.gap.series.blocks import CAMERA
-from calib.gap.series.constants import GROWS, REMAINS, SILENT_MOST, SURE_sd
+from calib.gap.series.constants import REMAINS, SILENT_MOST
 from calib.gap.series.effects import SAMPLING
 from calib.gap.series.linear import only
 from calib.gap.series.look import Look, left
 from calib.gap.series.outcome import gap, in_si
 from calib.gap.series.split import Picked
-from calib.gap.series.term import SeriesTerm
+from calib.gap.series.standing import Member, bends, grown, members, standing, with_only
 from calib.gap.signals import forms
 from calib.gap.signals.recording import Recording
 from calib.gap.signals.terms import Term as Law
@@ -57,9 +56,11 @@ class Left:
 class Judged:
     """What is told of the last look: names with law, covariance of its values and departure; what is left; corrections.
 
+    `look`: its best set without what was withdrawn.
     `kept`: keys that stay in the model: names, and what is taken off as the sensors' own.
     """
 
+    look: Look
     laws: dict[EffectName, Law]
     covariance: dict[EffectName, Array]
     departure: dict[EffectName, float]
@@ -72,138 +73,81 @@ class Judged:
     warnings: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Member:
-    """A term of the best set by number, with its coefficients and their covariance."""
-
-    number: int
-    term: SeriesTerm
-    size: Array
-    covariance: Array
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether its law is not nothing."""
-        laws = slice(0, self.term.laws)
-        sd = np.sqrt(np.diag(self.covariance)[laws])
-        return bool(np.linalg.norm(self.size[laws] / sd) >= SURE_sd)
-
-    @property
-    def departure(self) -> float:
-        """Of the departures' coefficients over the law's: their columns are as large as its."""
-        one = self.term
-        law = float(np.linalg.norm(self.size[: one.laws])) / np.sqrt(one.laws)
-        departs = float(np.linalg.norm(self.size[one.laws : one.laws + one.departures]))
-        return departs / law if law > 0.0 else 0.0
-
-
-def _members(look: Look) -> Iterator[Member]:
-    """Each averaged over how large it and its departures may be, all others at their best.
-
-    An exact law is left out of that where a law may depart: an interval holds only if it counts departures that do not show.
-    """
-    evidence, best = look.evidence, look.best
-    for number in look.numbers:
-        rest = [one for one in best.members if one[0] != number]
-        ways = [
-            [*rest, (number, scale)]
-            for scale in range(len(evidence.weights[number]))
-            if not is_exact(evidence, number, scale)
-        ]
-        logs = np.array([evidence.value(way, best.kappa) for way in ways])
-        share = np.exp(logs - logs.max())
-        share /= share.sum()
-        own = slice(-look.linear.terms[number].count, None)
-        found = [
-            (weight, *evidence.estimate(way, best.kappa))
-            for weight, way in zip(share.tolist(), ways, strict=True)
-            if weight > NEGLIGIBLE
-        ]
-        mean = sum((weight * size[own] for weight, size, _ in found), np.zeros(1))
-        covariance = sum(
-            (
-                weight * (spread[own, own] + np.outer(size[own] - mean, size[own] - mean))
-                for weight, size, spread in found
-            ),
-            np.zeros((1, 1)),
-        )
-        yield Member(number, look.linear.terms[number], np.asarray(mean), np.asarray(covariance))
-
-
-def borne_out(look: Look, reporting: Picked) -> tuple[Look, list[Key]]:
-    """The look whose best set is estimated without what does not help the runs kept apart, and the names that harm them.
-
-    The measured acceleration has noise, and the residual has it, too: blocks that follow it are drawn to a late command, or to
-    what else shifts the currents, and each cancels the other. So blocks are tried beside names that do no harm by themselves.
-    """
-    table, terms = look.around.scene.rows.table, look.linear.terms
-    blocks = [k for k in look.numbers if isinstance(terms[k].key, Block) and terms[k].words != CAMERA]
-    names = [k for k in look.numbers if k not in blocks]
-    sound = _harmless(look, names, reporting)
-    helping: list[int] = []
-    while left_over := [k for k in blocks if k not in helping]:
-        here = left(look, [*sound, *helping])
-        tried = {k: left(look, [*sound, *helping, k]) for k in left_over}
-        best = min(left_over, key=lambda k: gap(tried[k], table, reporting))
-        if _grown(look, here, tried[best], reporting) <= REMAINS:
-            break
-        helping.append(best)
-    members = tuple(one for one in look.best.members if one[0] in (*sound, *helping))
-    best_set = dataclasses.replace(look.best, members=members)
-    harming = [terms[k].key for k in names if k not in sound]
-    return dataclasses.replace(look, decision=dataclasses.replace(look.decision, best=best_set)), harming
-
-
-def _harmless(look: Look, numbers: Sequence[int], reporting: Picked) -> list[int]:
-    """Those without which the gap on the runs kept apart does not shrink, each time estimated again."""
-    table, sound = look.around.scene.rows.table, list(numbers)
-    while sound:
-        size = gap(left(look, sound), table, reporting)
-        without = {k: gap(left(look, [one for one in sound if one != k]), table, reporting) for k in sound}
-        worst = min(sound, key=lambda k: without[k])
-        if not without[worst] ** 2 < (1.0 - GROWS) * size**2:
-            break
-        sound.remove(worst)
-    return sound
-
-
 def judged(look: Look, reporting: Picked, harming: Sequence[Key]) -> Judged:
     """Names that are of a size worth one, keep their law, and hold on recordings that were not fitted."""
-    laws: dict[EffectName, Law] = {}
-    spread: dict[EffectName, Array] = {}
-    departs: dict[EffectName, float] = {}
-    other: list[Left] = []
-    kept: set[Key] = set()
     said: list[str] = []
-    for one in _members(look):
+    other: list[Left] = []
+    corrected, names = [], []
+    for one in members(look):
         key = one.term.key
         if correction := _correction(look, one):
             said.append(correction)
-            kept.add(key)
-        elif isinstance(key, Block):
-            worth = _worth(look, one.number, reporting)
-            if worth > REMAINS and look.decision.probability.get(key, 0.0) > 0.5:
-                other.append(Left(worth, one.term.words, one.number))
+            corrected.append(one.number)
         elif key in look.decision.names and one.term.law is not None and one.is_sure:
-            law = one.term.law(one.size)
-            if not is_worth_a_name(look.around.scene.arm, law):
+            if not is_worth_a_name(look.around.scene.arm, one.term.law(one.size)):
                 continue
             if against := _against(look, one, reporting):
                 said.append(f"{against.words}: not named")
                 other += [against] if abs(against.worth) > REMAINS else []
-                continue
-            laws[key], departs[key], spread[key] = law, one.departure, _of_values(one)
-            kept.add(key)
+            else:
+                names.append(one.number)
+    named = standing(look, names, corrected, reporting)
+    overshadowed = [_overshadowed(look, k, [*named, *corrected], reporting) for k in names if k not in named]
+    said += [f"{one.words}: not named" for one in overshadowed if one.worth > REMAINS]
+    other += [one for one in overshadowed if one.worth > REMAINS]
     said += [
         f"{key} helps the runs that decide, but not those held out: not taken into account" for key in harming
     ]
     other += _contested(look, reporting)
-    sets = tuple(names for names in look.decision.ambiguous if _is_material(look, names))
-    left_over = _remainder(look, other, reporting)
-    unknown = _unknown(look, other, kept)
+    sets = tuple(group for group in look.decision.ambiguous if _is_material(look, group))
+    return _told(look, with_only(look, [*named, *corrected]), named, other, sets, harming, said, reporting)
+
+
+def _told(
+    whole: Look, look: Look, named: Collection[int], other: Sequence[Left], sets: tuple[tuple[EffectName, ...], ...],
+    harming: Sequence[Key], said: Sequence[str], reporting: Picked,
+) -> Judged:  # fmt: skip
+    """Of a look whose best set has what is named or taken off, and blocks; `whole` has what was withdrawn, too."""
+    laws: dict[EffectName, Law] = {}
+    spread: dict[EffectName, Array] = {}
+    departs: dict[EffectName, float] = {}
+    kept: set[Key] = set()
+    some = list(members(look))
+    for one in some:
+        key = one.term.key
+        if isinstance(key, Block) and one.term.words != CAMERA:
+            continue
+        kept.add(key)
+        if isinstance(key, EffectName) and one.number in named and one.term.law is not None:
+            laws[key], departs[key], spread[key] = one.term.law(one.size), one.departure, _of_values(one)
+    left_over = list(other)
+    for one in some:
+        key = one.term.key
+        if not isinstance(key, Block) or key in kept or look.decision.probability.get(key, 0.0) <= 0.5:
+            continue
+        worth = _worth(look, one.number, reporting)
+        if worth <= REMAINS:
+            continue
+        law, share = bends(look, one, [own for own in some if own.term.key in laws])
+        if law is None:
+            left_over.append(Left(worth, one.term.words, one.number))
+        else:
+            departs[law] = math.hypot(departs[law], share)
+            kept.add(key)
+    remainder = _remainder(whole, left_over, reporting)
+    unknown = _unknown(whole, left_over, kept)
     return Judged(
-        laws, spread, departs, sets, unknown, left_over, frozenset(kept), tuple(harming), tuple(said)
+        look, laws, spread, departs, sets, unknown, remainder, frozenset(kept), tuple(harming), tuple(said)
     )
+
+
+def _overshadowed(look: Look, number: int, others: Sequence[int], reporting: Picked) -> Left:
+    """A name beside which more is left than it explains."""
+    name = look.linear.terms[number].key
+    assert isinstance(name, EffectName)
+    rest = with_only(look, others).numbers
+    worth = grown(look, left(look, rest), left(look, [*rest, number]), reporting)
+    return Left(worth, f"more is left than {name} would explain", number, name)
 
 
 def _correction(look: Look, one: Member) -> str:
@@ -270,23 +214,14 @@ def _of_values(one: Member) -> Array:
 
 def _worth(look: Look, number: int, reporting: Picked) -> float:
     """By how much the squared gap of a cell grows on the rows kept apart, at most, without a term; negative where it shrinks."""
-    return _grown(look, left(look, look.numbers, [number]), left(look, look.numbers), reporting)
-
-
-def _grown(look: Look, rest: Array, whole: Array, reporting: Picked) -> float:
-    """By how much the squared gap of a cell is larger with `rest` than with `whole`, on the rows kept apart, at most."""
-    grown = []
-    for cell in look.around.scene.cells:
-        picked = reporting[cell.rows]
-        if picked.any():
-            grown.append(float(np.mean(rest[cell.rows][picked] ** 2 - whole[cell.rows][picked] ** 2)))
-    return max(grown, key=abs, default=0.0)
+    return grown(look, left(look, look.numbers, [number]), left(look, look.numbers), reporting)
 
 
 def what_is_left(look: Look, keys: Collection[Key]) -> Array:
-    """What these leave of all rows beside how what is known departs, as estimated beside all that was found, (rows,)."""
-    drop = [k for k in look.numbers if look.linear.terms[k].key not in keys]
-    return left(look, look.numbers, drop)
+    """What these leave of all rows beside how what is known departs, as estimated beside blocks, (rows,)."""
+    terms = look.linear.terms
+    drop = [k for k in look.numbers if terms[k].key not in keys and isinstance(terms[k].key, Block)]
+    return left(look, [k for k in look.numbers if terms[k].key in keys or k in drop], drop)
 
 
 def _unknown(look: Look, other: Sequence[Left], kept: Collection[Key]) -> Unknown | None:

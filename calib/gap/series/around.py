@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from calib.arrays import Array
@@ -13,18 +13,30 @@ from calib.gap.residuals.sizes import typical
 from calib.gap.series.constants import USUAL, USUAL_OF
 from calib.gap.series.departures import VARIABLE, departures
 from calib.gap.series.scene import Response, Scene
-from calib.gap.series.term import SeriesTerm, stacked
+from calib.gap.series.term import Curve, SeriesTerm, stacked
 from calib.gap.signals.terms import Term as Law
 
 
 @dataclass(frozen=True, slots=True)
 class Around:
-    """The model of a linearisation: known laws, laws found so far by key with their coefficients' residual rows."""
+    """The model of a linearisation: known laws, and laws found so far by key.
+
+    `residual`: its rows; `smooth`: what it would have left if motions and currents had been measured without noise.
+    """
 
     scene: Scene
     known: tuple[Law, ...]
     found: dict[Key, Law]
     residual: Array
+    smooth: Array
+
+    @classmethod
+    def of(cls, scene: Scene, known: Sequence[Law], found: Mapping[Key, Law]) -> Around:
+        """With what it leaves."""
+        model = (*known, *found.values())
+        return cls(
+            scene, tuple(known), dict(found), scene.rows.residual(model), scene.columns.residual(model)
+        )
 
     @property
     def model(self) -> tuple[Law, ...]:
@@ -32,11 +44,11 @@ class Around:
         return (*self.known, *self.found.values())
 
     def without(self, key: Key) -> tuple[tuple[Law, ...], Array]:
-        """The model without a law, and its residual rows."""
+        """The model without a law, and its rows as columns are reckoned from them."""
         if key not in self.found:
-            return self.model, self.residual
+            return self.model, self.smooth
         rest = (*self.known, *(law for own, law in self.found.items() if own != key))
-        return rest, self.scene.rows.residual(rest)
+        return rest, self.scene.columns.residual(rest)
 
 
 def usual(effect: str) -> float:
@@ -61,21 +73,27 @@ def made(
     more: Response | None = None,
     is_common: bool = False,
     reach: tuple[float, float] = (0.0, math.inf),
+    towards: tuple[float, float] | None = None,
 ) -> Iterator[SeriesTerm]:
-    """The term of a law's response per usual size; `more`: departures beside those of its variable."""
+    """The term of a law's response per usual size; `more`: departures beside those of its variable.
+
+    `towards`: the law's first value at which its response is a secant, and that at which the first nuisance has it.
+    """
     if not laws:
         return
     joint = 0 if key.joint is None else key.joint - 1
     if key.effect == "belt_coupling":
         joint = 1
-    departs = [own for own in (departures(around.scene, key.effect, joint, laws), more or {}) if own]
+    bent, alike = departures(around.scene, key.effect, joint, laws)
+    departs = [own for own in (bent, more or {}) if own]
     parts = [laws, *departs, *nuisances]
     response = stacked(parts)
     count = next(iter(laws.values())).shape[1]
     width = next(iter(response.values())).shape[1]
     bends = sum(next(iter(own.values())).shape[1] for own in departs)
+    curve = None if towards is None else Curve(count + bends, *towards, size)
     yield SeriesTerm(
         key, str(key), count, bends, size, variant=variant, is_positive=is_positive,
         variable=VARIABLE.get(key.effect, ""), response=response, width=width, law=law, now=now, is_common=is_common,
-        least=reach[0], most=reach[1],
+        least=reach[0], most=reach[1], alike=alike, curve=curve,
     )  # fmt: skip

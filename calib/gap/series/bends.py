@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +53,7 @@ def drift(around: Around, key: EffectName) -> Iterator[SeriesTerm]:
 
 
 def _step(around: Around, law: Law, base: tuple[Law, ...], at: Array, factor: float) -> Response:
-    return around.scene.split(((around.scene.rows.residual((*base, law)) - at) * factor)[:, None])
+    return around.scene.split(((around.scene.columns.residual((*base, law)) - at) * factor)[:, None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +89,15 @@ def backlash(around: Around, key: EffectName) -> Iterator[SeriesTerm]:
     yield from _secants(around, key, BACKLASH)
 
 
+def _stepped(values: tuple[float, ...], steps: Sequence[float]) -> list[tuple[float, ...]]:
+    """Values, and the same with a step of each but the first."""
+    one_more = [(*values[: k + 1], values[k + 1] + step, *values[k + 2 :]) for k, step in enumerate(steps)]
+    return [values, *one_more]
+
+
 def _secants(around: Around, key: EffectName, bent: Bent) -> Iterator[SeriesTerm]:
     """The secant from nought to each start, how the next start's differs from it, and what the other values' steps do."""
-    rows = around.scene.rows
+    rows = around.scene.columns
     base, at = around.without(key)
     own = around.found.get(key)
     first = bent.starts if own is None else tuple(own.values[0] * k for k in FINER)
@@ -100,13 +106,7 @@ def _secants(around: Around, key: EffectName, bent: Bent) -> Iterator[SeriesTerm
         step if value + step <= upper else -step
         for value, step, upper in zip(others, bent.steps, bent.upper, strict=True)
     )
-    asked = [
-        [
-            (v, *others),
-            *((v, *others[:k], others[k] + step, *others[k + 1 :]) for k, step in enumerate(steps)),
-        ]
-        for v in first
-    ]
+    asked = [_stepped((v, *others), steps) for v in first]
     law = Law(key, key.effect, asked[0][0])
     size = size_of_law(around, law)
     if key.effect in GEARS:
@@ -128,5 +128,6 @@ def _secants(around: Around, key: EffectName, bent: Bent) -> Iterator[SeriesTerm
         now = np.array([value / size]) if own is not None and math.isclose(own.values[0], value) else None
         reach = SPEAKS_FOR[0] * value / size, min(SPEAKS_FOR[1] * value, bent.most) / size
         yield from made(
-            around, key, parts[0], size, law_of, parts[1:], value, is_positive=True, now=now, reach=reach
-        )
+            around, key, parts[0], size, law_of, parts[1:], value, is_positive=True, now=now, reach=reach,
+            towards=(value, first[near]),
+        )  # fmt: skip

@@ -139,7 +139,7 @@ def _windings(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
     current, v, q = at.current_A[:, j], at.speed[:, j], at.q[:, j]
     size = SHARE * max(float(np.sqrt(np.mean(current**2))), 1e-3) / scene.cells[number].floor
     # a current's slope is rough: between the rows it is another
-    slopes = np.concatenate([run.current_slope[:, j] for run in scene.recording.runs])
+    slopes = np.concatenate([run.current_slope[:, j] for run in scene.columns.recording.runs])
     slope = scene.filtered(number, slopes[None])[:, 0]
     for variable, words, columns in (
         ("resistance", "in proportion to its current: another winding resistance", np.array([current])),

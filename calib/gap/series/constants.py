@@ -9,7 +9,7 @@ from typing import Final
 USUAL: Final = 10.0
 USUAL_OF: Final = {"coulomb_friction": 20.0, "viscous_friction": 20.0}
 # Prior probability of Coulomb and viscous friction where the arm's file has neither: there is no gear without.
-COMMON_PRIOR: Final = 0.9
+COMMON_PRIOR: Final = 0.97
 # Of the smallest size worth a name, one standard deviation: to this the nominal values of everything are known.
 IMMATERIAL: Final = 0.4
 # Standard deviations of it that may be taken off as known: beyond, it is something that has to be found.

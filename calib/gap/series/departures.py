@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.series.scene import Beside, Response, Scene
-from calib.gap.series.term import departed, stacked
+from calib.gap.series.term import departed, size_of, stacked
 
 GEARS = ("joint_compliance", "backlash")
 Shape = Callable[[Beside, int], Array]  # (c, rows), from what stands beside and the joint
@@ -77,23 +77,26 @@ VARIABLE = {
 }  # fmt: skip
 
 
-def departures(scene: Scene, effect: str, joint: int, law: Response) -> dict[int, Array]:
+def departures(scene: Scene, effect: str, joint: int, law: Response) -> tuple[dict[int, Array], Array]:
     """Columns of an effect's departures on a joint (0-based), each as large as its law; every channel for itself.
 
-    A motor that saturates gives less torque, and its back-EMF is as before. What currents show of a gear is mostly how its angle
-    changes, with the noise of that: where the tip shows the angle, it alone says how the gear departs.
+    With them what departures change that looks like the law itself, a part of each for every shape of a variable (`departed`), of
+    the channel that shows the law best. A motor that saturates gives less torque, and its back-EMF is as before. What currents
+    show of a gear is mostly how its angle changes, with the noise of that: where the tip shows the angle, it alone says how the
+    gear departs.
     """
     shapes = OF_EFFECT.get(effect, ())
     if not shapes or not law:
-        return {}
-    parts = []
+        return {}, np.zeros((0, 1, 1))
+    parts, alike, largest = [], np.zeros((0, 1, 1)), 0.0
     channels = list(dict.fromkeys(scene.cells[cell].channel for cell in law))
-    if effect in GEARS and "tip_m" in channels:
-        channels = ["tip_m"]
     for channel in channels:
         own = {cell: columns for cell, columns in law.items() if scene.cells[cell].channel == channel}
-        wanted = {cell: np.concatenate([one(scene.beside[cell], joint) for one in shapes]) for cell in own}
-        bent = departed(own, wanted)
+        wanted = {cell: [one(scene.beside[cell], joint) for one in shapes] for cell in own}
+        bent, taken = departed(own, {cell: np.concatenate(some) for cell, some in wanted.items()})
         if bent:
             parts.append(bent)
-    return stacked(parts) if parts else {}
+        if (size := float(np.linalg.norm(size_of(own)))) > largest:
+            counts = [len(some) for some in next(iter(wanted.values()))]
+            alike, largest = taken / np.sqrt(np.repeat(counts, counts))[:, None, None], size
+    return (stacked(parts) if parts else {}), alike

@@ -111,7 +111,7 @@ def _per_value(
     for place, step in enumerate(steps):
         values = list(law.values)
         values[place] += step
-        columns.append((around.scene.rows.residual((*base, law.at(tuple(values)))) - at) / step)
+        columns.append((around.scene.columns.residual((*base, law.at(tuple(values)))) - at) / step)
     return around.scene.split(np.stack(columns, axis=1))
 
 
@@ -125,7 +125,7 @@ def _plain(around: Around, key: EffectName, form: str | None = None) -> Iterator
     own = around.found.get(key)
     start = own.values if own is not None and own.form == form else law.values
     if count == 1 and start[0]:  # a secant from nought to what was found
-        column = (around.scene.rows.residual((*base, law.at((start[0],)))) - at) / start[0]
+        column = (around.scene.columns.residual((*base, law.at((start[0],)))) - at) / start[0]
         response: Response = around.scene.split(column[:, None])
     else:
         response = _per_value(around, law, base, at, [0.3 * size] * count)

@@ -10,7 +10,6 @@ from calib.gap.log import Log
 from calib.gap.residuals.rows import Rows, without_motion
 from calib.gap.series.answer import (
     Judged,
-    borne_out,
     judged,
     nameable_effects,
     next_experiment,
@@ -24,6 +23,7 @@ from calib.gap.series.outcome import DynamicOutcome, doubts, floors_si, gap, gro
 from calib.gap.series.plausible import plausible
 from calib.gap.series.scene import Scene
 from calib.gap.series.split import Split, split
+from calib.gap.series.standing import borne_out
 from calib.gap.signals import forms
 from calib.gap.signals.motion import motion_gaps
 from calib.gap.signals.physics import Physics
@@ -60,6 +60,7 @@ def examine(
     parts = parts.only(scene.kept)
     look, harming = borne_out(look, parts.reporting)
     told_of = judged(look, parts.reporting, harming)
+    look = told_of.look
     before = rows.residual(known)
     after = what_is_left(look, told_of.kept) if told_of.kept else before  # nothing is added to the model
     finding = _finding(arm, log, recording, look, told_of, parts, (before, after))
@@ -72,9 +73,9 @@ def examine(
         *grown(finding),
     )
     names = tuple(run.name for run in recording.runs)
-    ratios = tuple(drive.gear_ratio for drive in arm.drives)
+    model = (*known, *(law for key, law in look.laws().items() if key in told_of.kept))
     return DynamicOutcome(
-        finding, (*recording.warnings, *said), rows.table, before, after, parts, names, ratios
+        finding, (*recording.warnings, *said), rows.table, before, after, parts, names, rows.physics, model
     )
 
 

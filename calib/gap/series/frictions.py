@@ -37,7 +37,7 @@ def friction(around: Around, key: EffectName) -> Iterator[SeriesTerm]:
 
 def _rubbed(around: Around, law: Law) -> Response:
     """Per unit of a friction's values at a motor; behind a soft or loose gear nothing of it is linear, and it is small."""
-    return around.scene.split(around.scene.rows.friction_slope(law)[:, None])
+    return around.scene.split(around.scene.columns.friction_slope(law)[:, None])
 
 
 def _now(around: Around, key: EffectName, size: float) -> Array | None:
@@ -116,5 +116,5 @@ def _standing_out(around: Around, key: EffectName) -> list[float]:
 
 def _wave(around: Around, law: Law) -> Response:
     """Sine and cosine of cogging."""
-    slopes = [around.scene.rows.friction_slope(law.at(values)) for values in ((1.0, 0.0), (0.0, 1.0))]
+    slopes = [around.scene.columns.friction_slope(law.at(values)) for values in ((1.0, 0.0), (0.0, 1.0))]
     return around.scene.split(np.stack(slopes, axis=1))

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName
-from calib.gap.posterior.constants import DEPARTURES, FLOOR_DOUBT, SIZE_LEVELS
+from calib.gap.posterior.constants import DEPARTURES, FLOOR_DOUBT, LAW_MOST, SIZE_LEVELS
 from calib.gap.posterior.decide import Decision, decide
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.gram import Gram
@@ -34,6 +34,7 @@ from control.progress import Advance
 LOOKS = 3  # linearisations, at most
 SETTLINGS = 5  # refits of laws that bend
 SETTLED = 0.01  # of a value
+BARRED_MOST = 4  # searches, each without the laws that the one before bent too far
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,7 @@ def looked(
     scene: Scene, known: Sequence[Law], split: Split, names: Collection[str] | None, advance: Advance
 ) -> Look:
     """The last look."""
-    around = Around(scene, tuple(known), {}, scene.rows.residual(tuple(known)))
+    around = Around.of(scene, known, {})
     starts: list[frozenset[Key]] = []
     noises = [Noise.white(len(scene.recording.runs)) for _ in scene.cells]
     first: list[SeriesTerm] = []
@@ -125,7 +126,7 @@ def settled(look: Look, split: Split) -> Around:
     for turn in range(SETTLINGS):
         model = (*known, *laws.values())
         scene.keep(scene.rows.resting(model))
-        around = Around(scene, known, laws, scene.rows.residual(model))
+        around = Around.of(scene, known, laws)
         if turn == SETTLINGS - 1 or not any(law.form in STEP for law in laws.values()):
             break
         terms = [one for one in terms_of(around, keys=laws.keys()) if one.now is not None]
@@ -133,13 +134,17 @@ def settled(look: Look, split: Split) -> Around:
         gram = linear.gram(look.noises, scene.picked(split.deciding & scene.kept))
         sd = np.concatenate([_usual(one) for one in linear.terms])
         inner = np.eye(len(sd)) + sd[:, None] * gram.tip * sd
-        size, first = sd * np.linalg.solve(inner, sd * gram.pull), 0
+        covariance = sd[:, None] * np.linalg.inv(inner) * sd
+        size, first = covariance @ gram.pull, 0
         moved, largest = dict(laws), 0.0
         for one in terms:
-            own = size[first : first + one.count]
+            place = slice(first, first + one.count)
+            own = size[place]
             first += one.count
             if one.law is None or not isinstance(one.key, EffectName):
                 continue
+            if one.curve is not None:
+                own, _ = one.curve.held(own, covariance[place, place])
             if one.is_positive and own[0] <= 0.0:
                 continue
             moved[one.key] = _bounded(one.law(own))
@@ -151,8 +156,7 @@ def settled(look: Look, split: Split) -> Around:
                 largest = max(largest, *(abs(new / now - 1.0) if now else 0.0 for new, now in pairs))
         laws = moved
         if largest < SETTLED:
-            model = (*known, *laws.values())
-            return Around(scene, known, laws, scene.rows.residual(model))
+            return Around.of(scene, known, laws)
     return around
 
 
@@ -178,8 +182,28 @@ def _weighed(
     rows = around.scene.picked(split.deciding & around.scene.kept)
     gram = linear.gram(noises, rows)
     evidence = Evidence(without_first(gram, linear.first), linear.terms, FLOOR_DOUBT)
-    found = MergingSearch(evidence).run(starts)
+    barred: set[Key] = set()
+    for _ in range(BARRED_MOST):
+        found = MergingSearch(evidence, barred).run(starts)
+        if not (bent := _bent_too_far(evidence, linear, found[0])):
+            break
+        barred |= bent
     return Look(around, linear, tuple(noises), gram, evidence, decide(evidence, found), rows)
+
+
+def _bent_too_far(evidence: Evidence, linear: Linear, best: Weighed) -> set[Key]:
+    """Names of a set that depart from their law more than real parts do: another law is behind them.
+
+    Every gear has friction: what departs from Coulomb's or the viscous law is that friction all the same.
+    """
+    size, first, found = evidence.estimate(best.members, best.kappa)[0], 0, set()
+    for number, _ in best.members:
+        one = linear.terms[number]
+        own = size[first : first + one.count]
+        first += one.count
+        if one.is_name and not one.is_common and one.departed_by(own) > LAW_MOST:
+            found.add(one.key)
+    return found
 
 
 def measured(look: Look, split: Split) -> list[Noise]:

@@ -12,6 +12,8 @@ from calib.gap.finding import GapFinding
 from calib.gap.residuals.rows import Cell, RowTable
 from calib.gap.series.split import Picked, Split
 from calib.gap.signals.motion import MotionGap
+from calib.gap.signals.physics import Physics
+from calib.gap.signals.terms import Term as Law
 from control.model.arm import Arm
 
 FAR_OFF = 20.0  # floors
@@ -20,7 +22,7 @@ FAR_OFF = 20.0  # floors
 @dataclass(frozen=True, slots=True)
 class DynamicOutcome:
     """The finding, and what a report draws: residual rows over the floor before and after, what each row is,
-    which rows report, and sentences about the log.
+    which rows report, and sentences about the log; `model`: all that is known and named, as `physics` takes it.
     """
 
     finding: GapFinding
@@ -30,7 +32,13 @@ class DynamicOutcome:
     after: Array
     split: Split
     run_names: tuple[str, ...]
-    gear_ratios: tuple[float, ...]
+    physics: Physics
+    model: tuple[Law, ...]
+
+    @property
+    def gear_ratios(self) -> tuple[float, ...]:
+        """Motor turns a joint turn."""
+        return self.physics.gear_ratios
 
 
 def gap(residual: Array, table: RowTable, picked: Picked) -> float:

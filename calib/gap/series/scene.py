@@ -17,7 +17,9 @@ from calib.gap.signals.body import Load
 from calib.gap.signals.laws import sampled_friction_Nm
 from calib.gap.signals.parts import sorted_terms
 from calib.gap.signals.physics import Physics
+from calib.gap.signals.recording import Motion
 from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.wiener import without_noise
 
 Response = Mapping[int, Array]  # of each cell (number) that something changes: (its rows, columns)
 REST_rad_s = 0.003
@@ -96,14 +98,20 @@ class Thin:
 
 
 class Scene:
-    """Rows and what stands beside them."""
+    """Rows and what stands beside them.
+
+    `rows` have what was measured, `columns` the same without its noise: of these everything is made that rows may follow.
+    """
 
     def __init__(self, rows: Rows, known: Sequence[Law]) -> None:
         self.rows = rows
         self.cells = rows.table.cells
         self.arm, self.recording = rows.physics.arm, rows.recording
-        load = rows.physics.body.link_torques(Load())
-        current = [_drawn(rows.physics, k, known) for k in range(len(self.recording.runs))]
+        self.columns = rows.told_by(Physics(self.arm, without_noise(self.recording)))
+        physics = self.columns.physics
+        runs = physics.recording.runs
+        load = physics.body.link_torques(Load())
+        current = [_drawn(physics, run, own, known) for run, own in zip(runs, load, strict=True)]
         turned = [_since_turn(run.q, run.speed) for run in self.recording.runs]
         self.beside = [self._beside(cell, load, current, turned) for cell in self.cells]
         self.whole = self._whole(load, current, turned)
@@ -138,7 +146,7 @@ class Scene:
         )
 
     def _beside(self, cell: Cell, load: list[Array], current: list[Array], turned: list[Array]) -> Beside:
-        table, runs = self.rows.table, self.recording.runs
+        table, runs = self.rows.table, self.columns.recording.runs
         run = table.run[cell.rows]
         sample = np.round(table.t_s[cell.rows] * self.recording.filters.rate_Hz).astype(np.intp)
         n = self.arm.joint_count
@@ -162,7 +170,7 @@ class Scene:
 
     def _whole(self, load: list[Array], current: list[Array], turned: list[Array]) -> Beside:
         """What stands beside every sample, run after run."""
-        runs = self.recording.runs
+        runs = self.columns.recording.runs
 
         def joined(key: str) -> Array:
             return np.concatenate([getattr(one, key) for one in runs])
@@ -222,10 +230,9 @@ class Scene:
         return np.concatenate(parts)
 
 
-def _drawn(physics: Physics, k: int, known: Sequence[Law]) -> Array:
-    """Currents of run k (m, n) that the known model asks for: measured ones would bring their own noise into every column."""
-    run = physics.recording.runs[k]
-    torque = physics.body.link_torques(Load())[k] + physics.body.rotor_kg_m2 * run.acceleration
+def _drawn(physics: Physics, run: Motion, load_Nm: Array, known: Sequence[Law]) -> Array:
+    """Currents of a run (m, n) that the known model asks for: measured ones would bring their own noise into every column."""
+    torque = load_Nm + physics.body.rotor_kg_m2 * run.acceleration
     for law in sorted_terms(known).friction:
         j = law.index
         torque[:, j] += sampled_friction_Nm(law, run, j, torque[:, j], physics.gear_ratios[j])

@@ -14,6 +14,9 @@ from calib.gap.series.constants import BENDS_LEAST, COMMON_PRIOR
 from calib.gap.series.scene import Response
 from calib.gap.signals.terms import Term as Law
 
+HELD_TURNS = 4
+TURN_DOUBT = 0.1  # of a turn: to this a secant between two others follows from them
+
 
 @dataclass(frozen=True, slots=True)
 class SeriesTerm(Term):
@@ -27,17 +30,57 @@ class SeriesTerm(Term):
     law: Callable[[Array], Law] | None = None
     now: Array | None = None  # coefficients at which the model of this linearisation has it
     is_common: bool = False  # every gear has it, and the file says nothing of it
+    curve: Curve | None = None
+    alike: Array = field(
+        default_factory=lambda: np.zeros((0, 1, 1))
+    )  # see `departed`: no data tell this from the law
 
     @property
     def count(self) -> int:
         """How many columns."""
         return self.width
 
+    def departed_by(self, size: Array) -> float:
+        """Of the departures' coefficients, of all (c,), over the law's: their columns are as large as its."""
+        law = float(np.linalg.norm(size[: self.laws])) / np.sqrt(self.laws)
+        departs = float(np.linalg.norm(size[self.laws : self.laws + self.departures]))
+        return departs / law if law > 0.0 else 0.0
+
     @property
     def log_odds(self) -> float:
         """Of its key, before any data."""
         prior = COMMON_PRIOR if self.is_common else NAME_PRIOR if self.is_name else BLOCK_PRIOR
         return float(np.log(prior / (1.0 - prior)))
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """Of a law whose first value v bends its response: v is coefficient 0 times `size`, the coefficient at `place` says how the
+    secant at `start` turns towards that at `near`; both follow from v.
+    """
+
+    place: int
+    start: float
+    near: float
+    size: float
+
+    def turned(self, first: float) -> tuple[float, float]:
+        """The second of the two coefficients for the first, and its slope."""
+        value = first * self.size
+        scale = 1.0 / ((self.near - self.start) * self.start)
+        return value * (value - self.start) * scale, (2.0 * value - self.start) * self.size * scale
+
+    def held(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
+        """Coefficients (c,) and their covariance given that one value is behind both (the iterated update of a Kalman filter)."""
+        found, spread = mean, covariance
+        for _ in range(HELD_TURNS):
+            second, slope = self.turned(float(found[0]))
+            along = np.zeros(len(mean))
+            along[[0, self.place]] = -slope, 1.0
+            gain = covariance @ along / (float(along @ covariance @ along) + TURN_DOUBT**2)
+            missed = float(found[self.place]) - second - float(along @ (found - mean))
+            found, spread = mean - gain * missed, covariance - np.outer(gain, along @ covariance)
+        return found, spread
 
 
 def stacked(parts: Sequence[Response]) -> dict[int, Array]:
@@ -69,16 +112,19 @@ def size_of(response: Response) -> Array:
     return np.asarray(np.sqrt(np.atleast_1d(total)))
 
 
-def departed(law: Response, shapes: Mapping[int, Array]) -> dict[int, Array]:
-    """Each law's column times each shape (c, rows of a cell), what is the law itself taken off, as large as the law."""
+def departed(law: Response, shapes: Mapping[int, Array]) -> tuple[dict[int, Array], Array]:
+    """Each law's column times each shape (c, rows of a cell), what is the law itself taken off, as large as the law; and what
+    was taken off: by how much each law's coefficients change with a departure as large as the law, (c, laws, laws).
+    """
     products: dict[int, Array] = {}
     for cell, own in law.items():
         shape = shapes[cell]
         products[cell] = np.hstack([own * one[:, None] for one in shape])
     width = next(iter(products.values())).shape[1] if products else 0
+    count = next(iter(law.values())).shape[1]
     if not width:
-        return {}
-    across: Array = np.zeros((next(iter(law.values())).shape[1], width))
+        return {}, np.zeros((0, count, count))
+    across: Array = np.zeros((count, width))
     gram = np.zeros((len(across), len(across)))
     for cell, own in law.items():
         across = across + own.T @ products[cell]
@@ -88,4 +134,6 @@ def departed(law: Response, shapes: Mapping[int, Array]) -> dict[int, Array]:
     rest = {cell: products[cell] - own @ share for cell, own in law.items()}
     sizes = size_of(rest)
     kept = sizes > BENDS_LEAST * whole
-    return {cell: own[:, kept] * (whole / sizes[kept]) for cell, own in rest.items()} if kept.any() else {}
+    columns = {cell: own[:, kept] * (whole / sizes[kept]) for cell, own in rest.items()} if kept.any() else {}
+    taken = share / np.maximum(size_of(products), 1e-300) * whole
+    return columns, np.moveaxis(taken.reshape(count, -1, count), 1, 0)

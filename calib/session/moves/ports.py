@@ -78,3 +78,6 @@ class Geometry(Protocol):
 
     def nearest(self, point: Vector, q_near: Sequence[float]) -> Sequence[float]:
         """Joint angles for a tip position, on the branch nearest to q_near; ArmError if there are none."""
+
+    def posture(self, q_rad: Sequence[float]) -> Sequence[float]:
+        """Posture near which an arm at q_rad approaches a point."""

@@ -55,10 +55,8 @@ class Transfers:
         approaches: int = 1,
         posture_rad: Sequence[float] | None = None,
     ) -> tuple[float, ...]:
-        """Angles above a point, nearest to the posture, or to where the arm is; ArmError if it or the point is out
-        of reach.
-        """
-        near = self._q_rad if posture_rad is None else posture_rad
+        """Angles above a point, nearest to the posture, or to the geometry's; ArmError if it or the point is out of reach."""
+        near = self._geometry.posture(self._q_rad) if posture_rad is None else posture_rad
         starts = above_points(self._geometry, tip_m, normal, self._approach_m, near, approaches)
         above = tuple(self._geometry.nearest(starts[approach - 1], near))
         self._geometry.nearest(tip_m, above)

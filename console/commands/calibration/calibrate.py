@@ -22,7 +22,7 @@ from calib.points.arm_points import points_for
 from calib.points.points import Points
 from calib.report.report import write_report
 from console.commands.progress import Bar
-from console.quantities import quantity, unit_of
+from console.quantities import orientation_noise_rad, quantity, unit_of
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -106,6 +106,7 @@ def _plan(given: argparse.Namespace) -> CalibrationPlan:
         freed=_names(given.free or []),
         boards=_boards(given.boards),
         effects=tuple(_names(given.effect or [])),
+        orientation_noise_rad=orientation_noise_rad(given.orientation_noise),
     )
     return CalibrationPlan(
         choice,

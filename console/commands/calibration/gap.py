@@ -18,7 +18,7 @@ from calib.gap.workflow import (
     require_free,
     write_gap,
 )
-from console.commands.connection import in_control
+from console.commands.connection import in_control_of
 from console.commands.progress import Bar
 from control.errors import ArmError
 from control.model.arm import Arm
@@ -70,7 +70,7 @@ def _look(
 ) -> int:
     recordings = read_recordings(arm, points, logs, given.current_unit)
     with Bar("gap") as bar:
-        outcome = find_gap_in(arm, recordings, without, bar.advance)
+        outcome = find_gap_in(arm, recordings, without, bar.advance, given.map)
     write_gap(outcome, arm, recordings, out)
     _say(given, outcome, out)
     return 0
@@ -142,7 +142,7 @@ def _record_real(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out
     """Record on the connected arm, which must be homed and holding."""
     from procedures.gap.recording import Bench, note_plan, record
 
-    with contextlib.closing(in_control(given)) as client:
+    with contextlib.closing(in_control_of(given, arm)) as client:
         status = client.status()
         if status["mode"] != "HOLDING" or not status["is_homed"]:
             raise ArmError(

@@ -10,7 +10,7 @@ from calib.iso9283.cube import TestCube
 from calib.iso9283.page import summary_text
 from calib.iso9283.programme import PROGRAMMES, Extent
 from calib.iso9283.workspace import largest_cube
-from console.commands.connection import in_control
+from console.commands.connection import in_control_of
 from console.commands.progress import Bar
 from control.errors import ArmError
 from control.model.arm import Arm
@@ -43,7 +43,7 @@ def run(given: argparse.Namespace) -> int:
     _require_within(given.speed, "--speed", 1.0, "a fraction of the joints' limits")
     _require_within(given.rated_speed, "--rated-speed", arm.limits.tip_speed_m_s, "a rated path speed in m/s")
     is_real = given.record and not given.plan_only
-    with contextlib.closing(in_control(given)) if is_real else contextlib.nullcontext() as client:
+    with contextlib.closing(in_control_of(given, arm)) if is_real else contextlib.nullcontext() as client:
         return _record_and_evaluate(given, arm, client)
 
 

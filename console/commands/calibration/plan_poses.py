@@ -14,6 +14,7 @@ from calib.design.words import known_to
 from calib.errors import CalibrationError
 from calib.points.arm_points import points_for
 from calib.points.points import Points
+from console.quantities import orientation_noise_rad
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_writable
@@ -54,6 +55,7 @@ def request_of(given: argparse.Namespace) -> Request:
         only=given.only,
         criterion=given.criterion,
         noise_m=given.noise,
+        turn_noise_rad=orientation_noise_rad(given.orientation_noise),
         view=_view(given.view),
     )
 

@@ -18,7 +18,7 @@ from calib.session.plan import SessionPlan, fingerprint
 from calib.session.residual_watch import ResidualWatch
 from calib.session.state import Mark
 from calib.session.take import SessionSettings
-from console.commands.connection import in_control
+from console.commands.connection import in_control_of
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -75,7 +75,7 @@ def _with_mock(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, 
 def _with_arm(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, interface: Interface) -> None:
     if (Path(given.out) / SCENARIO).exists():
         raise SessionError(f"{given.out}: this session belongs to a mock arm: add --mock")
-    client = in_control(given)
+    client = in_control_of(given, arm)
     try:
         status = _ready(client)
         with SessionFolder(Path(given.out), wanted) as folder:

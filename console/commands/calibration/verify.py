@@ -10,7 +10,7 @@ from pathlib import Path
 from calib.errors import CalibrationError
 from calib.report.verification import Verification
 from calib.validation.verify import comparison_text
-from console.commands.connection import in_control
+from console.commands.connection import in_control_of
 from console.commands.progress import Bar
 from control.errors import ArmError
 from control.files import write_whole
@@ -82,7 +82,7 @@ def _near(arm: Arm) -> tuple[float, ...]:
 
 def _real(given: argparse.Namespace, pair: Pair) -> Bench:
     """The bench of a running runtime. ArmError if it is not homed and holding; nothing moves."""
-    client = in_control(given)
+    client = in_control_of(given, pair.nominal.arm)
     status = client.status()
     if status["mode"] != "HOLDING":
         raise ArmError(f"the arm is {status['mode']}: run `armwright enable` and `armwright home` first")

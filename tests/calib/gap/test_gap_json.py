@@ -12,6 +12,8 @@ import pytest
 from calib.gap.finding import (
     EffectName,
     GapFinding,
+    MapCheck,
+    MeasuredMaps,
     Nameable,
     NamedEffect,
     OpenQuestion,
@@ -20,10 +22,9 @@ from calib.gap.finding import (
     write_gap_json,
 )
 from calib.gap.model_update import as_totals, updated_arm
-from control.model.arm import Calibration, Effect
+from control.model.arm import Effect
 from control.model.description import load_arm, save_arm
-
-MADE = Calibration("right.toml", {"points.csv": "0" * 64}, "2026-11-21", "gap workflow", "armwright test")
+from control.model.maps import CorrectionMap
 
 
 class Name(msgspec.Struct, forbid_unknown_fields=True):
@@ -85,6 +86,26 @@ class Question(msgspec.Struct, forbid_unknown_fields=True):
     next_experiment: str
 
 
+class MapTable(msgspec.Struct, forbid_unknown_fields=True):
+    joint: int
+    corrects: str
+    over: str
+    largest: float
+    largest_by_direction: float
+
+
+class Checked(msgspec.Struct, forbid_unknown_fields=True):
+    channel: str
+    joint: int | None
+    before_si: float
+    after_si: float
+
+
+class Maps(msgspec.Struct, forbid_unknown_fields=True):
+    tables: list[MapTable]
+    checked: list[Checked]
+
+
 class GapJson(msgspec.Struct, forbid_unknown_fields=True):
     """The format gap/2."""
 
@@ -100,6 +121,7 @@ class GapJson(msgspec.Struct, forbid_unknown_fields=True):
     next_experiment: str | None
     remainder: list[Rest]
     open_questions: list[Question]
+    maps: Maps | None
 
 
 def full() -> GapFinding:
@@ -135,6 +157,13 @@ def full() -> GapFinding:
             full(), effects=(), ambiguous=(), unknown=None, nameable=(), next_experiment=None
         ),
         dataclasses.replace(full(), unknown=Unknown("the whole", None, 0.0)),
+        dataclasses.replace(
+            full(),
+            maps=MeasuredMaps(
+                (CorrectionMap(2, "angle_rad", "load_Nm", (0.0, 0.0, 0.001, 0.002), -5.0, 5.0),),
+                (MapCheck("tip_m", None, 4e-4, 2e-4),),
+            ),
+        ),
     ],
 )
 def test_gap_json_has_all_keys_of_the_format_and_no_others(found: GapFinding, tmp_path: Path) -> None:
@@ -191,7 +220,7 @@ def test_a_change_beside_what_the_file_knows_is_said_and_written_as_the_total(
 ) -> None:
     arm = dataclasses.replace(load_arm("right"), effects=(Effect(effect, joint, known),))
     total = as_totals(arm, found_with((effect, joint, found)))
-    model = updated_arm(arm, total, None, MADE)
+    model = updated_arm(arm, total, None)
     assert {key: value for key, (value, _) in total.effects[0].parameters.items()} == pytest.approx(sum_)
     assert len(model.effects) == 1
     assert dict(model.effects[0].parameters) == pytest.approx(sum_)
@@ -202,7 +231,6 @@ def test_a_change_beside_what_the_file_knows_is_said_and_written_as_the_total(
 def test_an_effect_of_another_joint_is_added_beside_what_is_known() -> None:
     arm = dataclasses.replace(load_arm("right"), effects=(Effect("backlash", 1, {"width_rad": 0.003}),))
     model = updated_arm(
-        arm, found_with(("backlash", 2, {"width_rad": 0.002}), ("link_geometry", None, {})), None, MADE
+        arm, found_with(("backlash", 2, {"width_rad": 0.002}), ("link_geometry", None, {})), None
     )
     assert [(one.effect, one.joint) for one in model.effects] == [("backlash", 1), ("backlash", 2)]
-    assert model.calibration == MADE

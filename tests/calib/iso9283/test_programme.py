@@ -144,5 +144,5 @@ def test_a_cube_that_the_arm_does_not_reach_or_that_goes_through_the_floor_is_sa
 
 
 def test_an_arm_with_one_joint_has_no_cube() -> None:
-    with pytest.raises(Iso9283Error, match="no test cube"):
+    with pytest.raises(Iso9283Error, match="its tip moves on a surface"):
         largest_cube(load_arm(ARMS / "pendulum.toml"))

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.arms import SEVEN
 from calib.boards.boards import BoardPose
 from calib.session.moves.clear_paths import ClearPaths, EDGE_m, MARGIN_m, NoClearPath
+from calib.session.moves.geometry import ArmGeometry
 from control.kinematics.kinematics import Kinematics
 from control.model.table import board_rotation, cavities, table_of
 from tests.calib.session.session_arm import GEOMETRY, RIGHT
@@ -77,3 +79,11 @@ def test_a_pose_that_is_low_may_be_left_and_reached() -> None:
     ways = ClearPaths(RIGHT, GEOMETRY)
     assert ways.stops(low, high, LEVEL) == [high]
     assert ways.stops(high, low, LEVEL) == [low]
+
+
+def test_an_arm_with_free_joints_approaches_near_its_rest_pose_whatever_a_hand_has_made_of_them() -> None:
+    seven, three = ArmGeometry(SEVEN), ArmGeometry(RIGHT)
+    hanging, bent = (0.1, 1.9, 0.2, -1.0, 0.3, -1.2, 0.5), (0.1, -1.0, 0.2)
+    assert SEVEN.rest is not None
+    assert seven.posture(hanging) == SEVEN.rest.q_rad
+    assert three.posture(bent) == bent  # its branch says all

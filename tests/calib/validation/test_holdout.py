@@ -55,17 +55,7 @@ def test_every_third_point_is_left_out_interleaved() -> None:
 def test_a_board_of_unknown_place_that_is_left_out_is_scored_by_the_scatter_in_its_cavities() -> None:
     rng = np.random.default_rng(4)
     dh = true_dh(rng, size=0.4)
-    once = board_points(rng, dh, is_measured=False)
-    again = board_points(rng, dh, is_measured=False)
-    both = type(once)(
-        *(
-            (*getattr(once, f.name), *getattr(again, f.name))
-            if isinstance(getattr(once, f.name), tuple)
-            else np.concatenate((getattr(once, f.name), getattr(again, f.name)))
-            for f in dataclasses.fields(once)
-            if f.name != "extra"
-        )
-    )
+    both = joined([board_points(rng, dh, is_measured=False) for _ in range(2)])
     found = held_out(lambda points: problem_of(UNPLACED, points), both, "setup", LSQ)
     assert found.is_scatter
     # Two tips about their mean: 1.6 * 0.14 mm / sqrt(2).

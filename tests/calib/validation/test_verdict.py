@@ -1,7 +1,7 @@
 """Is my result good? Each answer is given where it is due, with a reason and a next step."""
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -24,6 +24,7 @@ class Fitted:
     rank: int = 10
     condition_number: float = 20.0
     estimates: tuple = ()
+    nominal_dh: np.ndarray = field(default_factory=lambda: RIGHT.dh)
 
     @property
     def rms_after_m(self) -> float:
@@ -78,6 +79,13 @@ def test_the_paper_stands_beside_the_setup_of_the_same_name() -> None:
     said = " ".join(verdict(fitted(), left_out(0.02, 0.00025, "part 1 of 5"), FLOOR).sentences)
     assert "paper" not in said
     assert "SpringerPlus" not in said
+
+
+def test_the_paper_stands_beside_no_other_arm() -> None:
+    longer = RIGHT.dh + np.array([0.0, 0.0, 0.05, 0.0])
+    for other in (longer, RIGHT.dh[:3], np.vstack((RIGHT.dh, RIGHT.dh))):
+        said = " ".join(verdict(fitted(nominal_dh=other), left_out(0.02, 0.00025), FLOOR).sentences)
+        assert "SpringerPlus" not in said
 
 
 def test_a_weak_design_asks_for_free_poses_and_one_board_for_tilts() -> None:

@@ -112,7 +112,7 @@ def test_an_arm_without_a_stated_floor_stands_on_its_own_base_plane() -> None:
 def test_a_guard_costs_a_small_part_of_a_cycle(low: Cell) -> None:
     import time
 
-    guard, here = low.runtime.parts.guard, at_rest(LOW)
+    guard, here = low.runtime.parts.tool.guard, at_rest(LOW)
     begun_s = time.process_time()
     for _ in range(2000):
         guard.objection(here.q_rad, here.q_rad)

@@ -17,6 +17,7 @@ from control.model.arm import Arm, Link, Tool
 from control.model.description import arm_text, load_arm
 from control.recording import mcap_scene as scene
 from control.recording.export import to_mcap
+from control.recording.layout import END_FIELDS
 from control.recording.mcap_events import Events
 from control.recording.mcap_schemas import FOXGLOVE, TOPICS, columns_of
 from control.recording.reading import Recording
@@ -269,7 +270,7 @@ def test_the_arm_is_that_of_the_header_then_of_its_file_then_of_its_name(tmp_pat
 
 def test_every_column_of_a_recording_is_in_its_topic() -> None:
     carried = [name for topic in TOPICS for name in columns_of(topic, 3)]
-    assert sorted(carried) == sorted(Layout.of(3, has_joint_side=True).names)
+    assert sorted(carried) == sorted(Layout.of(3, has_joint_side=True, more=END_FIELDS).names)
 
 
 def test_foxglove_knows_its_messages_by_their_titles() -> None:

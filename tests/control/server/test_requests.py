@@ -28,7 +28,8 @@ def snapshot(cell: Cell) -> tuple[object, ...]:
     return (
         runtime.monitor.mode, runtime.motion, runtime.run_number, runtime.set_point, runtime.averaging, runtime.is_quitting,
         runtime.jogging, runtime.override, runtime.is_weightless,
-        runtime.parts.servo.torque_model.payload_kg, runtime.monitor.is_homed, runtime.is_hold_pending, runtime.is_shutting_down,
+        runtime.parts.loads.masses_kg, runtime.parts.tool, runtime.monitor.is_homed, runtime.is_hold_pending,
+        runtime.is_shutting_down,
     )  # fmt: skip
 
 

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import pytest
 
 from control.dynamics.dynamics import Dynamics
+from control.dynamics.loads import Loads
 from control.hardware.interface import OutputMode
 from control.model.description import load_arm
 from control.motion.setpoint import SetPoint, at_rest
-from control.server.assemble import TorqueModel
 from control.servo.pid import Pid
 from control.servo.servo import Motor, Servo
+from control.servo.torque_model import MotionTorque
 
 MOTOR = Motor(
     amperes_per_Nm=1 / 3.0, resistance_ohm=0.3, volts_per_rad_s=3.0, supply_V=24.0, current_limit_A=8.0
@@ -23,7 +24,6 @@ class Constant:
     """A torque model that always wants the same."""
 
     def __init__(self, torque_Nm: float) -> None:
-        self.payload_kg = 0.0
         self.torque_Nm = torque_Nm
 
     def __call__(
@@ -113,10 +113,12 @@ def test_silence_is_0_V_everywhere() -> None:
 
 def test_the_payloads_torque_is_that_of_the_dynamics_with_this_payload() -> None:
     arm = load_arm("right")
-    model = TorqueModel(arm)
+    loads = Loads(arm)
+    model = MotionTorque(arm, loads)
     state = ((0.3, -0.7, 0.4), (0.5, -0.2, 0.3), (1.0, 2.0, -1.0))
     empty = list(model(*state))
-    model.payload_kg = 0.8
+    loads.state(arm.tool, 0.8)
+    loads.take_at_once()
     laden = Dynamics(arm, 0.8).inverse(*state)
     bare = Dynamics(arm).inverse(*state)
     expected = [e + w - b for e, w, b in zip(empty, laden, bare, strict=True)]

@@ -11,7 +11,7 @@ from calib.gap.model_update import updated_arm
 from calib.gap.poses.find import find
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.words import in_words
-from control.model.arm import Calibration, Effect
+from control.model.arm import Effect
 
 
 def names(found: StaticGap) -> set[EffectName]:
@@ -74,8 +74,7 @@ def test_an_effect_that_the_file_has_and_the_arm_has_not_is_a_total_of_none(wron
     assert found.finding.unknown is None
     assert found.finding.gap_after < 1.1
     assert any("Not there" in sentence for sentence in in_words(found.finding))
-    made = Calibration("a", {}, "2026-01-01", "gap workflow", "x")
-    assert updated_arm(arm, found.finding, found.dh, made).effects == ()
+    assert updated_arm(arm, found.finding, found.dh).effects == ()
 
 
 def test_what_is_named_says_its_probability_and_how_far_it_departs_from_its_law() -> None:

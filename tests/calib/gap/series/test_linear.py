@@ -24,7 +24,8 @@ def around(found: dict[Any, Law]) -> Around:
     run, sample = np.zeros(ROWS, dtype=int), np.arange(ROWS)
     cell = Cell("current_A", 0, slice(0, ROWS), 1.0)
     scene: Any = SimpleNamespace(cells=(cell,), thinned=[Thin.each(run, sample, 1)])
-    return Around(scene, (), found, np.linspace(-1.0, 1.0, ROWS))
+    rows = np.linspace(-1.0, 1.0, ROWS)
+    return Around(scene, (), found, rows, rows)
 
 
 def term() -> SeriesTerm:

@@ -1,0 +1,178 @@
+"""Poses whose orientation was measured, too: three more residuals each, and how the measured target sits on the last link.
+
+    e = lever log(R_measured (R_link exp(t) R_0)'),   lever = position noise / orientation noise
+
+The lever makes an angle a length whose noise is that of a coordinate, so that objectives, noise and intervals hold unchanged:
+e of a pose is one more row. Where nobody says that the target's frame is the last link's (`fix target`), its turn t against a
+start R_0 is identified with the arm: no target is mounted to the noise.
+
+    de = lever (J_l(e)^-1 w_measured - J_r(e)^-1 w_model)      (Barfoot, State Estimation for Robotics, 7.1)
+
+Second derivatives of the rows of orientation are left out (Gauss-Newton): e stays below a few degrees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arm_problem.expansion import Expansion
+from calib.arm_problem.frames import left_jacobian, mean_rotation, rotation_of
+from calib.arm_problem.parameters import Bounds, Parameter
+from calib.arm_problem.problem import ALL, ArmProblem, Problem, Turns
+from calib.arrays import Array
+from control.kinematics.rotation import cross_matrices, logarithms
+
+TARGET = "target"
+TARGET_NAMES = ("target_rx", "target_ry", "target_rz")
+SMALL_rad = 1e-4
+Places = npt.NDArray[np.intp]
+
+
+def whole_problem(problem: ArmProblem) -> Problem:
+    """The problem with the rows of measured orientations; the problem itself where there are none."""
+    return PosedProblem(problem) if len(problem.observed.turned_rows) else problem
+
+
+@dataclass(frozen=True, slots=True)
+class PosedExpansion:
+    """Tips and orientations around one x; `jacobian` (r, 3, k) of the orientations."""
+
+    tip: Expansion
+    turned: Array
+    jacobian: Array
+
+    @property
+    def residuals(self) -> Array:
+        """(m + r, 3) [m]."""
+        return np.concatenate((self.tip.residuals, self.turned))
+
+    def sums(self, pull: Array, bend: Array | None) -> tuple[Array, Array]:
+        """Gradient (k,) and gram (k, k)."""
+        m, k = len(self.tip.residuals), self.jacobian.shape[2]
+        own = len(self.tip.places)
+        gradient, gram = np.zeros(k), np.zeros((k, k))
+        gradient[:own], gram[:own, :own] = self.tip.sums(pull[:m], None if bend is None else bend[..., :m])
+        gradient += np.einsum("ri,rik->k", pull[m:], self.jacobian)
+        return gradient, gram + self._gram(None if bend is None else bend[..., m:])
+
+    def curvature(self, pull: Array) -> Array:
+        """Of the tips, (k, k)."""
+        k, own = self.jacobian.shape[2], len(self.tip.places)
+        whole = np.zeros((k, k))
+        whole[:own, :own] = self.tip.curvature(pull[: len(self.tip.residuals)])
+        return whole
+
+    def _gram(self, bend: Array | None) -> Array:
+        """Sum of J' bend J; bend (3, r), (3, 3, r), or None for ones."""
+        jacobian = self.jacobian
+        if bend is None:
+            bent = jacobian
+        elif bend.ndim == 2:
+            bent = bend.T[:, :, None] * jacobian
+        else:
+            bent = np.einsum("ijr,rjk->rik", bend, jacobian)
+        k = jacobian.shape[2]
+        return np.asarray(jacobian.reshape(-1, k).T @ bent.reshape(-1, k))
+
+
+class PosedProblem:
+    """Residuals of tips, then of orientations; unknowns are those of the tips, then the target's turn."""
+
+    def __init__(self, tips: ArmProblem) -> None:
+        self.tips = tips
+        self.rows = tips.observed.turned_rows
+        self.lever_m = tips.observed.lever_m
+        is_free = not tips.observed.is_target_known
+        turn = [Parameter(name, "rad", 0.0, Bounds().of_free(name, "rad")) for name in TARGET_NAMES]
+        self.parameters = (*tips.parameters, *(turn if is_free else ()))
+        self._count = len(tips.parameters)
+        self._scale = turn[0].scale
+        self.start = self._mean_target() if is_free else np.eye(3)
+
+    def __len__(self) -> int:
+        """How many rows."""
+        return len(self.tips) + len(self.rows)
+
+    def residuals(self, x: Array, rows: slice = ALL) -> Array:
+        """(rows, 3) [m]."""
+        some, turned = self._split(rows)
+        return np.concatenate((self.tips.residuals(x[: self._count], some), self._turned(x, turned)[0]))
+
+    def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
+        """(rows, 3) and (rows, 3, k)."""
+        some, turned = self._split(rows)
+        tip, by_tip = self.tips.residuals_and_jacobian(x[: self._count], some)
+        error, by_x = self._turned(x, turned)
+        return np.concatenate((tip, error)), np.concatenate((self._widened(by_tip), by_x))
+
+    def expanded(self, x: Array, rows: slice = ALL) -> PosedExpansion:
+        """Around x."""
+        some, turned = self._split(rows)
+        return PosedExpansion(self.tips.expanded(x[: self._count], some), *self._turned(x, turned))
+
+    def sensitivity(self, x: Array) -> Array:
+        """The Jacobian for zero residuals, (rows, 3, k)."""
+        by_turn = self._turned(x, self.rows, at_zero=True)[1]
+        return np.concatenate((self._widened(self.tips.sensitivity(x[: self._count])), by_turn))
+
+    def angles_rad(self, x: Array) -> Array:
+        """Errors of the orientations as rotation vectors in the base frame, (r, 3)."""
+        return self._turned(x, self.rows)[0] / self.lever_m
+
+    def target(self, x: Array) -> Array:
+        """The target's orientation in the last link's frame, (3, 3)."""
+        return np.asarray(rotation_of(self._turn(x)) @ self.start)
+
+    def _turn(self, x: Array) -> Array:
+        return x[self._count :] * self._scale if len(x) > self._count else np.zeros(3)
+
+    def _split(self, rows: slice) -> tuple[slice, Places]:
+        """Rows of the tips as a slice, and poses of the orientations, of a slice of all rows."""
+        m, whole = len(self.tips), range(len(self))[rows]
+        first = [row for row in whole if row < m]
+        poses = self.rows[np.array([row - m for row in whole if row >= m], dtype=np.intp)]
+        return slice(first[0], first[-1] + 1, whole.step) if first else slice(0, 0), poses
+
+    def _turned(self, x: Array, poses: Places, at_zero: bool = False) -> tuple[Array, Array]:
+        """Residuals of orientations (r, 3) [m] and their Jacobian (r, 3, k)."""
+        found = self.tips.turns(x[: self._count], poses)
+        turn = self._turn(x)
+        modelled = found.model @ (rotation_of(turn) @ self.start)
+        error = logarithms(found.measured @ np.swapaxes(modelled, 1, 2))
+        by_model = self._with_target(found, turn, len(x))
+        by_measured = self._widened(found.by_measured)
+        if not at_zero:
+            inverse = _inverse_jacobians(error)
+            by_measured = inverse @ by_measured
+            by_model = np.swapaxes(inverse, 1, 2) @ by_model  # J_r(e) = J_l(e)'
+        return self.lever_m * error, self.lever_m * (by_measured - by_model)
+
+    def _with_target(self, found: Turns, turn: Array, k: int) -> Array:
+        whole = self._widened(found.by_model)
+        if k > self._count:
+            whole[:, :, self._count :] = found.model @ left_jacobian(turn) * self._scale
+        return whole
+
+    def _widened(self, columns: Array) -> Array:
+        """With columns of zeros for the target."""
+        whole = np.zeros((*columns.shape[:2], len(self.parameters)))
+        whole[:, :, : self._count] = columns
+        return whole
+
+    def _mean_target(self) -> Array:
+        """The target's orientation in the last link's frame that fits the nominal arm best."""
+        found = self.tips.turns(np.zeros(self._count), self.rows)
+        return mean_rotation(np.swapaxes(found.model, 1, 2) @ found.measured)
+
+
+def _inverse_jacobians(vectors: Array) -> Array:
+    """J_l(e)^-1 = I - [e] / 2 + (1 / a^2 - (1 + cos a) / (2 a sin a)) [e]^2, (r, 3, 3)."""
+    angle = np.linalg.norm(vectors, axis=1)
+    safe = np.where(angle > SMALL_rad, angle, 1.0)
+    series = 1.0 / safe**2 - (1.0 + np.cos(safe)) / (2.0 * safe * np.sin(safe))
+    weight = np.where(angle > SMALL_rad, series, 1.0 / 12.0)
+    cross = cross_matrices(vectors)
+    return np.asarray(np.eye(3) - 0.5 * cross + weight[:, None, None] * (cross @ cross))

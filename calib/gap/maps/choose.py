@@ -1,0 +1,185 @@
+"""Which tables a map needs, how smooth they are, and whether they help recordings that were not fitted.
+
+All is linear: y = base @ b + sum of tables + noise. Tables come in one after the other, each time the one that best foretells
+recordings left out in turn; those that report are looked at once, at the end, and decide whether anything is written.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve
+
+from calib.arrays import Array, Mask
+from calib.gap.maps.candidate import BENDS, Candidate
+
+PAYS = 0.05  # of the mean square of recordings that were not fitted: a correction that gains less is not worth it
+LARGE = 0.25  # of it: such a gain needs no counting; it may stand in the few pieces that are fast, or heavily loaded
+# Standard deviations by which the gain of all pieces, or the count of those that gain, has to stand out of nothing: of some sixty
+# tables that are tried, none may get in by chance. A few pieces far from the model would hide a gain from the mean, and many that
+# lie still would hide it from the count.
+SURE_sd = 3.0
+CHECKED_sd = 2.0  # the same of the recordings that report, which are looked at once
+TABLES_MOST = 12
+Places = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Rows y (r,) over their noise; `base` (r, b) with `base_precision` (b,) is fitted beside every map.
+
+    `tables` (r, c) per candidate, per usual size of its coefficients. `folds` (r,): left out in turn, -1: reports, less: not
+    used. `pieces` (r,): rows of one number hang together.
+    """
+
+    y: Array
+    base: Array
+    base_precision: Array
+    candidates: tuple[Candidate, ...]
+    tables: tuple[Array, ...]
+    folds: Places
+    pieces: Places
+
+    @property
+    def reports(self) -> Mask:
+        """Rows that only report."""
+        return np.asarray(self.folds == -1)
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Tables by number with the coefficients of their splines in usual sizes, the base's values, and rows left (r,)."""
+
+    numbers: tuple[int, ...]
+    values: tuple[Array, ...]
+    base: Array
+    before: Array
+    after: Array
+
+
+def chosen(measured: Measured) -> Chosen | None:
+    """What is worth writing; None where nothing is."""
+    folded = _Folded(measured)
+    members: list[tuple[int, float]] = []
+    while len(members) < TABLES_MOST and folded.is_possible:
+        tried = [
+            (folded.foretold([*members, (number, bend)]), number, bend)
+            for number in folded.free(members)
+            for bend in BENDS
+        ]
+        if not tried:
+            break
+        _, number, bend = min(tried)
+        more = [*members, (number, bend)]
+        before, after = (folded.foretold_rows(some) for some in (members, more))
+        if not helps(before, after, measured.pieces[folded.decides], SURE_sd):
+            break
+        members = more
+    if not members:
+        return None
+    before, (base, _) = folded.left([]), folded.fitted(members)
+    after, (base, values) = folded.left(members), folded.fitted(members)
+    found = Chosen(tuple(number for number, _ in members), values, base, before, after)
+    rows = measured.reports
+    return found if helps(before[rows], after[rows], measured.pieces[rows], CHECKED_sd) else None
+
+
+def helps(before: Array, after: Array, pieces: Places, sure_sd: float) -> bool:
+    """Whether rows (r,) that were not fitted are better off, by something and surely; rows of one piece hang together."""
+    gained = before**2 - after**2
+    share = float(gained.sum()) / max(float(np.sum(before**2)), 1e-300)
+    if share < PAYS or share > LARGE:
+        return share > LARGE
+    _, piece = np.unique(pieces, return_inverse=True)
+    sums = np.bincount(piece, gained)
+    count, better = len(sums), int(np.sum(sums > 0.0))
+    is_seen_in_count = better - 0.5 * count > sure_sd * 0.5 * math.sqrt(count)
+    return is_seen_in_count or float(sums.sum()) > sure_sd * float(np.std(sums)) * math.sqrt(count)
+
+
+class _Folded:
+    """Inner products of everything, fold by fold, so that a set is tried without its rows."""
+
+    def __init__(self, measured: Measured) -> None:
+        self.measured = measured
+        counts = [measured.base.shape[1], *(table.shape[1] for table in measured.tables)]
+        self._ends = np.cumsum(counts)
+        self._folds = folds = [one for one in np.unique(measured.folds).tolist() if one >= 0]
+        self.is_possible = len(folds) > 1 and bool(measured.reports.any())
+        self._columns = np.hstack([measured.base, *measured.tables, measured.y[:, None]])
+        parts = [self._columns[measured.folds == one] for one in folds]
+        self._grams = [part.T @ part for part in parts]
+        self._whole = np.sum(self._grams, axis=0)
+
+    def free(self, members: Sequence[tuple[int, float]]) -> list[int]:
+        """Candidates that may still come in: a motor's turn has one table."""
+        taken = {self.measured.candidates[number] for number, _ in members}
+        places = {(one.joint, one.over, one.is_directed) for one in taken}
+        return [
+            number
+            for number, one in enumerate(self.measured.candidates)
+            if (one.joint, one.over, one.is_directed) not in places
+        ]
+
+    def foretold(self, members: Sequence[tuple[int, float]]) -> float:
+        """Sum of squares that each fold leaves with what the others give."""
+        at, precision = self._at(members)
+        total = 0.0
+        for own in self._grams:
+            size = self._solved(self._whole - own, at, precision)
+            total += float(own[-1, -1] - 2.0 * size @ own[at, -1] + size @ own[np.ix_(at, at)] @ size)
+        return total
+
+    @property
+    def decides(self) -> Mask:
+        """Rows that are left out in turn."""
+        return np.asarray(self.measured.folds >= 0)
+
+    def foretold_rows(self, members: Sequence[tuple[int, float]]) -> Array:
+        """What each fold leaves with what the others give, the rows that decide."""
+        at, precision = self._at(members)
+        left = np.zeros(len(self.measured.y))
+        for fold, own in zip(self._folds, self._grams, strict=True):
+            rows = self.measured.folds == fold
+            size = self._solved(self._whole - own, at, precision)
+            left[rows] = self.measured.y[rows] - self._columns[np.ix_(rows, at)] @ size
+        return left[self.decides]
+
+    def fitted(self, members: Sequence[tuple[int, float]]) -> tuple[Array, tuple[Array, ...]]:
+        """The base's values and those of the tables, from all rows that do not report."""
+        at, precision = self._at(members)
+        size = self._solved(self._whole, at, precision)
+        first = self.measured.base.shape[1]
+        ends = np.cumsum([first, *(self.measured.candidates[number].count for number, _ in members)])
+        values = tuple(size[a:b] for a, b in itertools.pairwise(ends))
+        return size[:first], values
+
+    def left(self, members: Sequence[tuple[int, float]]) -> Array:
+        """All rows without what a set explains, (r,)."""
+        at, precision = self._at(members)
+        return np.asarray(self.measured.y - self._columns[:, at] @ self._solved(self._whole, at, precision))
+
+    def _at(self, members: Sequence[tuple[int, float]]) -> tuple[Array, Array]:
+        """Places of a set's columns, and their prior precision."""
+        first = self.measured.base.shape[1]
+        at = [np.arange(first), *(np.arange(self._ends[k], self._ends[k + 1]) for k, _ in members)]
+        places = np.concatenate(at)
+        precision = np.zeros((len(places), len(places)))
+        precision[:first, :first] = np.diag(self.measured.base_precision)
+        for number, bend in members:
+            count = self.measured.candidates[number].count
+            precision[first : first + count, first : first + count] = self.measured.candidates[
+                number
+            ].precision(bend)
+            first += count
+        return places, precision
+
+    def _solved(self, gram: Array, at: Array, precision: Array) -> Array:
+        if not len(at):
+            return np.zeros(0)
+        return np.asarray(cho_solve(cho_factor(gram[np.ix_(at, at)] + precision), gram[at, -1]))

@@ -1,0 +1,213 @@
+"""Maps of joints' torques from time series: what the currents need beside everything named.
+
+Two looks. The first is of rows up to 25 Hz, as the decision has them: noise of the measured acceleration is in what the currents
+need and in the load alike, and the less of it there is, the less it passes for friction. A motor's turn is faster: the second is
+of samples up to 60 Hz, what the first leaves, over the motor's turn alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from calib.arm_problem.measured_maps import along
+from calib.arrays import Array, Mask
+from calib.gap.finding import MapCheck
+from calib.gap.maps.candidate import Candidate, maps_of, over_angle, over_load, over_speed, over_turn
+from calib.gap.maps.choose import Measured, chosen
+from calib.gap.maps.outcome import DrawnMap, MapsFound, rms
+from calib.gap.series.outcome import DynamicOutcome
+from calib.gap.signals.parts import sorted_terms
+from calib.gap.signals.recording import Motion
+from control.dynamics.effect_laws import direction
+from control.model.arm import Arm
+from control.model.maps import CorrectionMap, Over
+
+SAMPLES_PER_s = 200.0  # of the second look: what 60 Hz can tell
+PIECE_s = 0.5  # of a run: longer than what hangs together
+FOLDS = 5
+PIECES = 4  # that are left out together
+MOVES_rad_s = 0.008  # below, friction is pre-sliding (as in calib.gap.residuals.rows)
+REPORTS_FROM = 2.0 / 3.0  # of a single run (as in calib.gap.series.split)
+NONE = "no map of the joints' torques helps recordings that were not fitted: none is written"
+Places = npt.NDArray[np.intp]
+
+
+def torque_maps(arm: Arm, outcome: DynamicOutcome) -> tuple[Arm, MapsFound]:
+    """The arm with maps of its joints' torques, where these help runs that were held out, and what they do."""
+    if not outcome.physics.recording.has_current:
+        return arm, MapsFound((), (), ("a map of torques needs motor currents: none is written",))
+    found = MapsFound((), ())
+    driven = {drive.joint for drive in arm.drives}
+    for joint in range(1, arm.joint_count + 1):
+        signals = Signals.of(outcome, joint)
+        first = _looked(signals, signals.slow(), is_fast=False)
+        found += first
+        if joint in driven:
+            rest = signals.without(first.maps)
+            found += _looked(rest, rest.fast(), is_fast=True)
+    if not found.drawn:
+        return arm, MapsFound((), (), (NONE,))
+    return dataclasses.replace(arm, maps=(*arm.maps, *found.maps)), found
+
+
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """One joint's samples (m,), run after run: what the model lacks, `left_Nm`, as the motor would have to add it.
+
+    What that may follow: `motor_rad` is the motor's angle as it was read, all others as the state filter leaves them, and
+    `load_Nm` as smooth as rows are.
+    """
+
+    outcome: DynamicOutcome
+    joint: int
+    run: Places
+    place: Places
+    usable: Mask
+    q_rad: Array
+    motor_rad: Array
+    speed_rad_s: Array
+    load_Nm: Array
+    left_Nm: Array
+
+    @classmethod
+    def of(cls, outcome: DynamicOutcome, joint: int) -> Signals:
+        """Of a joint, 1-based."""
+        physics, j = outcome.physics, joint - 1
+        runs, filters = physics.recording.runs, physics.recording.filters
+        parts = sorted_terms(outcome.model)
+        rotor, row = float(physics.body.rotor_kg_m2[j]), filters.row
+        load = [
+            np.convolve(own[:, j] + rotor * one.acceleration[:, j], row, mode="same")
+            for own, one in zip(physics.body.link_torques(parts.load), runs, strict=True)
+        ]
+        torque_per_A = float(physics.torque_per_A[j] * physics.scales(parts)[j])
+        left = [-torque_per_A * one.current_A[:, j] for one in physics.predict(outcome.model)]
+        return cls(
+            outcome, joint, np.repeat(np.arange(len(runs)), [len(one) for one in runs]),
+            np.concatenate([np.arange(len(one)) for one in runs]), _joined(runs, "usable", j) > 0, _joined(runs, "q", j),
+            physics.gear_ratios[j] * _joined(runs, "q_raw", j), _joined(runs, "speed", j), np.concatenate(load),
+            np.concatenate(left),
+        )  # fmt: skip
+
+    def without(self, maps: tuple[CorrectionMap, ...]) -> Signals:
+        """The same beside maps."""
+        added = sum((self.table(one) for one in maps), np.zeros(len(self.run)))
+        return dataclasses.replace(self, left_Nm=self.left_Nm - added)
+
+    def over(self, variable: Over) -> Array:
+        """What a table is over."""
+        match variable:
+            case "motor_turn_rad":
+                return self.motor_rad
+            case "load_Nm":
+                return self.load_Nm
+            case "speed_rad_s":
+                return self.speed_rad_s
+            case _:
+                return self.q_rad
+
+    def table(self, one: CorrectionMap) -> Array:
+        """What a map says at every sample."""
+        return along(one, self.over(one.over), direction(self.speed_rad_s))
+
+    def slow(self) -> Band:
+        """Rows of the decision: already filtered samples, filtered once more."""
+        filters = self.outcome.physics.recording.filters
+        return Band.of(self, filters.row, filters.step, is_filtered=True)
+
+    def fast(self) -> Band:
+        """Samples as the state filter leaves them; what is made of raw angles goes through it."""
+        filters = self.outcome.physics.recording.filters
+        return Band.of(
+            self, filters.state[0], max(1, round(filters.rate_Hz / SAMPLES_PER_s)), is_filtered=False
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Rows (r,) at samples `at`: `mix` (r, m) filters what is made of samples, `left_Nm` (r,) are the signals' own."""
+
+    at: Places
+    mix: sparse.csr_array
+    left_Nm: Array
+
+    @classmethod
+    def of(cls, signals: Signals, kernel: Array, step: int, is_filtered: bool) -> Band:
+        """One row every `step` samples where all within reach may be used; `is_filtered`: samples have to be filtered, too."""
+        half, m = (len(kernel) - 1) // 2, len(signals.run)
+        count = np.bincount(signals.run)[signals.run]
+        inside = (signals.place >= half) & (signals.place < count - half)
+        bad = np.concatenate([[0], np.cumsum(~signals.usable)])
+        here = np.arange(m)
+        clean = bad[np.minimum(here + half + 1, m)] == bad[np.maximum(here - half, 0)]
+        moves = np.abs(signals.speed_rad_s) > MOVES_rad_s
+        at = np.flatnonzero(inside & clean & moves & (signals.place % step == 0))
+        columns = at[:, None] + np.arange(-half, half + 1)
+        starts = len(kernel) * np.arange(len(at) + 1)
+        mix = sparse.csr_array((np.tile(kernel, len(at)), columns.ravel(), starts), shape=(len(at), m))
+        return cls(at, mix, mix @ signals.left_Nm if is_filtered else signals.left_Nm[at])
+
+
+def _looked(signals: Signals, band: Band, is_fast: bool) -> MapsFound:
+    """Maps that one look gives."""
+    nothing = MapsFound((), ())
+    usual = rms(band.left_Nm) if len(band.at) else 0.0
+    candidates = _candidates(signals, band, is_fast)
+    if not usual > 0.0 or not candidates:
+        return nothing
+    way = direction(signals.speed_rad_s)
+    tables = tuple((band.mix @ one.columns(signals.over(one.over), way)).toarray() for one in candidates)
+    none = np.zeros((len(band.at), 0))
+    folds, pieces = _divided(signals, band)
+    found = chosen(Measured(band.left_Nm / usual, none, np.zeros(0), candidates, tables, folds, pieces))
+    if found is None:
+        return nothing
+    maps = maps_of([(candidates[k], usual * own) for k, own in zip(found.numbers, found.values, strict=True)])
+    before, after = (usual * rms(own[folds == -1]) for own in (found.before, found.after))
+    drawn = tuple(_drawn(signals, band, one, usual * found.after) for one in maps)
+    return MapsFound(drawn, (MapCheck("torque_Nm", signals.joint, before, after),))
+
+
+def _candidates(signals: Signals, band: Band, is_fast: bool) -> tuple[Candidate, ...]:
+    joint, at = signals.joint, band.at
+    if not len(at):
+        return ()
+    if is_fast:
+        return over_turn(joint, float(np.ptp(signals.motor_rad[at])))
+    return (
+        *over_angle(joint, "torque_Nm", signals.q_rad[at]),
+        *over_load(joint, "torque_Nm", signals.load_Nm[at]),
+        *over_speed(joint, signals.speed_rad_s[at]),
+    )
+
+
+def _divided(signals: Signals, band: Band) -> tuple[Places, Places]:
+    """Folds of stretches of the runs that decide, -1 for the runs that report; and pieces of runs.
+
+    Not of whole runs: the fastest one would be foretold from slower ones, and every table would come out too stiff.
+    """
+    runs, run, place = signals.outcome.physics.recording.runs, signals.run[band.at], signals.place[band.at]
+    rate_Hz = signals.outcome.physics.recording.filters.rate_Hz
+    names = signals.outcome.split.report_runs
+    reports = np.isin(run, [k for k, one in enumerate(runs) if one.name in names])
+    if len(runs) == 1:
+        reports = place >= REPORTS_FROM * len(runs[0])
+    own = place // max(1, round(PIECE_s * rate_Hz))
+    pieces = own + (int(own.max()) + 1) * run
+    return np.where(reports, -1, pieces // PIECES % FOLDS).astype(np.intp), pieces
+
+
+def _drawn(signals: Signals, band: Band, one: CorrectionMap, left_Nm: Array) -> DrawnMap:
+    table = band.mix @ signals.table(one)
+    at = signals.over(one.over)[band.at]
+    return DrawnMap(one, np.mod(at, math.tau) if one.is_periodic else at, table + left_Nm, table)
+
+
+def _joined(runs: tuple[Motion, ...], key: str, j: int) -> Array:
+    return np.concatenate([getattr(one, key)[:, j] for one in runs])

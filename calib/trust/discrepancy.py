@@ -1,0 +1,208 @@
+"""What a real arm does beyond its geometry: the usual causes and smooth remainders, each of unknown size, as columns of the tip.
+
+The identified geometry is never the whole truth. Kennedy and O'Hagan (Bayesian calibration of computer models, J. R. Stat.
+Soc. B 63, 2001) put a Gaussian process beside the model for what it lacks. Here it has a term for each cause that parts of
+arms are known for (scale, eccentricity, load, play, coupling, bending), so that it extrapolates as they do, and smooth ones
+for the rest: functions of each joint's angle (Solin and Sarkka, Hilbert space methods for reduced-rank Gaussian process
+regression, Stat. Comput. 30, 2020) and a field over the tip's place. Nothing is named: the sizes are estimated together
+(`calib.trust.posterior`), and those that the poses do not need shrink.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.link_bending import beams, bending_m
+from calib.arrays import Array
+from calib.design.reach import joint_box
+from control.dynamics.static_pose import gravity_Nm, resting
+from control.errors import MissingModel
+from control.model.arm import Arm
+
+# Usual sizes, at the joint in rad or at the tip in m: about a tenth of what a cause does where it is worth a name
+# (docs/gap.md). Each size is estimated; these matter for what no pose tests.
+ANGLE_rad: Final = 3e-4
+COUPLING_rad: Final = 1e-4
+LOAD_rad: Final = 3e-4
+DIRECTION_rad: Final = 3e-4
+BENDING_m: Final = 5e-5
+FIELD_m: Final = 3e-5
+DEPARTURE: Final = 0.12  # of a law, as parts of arms keep theirs; the rest of its source shares its size
+ANGLE_LENGTH_rad: Final = (
+    0.7  # over which the rest of an angle's error is alike: up to three waves a turn pass
+)
+FIELD_LENGTH: Final = 0.4  # of the reach, over which the tip's error is alike
+BEYOND: Final = 1.25  # the functions live on this many times the travel, so that its ends are free
+FIELD_WAVES: Final = 16  # random Fourier features of the field, for each axis
+SAMPLE: Final = 500  # poses over the travel that the columns are scaled on
+SEED: Final = 20161771
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Poses at rest and how each was reached.
+
+    q_rad (m, n); direction (m, n): sign of the last motion, 0 unknown; payload_kg (m,); current_A (m, n), or None.
+    """
+
+    q_rad: Array
+    direction: Array
+    payload_kg: Array
+    current_A: Array | None = None
+
+    @classmethod
+    def of(cls, q_rad: Array, direction: float = 0.0, payload_kg: float = 0.0) -> Conditions:
+        """Poses that all joints reach in one direction with one payload."""
+        return cls(q_rad, np.full(q_rad.shape, direction), np.full(len(q_rad), payload_kg))
+
+    def __len__(self) -> int:
+        """How many poses."""
+        return len(self.q_rad)
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One cause of error: where, what it follows, its usual size [rad at the joint, m at the tip], and its columns."""
+
+    where: str
+    follows: str
+    usual: float
+    count: int
+
+    @property
+    def name(self) -> str:
+        """Joint 2: load"""
+        return f"{self.where}: {self.follows}"
+
+
+Block = tuple[Source, Array]  # a source and its columns (m, 3, count) [m]
+
+
+class Discrepancy:
+    """The sources of an arm, and their columns at any pose."""
+
+    def __init__(self, arm: Arm) -> None:
+        """Load, play by gravity and bending need masses; an arm without them has the other sources."""
+        self._arm, self._model = arm, ArmModel(arm)
+        lower, upper = joint_box(arm, 0.0)
+        self._centre, self._travel = 0.5 * (lower + upper), 0.5 * (upper - lower)
+        rng = np.random.default_rng(SEED)
+        sample = lower + (upper - lower) * rng.random((SAMPLE, len(lower)))
+        self._load_Nm = _largest_load_Nm(arm, sample)
+        self._bending = self._bending_scales(sample)
+        self._waves, self._phases = _field_waves(arm, rng)
+        blocks = list(self._blocks(Conditions.of(sample[:2]), arm.dh, self._model.nominal_tool_m))
+        self.sources = tuple(source for source, _ in blocks)
+
+    @property
+    def slices(self) -> list[slice]:
+        """The columns of each source."""
+        ends = np.cumsum([0, *(source.count for source in self.sources)]).tolist()
+        return [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+    def columns(self, at: Conditions, dh: Array, tool_m: Array) -> Array:
+        """The tip's displacement by each column of weight 1 [m], (m, 3, columns); `dh` (links, 4), `tool_m` (3,)."""
+        return np.concatenate([columns for _, columns in self._blocks(at, dh, tool_m)], axis=2)
+
+    def _blocks(self, at: Conditions, dh: Array, tool_m: Array) -> Iterator[Block]:
+        slopes = self._model.slopes(dh, at.q_rad, tool_m)
+        by_joint = slopes.by_dh[:, :, list(self._model.theta_places)]
+        load, flank = self._gears(at)
+        for j in range(self._arm.joint_count):
+            for follows, usual, values in self._laws(at.q_rad, load, flank, j):
+                source = Source(f"joint {j + 1}", follows, usual, values.shape[1])
+                yield source, by_joint[:, :, j, None] * values[:, None, :]
+        for link, scale_m in self._bending.items():
+            shift = bending_m(self._arm, self._arm.dh, at.q_rad, at.payload_kg, link) / scale_m
+            yield Source(f"link {link}", "bending", BENDING_m, 1), shift[:, :, None]
+        yield Source("the tip", "place", FIELD_m, 3 * len(self._phases)), self._field(slopes.tips)
+
+    def _laws(self, q_rad: Array, load: Array, flank: Array, j: int) -> Iterator[tuple[str, float, Array]]:
+        """What a joint's angle may be off by: (m, columns) for each source, in its usual size.
+
+        Scale and eccentricity share a size: over a short travel they are alike, and beyond it they are not.
+        """
+        q, x = q_rad[:, j], q_rad[:, j] - self._centre[j]
+        travel = self._travel[j]
+        rest = DEPARTURE * _smooth_functions(x, BEYOND * travel)
+        yield "angle", ANGLE_rad, np.column_stack((x / travel, np.sin(q), np.cos(q), rest))
+        others = [k for k in range(self._arm.joint_count) if k != j]
+        if others:
+            yield "other angles", COUPLING_rad, (q_rad - self._centre)[:, others] / self._travel[others]
+        if self._load_Nm is not None and self._load_Nm[j] > 0.0:
+            pull = load[:, j]
+            curve = DEPARTURE * np.column_stack((np.abs(pull), pull * np.abs(pull)))
+            yield "load", LOAD_rad, np.column_stack((pull, curve))
+        side = flank[:, j, None]
+        worn = [wave(order * q) for order in (1, 2) for wave in (np.sin, np.cos)]
+        pressed = np.abs(load[:, j, None])
+        wear = DEPARTURE * side * np.column_stack((*worn, pressed))
+        yield "direction", DIRECTION_rad, np.column_stack((side, wear))
+
+    def _gears(self, at: Conditions) -> tuple[Array, Array]:
+        """Gravity torque over the largest, and the gear's flank (0 unclear), (m, n) each."""
+        if self._load_Nm is None:
+            return np.zeros(at.q_rad.shape), np.sign(at.direction)
+        state = resting(self._arm, at.q_rad, at.direction, at.current_A, at.payload_kg)
+        return state.gravity_Nm / np.where(self._load_Nm > 0.0, self._load_Nm, 1.0), state.flank
+
+    def unclear(self, at: Conditions, dh: Array, tool_m: Array) -> Array:
+        """The tip's displacement [m] by each joint's play, (m, 3, n), where its gear's flank is unclear; else 0."""
+        by_joint = self._model.slopes(dh, at.q_rad, tool_m).by_dh[:, :, list(self._model.theta_places)]
+        return np.asarray(by_joint * (self._gears(at)[1] == 0.0)[:, None, :])
+
+    def plays_rad(self, weights: Array) -> Array:
+        """Half the play of each joint (n,), by weights (columns,) of the columns."""
+        own = [
+            s.start
+            for source, s in zip(self.sources, self.slices, strict=True)
+            if source.follows == "direction"
+        ]
+        return np.asarray(np.abs(weights[own]))
+
+    def _bending_scales(self, sample: Array) -> dict[int, float]:
+        """For each link that can bend: its displacement of the tip for EI = 1, root mean square over the travel."""
+        if self._load_Nm is None:
+            return {}
+        none_kg = np.zeros(len(sample))
+        shifts = {k: bending_m(self._arm, self._arm.dh, sample, none_kg, k) for k in beams(self._arm)}
+        scales = {k: math.sqrt(float(np.mean(np.sum(shift**2, axis=1)))) for k, shift in shifts.items()}
+        return {k: scale for k, scale in scales.items() if scale > 0.0}
+
+    def _field(self, tips_m: Array) -> Array:
+        """Random Fourier features of the tip's place (Rahimi and Recht 2007), for each axis: (m, 3, 3 w)."""
+        features = np.cos(tips_m @ self._waves.T + self._phases) * math.sqrt(2.0 / len(self._phases))
+        return np.asarray(np.einsum("mw,ij->miwj", features, np.eye(3)).reshape(len(tips_m), 3, -1))
+
+
+def _largest_load_Nm(arm: Arm, sample: Array) -> Array | None:
+    """The largest gravity torque of each joint (n,) over the travel; None without masses."""
+    try:
+        return np.asarray(np.abs(gravity_Nm(arm, sample)).max(axis=0))
+    except MissingModel:
+        return None
+
+
+def _field_waves(arm: Arm, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Wave vectors (w, 3) [rad/m] and phases (w,) of the field."""
+    reach_m = float(np.abs(arm.dh[:, (0, 2)]).sum()) + float(np.linalg.norm(arm.tool.position_m))
+    waves = rng.standard_normal((FIELD_WAVES, 3)) / (FIELD_LENGTH * max(reach_m, 1e-3))
+    return waves, rng.uniform(0.0, 2.0 * math.pi, FIELD_WAVES)
+
+
+def _smooth_functions(x: Array, half_rad: float) -> Array:
+    """Sines on -half .. half with the weights of a squared exponential of unit variance, (m, order).
+
+    Enough of them for the length scale (Riutort-Mayol et al., Stat. Comput. 33, 2023: 1.75 half / length).
+    """
+    order = max(3, math.ceil(1.75 * half_rad / ANGLE_LENGTH_rad))
+    roots = math.pi / (2.0 * half_rad) * np.arange(1, order + 1)
+    spectrum = math.sqrt(2.0 * math.pi) * ANGLE_LENGTH_rad * np.exp(-0.5 * (roots * ANGLE_LENGTH_rad) ** 2)
+    return np.asarray(np.sin((x[:, None] + half_rad) * roots) * np.sqrt(spectrum / half_rad))

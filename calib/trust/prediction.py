@@ -1,0 +1,140 @@
+"""The tip's predicted error at any pose: what is expected, how far it may be off, and what scatters from visit to visit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.frames import cross_matrix
+from calib.arm_problem.parameters import dh_names
+from calib.arm_problem.problem import TOOL_NAMES, ArmProblem
+from calib.arrays import Array
+from calib.trust.discrepancy import Conditions, Discrepancy
+from calib.trust.posterior import Posterior, loose_play_m2
+from control.model.arm import Arm
+
+
+@dataclass(frozen=True, slots=True)
+class TipError:
+    """The tip's error at m poses, true minus modelled, in the base frame.
+
+    expected_m (m, 3): its mean, which the arm's file does not correct. systematic_m2 (m, 3, 3): covariance of what stays the
+    same from visit to visit. random_m2 (m, 3, 3): of what does not.
+    """
+
+    tip_m: Array
+    expected_m: Array
+    systematic_m2: Array
+    random_m2: Array
+
+    @property
+    def total_m2(self) -> Array:
+        """Covariance of one visit about the expected error, (m, 3, 3)."""
+        return np.asarray(self.systematic_m2 + self.random_m2)
+
+    @property
+    def rms_m(self) -> Array:
+        """Root mean square distance of one visit, (m,)."""
+        squares = np.einsum("mi,mi->m", self.expected_m, self.expected_m)
+        return np.asarray(np.sqrt(squares + np.trace(self.total_m2, axis1=1, axis2=2)))
+
+
+class Predictor:
+    """Predicts errors of an arm from the posterior of its poses. `reference_q` (w, n) spans its workspace."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        problem: ArmProblem,
+        discrepancy: Discrepancy,
+        posterior: Posterior,
+        repeat_m: float,
+        reference_q: Array,
+    ) -> None:
+        """`repeat_m`: standard deviation of one axis from visit to visit, without the measurement's noise."""
+        self._arm, self._discrepancy, self.posterior = arm, discrepancy, posterior
+        self._model, self._solved = ArmModel(arm), problem.solution(posterior.x)
+        known = {name: k for k, name in enumerate((*dh_names(len(arm.links)), *TOOL_NAMES))}
+        names = [parameter.name for parameter in problem.parameters]
+        self.own_places = [k for k, name in enumerate(names) if name in known]
+        self._places = [known[names[k]] for k in self.own_places]
+        self._scale = problem.scale[self.own_places]
+        self._repeat_m, self._reference_q = repeat_m, reference_q
+        self.is_tied = _is_tied(problem)
+
+    def at(self, poses: Conditions) -> TipError:
+        """The error at poses."""
+        columns, tips = self.columns(poses), self._model.tips(self._arm.dh, poses.q_rad)
+        spread = np.einsum("mik,kl,mjl->mij", columns, self.posterior.covariance, columns, optimize=True)
+        return TipError(tips, self.expected_m(poses, columns), spread, self.scatter_m2(poses))
+
+    def columns(self, poses: Conditions) -> Array:
+        """The error's derivatives by the posterior's unknowns (m, 3, k).
+
+        Without a rigid motion of the workspace, if the base is not tied.
+        """
+        columns = self._raw_columns(poses)
+        return columns if self.is_tied else columns - self._moved(poses.q_rad, self._moves)
+
+    def expected_m(self, poses: Conditions, columns: Array) -> Array:
+        """The mean error (m, 3): geometry by the full kinematics, the rest linear."""
+        linear = columns @ self.posterior.mean
+        geometry = self._geometry_columns(poses) @ self.posterior.mean[self.own_places]
+        solved = self._solved
+        bend = self._model.tips(solved.dh, poses.q_rad, solved.tool_m) - self._model.tips(
+            self._arm.dh, poses.q_rad
+        )
+        return np.asarray(linear + (bend - geometry if self.is_tied else 0.0))
+
+    def _geometry_columns(self, poses: Conditions) -> Array:
+        slopes = self._model.slopes(self._solved.dh, poses.q_rad, self._solved.tool_m)
+        return np.concatenate((slopes.by_dh, slopes.by_tool), axis=2)[:, :, self._places] * self._scale
+
+    def _raw_columns(self, poses: Conditions) -> Array:
+        x_count = self.posterior.x_count
+        whole = np.zeros((len(poses), 3, len(self.posterior.mean)))
+        whole[:, :, self.own_places] = self._geometry_columns(poses)
+        whole[:, :, x_count:] = self._discrepancy.columns(poses, self._solved.dh, self._solved.tool_m)
+        return whole
+
+    @cached_property
+    def _moves(self) -> Array:
+        """The rigid motion (6, k) that is nearest to each column over the workspace."""
+        reference = Conditions.of(self._reference_q)
+        wanted = self._raw_columns(reference).reshape(-1, len(self.posterior.mean))
+        found, *_ = np.linalg.lstsq(self._twists(self._reference_q).reshape(-1, 6), wanted)
+        return np.asarray(found)
+
+    def _moved(self, q_rad: Array, moves: Array) -> Array:
+        return np.asarray(np.einsum("mij,jk->mik", self._twists(q_rad), moves))
+
+    def _twists(self, q_rad: Array) -> Array:
+        """Displacement of the tip by small motions of the base, (m, 3, 6)."""
+        tips = self._model.tips(self._arm.dh, q_rad)
+        return np.array([np.hstack((np.eye(3), -cross_matrix(tip))) for tip in tips])
+
+    def scatter_m2(self, poses: Conditions) -> Array:
+        """Covariance (m, 3, 3) of what differs from visit to visit: repeatability, loose gears, encoder steps."""
+        slopes = self._model.slopes(self._arm.dh, poses.q_rad)
+        by_joint = slopes.by_dh[:, :, list(self._model.theta_places)]
+        steps = by_joint * _encoder_steps_rad(self._arm) / math.sqrt(12.0)
+        loose = loose_play_m2(self._discrepancy, poses, self._solved, self.posterior)
+        return np.asarray(np.einsum("mik,mjk->mij", steps, steps) + loose + self._repeat_m**2 * np.eye(3))
+
+
+def _is_tied(problem: ArmProblem) -> bool:
+    """Whether some pose's reference is known in the arm's base frame."""
+    is_free = np.array([frame.is_free for frame in problem.observed.frames])
+    return bool((~is_free)[problem.observed.frame].any())
+
+
+def _encoder_steps_rad(arm: Arm) -> Array:
+    """One count of each encoder at its joint (n,); 0 of a joint without a drive."""
+    steps = np.zeros(arm.joint_count)
+    for drive in arm.drives:
+        steps[drive.joint - 1] = 2.0 * math.pi / abs(drive.encoder_counts_per_rev * drive.gear_ratio)
+    return steps

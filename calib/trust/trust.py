@@ -1,0 +1,145 @@
+"""How far an arm can be trusted: from its file and recorded points to the tip's predicted error over the workspace."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from calib.arm_problem.assembly import Choice, problem_of
+from calib.arm_problem.checks import require_usable
+from calib.arrays import Array
+from calib.design.candidates import workspace_poses
+from calib.points.points import Points
+from calib.trust.discrepancy import Conditions, Discrepancy
+from calib.trust.held_out import Coverage, coverage_of
+from calib.trust.importance import Importance, importances
+from calib.trust.posterior import Posterior, posterior_of
+from calib.trust.prediction import Predictor, TipError
+from calib.validation.verdict import noise_floor
+from control.model.arm import Arm
+from control.progress import Advance, silent
+
+POSES: Final = 1500  # drawn over the joints' ranges, before those that collide are left out
+DRAWS: Final = 400  # of each pose's error, for its 95 % distance
+DIRECTIONS: Final = (1.0, -1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class MapRequest:
+    """What the map is made for: masses at the tip [kg], the wanted accuracy [m] or None, and poses drawn.
+
+    is_checked: points are left out in turn and predicted, which takes most of the time.
+    """
+
+    payloads_kg: tuple[float, ...] = (0.0,)
+    tolerance_m: float | None = None
+    poses_count: int = POSES
+    is_checked: bool = True
+    choice: Choice = field(default_factory=Choice)
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """The map for one payload and one direction of approach: errors at the map's poses.
+
+    within_95_m (m,): the distance that one visit keeps in 95 % of cases.
+    """
+
+    payload_kg: float
+    direction: float
+    error: TipError
+    within_95_m: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Trust:
+    """The result. q_rad (m, n): the map's poses; `coverage` is None if too few poses can be left out."""
+
+    arm: Arm
+    points: Points
+    request: MapRequest
+    posterior: Posterior
+    predictor: Predictor
+    discrepancy: Discrepancy
+    q_rad: Array
+    sheets: tuple[Sheet, ...]
+    coverage: Coverage | None
+    importances: tuple[Importance, ...]
+    measuring_noise_m: float | None
+    warnings: tuple[str, ...]
+
+    @property
+    def within_95_m(self) -> Array:
+        """The largest of both directions without payload, (m,)."""
+        return np.asarray(
+            np.max([one.within_95_m for one in self.of_payload(self.sheets[0].payload_kg)], axis=0)
+        )
+
+    def of_payload(self, payload_kg: float) -> tuple[Sheet, ...]:
+        """The sheets of one payload."""
+        return tuple(one for one in self.sheets if one.payload_kg == payload_kg)
+
+
+def trust_in(arm: Arm, points: Points, request: MapRequest, advance: Advance = silent) -> Trust:
+    """The error map of `arm` (any file of it: nominal, calibrated, with effects) from points of the real one."""
+    advance("checking the points", 0.0)
+    choice = request.choice.for_points(arm, points)
+    problem = problem_of(arm, points, choice)
+    warnings = require_usable(arm, points, problem, choice)
+    at = Conditions(
+        points.q_rad, np.nan_to_num(points.direction), np.nan_to_num(points.payload_kg), points.current_A
+    )
+    advance("identifying, with what the geometry lacks", 0.1)
+    discrepancy = Discrepancy(arm)
+    posterior = posterior_of(problem, at, discrepancy)
+    floor = noise_floor(arm, points, problem, posterior.x)
+    measuring_m = floor.axis_m if floor is not None else None
+    repeat_m = math.sqrt(max(0.0, posterior.noise_m**2 - (measuring_m or 0.0) ** 2))
+    poses = workspace_poses(arm, (), request.poses_count)
+    predictor = Predictor(arm, problem, discrepancy, posterior, repeat_m, poses[:: max(1, len(poses) // 200)])
+    advance("predicting errors over the workspace", 0.4)
+    sheets = tuple(
+        _sheet(predictor, poses, direction, payload_kg)
+        for payload_kg in request.payloads_kg
+        for direction in DIRECTIONS
+    )
+    advance("predicting poses that are left out", 0.6)
+    coverage = coverage_of(problem, at, discrepancy) if request.is_checked else None
+    advance("done", 1.0)
+    groups = importances(predictor, problem, discrepancy, Conditions.of(poses, 1.0, request.payloads_kg[0]))
+    return Trust(
+        arm,
+        points,
+        request,
+        posterior,
+        predictor,
+        discrepancy,
+        poses,
+        sheets,
+        coverage,
+        groups,
+        measuring_m,
+        tuple(warnings),
+    )
+
+
+def _sheet(predictor: Predictor, q_rad: Array, direction: float, payload_kg: float) -> Sheet:
+    error = predictor.at(Conditions.of(q_rad, direction, payload_kg))
+    return Sheet(payload_kg, direction, error, within_95_m(error))
+
+
+def within_95_m(error: TipError) -> Array:
+    """The distance (m,) that one visit keeps in 95 % of cases, by draws of a normal error."""
+    normal = np.random.default_rng(0).standard_normal((DRAWS, 3))
+    root = np.linalg.cholesky(error.total_m2 + 1e-18 * np.eye(3))
+    drawn = error.expected_m[:, None, :] + np.einsum("mij,dj->mdi", root, normal)
+    return np.asarray(np.quantile(np.linalg.norm(drawn, axis=2), 0.95, axis=1))
+
+
+def share_within(distances_m: Sequence[float] | Array, tolerance_m: float) -> float:
+    """The share of distances up to a tolerance."""
+    return float(np.mean(np.asarray(distances_m) <= tolerance_m))

@@ -1,0 +1,88 @@
+"""`armwright trust`: the tip's predicted error over the workspace, and whether a path keeps a tolerance."""
+
+import argparse
+import datetime
+import json
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+from calib.arm_problem.assembly import Choice
+from calib.arm_problem.frames import Frame
+from calib.boards.boards import read_boards
+from calib.errors import CalibrationError
+from calib.inputs import input_file
+from calib.points.arm_points import points_for
+from calib.points.writer import replace_file
+from calib.trust.files import trust_json, write_json, write_map
+from calib.trust.report import trust_report
+from calib.trust.task import Reliability, planned, reliability_of
+from calib.trust.trust import MapRequest, Trust, trust_in
+from calib.trust.words import as_text
+from console.commands.progress import Bar
+from console.quantities import quantity
+from control.errors import ArmError
+from control.model.arm import Arm
+from control.model.description import load_arm
+from control.motion.waypoints import read_waypoints
+from procedures.folders import require_writable
+
+RESULTS = ("trust.json", "map.npz", "report.html")
+
+
+def run(given: argparse.Namespace) -> int:
+    """Read, predict, write. Nothing is written before all input has been read and checked."""
+    arm, out = load_arm(given.arm), Path(given.out)
+    for name in RESULTS:
+        if (out / name).exists():
+            raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
+    require_writable(out)
+    request = _request(given)
+    points, warnings = points_for(arm, [Path(name) for name in given.points])
+    paths = [planned(arm, read_waypoints(file), request.payloads_kg[0]) for file in given.task or []]
+    with Bar("trust") as bar:
+        trust = trust_in(arm, points, request, bar.advance)
+    for warning in (*warnings, *trust.warnings):
+        sys.stderr.write(f"armwright: warning: {warning}\n")
+    tasks = tuple(reliability_of(trust.predictor, path, request.tolerance_m or 0.0) for path in paths)
+    files = _write(given, arm, trust, tasks, out)
+    if given.json:
+        sys.stdout.write(json.dumps(trust_json(trust, tasks), indent=2, allow_nan=False) + "\n")
+    else:
+        sys.stdout.write(as_text(trust, tasks))
+        sys.stdout.write("\n" + "".join(f"{what:<16}{file}\n" for what, file in files.items()))
+    return 0
+
+
+def _request(given: argparse.Namespace) -> MapRequest:
+    tolerance_m = None if given.tolerance is None else quantity(given.tolerance, "m", "--tolerance")
+    if tolerance_m is not None and tolerance_m <= 0.0:
+        raise CalibrationError(f"--tolerance: expected a length above 0, got {given.tolerance}")
+    if given.task and tolerance_m is None:
+        raise CalibrationError("--task: give the --tolerance that the path shall keep, such as 0.5mm")
+    payloads_kg = tuple(given.payload or (0.0,))
+    if min(payloads_kg) < 0.0:
+        raise CalibrationError(f"--payload: expected a mass not below 0, got {min(payloads_kg):g} kg")
+    return MapRequest(payloads_kg, tolerance_m, choice=Choice(boards=_boards(given)))
+
+
+def _boards(given: argparse.Namespace) -> dict[str, Frame]:
+    if given.boards is None:
+        return {}
+    poses = read_boards(Path(given.boards))
+    return {setup: Frame(f"table_{setup}", pose.rotation, pose.origin_m) for setup, pose in poses.items()}
+
+
+def _write(
+    given: argparse.Namespace, arm: Arm, trust: Trust, tasks: tuple[Reliability, ...], out: Path
+) -> dict[str, Path]:
+    date = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d")
+    program = f"armwright {version('armwright')}"
+    page = trust_report(trust, tasks, date, program)
+    out.mkdir(parents=True, exist_ok=True)
+    files = {"report": out / "report.html", "for programs": out / "trust.json", "map": out / "map.npz"}
+    replace_file(files["report"], page.encode())
+    write_map(files["map"], trust)
+    inputs = [input_file(Path(name), "points") for name in given.points]
+    write_json(files["for programs"], trust, tasks, {"date": date, "program_version": program}, inputs)
+    return files

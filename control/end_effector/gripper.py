@@ -1,0 +1,355 @@
+"""The gripper: opens, closes, goes to an opening, and holds what it has with a force.
+
+Voltage of its motor: u = K v + R i, with K = 2 pi k_t / travel per turn, which is also the force per current. On its way a speed
+controller adds R i to K v_set, within the voltages that keep the current at that of the wanted force. Where the fingers are
+stopped says what it has come to: its end, or something, which it then holds with R i alone.
+
+Nothing here moves without a request: enabled, after a stop, a time-out or a fault, it holds where it is.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from control.errors import ArmError
+from control.hardware.gripper_board import GripperBoard, GripperFeedback
+from control.model.end_effector import Gripper
+from control.safety.fault import Fault, Reaction
+from control.safety.limits import voltage_range
+from firmware_iface.errors import BoardReset
+
+PERIOD_s: Final = 0.01  # two frames and their answers in this time are 5 % of a bus of 1 Mbit/s
+SILENT_s: Final = 0.06  # of the loop's attention: six COMMANDs without an answer
+UNCOUNTED_s: Final = 0.15  # the same of a count, which comes after its question
+ENABLE_LIMIT_s: Final = 1.0
+RESET_s: Final = 0.04  # of a fault that was acknowledged: some cycles
+APPROACH_per_s: Final = 10.0  # speed per distance from the goal: slow against the fingers' own time constant
+SPEED_LAG_s: Final = 0.02  # of the measured speed, which comes from counts 10 ms apart
+FULL_FORCE_s: Final = 0.2  # until fingers that do not move are pushed with the whole force
+STALL_s: Final = 0.15
+STALL_SPEED: Final = 0.05  # of the speed limit
+STALL_CURRENT: Final = 0.7  # of that of the wanted force
+FULL_STALL_s: Final = 0.5  # without an encoder only the current says that it stands
+TRIM_per_s: Final = 2.0  # of the held current, which R alone gives to some 10 % (a warm winding)
+TRIM_MOST: Final = 0.3
+TIME_EXTRA_s: Final = 2.0  # beyond the travel at the speed limit
+END_SHARE: Final = (
+    0.01  # of the travel: this near its ends it is open or closed; thinner things are not noticed
+)
+END_LEAST_m: Final = 3e-4
+THERE_SHARE: Final = 0.0025  # of the travel: this near its goal it is there
+THERE_LEAST_m: Final = 1e-4
+
+
+class State(Enum):
+    """What the gripper does; the value is for people."""
+
+    OFF = "drives off"
+    HOLDING = "holds its opening"
+    MOVING = "on its way"
+    OPEN = "open"
+    CLOSED = "closed, nothing held"
+    GRIPPED = "holds something"
+    STOPPED = "stopped before its goal"
+    RELEASED = "without current"
+    FAILED = "its board does not work"
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """An opening [m] (None: as far as it goes, in the direction of `sign`), and the force [N] with which to get there."""
+
+    opening_m: float | None
+    force_N: float
+    sign: int  # 1 opens, -1 closes
+
+
+class GripperControl:
+    """One gripper. `cycle` is called in each control cycle, and works every PERIOD_s."""
+
+    def __init__(self, described: Gripper, board: GripperBoard) -> None:
+        self.state = State.OFF
+        self.goal: Goal | None = None
+        self.why = ""  # it stopped, or does not work
+        self.has_lost = False  # what it held, since the last request
+        self.number = 0  # of the last request
+        self.opening_m: float | None = None  # None: no encoder, or its zero is unknown
+        self.described = described
+        self.feedback: GripperFeedback = board.feedback
+        self._board = board
+        self._zero_m: float | None = None  # `moved_m` when closed
+        self._next_s = -math.inf
+        self._last_s: float | None = None
+        self._enabled_s = math.inf
+        self._speed_m_s, self._before_m = 0.0, math.nan
+        self._heard = (-math.inf, -math.inf)
+        self._unheard_s = self._uncounted_s = 0.0
+        self._hold_m: float | None = None  # `moved_m` of the place to hold
+        self._left_s = self._push_A = self._trim_A = self._stalled_s = 0.0
+
+    # ---- requests
+
+    def require(self, opening_m: float | None, force_N: float | None) -> float:
+        """The force of a request. ArmError if the gripper cannot get to the opening, or cannot push as hard."""
+        gripper = self.described
+        force = gripper.usual_force_N if force_N is None else force_N
+        if not 0.0 < force <= gripper.force_limit_N:
+            raise ArmError(
+                f"gripper: expected a force above 0 and up to {gripper.force_limit_N:.1f} N (current_limit_A), got {force:g} N"
+            )
+        if opening_m is None:
+            return force
+        if not gripper.encoder_counts_per_rev:
+            raise ArmError("gripper: it has no encoder, so it can only open and close")
+        if not 0.0 <= opening_m <= gripper.travel_m:
+            raise ArmError(
+                f"gripper: expected an opening of 0 to {gripper.travel_m:g} m (travel_m), got {opening_m:g} m"
+            )
+        if self._zero_m is None:
+            raise ArmError(
+                "gripper: its opening is not known since power-up: `armwright gripper open` finds it"
+            )
+        return force
+
+    def ask(self, action: str, opening_m: float | None, force_N: float | None) -> None:
+        """`action`: open, close or move (to `opening_m`). ArmError says why not, and then nothing changes."""
+        force = self.require(opening_m, force_N)
+        if self.state in (State.OFF, State.FAILED):
+            raise ArmError(
+                f"gripper: {self.why or State.OFF.value}: enable the drives first (`armwright enable`)"
+            )
+        if action == "move" and opening_m is not None:
+            sign = 1 if opening_m >= (self.opening_m or 0.0) else -1
+            self._start(Goal(opening_m, force, sign))
+        else:
+            sign = 1 if action == "open" else -1
+            known = self._zero_m is not None
+            end_m = (self.described.travel_m if sign > 0 else 0.0) if known else None
+            self._start(Goal(end_m, force, sign))
+
+    def stop(self) -> None:
+        """Hold where it is, if it was on its way; what is held stays held."""
+        if self.state is State.MOVING:
+            self._settle(State.STOPPED, "by request")
+
+    # ---- the cycle
+
+    def cycle(self, now_s: float, is_ready: bool, is_fault: bool, is_off: bool) -> Fault | None:
+        """One control cycle; the fault of its board, once.
+
+        `is_ready`: the joints' drives are enabled. `is_fault`: the arm is in FAULT. `is_off`: the drives are off.
+        """
+        feedback = self._board.read(now_s)
+        self._note_opening()
+        if now_s < self._next_s and (feedback.is_enabled or not is_ready):
+            return None  # on its way to OPERATION ENABLED it is as quick as the joints' boards
+        self._next_s = now_s + PERIOD_s - 1e-6
+        elapsed_s = PERIOD_s if self._last_s is None else min(now_s - self._last_s, 3.0 * PERIOD_s)
+        self._last_s = now_s
+        self._listen(feedback)
+        fault = None if is_off else self._trouble(now_s, is_ready, feedback)
+        self._follow(is_ready, is_fault, is_off)
+        self._measure_speed(elapsed_s)
+        self._board.write(self._volts(elapsed_s), now_s)
+        return fault
+
+    def recover(self) -> None:
+        """A person acknowledges its fault. ArmError while its board is silent: a question to it would keep the arm waiting."""
+        if self._unheard_s > SILENT_s:
+            raise ArmError(f"gripper: {self.why}: check its supply and cable, then acknowledge again")
+        self.state, self.why, self._enabled_s = State.OFF, "", math.inf
+
+    def _follow(self, is_ready: bool, is_fault: bool, is_off: bool) -> None:
+        """Off and on with the joints' drives; what a fault of the arm does to it."""
+        if is_off:
+            self.state = State.OFF
+            self._enabled_s = math.inf
+        elif self.state is State.OFF and is_ready and self.feedback.is_enabled:
+            self._settle(State.HOLDING, "")
+        elif (
+            is_fault and self.described.on_fault == "release" and self.state not in (State.OFF, State.FAILED)
+        ):
+            self.state = State.RELEASED
+        elif is_fault and self.state is State.MOVING:
+            self._settle(State.STOPPED, "by a fault of the arm")
+
+    def _trouble(self, now_s: float, is_ready: bool, feedback: GripperFeedback) -> Fault | None:
+        """What is wrong with the board, once."""
+        if feedback.problem is not None:
+            self._zero_m = None
+            is_reset = isinstance(feedback.problem, BoardReset)
+            restarted = "its motor board restarted: its opening is unknown, and what it held may be gone"
+            return self._fail("gripper_link", restarted if is_reset else str(feedback.problem))
+        if not is_ready or self.state is State.FAILED:
+            return None
+        if self._enabled_s == math.inf:
+            self._enabled_s = now_s
+        waited_s = now_s - self._enabled_s
+        if self._unheard_s > SILENT_s:
+            return self._fail("gripper_silent", f"no reply from its motor board for {SILENT_s} s")
+        if feedback.faults and waited_s > RESET_s:
+            return self._fail("gripper_drive", f"its motor board is in FAULT ({feedback.faults})")
+        if not feedback.is_enabled and waited_s > ENABLE_LIMIT_s:
+            return self._fail("gripper_drive", f"its drive is not enabled after {ENABLE_LIMIT_s} s")
+        if self.described.encoder_counts_per_rev and self._uncounted_s > UNCOUNTED_s:
+            return self._fail("gripper_count", f"no count from its motor board for {UNCOUNTED_s} s")
+        return None
+
+    def _listen(self, feedback: GripperFeedback) -> None:
+        """How long nothing has come, while the loop asked: a pause of the host makes no board silent."""
+        heard = feedback.reply_at_s, feedback.moved_at_s
+        self._unheard_s = 0.0 if heard[0] != self._heard[0] else self._unheard_s + PERIOD_s
+        self._uncounted_s = 0.0 if heard[1] != self._heard[1] else self._uncounted_s + PERIOD_s
+        self._heard = heard
+
+    def _fail(self, code: str, message: str) -> Fault:
+        self.state, self.why = State.FAILED, message
+        remedy = "check its supply, cable and what it holds; then acknowledge"
+        return Fault(code, "gripper", message, remedy, Reaction.CONTROLLED)
+
+    # ---- its motion
+
+    def _start(self, goal: Goal) -> None:
+        self.goal, self.state, self.why, self.has_lost = goal, State.MOVING, "", False
+        self.number += 1
+        self._left_s = self.described.travel_m / self.described.speed_limit_m_s + TIME_EXTRA_s
+        self._push_A = self._trim_A = self._stalled_s = 0.0
+        self._hold_m = None
+
+    def _settle(self, state: State, why: str) -> None:
+        """It has come to an end: brake, and hold where it then is."""
+        self.state, self.why = state, why
+        self._push_A = self._trim_A = self._stalled_s = 0.0
+        self._hold_m = None
+        self._take_place()
+
+    def _take_place(self) -> None:
+        if abs(self._speed_m_s) < self._slow_m_s and not math.isnan(self.feedback.moved_m):
+            self._hold_m = self.feedback.moved_m
+
+    def _note_opening(self) -> None:
+        moved_m = self.feedback.moved_m
+        self.opening_m = None if self._zero_m is None or math.isnan(moved_m) else moved_m - self._zero_m
+
+    def _measure_speed(self, elapsed_s: float) -> None:
+        moved_m = self.feedback.moved_m
+        if math.isnan(self._before_m):
+            self._before_m = moved_m
+        if math.isnan(moved_m):
+            return
+        speed = (moved_m - self._before_m) / elapsed_s
+        self._before_m = moved_m
+        self._speed_m_s += (speed - self._speed_m_s) * elapsed_s / (elapsed_s + SPEED_LAG_s)
+
+    def _volts(self, elapsed_s: float) -> float | None:
+        """The voltage of this cycle; None: open circuit."""
+        if self.state is State.RELEASED or (
+            self.state is State.FAILED and self.described.on_fault == "release"
+        ):
+            return None
+        if self.state is State.MOVING:
+            return self._on_its_way(elapsed_s)
+        if self.state is State.GRIPPED and self.goal is not None:
+            return self._held(self.goal, elapsed_s)
+        if self._hold_m is None:
+            self._take_place()
+        if self.state in (State.OFF, State.FAILED) or self._hold_m is None:
+            return 0.0
+        return self._servo(self._hold_m - self.feedback.moved_m, self._force_A(), elapsed_s)
+
+    def _force_A(self) -> float:
+        force_N = self.goal.force_N if self.goal is not None else self.described.usual_force_N
+        return force_N / self.described.constant_N_A
+
+    def _on_its_way(self, elapsed_s: float) -> float:
+        goal = self.goal
+        if goal is None:
+            return 0.0
+        self._left_s -= elapsed_s
+        left_m = math.copysign(math.inf, goal.sign)
+        if goal.opening_m is not None and self.opening_m is not None:
+            left_m = goal.opening_m - self.opening_m
+        if abs(left_m) <= self._there_m and abs(self._speed_m_s) < self._slow_m_s:
+            self._arrive(goal)
+        elif self._is_stalled(goal, elapsed_s):
+            self._meet(goal)
+        elif self._left_s <= 0.0:
+            self._settle(State.STOPPED, "it did not get there in time")
+        return self._servo(left_m, self._force_A(), elapsed_s)
+
+    def _servo(self, left_m: float, most_A: float, elapsed_s: float) -> float:
+        """Voltage of the speed controller, towards a place that is `left_m` away."""
+        gripper = self.described
+        K, R, fastest = gripper.constant_N_A, gripper.resistance_ohm, gripper.speed_limit_m_s
+        if not gripper.encoder_counts_per_rev:
+            return math.copysign(min(R * most_A, K * fastest), left_m)
+        if abs(left_m) <= 0.5 * self._there_m:
+            self._push_A *= 1.0 - elapsed_s / FULL_FORCE_s  # near enough: no hunting against dry friction
+            left_m = 0.0
+        wanted = min(max(APPROACH_per_s * left_m, -fastest), fastest)
+        gain = most_A / (fastest * FULL_FORCE_s)
+        self._push_A += gain * (wanted - self._speed_m_s) * elapsed_s
+        self._push_A = min(max(self._push_A, -most_A), most_A)
+        lower, upper = voltage_range(gripper.supply_V, most_A, R, K * self._speed_m_s)
+        return min(max(K * wanted + R * self._push_A, lower), upper)
+
+    def _is_stalled(self, goal: Goal, elapsed_s: float) -> bool:
+        """It pushes with the wanted force and does not move."""
+        if self.described.encoder_counts_per_rev:
+            stands, needed_s = abs(self._speed_m_s) < self._slow_m_s, STALL_s
+        else:
+            stands, needed_s = True, FULL_STALL_s
+        pushes = goal.sign * self.feedback.current_A >= STALL_CURRENT * self._stall_A()
+        self._stalled_s = self._stalled_s + elapsed_s if stands and pushes else 0.0
+        return self._stalled_s >= needed_s
+
+    def _stall_A(self) -> float:
+        """The current of fingers that stand."""
+        gripper, most_A = self.described, self._force_A()
+        if gripper.encoder_counts_per_rev:
+            return most_A
+        return min(most_A, gripper.constant_N_A * gripper.speed_limit_m_s / gripper.resistance_ohm)
+
+    def _arrive(self, goal: Goal) -> None:
+        is_end = goal.opening_m in (0.0, self.described.travel_m)
+        self._settle((State.OPEN if goal.sign > 0 else State.CLOSED) if is_end else State.HOLDING, "")
+
+    def _meet(self, goal: Goal) -> None:
+        """Something stopped it: its own end, or what it is to hold."""
+        moved_m, travel_m = self.feedback.moved_m, self.described.travel_m
+        if self._zero_m is None and goal.sign > 0 and not math.isnan(moved_m):
+            self._zero_m = moved_m - travel_m
+            self._note_opening()
+        end_m = travel_m if goal.sign > 0 else 0.0
+        is_end = self.opening_m is not None and abs(self.opening_m - end_m) <= self._near_m
+        if is_end or (goal.sign > 0 and not self.described.encoder_counts_per_rev):
+            self._settle(State.OPEN if goal.sign > 0 else State.CLOSED, "")
+        else:
+            self._settle(State.GRIPPED, "")
+
+    def _held(self, goal: Goal, elapsed_s: float) -> float:
+        """The voltage that holds with the force; what it held may go, and then it goes on to its end."""
+        moved_m = self.feedback.moved_m
+        if self._hold_m is not None and goal.sign * (moved_m - self._hold_m) > self._near_m:
+            number = self.number
+            self._start(goal)
+            self.number, self.has_lost = number, True  # nobody's request
+            return self._on_its_way(elapsed_s)
+        wanted_A = goal.sign * self._force_A()
+        most_A = TRIM_MOST * abs(wanted_A)
+        self._trim_A += TRIM_per_s * elapsed_s * (wanted_A - self.feedback.current_A)
+        self._trim_A = min(max(self._trim_A, -most_A), most_A)
+        return self.described.resistance_ohm * (wanted_A + self._trim_A)
+
+    @property
+    def _near_m(self) -> float:
+        return max(END_SHARE * self.described.travel_m, END_LEAST_m)
+
+    @property
+    def _there_m(self) -> float:
+        return max(THERE_SHARE * self.described.travel_m, THERE_LEAST_m)
+
+    @property
+    def _slow_m_s(self) -> float:
+        return STALL_SPEED * self.described.speed_limit_m_s

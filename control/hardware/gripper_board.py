@@ -1,0 +1,137 @@
+"""The gripper's motor board, for the loop: its current and opening, and the voltage that it gets. `sign`: opening is positive."""
+
+import contextlib
+import math
+from dataclasses import dataclass
+
+from control.hardware.board_stop import BoardStop
+from control.model.end_effector import Gripper
+from firmware_iface.errors import BoardFaulted, LinkError
+from firmware_iface.motor.board import MotorBoard
+from firmware_iface.motor.cia402 import State
+from firmware_iface.motor.wire import Output, Parameter
+
+FULL_FORCE_AT_m = (
+    1e-3  # of the board's own hold: it pushes with the whole current at this distance from where it was
+)
+
+
+@dataclass(slots=True)
+class GripperFeedback:
+    """The board's latest values. `moved_m`: by the motor since power-up, opening positive; NaN without an encoder."""
+
+    current_A: float = 0.0
+    moved_m: float = math.nan
+    moved_at_s: float = -math.inf
+    reply_at_s: float = -math.inf
+    is_enabled: bool = False
+    faults: str = ""  # of its board, in words
+    problem: LinkError | None = None  # it restarted, or sent nonsense; once
+
+
+class GripperBoard:
+    """Sends one COMMAND for each `write`, and asks for the count of the board's own encoder."""
+
+    def __init__(
+        self,
+        gripper: Gripper,
+        board: MotorBoard,
+        problems: list[LinkError],
+        watchdog_s: float,
+        stop: BoardStop,
+    ) -> None:
+        """`problems`: those of this board alone. `watchdog_s`, `stop`: as of the joints' boards."""
+        self._watchdog_s, self._stop = watchdog_s, stop
+        self.feedback = GripperFeedback()
+        self._gripper, self._board, self._problems = gripper, board, problems
+        counts = gripper.encoder_counts_per_rev
+        self._m_per_count = (
+            gripper.motor_direction * gripper.travel_per_turn_m / counts if counts else math.nan
+        )
+        self._is_wanted_enabled = False
+        self._configured_resets = -1
+        self._is_resetting = False
+        self._is_asked = False
+        self._asked_at_s = -math.inf
+        self._last_count: int | None = None
+        self._moved_count = 0
+
+    def read(self, now_s: float) -> GripperFeedback:
+        """The values by now; the bus has been drained before."""
+        feedback, board = self.feedback, self._board
+        feedback.problem = self._problems.pop(0) if self._problems else None
+        if feedback.problem is not None:
+            self._last_count, self._is_asked = None, False
+        feedback.reply_at_s = board.reply_at_s
+        feedback.is_enabled = board.state is State.OPERATION_ENABLED
+        if (reply := board.reply) is not None:
+            feedback.current_A = self._gripper.motor_direction * reply.current_A
+            names = (str(fault.name).replace("_", " ").lower() for fault in reply.fault_flags)
+            feedback.faults = ", ".join(names) if reply.faults else ""
+        if self._is_asked and (count := board.count_taken()) is not None:
+            self._is_asked = False
+            self._take_count(count)
+            feedback.moved_m, feedback.moved_at_s = self._moved_count * self._m_per_count, self._asked_at_s
+        return feedback
+
+    def _take_count(self, count: int) -> None:
+        """The board's count has 32 bits and wraps."""
+        if self._last_count is not None:
+            self._moved_count += (count - self._last_count + (1 << 31)) % (1 << 32) - (1 << 31)
+        self._last_count = count
+
+    def write(self, volts: float | None, now_s: float) -> None:
+        """Command a voltage, opening positive, or an open circuit (None). A board on its way gets the next state command."""
+        board = self._board
+        wanted = State.OPERATION_ENABLED if self._is_wanted_enabled else State.SWITCH_ON_DISABLED
+        if self._is_resetting:
+            self._is_resetting = not board.step_fault_reset()
+        elif board.state is wanted or board.state is State.FAULT:
+            if volts is None:
+                board.command_off()
+            else:
+                board.command_voltage(self._gripper.motor_direction * volts)
+        else:
+            with contextlib.suppress(BoardFaulted):  # the loop sees it in the feedback
+                board.step_towards(wanted)
+        if self._gripper.encoder_counts_per_rev and (not self._is_asked or now_s - self._asked_at_s > 0.05):
+            self._is_asked, self._asked_at_s = True, now_s
+            board.ask_count()
+
+    def enable(self) -> None:
+        """Upload the parameters where the board does not have them, and let `write` bring it to OPERATION ENABLED. Waits."""
+        board = self._board
+        if self._configured_resets != board.resets:
+            board.go_to(State.SWITCH_ON_DISABLED)
+            for index, value in self._parameters():
+                board.write(index, value)
+            self._configured_resets = board.resets
+        self._is_wanted_enabled = True
+
+    def disable(self) -> None:
+        """Let `write` bring the board to SWITCH ON DISABLED."""
+        self._is_wanted_enabled = False
+
+    def reset_fault(self) -> None:
+        """Let `write` acknowledge the board's fault, if it has one: the arm is held meanwhile, so nothing waits here."""
+        self._is_resetting = True
+
+    def _parameters(self) -> list[tuple[Parameter, int]]:
+        gripper = self._gripper
+        holds = gripper.on_fault == "hold"
+        kp_V_m = gripper.resistance_ohm * gripper.current_limit_A / FULL_FORCE_AT_m
+        per_count = abs(self._m_per_count) if gripper.encoder_counts_per_rev else 0.0
+        return [
+            (Parameter.WATCHDOG_ms, round(self._watchdog_s * 1e3)),
+            (Parameter.WATCHDOG_ACTION, Output.HOLD if holds else Output.OPEN_CIRCUIT),
+            (Parameter.STOP_AFTER_ms, round(self._stop.after_s * 1e3)),
+            (Parameter.STOP_TIME_ms, round(self._stop.time_s * 1e3)),
+            (Parameter.DISABLED_OUTPUT, Output.BRAKE if holds else Output.OPEN_CIRCUIT),
+            (Parameter.CURRENT_LIMIT_mA, round(gripper.current_limit_A * 1e3)),
+            (Parameter.VOLTAGE_LIMIT_mV, round(gripper.supply_V * 1e3)),
+            (Parameter.KP_uV_count, round(kp_V_m * per_count * 1e6)),
+            (Parameter.KI_uV_count_s, 0),
+            (Parameter.KD_nV_s_count, 0),
+            (Parameter.INTEGRAL_LIMIT_mV, round(gripper.resistance_ohm * gripper.current_limit_A * 1e3)),
+            (Parameter.SPEED_FEEDFORWARD_nV_s_count, round(gripper.constant_N_A * per_count * 1e9)),
+        ]

@@ -1,0 +1,126 @@
+"""What an arm.toml says about the end of the arm: tools, gripper, pins. A field's name is its key in the file."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from control.model.reader import Rejected, read_table
+from control.model.rules import (
+    DIRECTION,
+    FINGER_SPEED,
+    NODE,
+    NOT_NEGATIVE,
+    PIN,
+    POSITION,
+    POSITIVE,
+    ROTOR,
+    TOOL_MASS,
+    TRAVEL,
+    WORD,
+    ZERO_OR_MORE,
+)
+
+Vector3 = tuple[float, float, float]
+Positive = Annotated[float, POSITIVE]
+NonNegative = Annotated[float, NOT_NEGATIVE]
+Position = Annotated[Vector3, POSITION]
+
+
+@dataclass(frozen=True, slots=True)
+class Tool:
+    """What is mounted on the last link: one [tool], or several [[tool]] with a name each, of which the first is on at the start.
+
+    `armwright tool NAME` changes it (docs/tools.md).
+    """
+
+    position_m: Annotated[Position, "the tip (tool centre point) in the last link's frame"] = (0.0, 0.0, 0.0)
+    known: Annotated[bool, "false: `calibrate` identifies it"] = True
+    name: Annotated[str, WORD, "required and unique where there are several", "none"] = ""
+    mass_kg: Annotated[NonNegative, TOOL_MASS, "a point mass, beyond the masses of the links"] = 0.0
+    com_m: Annotated[Position | None, "where it is, in the last link's frame", "at the tip"] = None
+
+    @property
+    def centre_m(self) -> Vector3:
+        """The centre of its mass in the last frame."""
+        return self.position_m if self.com_m is None else self.com_m
+
+
+NO_TOOL = Tool()
+
+
+@dataclass(frozen=True, slots=True)
+class Gripper:
+    """A gripper: one motor, on a motor board of its own, opens and closes the fingers (docs/tools.md).
+
+    The opening is the distance that the motor moves them: 0 closed, `travel_m` open.
+    """
+
+    motor_node: Annotated[int, NODE, "CAN node of its motor board"]
+    travel_m: Annotated[Positive, TRAVEL, "from closed to open"]
+    travel_per_turn_m: Annotated[Positive, TRAVEL, "of the opening, per motor turn"]
+    torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
+    resistance_ohm: Annotated[Positive, "of the winding, from terminal to terminal"]
+    supply_V: Annotated[Positive, "of the motor board"]
+    current_limit_A: Annotated[Positive, "what the motor bears for ever; the board keeps to it in every mode"]
+    speed_limit_m_s: Annotated[Positive, FINGER_SPEED, "of the opening"]
+    encoder_counts_per_rev: Annotated[
+        int, ZERO_OR_MORE, "per motor turn; 0: no encoder, so it can only open and close"
+    ] = 0
+    rotor_inertia_kg_m2: Annotated[NonNegative, ROTOR, "of the rotor; for the mock"] = 0.0
+    motor_direction: Annotated[int, DIRECTION, "-1: a positive voltage closes"] = 1
+    motor_serial_number: Annotated[
+        Annotated[int, ZERO_OR_MORE] | None, "compared with the board's, if given"
+    ] = None
+    force_N: Annotated[
+        Positive | None, "where no force is asked for", "half of that at the current limit"
+    ] = None
+    on_fault: Annotated[
+        Literal["hold", "release"],
+        "after a fault of the arm, and when the host is gone: keep what it has, or open the circuit",
+    ] = "hold"
+
+    @property
+    def constant_N_A(self) -> float:
+        """Force per current without friction, and voltage per speed [V s/m]: 2 pi k_t / travel per turn."""
+        return 2.0 * math.pi * self.torque_constant_Nm_A / self.travel_per_turn_m
+
+    @property
+    def force_limit_N(self) -> float:
+        """The force at the current limit."""
+        return self.constant_N_A * self.current_limit_A
+
+    @property
+    def usual_force_N(self) -> float:
+        """The force where none is asked for."""
+        return 0.5 * self.force_limit_N if self.force_N is None else self.force_N
+
+
+@dataclass(frozen=True, slots=True)
+class Digital:
+    """A spare pin of a motor board, by name (docs/tools.md)."""
+
+    name: Annotated[str, WORD, "unique"]
+    board: Annotated[int, NODE, "CAN node of the motor board, of a joint or the gripper"]
+    pin: Annotated[int, PIN, "its number on the board"]
+    direction: Annotated[Literal["input", "output"], "seen from the board"]
+    safe: Annotated[
+        Literal["low", "high", "keep"],
+        'of an output while the drives are off and after a fault; "keep": as it was',
+    ] = "low"
+
+
+def read_tools(document: dict[str, Any]) -> tuple[dict[str, Any], tuple[Tool, ...]]:
+    """Read the `[[tool]]`s of a document: the rest of it, and the tools. There are none if it has one `[tool]`, or nothing."""
+    tables = document.get("tool")
+    if not isinstance(tables, list) or not tables:
+        return document, ()
+    tools = tuple(read_table(Tool, table, ("tool", index)) for index, table in enumerate(tables))
+    seen: set[str] = set()
+    for index, tool in enumerate(tools):
+        path = ("tool", index, "name")
+        if not tool.name:
+            raise Rejected(path, "a name for every [[tool]]", "nothing", "`armwright tool NAME` chooses one")
+        if tool.name in seen:
+            raise Rejected(path, "a unique name for every [[tool]]", f"{tool.name} a second time")
+        seen.add(tool.name)
+    return {key: value for key, value in document.items() if key != "tool"}, tools

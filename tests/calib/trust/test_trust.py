@@ -1,0 +1,153 @@
+"""The error map on arms whose truth is known: made without this project's kinematics and dynamics."""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+
+from benchmarks.calibration.trust_coverage import ARM, Session, session
+from benchmarks.gap.static.physics import Hidden
+from calib.arm_problem.assembly import Choice, problem_of
+from calib.arrays import Array, norms
+from calib.design.candidates import workspace_poses
+from calib.trust.discrepancy import Conditions, Discrepancy
+from calib.trust.held_out import ELLIPSOID_95
+from calib.trust.posterior import _Evidence, linearised, posterior_of
+from calib.trust.prediction import TipError
+from calib.trust.task import planned, reliability_of
+from calib.trust.trust import MapRequest, Trust, trust_in, within_95_m
+from control.motion.waypoints import Waypoints
+
+SQUARE = Waypoints(((0.45, 0.0, 0.2), (0.5, 0.05, 0.2), (0.55, 0.0, 0.2), (0.5, -0.05, 0.2)), (0.1,) * 4)
+PLAY = Hidden("backlash", 3, 0.01)
+
+
+@cache
+def unseen_q() -> Array:
+    return workspace_poses(ARM, (), 200)
+
+
+@cache
+def recorded(*hidden: Hidden) -> Session:
+    return session(41, hidden, unseen_q())
+
+
+@cache
+def trusted(*hidden: Hidden) -> Trust:
+    request = MapRequest((0.0, 1.0), 5e-4, 300, is_checked=hidden == (PLAY,))
+    return trust_in(ARM, recorded(*hidden).points, request)
+
+
+def inside(error: TipError, true_m: Array) -> float:
+    left = true_m - error.tip_m - error.expected_m
+    squares = np.einsum("mi,mi->m", left, np.linalg.solve(error.total_m2, left[:, :, None])[:, :, 0])
+    return float(np.mean(squares < ELLIPSOID_95))
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [(), (Hidden("joint_compliance", 2, 600.0),), (Hidden("encoder_eccentricity", 2, 0.008, 1.0),), (PLAY,)],
+    ids=["geometry", "compliance", "eccentricity", "play"],
+)
+def test_true_errors_of_poses_that_were_not_recorded_lie_inside(hidden: tuple[Hidden, ...]) -> None:
+    made, trust = recorded(*hidden), trusted(*hidden)
+    error = trust.predictor.at(made.unseen)
+    true_m = norms(made.true_m - error.tip_m)
+    assert inside(error, made.true_m) >= 0.9
+    left_m = norms(made.true_m - error.tip_m - error.expected_m)
+    assert np.median(left_m) < 0.2 * np.median(
+        true_m
+    )  # the nominal file is centimetres off, and this is known
+    if trust.coverage is not None:
+        assert 0.85 <= trust.coverage.share <= 1.0
+
+
+def test_play_is_no_systematic_error_where_nothing_tells_the_flank() -> None:
+    trust = trusted(PLAY)
+    loose = trust.discrepancy.unclear(recorded(PLAY).unseen, ARM.dh, np.array(ARM.tool.position_m))
+    error = trust.predictor.at(recorded(PLAY).unseen)
+    scatter_m = np.sqrt(np.trace(error.random_m2, axis1=1, axis2=2))
+    is_loose = np.abs(loose[:, :, 2]).max(axis=1) > 0.1
+    assert is_loose.any()
+    assert not is_loose.all()
+    assert scatter_m[is_loose].min() > 5.0 * scatter_m[~is_loose].max()
+
+
+def test_a_map_without_points_far_from_the_table_says_so() -> None:
+    points = recorded().points
+    table = trust_in(
+        ARM,
+        points.chosen([k for k, setup in enumerate(points.setup) if setup == "normal"]),
+        MapRequest(poses_count=300, is_checked=False),
+    )
+    assert np.median(table.within_95_m) > 2.0 * np.median(trusted().within_95_m)
+
+
+def test_the_slope_of_the_evidence_is_its_slope() -> None:
+    points = recorded().points
+    problem = problem_of(ARM, points, Choice())
+    at = Conditions(points.q_rad, points.direction, points.payload_kg, points.current_A)
+    evidence = _Evidence(
+        *linearised(problem, at, Discrepancy(ARM), np.zeros(16)), np.full(16, 0.3), Discrepancy(ARM)
+    )
+    logs = np.log(np.array([2e-4, *(0.7 * one.usual for one in Discrepancy(ARM).sources)]))
+    value, slope = evidence._minus_log(logs)
+    for k in range(len(logs)):
+        step = 1e-4 * np.eye(len(logs))[k]
+        across = (evidence._minus_log(logs + step)[0] - evidence._minus_log(logs - step)[0]) / 2e-4
+        assert slope[k] == pytest.approx(across, rel=1e-3, abs=1e-3)
+    assert np.isfinite(value)
+
+
+def test_known_without_the_base_moves_nothing_as_a_whole() -> None:
+    arm = dataclasses.replace(ARM, table=None)
+    points = recorded().points
+    choice = Choice().for_points(arm, points)
+    trust = trust_in(arm, points, MapRequest(poses_count=300, is_checked=False))
+    assert "base" in choice.freed
+    assert not trust.predictor.is_tied
+    columns = trust.predictor.columns(Conditions.of(trust.q_rad))
+    moved = columns @ np.linalg.cholesky(
+        trust.posterior.covariance + 1e-18 * np.eye(len(trust.posterior.mean))
+    )
+    shift_m = np.sqrt(np.mean(moved, axis=0) ** 2).sum()
+    assert shift_m < 0.2 * np.sqrt(np.mean(np.sum(moved**2, axis=(1, 2))))
+
+
+def test_without_repeats_in_time_the_same_input_gives_the_same_map() -> None:
+    again = trust_in(ARM, recorded().points, MapRequest((0.0, 1.0), 5e-4, 300, is_checked=False))
+    assert np.array_equal(again.within_95_m, trusted().within_95_m)
+
+
+def test_a_payload_never_makes_an_arm_more_certain() -> None:
+    trust = trusted(Hidden("joint_compliance", 2, 600.0))
+    bare, loaded = (trust.of_payload(mass)[0].error for mass in (0.0, 1.0))
+    sd_m = [np.sqrt(np.trace(one.systematic_m2, axis1=1, axis2=2)).mean() for one in (bare, loaded)]
+    assert sd_m[1] >= sd_m[0]
+
+
+def test_the_probability_of_a_task_rises_with_its_tolerance() -> None:
+    predictor, path = trusted().predictor, planned(ARM, SQUARE)
+    first, *_ = tasks = [reliability_of(predictor, path, tolerance) for tolerance in (1e-4, 3e-3, 0.03, 0.3)]
+    probabilities = [one.probability for one in tasks]
+    assert probabilities == sorted(probabilities)
+    assert (first.probability, probabilities[-1]) == (0.0, 1.0)
+    for one in tasks:
+        low, high = one.interval
+        assert 0.0 <= low <= one.probability <= high <= 1.0
+    assert 0.0 <= first.worst_time_s <= first.duration_s
+
+
+def test_95_percent_of_visits_keep_the_distance() -> None:
+    error = TipError(np.zeros((1, 3)), np.zeros((1, 3)), 1e-6 * np.eye(3)[None], np.zeros((1, 3, 3)))
+    assert within_95_m(error)[0] == pytest.approx(1e-3 * np.sqrt(ELLIPSOID_95), rel=0.05)
+
+
+def test_a_part_of_the_poses_says_less_than_all() -> None:
+    points = recorded().points
+    problem = problem_of(ARM, points, Choice())
+    at = Conditions(points.q_rad, points.direction, points.payload_kg, points.current_A)
+    half = np.arange(len(points)) % 2 == 0
+    some, every = (posterior_of(problem, at, Discrepancy(ARM), used) for used in (half, None))
+    assert np.trace(some.covariance[:16, :16]) > np.trace(every.covariance[:16, :16])
