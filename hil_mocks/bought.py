@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from control.model.description import Arm
 from hil_mocks.devices import cia402_drive, dynamixel
@@ -25,6 +25,18 @@ class PacketLine(Protocol):
     outgoing: list[tuple[float, bytes]]
 
     def receive(self, received: bytes, now_s: float) -> None: ...
+
+
+class Seen(NamedTuple):
+    """What the boards see of the plant, by joint: currents in the boards' own sense, supply, whether a bridge is at a limit."""
+
+    currents_A: Sequence[float]
+    supply_V: Sequence[float]
+    is_clamped: Sequence[bool]
+    joint_rad: Sequence[float]
+
+
+Driven = tuple[int, Output, float]  # a joint, what its bridge puts out, and its current limit
 
 
 class CanDrives:
@@ -50,18 +62,16 @@ class CanDrives:
             for j in self.joints
         ]
 
-    def tick(
-        self, now_s: float, currents_A: Sequence[float], supply_V: Sequence[float], joint_rad: Sequence[float]
-    ) -> list[tuple[int, Output, float]]:
-        """Advance the drives; the output of each joint, and its current limit."""
-        outputs = []
+    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+        """Advance the drives."""
+        outputs: list[Driven] = []
         for j, mock in zip(self.joints, self.mocks, strict=True):
-            mock.is_home = self._wiring[j].is_at_switch(joint_rad[j])
-            mock.tick(now_s, currents_A[j], supply_V[j])
+            mock.is_home = self._wiring[j].is_at_switch(seen.joint_rad[j])
+            mock.tick(now_s, seen.currents_A[j], seen.supply_V[j])
             outputs.append((j, mock.output, mock.setup.current_limit_A))
         return outputs
 
-    def switch(self, fault: FaultTable, is_on: bool) -> None:
+    def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:
         """Begin or end a fault of a drive itself."""
         mock = self.mocks[self.names.index(fault.board)]
         errors = {
@@ -105,13 +115,11 @@ class Servos:
         ]
         self.line_of = [self.ports.index(board.port) for board in boards]
 
-    def tick(
-        self, now_s: float, currents_A: Sequence[float], supply_V: Sequence[float]
-    ) -> list[tuple[int, Output, float]]:
-        """Advance the servos; the output of each joint, and its current limit."""
-        outputs = []
+    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+        """Advance the servos."""
+        outputs: list[Driven] = []
         for j, mock in zip(self.joints, self.mocks, strict=True):
-            mock.tick(now_s, currents_A[j], supply_V[j])
+            mock.tick(now_s, seen.currents_A[j], seen.supply_V[j])
             outputs.append((j, mock.output, math.inf))
         return outputs
 
@@ -134,7 +142,7 @@ class Servos:
         return lambda: encoder_rad(j) * turns_per_rad + zero_turns
 
 
-class BoughtBoards:
+class RoboClaws:
     """All RoboClaw lines of an arm. Joints 0-based; serial lines in the order of `ports`."""
 
     def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
@@ -167,18 +175,15 @@ class BoughtBoards:
         """The joint at the channel of a fault."""
         return self._of_mock[self.names.index(fault.board)].get(fault.channel)
 
-    def tick(
-        self, now_s: float, currents_A: Sequence[float], supply_V: Sequence[float], is_clamped: Sequence[bool],
-        joint_rad: Sequence[float],
-    ) -> list[tuple[int, Output, float]]:  # fmt: skip
-        """Advance the boards; the output of each joint, and its current limit. Currents with the plant's signs."""
-        outputs: list[tuple[int, Output, float]] = []
+    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+        """Advance the boards."""
+        outputs: list[Driven] = []
         for mock, joints in zip(self._mocks, self._of_mock, strict=True):
             measured, limited, supply = [0.0, 0.0], [False, False], 24.0
             for channel, joint in joints.items():
-                measured[channel], limited[channel] = currents_A[joint], is_clamped[joint]
-                supply = supply_V[joint]
-                mock.are_switches_on[channel] = self._wiring[joint].is_at_switch(joint_rad[joint])
+                measured[channel], limited[channel] = seen.currents_A[joint], seen.is_clamped[joint]
+                supply = seen.supply_V[joint]
+                mock.are_switches_on[channel] = self._wiring[joint].is_at_switch(seen.joint_rad[joint])
             mock.tick(now_s, measured, supply, limited)
             for channel, joint in joints.items():
                 volts = mock.duty[channel] / FULL * supply
@@ -186,7 +191,7 @@ class BoughtBoards:
                 outputs.append((joint, output, mock.settings.current_limits[channel] * 0.01))
         return outputs
 
-    def switch(self, fault: FaultTable, is_on: bool) -> None:
+    def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:
         """Begin or end a fault of a board itself."""
         mock = self.mock(fault.board)
         errors = {
@@ -214,3 +219,36 @@ class BoughtBoards:
             return 0 if joint is None else self._wiring[joint].raw_count(self._encoder_rad(joint))
 
         return read
+
+
+class Bought:
+    """All bought boards of an arm: serial lines in the order of `ports`, with the name of the first board on each."""
+
+    def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
+        claws, servos = RoboClaws(arm, wiring, encoder_rad), Servos(arm, wiring, encoder_rad)
+        self.can_drives = CanDrives(arm, wiring, encoder_rad)
+        self._owners = (claws, servos, self.can_drives)
+        self.joints = [joint for owner in self._owners for joint in owner.joints]
+        self.names = [name for owner in self._owners for name in owner.names]
+        self.lines: list[PacketLine] = [*claws.lines, *servos.lines]
+        self.ports = [*claws.ports, *servos.ports]
+        self.line_names = [
+            names[line_of.index(line)]
+            for names, line_of in ((claws.names, claws.line_of), (servos.names, servos.line_of))
+            for line in dict.fromkeys(line_of)
+        ]
+
+    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+        """Advance all boards; what each joint is driven with."""
+        return [driven for owner in self._owners if owner.joints for driven in owner.tick(now_s, seen)]
+
+    def joint(self, fault: FaultTable) -> int | None:
+        """The joint of a fault."""
+        return self._owner(fault).joint(fault)
+
+    def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:
+        """Begin or end a fault of a board itself."""
+        self._owner(fault).switch(fault, is_on, now_s)
+
+    def _owner(self, fault: FaultTable) -> RoboClaws | Servos | CanDrives:
+        return next(owner for owner in self._owners if fault.board in owner.names)

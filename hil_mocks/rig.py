@@ -138,7 +138,7 @@ class SteppedRig:
         self.camera_port = self.wires.camera_port
         paths = [wire.path for wire in self.wires.serial]
         self.encoder_urls = paths[: len(self.robot.encoder_boards)]
-        self.board_urls = dict(zip(self.robot.ports, paths[len(self.encoder_urls) :], strict=True))
+        self.board_urls = dict(zip(self.robot.bought.ports, paths[len(self.encoder_urls) :], strict=True))
         self.clock: Clock = SteppedClock(self.robot, self.wires)
 
     @property

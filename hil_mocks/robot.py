@@ -14,7 +14,7 @@ from functools import partial
 
 from control.model.description import Arm
 from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
-from hil_mocks.bought import BoughtBoards, CanDrives, PacketLine, Servos
+from hil_mocks.bought import Bought, Seen
 from hil_mocks.devices.motor_board import BRAKE, OPEN, Frame, Output
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.faults import FaultPlan, Frames, Line, check_fault
@@ -36,7 +36,6 @@ class MockRobot:
     def __init__(self, arm: Arm, scenario: Scenario) -> None:
         self.scenario, self.tick_s = scenario, scenario.tick_s
         self._ticks, self._steps = 0, _steps_per_tick(scenario)
-        where = f"scenario {scenario.path or scenario.name}"
         arm = as_built(arm, scenario)
         self._tools = {tool.name: tool_parts(tool) for tool in arm.tools}
         self._dead: set[int] = set()  # joints whose motor has a broken wire
@@ -45,13 +44,8 @@ class MockRobot:
         self.plant = build_plant(arm, scenario)
         self._wiring = wiring_of(arm, scenario)
         self.encoder_boards = build_encoder_boards(arm, scenario, self._wiring)
-        self.bought = BoughtBoards(arm, self._wiring, lambda j: self._encoder_rad()[j])
-        self.can_drives = CanDrives(arm, self._wiring, lambda j: self._encoder_rad()[j])
-        self.servos = Servos(arm, self._wiring, lambda j: self._encoder_rad()[j])
-        self.packet_lines: list[PacketLine] = [*self.bought.lines, *self.servos.lines]
-        self.ports = [*self.bought.ports, *self.servos.ports]
-        bought = [*self.bought.joints, *self.can_drives.joints, *self.servos.joints]
-        self._motor_joints = [j for j in range(len(self._wiring)) if j not in bought]
+        self.bought = Bought(arm, self._wiring, lambda j: self._encoder_rad()[j])
+        self._motor_joints = [j for j in range(len(self._wiring)) if j not in self.bought.joints]
         self.motor_boards = [
             build_motor_board(self._wiring[j], scenario, partial(self._motor_count, j))
             for j in self._motor_joints
@@ -60,51 +54,40 @@ class MockRobot:
         if arm.gripper is not None:
             self.gripper = build_gripper(arm.gripper, scenario)
             self.motor_boards.append(build_gripper_board(arm.gripper, scenario, self.gripper))
+            self._motor_joints.append(self.plant.joints)  # its motor comes after those of the joints
         self.pins = PinWires(arm, scenario, self.motor_boards)
         self._channels = [
             Channels(i, self._wiring, len(board.setup.counts_per_turn))
             for i, board in enumerate(self.encoder_boards)
         ]
         self.camera = build_camera(arm, scenario)
-        if self.gripper is not None:
-            self._motor_joints.append(
-                self.plant.joints
-            )  # the gripper's motor comes after those of the joints
-        motors = range(self.plant.joints + (self.gripper is not None))
+        self._name_boards(scenario)
+        self._wire_up(arm)
+        self._power_up()
+
+    def _name_boards(self, scenario: Scenario) -> None:
+        """Names of the boards in faults, and the lines that these act on."""
         self._board_of_node = {board.setup.node: at for at, board in enumerate(self.motor_boards)}
         self._encoder_names = ["encoder" + (str(i + 1) if i else "") for i in range(len(self.encoder_boards))]
         self._motor_names = [f"motor{board.setup.node}" for board in self.motor_boards]
-        self._line_names = [
-            names[line_of.index(i)]
-            for names, line_of in (
-                (self.bought.names, self.bought.line_of),
-                (self.servos.names, self.servos.line_of),
-            )
-            for i in dict.fromkeys(line_of)
-        ]
-        self.board_names = [
-            *self._encoder_names,
-            *self._motor_names,
-            *self.bought.names,
-            *self.can_drives.names,
-            *self.servos.names,
-            "camera",
-        ]
+        self.board_names = [*self._encoder_names, *self._motor_names, *self.bought.names, "camera"]
         for fault in scenario.fault:
-            check_fault(fault, self.board_names, where)
+            check_fault(fault, self.board_names, f"scenario {scenario.path or scenario.name}")
         self._lines = {name: Line(name, scenario.seed) for name in self.board_names}
         self._plan = FaultPlan(scenario.fault)
+
+    def _wire_up(self, arm: Arm) -> None:
+        """What the motors are driven with, and what is on its way to the host."""
         self._directions = [w.motor_direction for w in self._wiring]
         if arm.gripper is not None:
             self._directions.append(arm.gripper.motor_direction)
         self._polarity = list(self._directions)
-        self._applied: list[Output] = [OPEN for _ in motors]
-        self._limits_A = [math.inf for _ in motors]
-        self._serial: list[Frames] = [[] for _ in (*self.encoder_boards, *self.packet_lines)]
+        self._applied: list[Output] = [OPEN for _ in self._directions]
+        self._limits_A = [math.inf for _ in self._directions]
+        self._serial: list[Frames] = [[] for _ in (*self.encoder_boards, *self.bought.lines)]
         self._can_on_its_way: list[tuple[float, Frame]] = []
         self.can_outgoing: list[Frame] = []
         self.camera_outgoing: list[bytes] = []
-        self._power_up()
 
     @property
     def outputs(self) -> tuple[Output, ...]:
@@ -156,8 +139,8 @@ class MockRobot:
         """Process bytes from the host to a serial line now: the encoder boards', then the bought boards'."""
         line = board - len(self.encoder_boards)
         if line >= 0:
-            if not self._lines[self._line_names[line]].is_silent:
-                self.packet_lines[line].receive(received, self.now_s)
+            if not self._lines[self.bought.line_names[line]].is_silent:
+                self.bought.lines[line].receive(received, self.now_s)
                 self._gather_line(line)
         elif not self._lines[self._encoder_names[board]].is_silent:
             self.encoder_boards[board].receive(received, self.now_s)
@@ -168,8 +151,7 @@ class MockRobot:
         if can_id == 0:
             for at in range(len(self.motor_boards)):
                 self._to_motor_board(at, can_id, payload)
-        if self.can_drives.joints:
-            self._to_can_drives(can_id, payload)
+        self._to_can_drives(can_id, payload)
         if can_id == 0:
             return
         addressed = self._board_of_node.get(can_id & 0xF)
@@ -199,18 +181,10 @@ class MockRobot:
         if self._can_on_its_way:
             self._release_can(now_s)
         encoder_rad, joint_rad = self._encoder_rad(), self.plant.joint_rad()
-        if self.bought.lines:
+        if self.bought.joints:
             signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
-            for j, output, limit_A in self.bought.tick(now_s, signed_A, supply_V, is_clamped, joint_rad):
-                self._apply(j, output, limit_A)
-        if self.servos.joints:
-            signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
-            for j, output, limit_A in self.servos.tick(now_s, signed_A, supply_V):
-                self._apply(j, output, limit_A)
-        if self.can_drives.joints:
-            signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
-            for j, output, limit_A in self.can_drives.tick(now_s, signed_A, supply_V, joint_rad):
-                self._apply(j, output, limit_A)
+            for driven in self.bought.tick(now_s, Seen(signed_A, supply_V, is_clamped, joint_rad)):
+                self._apply(*driven)
             self._gather_can_drives()
         for i, encoder in enumerate(self.encoder_boards):
             encoder.tick(now_s, *self._channels[i].seen(encoder_rad, joint_rad))
@@ -262,7 +236,7 @@ class MockRobot:
         for at, (j, board) in enumerate(zip(self._motor_joints, self.motor_boards, strict=True)):
             self._send_can(self._motor_names[at], board.tick(0.0, 0.0, supply_V[j], False))
             self._apply(j, board.output, board.current_limit_A)
-        for j in (*self.bought.joints, *self.can_drives.joints, *self.servos.joints):
+        for j in self.bought.joints:
             self._apply(j, BRAKE, math.inf)
 
     def _motor_count(self, j: int) -> int:
@@ -315,13 +289,15 @@ class MockRobot:
             plant.drive_open(j)
 
     def _to_can_drives(self, can_id: int, payload: bytes) -> None:
-        for name, drive in zip(self.can_drives.names, self.can_drives.mocks, strict=True):
+        drives = self.bought.can_drives
+        for name, drive in zip(drives.names, drives.mocks, strict=True):
             if not self._lines[name].is_silent:
                 drive.receive(can_id, payload, self.now_s)
         self._gather_can_drives()
 
     def _gather_can_drives(self) -> None:
-        for name, drive in zip(self.can_drives.names, self.can_drives.mocks, strict=True):
+        drives = self.bought.can_drives
+        for name, drive in zip(drives.names, drives.mocks, strict=True):
             if drive.outgoing:
                 self._send_can(name, list(drive.outgoing))
                 drive.outgoing.clear()
@@ -350,8 +326,8 @@ class MockRobot:
 
     def _gather_line(self, line: int) -> None:
         """Answers of a bought board's line; the faults of its first board act on its frames."""
-        outgoing = self.packet_lines[line].outgoing
-        through = self._lines[self._line_names[line]]
+        outgoing = self.bought.lines[line].outgoing
+        through = self._lines[self.bought.line_names[line]]
         sent = through.passed(outgoing) if through.faults else outgoing
         self._serial[len(self.encoder_boards) + line] += sent
         outgoing.clear()
@@ -375,16 +351,10 @@ class MockRobot:
     def _switch(self, fault: FaultTable, is_on: bool) -> None:
         if fault.board in self._motor_names:
             self._switch_motor(fault, self._motor_names.index(fault.board), is_on)
-        elif fault.board in self.servos.names:
-            if not self._switch_wiring(fault, self.servos.joint(fault), is_on):
-                self.servos.switch(fault, is_on, self.now_s)
-        elif fault.board in self.can_drives.names:
-            if not self._switch_wiring(fault, self.can_drives.joint(fault), is_on):
-                self.can_drives.switch(fault, is_on)
         elif fault.board in self.bought.names:
             joint = self.bought.joint(fault)
             if joint is None or not self._switch_wiring(fault, joint, is_on):
-                self.bought.switch(fault, is_on)
+                self.bought.switch(fault, is_on, self.now_s)
         elif fault.board in self._encoder_names:
             self._switch_encoder(fault, self._encoder_names.index(fault.board), is_on)
 

@@ -81,7 +81,7 @@ class Server:
         paths, encoders = [wire.path for wire in self._wires.serial], len(self._robot.encoder_boards)
         return {
             "encoder_urls": paths[:encoders],
-            "board_urls": dict(zip(self._robot.ports, paths[encoders:], strict=True)),
+            "board_urls": dict(zip(self._robot.bought.ports, paths[encoders:], strict=True)),
             "can_interface": "udp_multicast",
             "can_channel": self._channel,
             "can_options": self._wires.can_options,

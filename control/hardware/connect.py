@@ -107,11 +107,8 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
     motors = _motors(arm, clock, opened)
     end = _end_boards(arm, motors, period_s, opened.failures) if motors else EndBoards()
     open_boards(arm, clock, period_s, opened)
-    attempted = (
-        len(arm.encoder_boards)
-        + max(len(motors), any(not drive.board for drive in arm.drives))
-        + len(arm.boards)
-    )
+    motor_boards = max(len(motors), any(not drive.board for drive in arm.drives))
+    attempted = len(arm.encoder_boards) + motor_boards + len(arm.boards)
     camera = None
     if not opened.failures and camera_port is not None:
         with collect(opened.failures):
@@ -126,13 +123,9 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
             close()
         raise ConnectionFailed(opened.failures, attempted)
     _add_reference(arm, clock, encoders, motors, period_s, opened)
+    boards, others = tuple(motor for _, motor in motors), tuple(opened.identities)
     return Connection(
-        _composed(arm, clock, opened, end),
-        camera,
-        tuple(encoders),
-        tuple(motor for _, motor in motors),
-        tuple(opened.identities),
-        opened.closers,
+        _composed(arm, clock, opened, end), camera, tuple(encoders), boards, others, opened.closers
     )
 
 
