@@ -74,6 +74,7 @@ def test_a_boards_error_is_a_fault_that_only_a_person_ends(holding: Cell, on_boa
     holding.rig.clear_faults()
     holding.run(0.3)
     assert holding.mode is Mode.FAULT
+    assert holding.connection.hardware.feedback.drive_faults[0], "a fault that is gone has been forgotten"
     assert volts(holding)[0] == 0.0
     holding.client.ask("acknowledge")
     assert holding.mode is not Mode.HOLDING
