@@ -13,6 +13,7 @@ import termios
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from struct import Struct
 from typing import Protocol
 
@@ -22,6 +23,7 @@ from serial.tools import list_ports
 
 from firmware_iface.errors import LinkLost, MisuseError, PortMissing
 
+BY_ID = Path("/dev/serial/by-id")  # of udev: names that stay when devices are plugged in another order
 _PATIENT_READS = 4  # looks at an empty tty before the kernel is asked to hand over what it holds
 _READ_BYTES = 65536  # more than a serial driver buffers
 _INT = Struct("i")
@@ -105,16 +107,25 @@ def open_serial(url: str, baud: int, patience: int = _PATIENT_READS) -> ByteLink
 
 @dataclass(frozen=True, slots=True)
 class PortHere:
-    """A serial port of this machine: its path and the system's description of the device ("" if unknown)."""
+    """A serial port of this machine: its path, the system's description of the device and its stable name ("" if unknown)."""
 
     path: str
     description: str
+    stable: str = ""
 
 
-def serial_ports() -> list[PortHere]:
-    """List the serial ports of this machine without opening them."""
+def serial_ports(by_id: Path = BY_ID) -> list[PortHere]:
+    """List the serial ports of this machine without opening them; `by_id` is the folder of their stable names."""
+    stable: dict[str, str] = {}
+    with contextlib.suppress(OSError):
+        stable = {str(link.resolve()): str(link) for link in sorted(by_id.iterdir())}
     ports = sorted(list_ports.comports(), key=lambda port: port.device)
-    return [PortHere(port.device, "" if port.description == "n/a" else port.description) for port in ports]
+    return [
+        PortHere(
+            port.device, "" if port.description == "n/a" else port.description, stable.get(port.device, "")
+        )
+        for port in ports
+    ]
 
 
 def can_buses() -> list[tuple[str, str]]:
