@@ -62,6 +62,9 @@ fuzz: install .venv-fuzz/installed  ## coverage-guided fuzzing of every decoder 
 	for target in $(FUZZ_TARGETS); do echo "$$target"; PYTHONPATH=.:$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))') \
 	  .venv-fuzz/bin/python -m tests.fuzz.coverage_guided "$$target" $(FUZZ_SECONDS) || exit 1; done
 
+mutants: install  ## are the tests of the safety layer and the watches sharp? a thousand small changes of their code (docs/mutants.md), half an hour
+	$(BIN)/python -m tests.mutants.run $(MODULES)
+
 screenshots: install  ## the pictures of docs/console.md, from the mock arm without a terminal; some minutes
 	$(BIN)/python -m tests.console.screen.screenshots docs
 
@@ -81,6 +84,6 @@ lock: install  ## pin again what pyproject.toml names (needs uv)
 	uv pip compile --universal --generate-hashes --no-emit-index-url --no-header --extra dev -o requirements.lock pyproject.toml
 
 clean:  ## remove what make made
-	rm -rf .venv .venv-peers .venv-fuzz .venv-mutants out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf .venv .venv-peers .venv-fuzz out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help install demo demo-gap drills lint test format bench coverage-study solver-study fuzz screenshots arm-reference gap-score trust-study rough-score lock clean
+.PHONY: $(shell sed -n 's/^\([a-z-]*\):.*\#\#.*/\1/p' $(MAKEFILE_LIST))

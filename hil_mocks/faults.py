@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from hil_mocks.errors import ScenarioError
 from hil_mocks.scenario import FaultTable
 
-ON_FRAMES = {"drop_frames", "corrupt_frames", "duplicate_frames", "delay_frames", "silent"}
+ON_FRAMES = {"drop_frames", "corrupt_frames", "duplicate_frames", "delay_frames", "replay_frames", "silent"}
 _IDENTITY = {"wrong_identity", "wrong_protocol", "wrong_counts", "board_reset"}
 _BUILT_INTO_ENCODER = {"wrong_counts", "swapped_channels", "reversed_encoder", "wrong_encoder"}
 _BUILT_INTO_MOTOR = {"wrong_counts", "swapped_motors", "wrong_gear"}
@@ -34,10 +34,11 @@ OF_BOUGHT = ON_FRAMES | {
     "board_reset", "e_stop", "over_current", "over_temperature", "supply", "swapped_polarity", "dead_motor", "stuck_joint",
     "stuck_encoder",
 }  # fmt: skip
-OF_CAMERA = ON_FRAMES - {"delay_frames"}  # its latency is a separate key
+OF_CAMERA = ON_FRAMES - {"delay_frames", "replay_frames"}  # its latency is a separate key
 BUILT_IN = _BUILT_INTO_ENCODER | _BUILT_INTO_MOTOR  # before power-up
 _NEED_VALUE = {
     "delay_frames",
+    "replay_frames",
     "wrong_identity",
     "wrong_protocol",
     "wrong_counts",
@@ -140,6 +141,8 @@ class Line:
         match fault.kind:
             case "duplicate_frames":
                 return [(when_s, frame), (when_s, frame)]
+            case "replay_frames":
+                return [(when_s, frame), (when_s + (fault.value or 0.0), frame)]
             case "delay_frames":
                 return [(when_s + (fault.value or 0.0), frame)]
             case "corrupt_frames":

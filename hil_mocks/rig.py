@@ -191,6 +191,11 @@ class SteppedRig:
         """End all faults that can end."""
         self.robot.clear_faults()
 
+    def plug_in(self) -> None:
+        """Plug in again every serial port that has vanished; `encoder_urls` may change."""
+        self.wires.plug_in()
+        self.encoder_urls = [wire.path for wire in self.wires.serial]
+
     def close(self) -> None:
         """Close all links."""
         self.wires.close()

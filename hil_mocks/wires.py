@@ -13,16 +13,18 @@ import socket
 import sys
 import termios
 import tty
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Protocol
+from unittest.mock import patch
 
 import can
 
 from firmware_iface.errors import LinkLost
-from firmware_iface.link import open_can
+from firmware_iface.link import FrameLink, open_can
 from hil_mocks.devices.motor_board import Frame
 
-_BUS_OFF = 0x40  # CAN_ERR_BUSOFF of linux/can/error.h
+_BUS_OFF, _BIT_ERROR = 0x40, 0x88  # CAN_ERR_BUSOFF, CAN_ERR_BUSERROR | CAN_ERR_PROT of linux/can/error.h
+_OF_BOARDS = 0x080  # set in REPLY and PARAMETER_ANSWER, not in what the host sends (docs/motor_board.md)
 _MOST_LOOKS = 20_000  # some 10 ms
 _ROOM_BYTES = 3500  # of the 4095 that a tty holds for a host that does not read
 
@@ -55,6 +57,7 @@ class SerialWire(Protocol):
     def write(self, sent: bytes) -> None: ...
     def settle(self) -> None: ...
     def vanish(self) -> None: ...
+    def plug_in(self) -> None: ...
     def close(self) -> None: ...
 
 
@@ -62,6 +65,9 @@ class Pty:
     """A pseudo terminal in raw mode; its other end stays open here, so that hosts may reconnect."""
 
     def __init__(self) -> None:
+        self._open()
+
+    def _open(self) -> None:
         self._ours, self._theirs = os.openpty()
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
@@ -110,6 +116,12 @@ class Pty:
         """Unplug the port: whoever has it open gets errors from now on."""
         self._is_here, self._expected_bytes = False, 0
         os.close(self._ours)
+
+    def plug_in(self) -> None:
+        """Plug a port that has vanished in again; its path is another one."""
+        if not self._is_here:
+            os.close(self._theirs)
+            self._open()
 
     def close(self) -> None:
         """Close the pty."""
@@ -168,10 +180,41 @@ class Wires:
                 self._send_picture(datagram)
             robot.camera_outgoing.clear()
 
+    def plug_in(self) -> None:
+        """Plug in again what has vanished, as a USB adapter comes back."""
+        for wire in self.serial:
+            wire.plug_in()
+
     def bus_off(self) -> None:
         """Tell the host's controller that it is off the bus, as SocketCAN does."""
+        self._error_frame(_BUS_OFF)
+
+    def bit_error(self) -> None:
+        """Tell the host's controller of a violation on the bus, as a device at a wrong bit rate causes it."""
+        self._error_frame(_BIT_ERROR)
+
+    def _error_frame(self, kind: int) -> None:
         with can.Bus(interface=self._can_interface, channel=self._can_channel, ignore_config=True) as bus:
-            bus.send(can.Message(arbitration_id=_BUS_OFF, is_error_frame=True, is_extended_id=False))
+            bus.send(can.Message(arbitration_id=kind, is_error_frame=True, is_extended_id=False))
+
+    def guest(self) -> FrameLink:
+        """Another device on the CAN bus."""
+        return open_can(self._can_interface, self._can_channel, **self.can_options)
+
+    @contextlib.contextmanager
+    def full_bus(self) -> Iterator[None]:
+        """No frame of the host gets onto the bus: its transmit buffer is full, as SocketCAN says it."""
+        with can.Bus(interface=self._can_interface, channel=self._can_channel, ignore_config=True) as bus:
+            kind = type(bus)
+        sends = kind.send
+
+        def full(bus: can.BusABC, message: can.Message, timeout: float | None = None) -> None:
+            if not _OF_BOARDS & message.arbitration_id:
+                raise can.CanOperationError("Transmit buffer full")
+            sends(bus, message, timeout)
+
+        with patch.object(kind, "send", full):
+            yield
 
     def _send_picture(self, datagram: bytes) -> None:
         try:

@@ -27,6 +27,7 @@ KINDS: Final[dict[str, Kind]] = {
 }
 MOST_LINKS: Final = 1000
 GRAVITY: Final = (0.0, 0.0, -9.81)  # a URDF has none; z of its root points up by convention (REP 103)
+WORTH_SAYING_rad: Final = 1e-9  # below it nobody rounded but the computer that wrote the file
 QUARTER_DIGITS, EIGHTH_DIGITS = 2, 4  # decimals from which 1.57 is a quarter turn, 0.7854 an eighth
 
 
@@ -198,7 +199,7 @@ class _Urdf:
         angles = []
         for text, value in zip(texts, values, strict=True):
             exact = unrounded(text, value)
-            if abs(exact - value) > 1e-12:
+            if abs(exact - value) > WORTH_SAYING_rad:
                 self._rounded.add(text)
             angles.append(exact)
         return angles

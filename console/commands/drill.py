@@ -5,11 +5,14 @@ import sys
 
 from control.errors import ArmError
 from procedures.drills.catalogue import drill_named, drills
-from procedures.drills.table import header, in_words, row, verdict
+from procedures.drills.table import header, in_words, listing, row, verdict
 
 
 def run(given: argparse.Namespace) -> int:
     """Run the drills; exit status 1 if a promise was not kept."""
+    if given.list:
+        sys.stdout.write(listing(drills().values()) + "\n")
+        return 0
     if not given.mock:
         raise ArmError("drills break things on purpose and run on a mock arm only: add --mock")
     if given.name is not None:

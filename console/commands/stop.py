@@ -7,6 +7,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 from control.errors import ArmError
@@ -19,7 +20,7 @@ def run(given: argparse.Namespace) -> int:
     if (connect := getattr(given, "connect", None)) is not None:  # in a script: only its own runtime
         connect().stop()
         return 0
-    return stop_all(_wanted(given))
+    return stop_all(_wanted(given), given.take)
 
 
 def _wanted(given: argparse.Namespace) -> Sequence[Path]:
@@ -39,10 +40,13 @@ def _wanted(given: argparse.Namespace) -> Sequence[Path]:
         return find_sockets()
 
 
-def stop_all(paths: Sequence[Path]) -> int:
-    """Ask all runtimes in parallel, so that a hanging one does not delay the others; print a line for each."""
+def stop_all(paths: Sequence[Path], takes: bool = False) -> int:
+    """Ask all runtimes in parallel, so that a hanging one does not delay the others; print a line for each.
+
+    `takes`: end the control of whatever client has it, too.
+    """
     with ThreadPoolExecutor(max(1, len(paths))) as pool:
-        found = [end for end in pool.map(_stopped, paths) if end is not None]
+        found = [end for end in pool.map(partial(_stopped, takes=takes), paths) if end is not None]
     for is_good, text in found:
         (sys.stdout if is_good else sys.stderr).write(f"{text}\n")
     if not found:
@@ -50,11 +54,13 @@ def stop_all(paths: Sequence[Path]) -> int:
     return 0 if found and all(is_good for is_good, _ in found) else 1
 
 
-def _stopped(path: Path) -> tuple[bool, str] | None:
+def _stopped(path: Path, takes: bool) -> tuple[bool, str] | None:
     """Whether the runtime at a socket stopped its arm, and a message; None if nothing listens."""
     try:
         client = ArmClient(SocketChannel(path))
         try:
+            if takes:
+                client.ask("control", revoke=True)
             client.stop()
             status = client.status()
             return True, f"arm {status['arm']!r} at {path}: stopped, {status['mode']}"

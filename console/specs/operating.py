@@ -190,7 +190,13 @@ OPERATING = (
     CommandSpec(
         "stop",
         "controlled stop, then hold, for every runtime of this user or one",
-        (option("--arm", metavar="A", help="only this arm (default: all running arms)"), SOCKET),
+        (
+            option("--arm", metavar="A", help="only this arm (default: all running arms)"),
+            SOCKET,
+            option(
+                "--take", action="store_true", help="end another client's control, too: for one that hangs"
+            ),
+        ),
         "Needs no valid file: if --arm cannot be read, all arms stop. Exit status 1 if a runtime does not answer or"
         " none runs.",
     ),

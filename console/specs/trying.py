@@ -54,6 +54,7 @@ TRYING = (
                 help="one drill of docs/safety.md (default: all, as a table)",
             ),
             option("--mock", action="store_true", help="required: drills run on a mock arm only"),
+            option("--list", action="store_true", help="the names of all drills, and what each does"),
         ),
         "Exit status 1 if a promise of docs/safety.md was not kept.",
     ),

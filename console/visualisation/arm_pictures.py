@@ -126,12 +126,13 @@ def draw_tip(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
 
 
 def draw_lateness(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
-    """Lateness and duration of cycles over time and as a distribution; missed deadlines."""
+    """Lateness, duration and age of counts over time and as a distribution; what was missed, and why."""
     axes = figure.subplots(1, 3, width_ratios=[2, 1, 1])
     figure.subplots_adjust(left=0.075, right=0.985, top=0.84, bottom=0.17, wspace=0.3)
     for values, label, colour, line in (
         (series.late_s, "late", MEASURED, "-"),
         (series.busy_s, "busy", SET, "--"),
+        (series.age_s, "age of counts", "#009E73", ":"),
     ):
         found = np.sort(values[np.isfinite(values)])
         if not len(found):
@@ -144,11 +145,17 @@ def draw_lateness(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
         axes[1].loglog(
             1e6 * np.maximum(found[-pick], LEAST_s), share[-pick], color=colour, linestyle=line, label=label
         )
-    if np.isfinite(series.missed).any():
-        curve(axes[2], series, series.missed - np.nanmin(series.missed), color=LIMIT)
+    for total, label, colour in (
+        (series.missed, "deadlines missed", LIMIT),
+        (np.nancumsum(series.switches), "switches", MEASURED),
+        (np.nancumsum(series.page_faults), "page faults", SET),
+    ):
+        if np.isfinite(total).any():
+            curve(axes[2], series, total - np.nanmin(total), color=colour, label=label)
     axes[0].set(xlabel="time [s]", ylabel="duration [µs]")
     axes[1].set(xlabel="more than [µs]", ylabel="share of cycles [1]")
-    axes[2].set(xlabel="time [s]", ylabel="deadlines missed [1]")
+    axes[2].set(xlabel="time [s]", ylabel="so far [1]")
     legend(axes[0])
+    legend(axes[2])
     for one in axes:
         say_if_empty(one)

@@ -44,6 +44,10 @@ class Metrics:
     late_max_s: float | None
     busy_p99_s: float | None
     missed_cycles: int | None
+    age_p50_s: float | None
+    age_p99_s: float | None
+    switches: int | None
+    page_faults: int | None
 
 
 def metrics_of(series: Series) -> Metrics:
@@ -60,7 +64,15 @@ def metrics_of(series: Series) -> Metrics:
         _peak(series.late_s),
         _quantile(series.busy_s, 0.99),
         int(missed[-1] - missed[0]) if len(missed) else None,
+        _quantile(series.age_s, 0.5),
+        _quantile(series.age_s, 0.99),
+        _total(series.switches),
+        _total(series.page_faults),
     )
+
+
+def _total(values: Array) -> int | None:
+    return int(np.nansum(values)) if np.isfinite(values).any() else None
 
 
 def _joint(series: Series, error_rad: Array, k: int) -> JointMetrics:
@@ -196,9 +208,20 @@ def metrics_text(series: Series, merit: Metrics) -> str:
         lines.append(
             f"loop: p99 {_shown(merit.late_p99_s, 1e6, 0)} us late, at most {_shown(merit.late_max_s, 1e6, 0)} us;"
             f" busy p99 {_shown(merit.busy_p99_s, 1e6, 0)} us; {merit.missed_cycles} cycles missed"
+            f"{_causes(merit)}"
         )
     return "\n".join(lines) + "\n"
 
 
 def _shown(value: float | None, scale: float, decimals: int) -> str:
     return "-" if value is None else f"{scale * value:.{decimals}f}"
+
+
+def _causes(merit: Metrics) -> str:
+    """How old the counts were, and what took time from the loop; empty for recordings of earlier versions."""
+    if merit.switches is None:
+        return ""
+    return (
+        f"\n      counts {_shown(merit.age_p50_s, 1e6, 0)} us old, p99 {_shown(merit.age_p99_s, 1e6, 0)} us;"
+        f" {merit.switches} involuntary switches, {merit.page_faults} page faults"
+    )

@@ -29,7 +29,8 @@ class Series:
     t_s (m,), increasing from the first sample (runs that each start at zero are concatenated); run (m,) indices into
     `runs`; mode (m,) indices into `modes`, -1 unknown; q_rad, q_set_rad of the encoders, joint_rad, joint_set_rad of the
     joints (the same if not recorded separately), current_A, voltage_V, supply_V, temperature_C (m, n);
-    tip_m (m, 3) by the camera in the base frame; late_s, busy_s, missed (m,). `notes` are problems of the file.
+    tip_m (m, 3) by the camera in the base frame; late_s, busy_s, missed, page_faults, switches, age_s (m,).
+    `notes` are problems of the file.
     """
 
     name: str
@@ -50,6 +51,9 @@ class Series:
     late_s: Array
     busy_s: Array
     missed: Array
+    page_faults: Array
+    switches: Array
+    age_s: Array
     arm: Arm | None = None
     notes: tuple[str, ...] = ()
 
@@ -98,7 +102,7 @@ class Series:
 
 _ROWS: Final = (
     "t_s", "run", "mode", "q_rad", "q_set_rad", "joint_rad", "joint_set_rad", "current_A", "voltage_V", "supply_V",
-    "temperature_C", "tip_m", "late_s", "busy_s", "missed",
+    "temperature_C", "tip_m", "late_s", "busy_s", "missed", "page_faults", "switches", "age_s",
 )  # fmt: skip
 
 

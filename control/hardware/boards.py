@@ -66,6 +66,7 @@ class BoardHardware:
             for drive in self._drives:
                 drive.take(feedback)
             feedback.encoder_at_s = min(feedback.reported_at_s)
+            feedback.reports, feedback.lost = self._encoders[0].frames()
         return feedback
 
     def _update(self) -> None:
@@ -90,6 +91,11 @@ class BoardHardware:
         """Whether a drive was in OPERATION ENABLED in its last reply."""
         return any(drive.is_any_enabled() for drive in self._drives)
 
+    @property
+    def reports_a_cycle(self) -> int:
+        """How many reports the first encoder board sends in a cycle; 0 if none."""
+        return self._encoders[0].reports_a_cycle
+
     # ---- outside of the cycle: these wait for answers
 
     def enable(self) -> None:
@@ -104,7 +110,10 @@ class BoardHardware:
         self.end.disable()
 
     def reset_drive_faults(self) -> None:
-        """Acknowledge the drives' faults and restore the state of boards that were reset. Raises BoardFaulted."""
+        """Acknowledge the drives' faults and restore the state of boards that were reset.
+
+        Raises BoardFaulted, and WrongIdentity where another board has taken the place of one.
+        """
         for encoder in self._encoders:
             encoder.restore()
         for drive in self._drives:

@@ -70,6 +70,12 @@ class Cia402Line:
 class Cia402Encoder:
     """The drive's own encoder; meets `control.hardware.roles.Encoders`."""
 
+    reports_a_cycle = 0  # the drive answers the loop's own SYNC: there is no phase to follow
+
+    def frames(self) -> tuple[int, int]:
+        """No stream of reports."""
+        return 0, 0
+
     def __init__(self, drive: Cia402Drive, bus: CanOpenBus, joint: int) -> None:
         self.joints = (joint,)
         self.offset = 0

@@ -68,6 +68,12 @@ class DynamixelLine:
 class DynamixelEncoder:
     """The absolute encoder of a servo; meets `control.hardware.roles.Encoders`."""
 
+    reports_a_cycle = 0  # the board speaks only when asked: there is no phase to follow
+
+    def frames(self) -> tuple[int, int]:
+        """No stream of reports."""
+        return 0, 0
+
     def __init__(self, servo: DynamixelServo, joint: int) -> None:
         self.joints = (joint,)
         self.offset = 0

@@ -37,6 +37,8 @@ class Feedback:
     )  # when `count` was latched, on its board's own clock
     # when the joint's counts were made; a repeated report or one that was under way for long is as old as its counts
     reported_at_s: list[float] = field(default_factory=list)
+    reports: int = 0  # of the first encoder board so far
+    lost: int = 0  # of its frames so far
     reply_at_s: list[float] = field(default_factory=list)
     count: list[int] = field(default_factory=list)
     shift_count: list[int] = field(
@@ -101,6 +103,11 @@ class Hardware(Protocol):
 
     def write(self, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float]) -> None:
         """Command every joint in V, A or counts, depending on `mode`; in POSITION mode the board adds `feedforward_V`."""
+        ...
+
+    @property
+    def reports_a_cycle(self) -> int:
+        """How many reports the first encoder board sends in a cycle; 0 if none."""
         ...
 
     def enable(self) -> None:

@@ -49,6 +49,10 @@ class ReferenceDrives:
         self._maps = {wired.joint: JointMap(wired.drive) for wired in wiring}
         self._board_stop = board_stop(arm, period_s)
         self._watchdog_ms = round(arm.limits.watchdog_s * 1e3)
+        self._serial_numbers = {
+            wired.joint: None if wired.motor.identity is None else wired.motor.identity.serial_number
+            for wired in wiring
+        }
         self._configured_resets = dict.fromkeys(self.joints, -1)
         self._position_offset_count = dict.fromkeys(self.joints, 0)
         # entry of `wiring` whose motor board was asked for its count, and the encoder's count then
@@ -149,9 +153,11 @@ class ReferenceDrives:
     # ---- outside of the cycle: these wait for answers
 
     def configure(self, fresh_count: Callable[[int], int]) -> None:
-        """Upload the parameters of every board that does not have them."""
+        """Upload the parameters of every board that does not have them. WrongIdentity if one that was reset is another one."""
         for wired in self._wiring:
             if self._configured_resets[wired.joint] != wired.motor.resets:
+                if wired.motor.resets:
+                    wired.motor.identify(self._serial_numbers[wired.joint])
                 wired.motor.go_to(State.SWITCH_ON_DISABLED)
                 for index, value in self._parameters(wired):
                     wired.motor.write(index, value)

@@ -33,6 +33,17 @@ class ReferenceEncoders:
         self._watched = sorted(channels.values())
         self._clock = clock
         self._period_s = period_s
+        self._serial_number = None if board.identity is None else board.identity.serial_number
+
+    @property
+    def reports_a_cycle(self) -> int:
+        """How many reports the board sends in a cycle; 0 if none."""
+        stream_s = self._board.stream_period_s
+        return round(self._period_s / stream_s) if stream_s > 0.0 else 0
+
+    def frames(self) -> tuple[int, int]:
+        """How many reports have come so far, and how many frames were lost."""
+        return self._board.reports, self._board.lost
 
     def update(self) -> None:
         """Drain the line."""
@@ -84,7 +95,8 @@ class ReferenceEncoders:
         self.fresh_count(joint)
 
     def restore(self) -> None:
-        """Start the stream again after a reset."""
+        """Start the stream again after a reset. WrongIdentity if another board has taken the place of this one."""
         if self._board.latest is None:
+            self._board.identify(serial_number=self._serial_number)
             start_stream(self._board, self._period_s)
             self.fresh_count(self.joints[0])

@@ -86,6 +86,12 @@ class RoboClawLine:
 class RoboClawEncoders:
     """The encoder inputs of one board; meets `control.hardware.roles.Encoders`."""
 
+    reports_a_cycle = 0  # the board speaks only when asked: there is no phase to follow
+
+    def frames(self) -> tuple[int, int]:
+        """No stream of reports."""
+        return 0, 0
+
     def __init__(self, board: RoboClaw, drives: Mapping[int, Drive]) -> None:
         """`drives`: those whose encoder is on this board, by joint (0-based)."""
         self.joints = tuple(drives)

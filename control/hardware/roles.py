@@ -43,6 +43,15 @@ class Encoders(Protocol):
         """Write count, its time, when it was reported, and the channel flags of each joint."""
         ...
 
+    @property
+    def reports_a_cycle(self) -> int:
+        """How many reports the board sends in a cycle; 0 if none."""
+        ...
+
+    def frames(self) -> tuple[int, int]:
+        """How many reports have come so far, and how many frames were lost."""
+        ...
+
     def fresh_count(self, joint: int) -> int:
         """A count that the board makes from now on; waits for it. Raises BoardSilent."""
         ...
@@ -68,7 +77,7 @@ class Encoders(Protocol):
         ...
 
     def restore(self) -> None:
-        """Let a board that was reset report again. Raises LinkError."""
+        """Let a board that was reset report again. Raises LinkError; WrongIdentity if it is another one."""
         ...
 
 
@@ -96,7 +105,10 @@ class Drives(Protocol):
         ...
 
     def configure(self, fresh_count: Callable[[int], int]) -> None:
-        """Upload limits, time-outs and gains where a board does not have them; waits. `fresh_count`: of a joint's encoder."""
+        """Upload limits, time-outs and gains where a board does not have them; waits. `fresh_count`: of a joint's encoder.
+
+        WrongIdentity if a board that was reset is another one.
+        """
         ...
 
     def acknowledge_faults(self) -> None:

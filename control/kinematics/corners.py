@@ -1,4 +1,5 @@
-"""Corners of an arm: the origins of its link frames that move, and the tip; straight lines between them are its body.
+"""Corners of an arm: the origins of its link frames that move, and the tip; its body runs in straight lines between them, as
+thick as [[link]] radius_m says.
 
 Scalar for the control cycle, and in batches for the check of a whole motion. From the same chain as the tip.
 """
@@ -20,6 +21,7 @@ class Corners:
     """Corner positions [m] in the base frame, from the base to the tip.
 
     `first_free`: index of the first corner that is not on the base or on the link that joint 2 hangs on to it.
+    `radii_m`: of the body that ends at each corner.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -27,7 +29,7 @@ class Corners:
         graph = Graph()
         names = [graph.variable(f"q{i}") for i in range(1, arm.joint_count + 1)]
         self._inputs = names
-        self._traced, self.first_free = _traced(arm, names)
+        self._traced, self.first_free, self.radii_m = _traced(arm, names)
 
     @cached_property
     def at(self) -> Callable[..., tuple[Vector3, ...]]:
@@ -53,9 +55,10 @@ class Corners:
         )
 
 
-def _traced(arm: Arm, q: list[Symbol]) -> tuple[list[tuple[Any, ...]], int]:
-    """The corners as expressions, without those that never move or equal the one before; and `first_free`."""
+def _traced(arm: Arm, q: list[Symbol]) -> tuple[list[tuple[Any, ...]], int, tuple[float, ...]]:
+    """The corners as expressions, without those that never move or equal the one before; `first_free` and `radii_m`."""
     found: list[tuple[Any, ...]] = []
+    radii: list[float] = []
     rows, turns = arm.dh.tolist(), arm.joints
     first_free: int | None = None
     for count in range(1, len(rows) + 1):
@@ -63,11 +66,13 @@ def _traced(arm: Arm, q: list[Symbol]) -> tuple[list[tuple[Any, ...]], int]:
         corner = chain.tip(steps, q, (0.0, 0.0, 0.0))
         if any(isinstance(x, Symbol) for x in corner) and not (found and _is_same(rows[count - 1])):
             found.append(corner)
+            radii.append(arm.links[count - 1].radius_m)
         if first_free is None and sum(turns[:count]) >= 2:
             first_free = max(len(found) - 1, 0)
         if count == len(rows) and any(arm.tool.position_m):
             found.append(chain.tip(steps, q, arm.tool.position_m))
-    return found, len(found) if first_free is None else first_free
+            radii.append(arm.links[count - 1].radius_m)
+    return found, len(found) if first_free is None else first_free, tuple(radii)
 
 
 def _is_same(row: list[float]) -> bool:

@@ -28,7 +28,7 @@ class ArmState:
         self.parts = parts
         self.monitor = Monitor()
         # the cycle
-        self.punctuality = Punctuality(parts.period_s, parts.stopwatch_s)
+        self.punctuality = Punctuality(parts.period_s, parts.stopwatch_s, parts.strain)
         self.now_s = 0.0
         self.elapsed_s = (
             parts.period_s

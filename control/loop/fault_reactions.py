@@ -1,6 +1,7 @@
 """Reactions to a fault: a controlled stop or braking, and saving the cycles before it.
 
-Writes `fault_rows`, and ends motions: `paced`, `jogging`, `homing`, `was_stopped`, `is_hold_pending`.
+Writes `fault_rows`, and ends motions and averages: `paced`, `jogging`, `homing`, `averaging`, `was_stopped`,
+`is_hold_pending`.
 """
 
 from dataclasses import replace
@@ -30,6 +31,7 @@ def fail(state: ArmState, fault: Fault) -> None:
         state.stillness.enter_mode(state.now_s)
         state.fault_rows = state.parts.recorder.last_rows()
         state.homing = state.jogging = None
+        state.averaging = None  # counts from before and after a fault have no mean
         state.is_hold_pending = False
     state.was_stopped = True
     if monitor.is_held_fault and is_first:

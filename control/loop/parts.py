@@ -16,6 +16,7 @@ from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
+from control.loop.punctuality import Strain
 from control.loop.watch import Watch
 from control.loop.witnesses import IndexWatch, MotorCountWatch, SwitchWatch, Witnesses
 from control.model.arm import Tool
@@ -75,6 +76,7 @@ class Parts:
     period_s: float
     board_stop: BoardStop
     stopwatch_s: Callable[[], float]
+    strain: Strain | None = None  # page faults and switches of the loop's thread
     payload_limit_kg: float = math.inf
     allows_unrecorded: bool = False  # motions while the recording has stopped
     aim_limits: tuple[SetPointLimits, ...] = ()  # of the encoders' set-points, for such an arm

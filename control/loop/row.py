@@ -5,6 +5,7 @@ import math
 from control.end_effector.gripper import State
 from control.loop import set_points
 from control.loop.arm_state import ArmState
+from control.recording.record import COUNT_MOST
 from control.safety.table import Mode
 
 GRIPPER_STATE_NUMBER = {state: number for number, state in enumerate(State)}
@@ -19,9 +20,12 @@ def row_of(state: ArmState, late_s: float) -> list[float]:
         state.parts.servo.volts,
     )
     mode, aim = state.monitor.mode, state.aim
+    page_faults, switches = state.punctuality.strain()
+    age_s = state.now_s - feedback.encoder_at_s
     row = [
         state.now_s, state.cycles & 0xFFFFFFFF, state.run_number, MODE_NUMBER[mode],
-        state.punctuality.missed, late_s, state.punctuality.end(), state.stated_payload_kg, *state.new_camera_m,
+        state.punctuality.missed, late_s, state.punctuality.end(), min(page_faults, COUNT_MOST),
+        min(switches, COUNT_MOST), age_s if age_s < math.inf else math.nan, state.stated_payload_kg, *state.new_camera_m,
     ]  # fmt: skip
     joints = set_points.joint_rad(state) if state.parts.joint_side is not None else None
     is_open = mode in (Mode.GUIDING, Mode.OFF)

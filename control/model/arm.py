@@ -82,6 +82,10 @@ class Link:
         tuple[NonNegative, NonNegative, NonNegative] | None,
         "moments about the centre of mass, about the axes of this link's frame",
     ] = None
+    radius_m: Annotated[
+        NonNegative,
+        "of its body, for floor, table and own base; 0: a line. The tip is a point, because it touches",
+    ] = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,10 @@
 
 from collections.abc import Hashable, Iterable
 
-from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Table
+from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Home, Table
 from control.model.board_kinds import KINDS
 from control.model.effects import check_effect
+from control.model.joint_map import JointMap
 from control.model.maps import check_map
 from control.model.plausible import check_plausible
 from control.model.reader import Rejected
@@ -62,8 +63,19 @@ def _check_drive(arm: Arm, drive: Drive, index: int) -> None:
             if not drive.joint_lower_rad <= angle <= drive.joint_upper_rad:
                 expected = f"an angle within the joint's limits, {drive.joint_lower_rad} to {drive.joint_upper_rad} rad"
                 raise Rejected((*path, "home", key), expected, str(angle))
+        _check_home_count(drive, drive.home, path)
     if drive.encoder_channel >= ENCODER_CHANNELS:
         raise Rejected((*path, "encoder_channel"), "0, 1 or 2", str(drive.encoder_channel))
+
+
+def _check_home_count(drive: Drive, home: Home, path: tuple[str | int, ...]) -> None:
+    """Homing sets the counter to what it is at the index pulse, and takes the counter at its word from there on."""
+    count, half = JointMap(drive).count(home.index_rad), 1 << (drive.encoder_bits - 1)
+    settled = 2 * drive.encoder_counts_per_rev  # the joint comes to rest within two turns of the motor
+    if abs(count) + settled > half:
+        expected = f"a counter that holds {count} +- {settled} counts, of the index pulse at index_rad"
+        remedy = "set zero_count so that the joint's count at index_rad is small"
+        raise Rejected((*path, "encoder_bits"), expected, f"{drive.encoder_bits} (+-{half})", remedy)
 
 
 def _check_wiring(arm: Arm) -> None:

@@ -18,7 +18,7 @@ from control.motion.errors import PathError
 from control.motion.joint_limits import JointLimits
 from control.motion.samples import Array, JointSamples, TipSamples
 from control.motion.waypoints import Waypoints
-from control.safety.room import Room
+from control.safety.room import Body, Room
 
 # Smallest singular value of J [m/rad] allowed on a path: with less, a tip speed of 0.02 m/s needs 1
 # rad/s.
@@ -108,6 +108,7 @@ def check_clearance(
         points = elbow + share * (tip.position_m - elbow)
         heights, is_over = _height_over_board(arm, setup, points)
         height = np.where(is_over, heights, points[:, 2] - floor)
+        height = height if what == "tip" else height - arm.links[-1].radius_m
 
         def say(
             i: int, what: str = what, height: Array = height, is_over: NDArray[np.bool_] = is_over
@@ -125,7 +126,8 @@ def check_room(
     An arm that begins inside may move out.
     """
     corners, room = Corners(arm), Room.of(arm)
-    for distance_m, what in room.clearances(corners.batch(q_rad), corners.first_free):
+    body = Body(corners.radii_m, corners.first_free)
+    for distance_m, what in room.clearances(corners.batch(q_rad), body):
         allowed_m = min(float(distance_m[0]), 0.0) - _DEEPER_M
 
         def say(i: int, what: str = what, distance_m: Array = distance_m) -> str:

@@ -18,12 +18,13 @@ from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath
 from control.motion.setpoint import Motion, SetPoint
-from control.safety.room import Clearance, Room
+from control.safety.room import Body, Clearance, Room
 
 STEP_rad = 0.02  # between checked poses of a joint move: 15 mm at 0.75 m
 _POSES_MOST = 500
 _SECTION_SHARES = np.array([0.0, 0.25, 0.5, 0.75])  # of a path's section, where the tip is checked
 _DEEPER_m = 1e-6  # rounding
+_TIP_ALONE = Body((0.0,))
 _REMEDY = "nothing was moved; [limits] floor_z_m, floor_tolerance_m and base_radius_m, and [table], say where they are"
 
 
@@ -32,12 +33,13 @@ class Guard:
 
     def __init__(self, arm: Arm, limits: JointLimits) -> None:
         self._corners, self._room, self._limits = Corners(arm), Room.of(arm), limits
+        self._body = Body(self._corners.radii_m, self._corners.first_free)
         self._corners.batch([(0.0,) * arm.joint_count])  # compiled now, not between two cycles
         self.clearance((0.0,) * arm.joint_count)
 
     def clearance(self, q_rad: Sequence[float]) -> Clearance:
         """The least clearance of a pose; below 0: the arm is inside of something."""
-        return self._room.clearance(self._corners.at(*q_rad), self._corners.first_free)
+        return self._room.clearance(self._corners.at(*q_rad), self._body)
 
     def objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float]) -> str:
         """Why the arm must not get to `wanted_rad` from `here_rad`, as text; empty if it may."""
@@ -84,21 +86,22 @@ class Guard:
         a = sections[..., None]
         tips = a[:, :, 0] + t * (a[:, :, 1] + t * (a[:, :, 2] + t * a[:, :, 3]))
         at_s = (start_s[:, None] + t[:, 0]).ravel()
-        self._require_clear([tips.transpose(1, 0, 2).reshape(3, -1)], at_s, self.clearance(path.q_start_rad))
+        here = self.clearance(path.q_start_rad)
+        self._require_clear([tips.transpose(1, 0, 2).reshape(3, -1)], at_s, here, _TIP_ALONE)
 
     def _require(self, poses: ArrayLike, times_s: ArrayLike, here_rad: Sequence[float]) -> None:
         try:
             corners = self._corners.batch(poses)
         except ArmError as error:
             raise MotionError(str(error)) from None
-        self._require_clear(corners, np.asarray(times_s), self.clearance(here_rad))
+        self._require_clear(corners, np.asarray(times_s), self.clearance(here_rad), self._body)
 
     def _require_clear(
-        self, corners: list[NDArray[np.float64]], times_s: NDArray[np.float64], here: Clearance
+        self, corners: list[NDArray[np.float64]], times_s: NDArray[np.float64], here: Clearance, body: Body
     ) -> None:
         allowed_m = min(0.0, here.distance_m - _DEEPER_m)
         worst_m, what, at_s = math.inf, "", 0.0
-        for distances, name in self._room.clearances(corners, self._corners.first_free):
+        for distances, name in self._room.clearances(corners, body):
             k = int(np.argmin(distances))
             if distances[k] < min(worst_m, allowed_m):
                 worst_m, what, at_s = float(distances[k]), name, float(times_s[k])

@@ -37,6 +37,7 @@ KINDS: Final[Mapping[str, Kind]] = {
     "cycle": Kind(1, 2),
     "late_s": Kind(10**9, 1),
     "busy_s": Kind(10**6, 1),
+    "age_s": Kind(10**5, 1),
     "payload_kg": Kind(10**6, 1),
     "x_m": Kind(10**7, 1),
     "y_m": Kind(10**7, 1),

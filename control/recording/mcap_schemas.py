@@ -56,6 +56,9 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("missed", "1", "deadlines missed so far"),
         Field("late_s", "s", "how late the cycle began"),
         Field("busy_s", "s", "how long the cycle took"),
+        Field("page_faults", "1", "page faults of the loop in the cycle"),
+        Field("switches", "1", "how often another program took the loop's processor in the cycle"),
+        Field("age_s", "s", "age of the oldest counts when the cycle began"),
         Field("payload_kg", "kg", "mass at the tip, as stated"),
     ),
     END: (

@@ -11,7 +11,13 @@ from control.errors import ArmError
 from control.files import open_file, parsed_json
 from control.recording.fixed_point import StoredColumn, columns_of
 from control.recording.frames import HEAD, ROWS, ROWS_MOST, CONTENT_MOST_bytes
-from control.recording.record import MAGIC, MAGIC_OF_FRAMES, MODES_BEFORE_THEY_WERE_RECORDED, Layout
+from control.recording.record import (
+    LATER_FIELDS,
+    MAGIC,
+    MAGIC_OF_FRAMES,
+    MODES_BEFORE_THEY_WERE_RECORDED,
+    Layout,
+)
 
 HEADER_MOST_bytes, ROW_MOST_bytes = 1 << 24, 1 << 14  # the text of an arm.toml; 100 joints
 PORTION_bytes = 1 << 20  # read at once; some 40,000 rows in frames
@@ -26,7 +32,7 @@ def _require_columns(layout: Layout) -> None:
     """ValueError if the columns do not match the joint count. Columns of later versions may be missing."""
     if type(layout.joint_count) is not int or not 1 <= layout.joint_count <= len(layout.names):
         raise ValueError(f"joint_count {layout.joint_count!r} does not match {len(layout.names)} columns")
-    later = {f"counted{joint}_s" for joint in range(1, layout.joint_count + 1)}
+    later = {*LATER_FIELDS, *(f"counted{joint}_s" for joint in range(1, layout.joint_count + 1))}
     for name in Layout.of(layout.joint_count).names:
         if name not in layout.names and name not in later:
             raise ValueError(f"column {name} of {layout.joint_count} joints is missing")

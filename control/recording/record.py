@@ -30,6 +30,7 @@ MODES_BEFORE_THEY_WERE_RECORDED = (
 )  # fmt: skip
 SCALAR_FIELDS = (
     ("t_s", "d"), ("cycle", "I"), ("run", "I"), ("mode", "B"), ("missed", "I"), ("late_s", "f"), ("busy_s", "f"),
+    ("page_faults", "H"), ("switches", "H"), ("age_s", "f"),
     ("payload_kg", "f"), ("x_m", "d"), ("y_m", "d"), ("z_m", "d"),
 )  # fmt: skip
 JOINT_FIELDS = (
@@ -38,6 +39,8 @@ JOINT_FIELDS = (
     ("statusword{}", "B"), ("drive_faults{}", "B"), ("flags{}", "B"), ("counted{}_s", "d"),
 )  # fmt: skip
 
+LATER_FIELDS = ("page_faults", "switches", "age_s")  # not in recordings of earlier versions, as counted{}_s
+COUNT_MOST = 0xFFFF  # of page faults and switches in a cycle
 JOINT_SIDE_FIELDS = (
     ("joint{}_rad", "d"),
     ("joint{}_set_rad", "d"),

@@ -1,13 +1,13 @@
 """The room that an arm may use: above the floor and the table, outside of its own base. Pure functions of positions.
 
 It knows no joints and no trajectories: corners of the arm in, a clearance out. What the arm must not meet is listed here, so
-bodies with a thickness, or further obstacles, are further lines of `clearances`. All formulas hold for plain floats (the
+further obstacles are further lines of `clearances`. All formulas hold for plain floats (the
 control cycle) and for arrays (a whole motion).
 """
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -28,6 +28,24 @@ class Clearance(NamedTuple):
 
     distance_m: float
     what: str
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """What the corners do not say: how thick the body is that ends at each [m], and where it gets free of the base.
+
+    The body before the corner `first_free` hangs on the base and always meets it. The tip is a point: it may touch.
+    """
+
+    radii_m: tuple[float, ...]
+    first_free: int = 0
+    thickest_m: float = field(init=False)
+    at_corners_m: tuple[float, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        at_corners_m = (*(max(pair) for pair in pairwise(self.radii_m)), 0.0)
+        object.__setattr__(self, "at_corners_m", at_corners_m)
+        object.__setattr__(self, "thickest_m", max(self.radii_m, default=0.0))
 
 
 class _Library(NamedTuple):
@@ -75,43 +93,45 @@ class Room:
             limits.base_radius_m,
         )
 
-    def clearance(self, corners: Sequence[Point], first_free: int = 0) -> Clearance:
-        """The least clearance of an arm whose body runs along `corners` (floats). ArmError if one is not finite.
-
-        `first_free`: the body before this corner hangs on the base and always meets it.
-        """
+    def clearance(self, corners: Sequence[Point], body: Body) -> Clearance:
+        """The least clearance of an arm whose body runs along `corners` (floats). ArmError if one is not finite."""
         least_m, about = math.inf, ""
         for corner in corners:
             if (total := sum(corner)) - total != 0.0:
                 raise ArmError(f"room: expected finite positions of the arm, got {corners}")
-        for distance_m, what in self._clearances(corners, first_free, _FLOATS):
+        for distance_m, what in self._clearances(corners, body, _FLOATS):
             if distance_m < least_m:
                 least_m, about = distance_m, what
         return Clearance(least_m, about)
 
-    def clearances(self, corners: Sequence[Any], first_free: int = 0) -> Iterator[tuple[Any, str]]:
+    def clearances(self, corners: Sequence[Any], body: Body) -> Iterator[tuple[Any, str]]:
         """For arrays: the clearances [m] of what may be near at all, and what each is about."""
-        return self._clearances(corners, first_free, _ARRAYS)
+        return self._clearances(corners, body, _ARRAYS)
 
-    def _clearances(
-        self, corners: Sequence[Point], first_free: int, of: _Library
-    ) -> Iterator[tuple[Any, str]]:
-        lowest_m = of.lowest([corner[2] for corner in corners])
+    def _clearances(self, corners: Sequence[Point], body: Body, of: _Library) -> Iterator[tuple[Any, str]]:
+        lowest_m = of.lowest([corner[2] for corner in corners]) - body.thickest_m
         if not lowest_m >= self.floor_z_m - self.tolerance_m:
-            yield from self._above_ground(corners, of)
+            yield from self._above_ground(corners, body, of)
         if self.base_radius_m > 0.0 and not lowest_m > self.base_top_m + self.base_radius_m:
-            for start, end in pairwise(corners[first_free:]):
-                yield _distance_to_axis(self.base_top_m, start, end, of) - self.base_radius_m, _BASE
+            free = body.first_free
+            for (start, end), radius_m in zip(
+                pairwise(corners[free:]), body.radii_m[free + 1 :], strict=True
+            ):
+                yield (
+                    _distance_to_axis(self.base_top_m, start, end, of) - self.base_radius_m - radius_m,
+                    _BASE,
+                )
 
-    def _above_ground(self, corners: Sequence[Point], of: _Library) -> Iterator[tuple[Any, str]]:
+    def _above_ground(self, corners: Sequence[Point], body: Body, of: _Library) -> Iterator[tuple[Any, str]]:
         last = len(corners) - 1
-        for number, (x, y, z) in enumerate(corners):
-            yield z - self._ground(x, y, of), _TIP if number == last else _BODY
+        for number, ((x, y, z), radius_m) in enumerate(zip(corners, body.at_corners_m, strict=True)):
+            yield z - radius_m - self._ground(x, y, of), _TIP if number == last else _BODY
         if last > 0:
+            forearm_m = body.radii_m[last]
             (ax, ay, az), (bx, by, bz) = corners[-2], corners[-1]
             for share in FOREARM_SHARES:
                 x, y, z = ax + share * (bx - ax), ay + share * (by - ay), az + share * (bz - az)
-                yield z - self._ground(x, y, of), _BODY
+                yield z - forearm_m - self._ground(x, y, of), _BODY
 
     def _ground(self, x: Any, y: Any, of: _Library) -> Any:
         """The lowest height [m] that is allowed at a place: the floor, or the board's plane, flat or tilted, if that is lower."""

@@ -20,6 +20,7 @@ from control.kinematics.kinematics import Kinematics
 from control.loop.homing_sequence import TURN_TOLERANCE, HomingSequence, JointHome
 from control.loop.jogging import Jogging
 from control.loop.parts import Camera, Parts, ToolParts
+from control.loop.punctuality import Strain
 from control.loop.runtime import Runtime
 from control.loop.watch import JointLimits as MeasuredLimits
 from control.loop.watch import Watch, WatchLimits
@@ -73,8 +74,12 @@ def assemble(
     sink: RowSink | None = None,
     stopwatch_s: Callable[[], float] = time.perf_counter,
     about: Mapping[str, object] | None = None,
+    strain: Strain | None = None,
 ) -> Assembly:
-    """Build a runtime that is ready for its first cycle. MissingModel if arm.toml lacks data for control."""
+    """Build a runtime that is ready for its first cycle. MissingModel if arm.toml lacks data for control.
+
+    `stopwatch_s` and `strain` (control.loop.punctuality) are what the recording says about the process.
+    """
     limits = JointLimits.of(arm)
     tools = {tool.name: _tool_parts(arm.with_tool(tool.name), limits) for tool in arm.tools}
     tool, loads = tools[arm.tool.name], Loads(arm)
@@ -106,6 +111,7 @@ def assemble(
         period_s=period_s,
         board_stop=board_stop(arm, period_s),
         stopwatch_s=stopwatch_s,
+        strain=strain,
         allows_unrecorded=arm.recording.unrecorded == "allow",
         payload_limit_kg=arm.limits.payload_limit_kg,
         aim_limits=tuple(_aim_limits(drive) for drive in arm.drives),

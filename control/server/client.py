@@ -20,6 +20,7 @@ from control.server.sockets import ForeignRuntime, require_own_runtime
 Message = dict[str, Any]
 CONTROL_KEY = "ARMWRIGHT_CONTROL_KEY"  # environment: clients with the same key count as one
 RELAPSE_S = 0.1  # a fault whose cause persists is detected again within some cycles
+AVERAGE_LIMIT_S = 2.0  # an average takes its own time; this much more is a host that was paused
 SETTLE_LIMIT_S = 2.0  # drives that do not enable are a fault after half of this time
 POLL_S = 0.02  # polling period of a waiting client; short for an operator, hardly any load for the loop
 
@@ -293,13 +294,26 @@ class ArmClient:
         self.until(["HOLDING"], 3.0)
 
     def average(self, duration_s: float) -> Average:
-        """Average encoders, currents and camera frames over `duration_s`, starting now."""
+        """Average encoders, currents and camera frames over `duration_s`, starting now.
+
+        ArmFaulted if a fault comes in between; ArmLate if the runtime gets no values to average.
+        """
         self.ask("average", duration_s=duration_s)
-        while True:
-            self._channel.wait(min(duration_s, POLL_S))
-            result = self.ask("average_result")["average"]
-            if result is not None:
-                return msgspec.convert(result, Average)
+        waited_s = 0.0
+        while waited_s < duration_s + AVERAGE_LIMIT_S:
+            self._channel.wait(step_s := min(duration_s, POLL_S))
+            waited_s += step_s
+            answer = self._channel.request({"do": "average_result"})
+            if answer.get("average") is not None:
+                return msgspec.convert(answer["average"], Average)
+            if not answer["ok"]:
+                break
+        status = self.status()
+        if status["mode"] == "FAULT":
+            raise ArmFaulted(fault_text(status))
+        raise ArmLate(
+            f"no average after {waited_s:.1f} s: {answer.get('error', 'the boards sent no values meanwhile')}"
+        )
 
     def acknowledge(self) -> None:
         """Acknowledge the fault on a person's request. ArmFaulted if its cause persists."""

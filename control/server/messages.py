@@ -150,9 +150,10 @@ class Off(_Message, tag="off", kw_only=True):
 
 
 class Control(_Message, tag="control", kw_only=True):
-    """Take or release control, or join those who share a key."""
+    """Take or release control, end that of another client, or join those who share a key."""
 
     take: bool | None = None
+    revoke: bool = False
     key: Annotated[str, Meta(min_length=8, max_length=LONGEST_ID)] | None = None
 
 

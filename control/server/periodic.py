@@ -10,11 +10,13 @@ from firmware_iface.clock import Clock
 class PeriodicTimer:
     """Deadlines every `period_s` on a clock.
 
-    `wait` sets `skipped` (deadlines that passed unserved just now), `missed_in_row` and `missed` (all of them).
+    `wait` sets `skipped` (deadlines that passed unserved just now), `missed_in_row` and `missed` (all of them). `trim_s` makes
+    each period that much longer: see control.server.phase.
     """
 
     def __init__(self, clock: Clock, period_s: float) -> None:
         self.period_s = period_s
+        self.trim_s = 0.0
         self.skipped = 0
         self.missed = 0
         self.missed_in_row = 0
@@ -28,7 +30,7 @@ class PeriodicTimer:
         self.skipped = int(late_s / self.period_s)
         self.missed += self.skipped
         self.missed_in_row = self.missed_in_row + self.skipped if self.skipped else 0
-        self._deadline_s += (self.skipped + 1) * self.period_s
+        self._deadline_s += (self.skipped + 1) * self.period_s + self.trim_s
         return late_s
 
     def restart(self) -> None:

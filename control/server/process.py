@@ -25,8 +25,9 @@ from control.recording.rotation import begin, stored_row_bytes
 from control.server.assemble import Assembly, assemble
 from control.server.events import Events, with_time
 from control.server.periodic import PeriodicTimer
+from control.server.phase import PhaseFollower
 from control.server.printer import Printer
-from control.server.scheduling import request_punctuality
+from control.server.scheduling import request_punctuality, strain
 from control.server.server import Server, require_free
 from control.server.sockets import linked
 from firmware_iface.clock import Clock, MonotonicClock
@@ -59,7 +60,9 @@ def serve(arm: Arm, options: ServeOptions) -> None:
     remedy = request_punctuality()
     about = {"rights": remedy or "granted"}
     try:
-        assembly = assemble(arm, connection.hardware, options.period_s, connection.camera, sink, about=about)
+        assembly = assemble(
+            arm, connection.hardware, options.period_s, connection.camera, sink, about=about, strain=strain
+        )
         server = Server(options.socket_path, assembly.requests.handle, assembly.requests.on_gone)
         usage = _usage(arm, options)
         printer.say(
@@ -95,11 +98,14 @@ def run(assembly: Assembly, server: Server, clock: Clock, period_s: float, event
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: runtime.go_off(quits=True))
     beat = PeriodicTimer(AttendedClock(clock, runtime.parts.hardware), period_s)
+    follower = PhaseFollower(runtime.parts.hardware.reports_a_cycle, period_s)
     is_running = True
     failure: Exception | None = None
     while is_running:
         late_s = beat.wait()
         is_running = runtime.cycle(clock.now_s(), late_s, beat.skipped, beat.missed_in_row)
+        feedback = runtime.parts.hardware.feedback
+        beat.trim_s = follower.trim_s(feedback.reports, feedback.lost, beat.skipped > 0)
         try:
             server.poll()
         except Exception as error:  # bring the arm to rest first, then report the error

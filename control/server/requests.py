@@ -158,6 +158,9 @@ class Requests:
         mode = self._runtime.monitor.mode
         if request.key is not None:
             self._right.join(client, request.key)
+        if request.revoke:
+            self._runtime.stop()
+            self._right.revoke(client, mode)
         if request.take:
             self._right.take(client, mode)
         elif request.take is not None:
@@ -273,7 +276,7 @@ class Requests:
     def _average_result(self, request: Any, client: int) -> Message:
         averaging = self._runtime.averaging
         if averaging is None:
-            raise ArmError("no average was requested: send `average` first")
+            raise ArmError("no average is being taken (a fault ends one): send `average` first")
         return {"average": averaging.result}
 
     def _payload(self, request: messages.Payload, client: int) -> Message:

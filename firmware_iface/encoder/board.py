@@ -52,6 +52,7 @@ class EncoderBoard:
         self.resets = 0
         self._link = link
         self._clock = clock
+        self.stream_period_s = 0.0  # as it was last asked for
         self._decoder = wire.Decoder()
         self._time = BoardTime()
         self._sequence = 0
@@ -140,6 +141,7 @@ class EncoderBoard:
                 f"{_LONGEST_PERIOD_s * 1e3:g} ms; take a longer period or a higher baud rate"
             )
         self._request(wire.Stream(self._next_sequence(), round(period_s * 1e6)))
+        self.stream_period_s = period_s
 
     def poll(self) -> None:
         """Request one report without waiting; a later update() receives it."""
@@ -264,8 +266,8 @@ class EncoderBoard:
 
     def _take_report(self, report: wire.Report, now_s: float) -> None:
         before, made_s = self.latest, self._time.seconds
-        if before is not None and self._board_sequence is not None:
-            behind = (self._board_sequence - report.sequence) & 0xFF
+        if before is not None:
+            behind = (before.sequence - report.sequence) & 0xFF
             if 0 < behind < _LATE_FRAMES and _is_older(report, before):
                 self.late += 1
                 return
@@ -305,12 +307,12 @@ class EncoderBoard:
                 self._was_reset(frame.sequence)
             self._board_sequence = frame.sequence
         elif isinstance(frame, wire.Identity | wire.Ack):
-            self._count_lost(frame.sequence)
+            self._count_if_new(frame.sequence)
             self._answer = frame
             if self._arming is not None and self._arming[0] == frame.request_sequence:
                 self._begin_waiting_for_index(self._arming[1])
         elif isinstance(frame, wire.IndexLatch):
-            self._count_lost(frame.sequence)
+            self._count_if_new(frame.sequence)
             if frame.channel >= wire.CHANNELS:
                 self._violation(f"sent an index of channel {frame.channel}", wire.encode(frame))
             else:
@@ -337,6 +339,11 @@ class EncoderBoard:
             elif now_s - asked_s > _LATCH_REPEAT_s:
                 self._armed[channel] = now_s
                 self._send(wire.ArmIndex(self._next_sequence(), channel, IndexAction.SEND_AGAIN))
+
+    def _count_if_new(self, sequence: int) -> None:
+        """Count those lost before a frame without a time stamp, unless it is late or came before."""
+        if self._board_sequence is None or 0 < (sequence - self._board_sequence) & 0xFF < _LATE_FRAMES:
+            self._count_lost(sequence)
 
     def _count_lost(self, sequence: int) -> None:
         if self._board_sequence is not None:

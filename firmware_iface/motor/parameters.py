@@ -11,6 +11,10 @@ from firmware_iface.motor.wire import Operation, Parameter, ParameterAnswer, Par
 ANSWER_TIMEOUT_s = 0.05  # the board answers within 5 ms; hosts are late by tens of milliseconds at times
 ATTEMPTS = 3
 _STEP_s = 0.001
+_REMEDIES: dict[int, str] = {
+    ParameterResult.UNKNOWN_INDEX: "; its firmware is older than this program: update it to one that has the parameters of"
+    " docs/motor_board.md, without which the board could not stop and hold the arm by itself"
+}
 _SECOND_REPLY_WAIT_s = 0.003  # a second board with the same node id answers at most this much later
 
 
@@ -77,7 +81,7 @@ class ParameterChannel:
             wanted = f" to {value}" if operation is Operation.WRITE else ""
             raise RequestRefused(
                 f"{self._where()}: refused to {operation.name.lower()} {_named(index)}{wanted}: "
-                f"{_result_name(answer.result)}"
+                f"{_result_name(answer.result)}{_REMEDIES.get(answer.result, '')}"
             )
         return answer.value
 

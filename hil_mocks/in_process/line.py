@@ -37,6 +37,12 @@ class Line:
         """Unplug the port: whoever has it open gets errors from now on."""
         self.is_there = False
 
+    def plug_in(self) -> None:
+        """Plug a port that has vanished in again."""
+        self.is_there = True
+        self.to_host.clear()
+        self.to_board.clear()
+
     def close(self) -> None:
         """Remove the line."""
         self.is_there = False

@@ -10,7 +10,7 @@ from pathlib import Path
 from control.recording.record import Layout
 from control.recording.rotation import stored_row_bytes
 from control.server.process import PIPE_bytes
-from control.server.scheduling import punctuality_remedy
+from control.server.scheduling import punctuality_remedy, strain
 from firmware_iface.clock import Clock, MonotonicClock
 from firmware_iface.link import can_buses, serial_ports
 from procedures.doctor.finding import Finding, Level, graded, percentile
@@ -21,6 +21,8 @@ DISK_TEST_bytes = 4 << 20
 BLOCK_bytes = 1 << 16
 LEAST_FREE_HOURS = 2.0
 GROUP = "host"
+LEAST_RT_us = 900_000  # of each second, the kernel's own default is 950,000: the loop needs a fifth
+CALM_SWITCHES = 50  # in a second of measuring
 
 
 def look_at_host(period_s: float, watchdog_s: float, joints: int, log_folder: Path) -> list[Finding]:
@@ -35,9 +37,61 @@ def look_at_host(period_s: float, watchdog_s: float, joints: int, log_folder: Pa
         "SCHED_FIFO, memlock",
         remedy,
     )
+    before = strain()
     late_s = lateness(MonotonicClock(), PAUSE_TEST_S)
+    page_faults, switches = (now - was for now, was in zip(strain(), before, strict=True))
     rate_bytes_s = stored_row_bytes(Layout.of(joints).packing.size) / period_s
-    return [rights, *judge_lateness(late_s, period_s, watchdog_s), *look_at_disk(log_folder, rate_bytes_s)]
+    return [
+        rights,
+        *look_at_kernel(Path("/")),
+        *judge_lateness(late_s, period_s, watchdog_s),
+        judge_strain(page_faults, switches),
+        *look_at_disk(log_folder, rate_bytes_s),
+    ]
+
+
+def look_at_kernel(root: Path) -> list[Finding]:
+    """Check what the kernel under `root` does about real time: frequency governors, preemption, limits of real-time tasks."""
+    governors = {
+        _text(file) for file in root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")
+    }
+    slow = sorted(governors - {"performance", ""})
+    is_realtime = _text(root / "sys/kernel/realtime") == "1"
+    runtime_us = _text(root / "proc/sys/kernel/sched_rt_runtime_us")
+    is_throttled = runtime_us not in ("-1", "")
+    share = f"{int(runtime_us) / 1e4:.0f} % of each second" if is_throttled else "not throttled"
+    return [
+        _advised(not slow, "frequency governor", ", ".join(slow) or "performance, or none", "performance",
+                 "`cpupower frequency-set -g performance`: a processor that slows down is late"),
+        _advised(is_realtime, "kernel", "PREEMPT_RT" if is_realtime else "without PREEMPT_RT", "PREEMPT_RT",
+                 "a kernel with PREEMPT_RT bounds the lateness of the loop; without, drivers may hold it up for milliseconds"),
+        _advised(not is_throttled or int(runtime_us) >= LEAST_RT_us, "real-time tasks", share, "90 % or more",
+                 "`sysctl kernel.sched_rt_runtime_us=950000`: below, the kernel stops the loop for the rest of each second"),
+    ]  # fmt: skip
+
+
+def judge_strain(page_faults: int, switches: int) -> Finding:
+    """What took time from this process while its lateness was measured."""
+    measured = f"{switches} involuntary switches, {page_faults} page faults"
+    remedy = "end other programs; give the operator the rights above"
+    is_calm = switches <= CALM_SWITCHES
+    return _advised(
+        is_calm, "what took its time meanwhile", measured, f"at most {CALM_SWITCHES} switches", remedy
+    )
+
+
+def _advised(is_well: bool, what: str, measured: str, expected: str, remedy: str) -> Finding:
+    """A finding that is fine or worth a warning, never bad: the arm stops safely by its boards in any case."""
+    return Finding(
+        Level.OK if is_well else Level.WARN, GROUP, what, measured, expected, "" if is_well else remedy
+    )
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text().strip()
+    except OSError:
+        return ""
 
 
 def lateness(clock: Clock, duration_s: float) -> list[float]:

@@ -1,199 +1,256 @@
 """All drills, by name. What each promises is what docs/safety.md says."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
+from difflib import get_close_matches
+from typing import NamedTuple
 
 from control.errors import ArmError
+from control.model.arm import Arm
+from procedures.drills import injectors as do
 from procedures.drills.drill import Drill
+from procedures.drills.files import FileDrill
+from procedures.drills.injectors import MOTORS, Inject, fault
 from procedures.drills.promise import GOES_ON, Promise
-from procedures.drills.realtime import GONE, RealTimeDrill
-from procedures.drills.stage import MOVE, REST, Stage
+from procedures.drills.realtime import GONE, DiskDrill, RealTimeDrill
+from procedures.drills.session import SessionDrill
+from procedures.drills.stage import HOME, MOVE, REST, SESSION
 
-SUFFIX = {REST: "rest", MOVE: "motion"}
-MOTORS = ("motor1", "motor2", "motor3")
-BRAKES = {
-    "rest_mm": 80.0,
-    "move_mm": 80.0,
-}  # shorted windings let a stretched arm sink by as much in the two seconds
-FALLS = {"rest_mm": 900.0, "move_mm": 900.0}  # an open circuit holds nothing: docs/motor_board.md, faults
+SUFFIX = {REST: "rest", MOVE: "motion", HOME: "homing", SESSION: "session"}
+
+
+class Most(NamedTuple):
+    """The largest distance from the asked path, at rest, in motion and in a session."""
+
+    rest_mm: float
+    move_mm: float
+    session_mm: float
+
+
+# 20 ms on old counts at full speed, and the boards' stop. In a session the fault comes shortly before the end of a motion: the
+# boards do not know that end.
+HOLDS = Most(5.0, 8.0, 15.0)
+BRAKES = Most(80.0, 80.0, 80.0)  # shorted windings let a stretched arm sink by as much in the two seconds
+FALLS = Most(900.0, 900.0, 900.0)  # an open circuit holds nothing: docs/motor_board.md, faults
+RELEASED_mm = (
+    120.0  # while it measures, a hand holds the tip of an arm whose drives are off; let go, it sinks
+)
 LYING = frozenset({"encoder_contradicted", "encoders_differ"})
-Inject = Callable[[Stage], None]
+ALSO_MEASURING = frozenset(
+    {"serial-gone", "motor-silent", "encoder-reset", "jump-5000", "pause-100", "killed"}
+)
+# More than speeds: a share of counts that comes at once is a speed that no joint has.
+JUMPS = "encoder_leap index_off overspeed"
 
 
-def _fault(kind: str, *boards: str, **keys: float) -> Inject:
-    """An injector of one fault of the mock on some boards."""
-
-    def inject(played: Stage) -> None:
-        for board in boards:
-            played.inject(kind, board, **keys)
-
-    return inject
-
-
-def _away(duration_s: float) -> Inject:
-    return lambda played: played.away(duration_s)
-
-
-def _stop(played: Stage) -> None:
-    played.client.ask("stop")
-
-
-def _serial_gone(played: Stage) -> None:
-    played.rig.wires.serial[0].vanish()
-
-
-def _bus_off(played: Stage) -> None:
-    for board in MOTORS:
-        played.inject("silent", board)
-    played.rig.wires.bus_off()
-
-
-def _stop_at(delay_s: float) -> Inject:
-    def inject(played: Stage) -> None:
-        played.run(delay_s)
-        played.client.ask("stop")
-
-    return inject
-
-
-def _both(
+def _each(
     name: str,
     says: str,
     inject: Inject,
     codes: str,
     within_s: float = 0.3,
-    rest_mm: float = 5.0,
-    move_mm: float = 8.0,  # 20 ms on old counts at full speed, and the boards' stop
-) -> Iterator[Drill]:
-    """The same fault at rest and in motion."""
+    most: Most = HOLDS,
+    during: tuple[str, ...] = (REST, MOVE, SESSION),
+) -> Iterator[Promise]:
+    """The same fault at rest, in motion and in a session."""
     found = frozenset(codes.split())
-    for during, most_mm in ((REST, rest_mm), (MOVE, move_mm)):
-        yield Drill(f"{name}-{SUFFIX[during]}", says, during, found, within_s, most_mm, inject)
+    for moment in during:
+        most_mm = {REST: most.rest_mm, SESSION: most.session_mm}.get(moment, most.move_mm)
+        full = f"{name}-{SUFFIX[moment]}"
+        if moment != SESSION:
+            yield Drill(full, says, moment, found, within_s, most_mm, inject)
+            continue
+        yield SessionDrill(full, says, moment, found, within_s, most_mm, inject)
+        if name in ALSO_MEASURING:
+            most_mm = most_mm if not found else max(most_mm, RELEASED_mm)
+            yield SessionDrill(f"{name}-measuring", says, "measuring", found, within_s, most_mm, inject, True)
 
 
-def _frames() -> Iterator[Drill]:
+def _frames() -> Iterator[Promise]:
     for board, name, of in (("encoder", "serial", "the encoder board"), ("motor2", "can", "motor board 2")):
-        for kind, word, share in (
-            ("drop_frames", "lost", 0.3),
-            ("corrupt_frames", "corrupted", 0.3),
-            ("duplicate_frames", "doubled", 0.05),
+        for kind, word, share, value in (
+            ("drop_frames", "lost", 0.3, {}),
+            ("corrupt_frames", "corrupted", 0.3, {}),
+            ("duplicate_frames", "doubled", 0.05, {}),
+            ("delay_frames", "reordered", 0.1, {"value": 0.003}),  # later than the next ones
+            ("replay_frames", "replayed", 0.05, {"value": 0.1}),
         ):
             if (board, kind) == ("motor2", "corrupt_frames"):
                 continue  # CAN's own CRC: a board does not see them
             says = f"{share * 100:.0f} % of the frames of {of} {word}"
-            yield from _both(f"{name}-{word}", says, _fault(kind, board, probability=share), "")
-    yield from _both(
-        "serial-late",
-        "encoder reports 30 ms late",
-        _fault("delay_frames", "encoder", value=0.03),
-        "encoder_stale",
-    )
-    yield from _both(
-        "can-late", "replies 30 ms late", _fault("delay_frames", "motor2", value=0.03), "drive_silent"
-    )
+            yield from _each(f"{name}-{word}", says, fault(kind, board, probability=share, **value), "")
+    late = fault("delay_frames", "encoder", value=0.03)
+    yield from _each("serial-late", "encoder reports 30 ms late", late, "encoder_stale")
+    late = fault("delay_frames", "motor2", value=0.03)
+    yield from _each("can-late", "replies 30 ms late", late, "drive_silent")
+    yield from _each("serial-noise", "noise between the encoder's frames", do.serial_noise(40), "")
+    yield from _each("can-flood", "20 foreign frames a cycle", do.can_flood(20), "")
 
 
-def _boards() -> Iterator[Drill]:
-    yield from _both(
-        "encoder-reset", "encoder board restarts", _fault("board_reset", "encoder"), "link zero_lost"
-    )
-    yield from _both(
-        "motor-reset", "motor board 2 restarts", _fault("board_reset", "motor2"), "link drive_left", **BRAKES
-    )
-    yield from _both(
-        "encoder-silent", "encoder board unplugged", _fault("silent", "encoder"), "encoder_stale"
-    )
-    yield from _both("motor-silent", "motor board 2 unplugged", _fault("silent", "motor2"), "drive_silent")
-    yield from _both("serial-gone", "serial port vanishes", _serial_gone, "link encoder_stale")
-    yield from _both("bus-off", "CAN bus off", _bus_off, "link drive_silent")
-    yield from _both(
-        "encoder-wire",
-        "encoder wire broken",
-        _fault("lost_wire", "encoder", channel=1),
-        "encoder_signal",
-        **BRAKES,
-    )
+def _buses() -> Iterator[Promise]:
+    yield from _each("serial-gone", "serial port vanishes", do.serial_gone, "link encoder_stale")
+    yield from _each("bus-off", "CAN bus off", do.bus_off, "link drive_silent")
+    yield from _each("bus-full", "CAN transmit buffer full", do.can_full, "link")
+    says = "a device at a wrong bit rate on the bus"
+    yield from _each("bit-rate", says, do.wrong_bit_rate, "link drive_silent")
+    says = "another board with the id of motor board 2"
+    yield from _each("same-id", says, do.second_board(1), "link drive_left", most=BRAKES)
 
 
-def _gripper() -> Iterator[Drill]:
+def _boards() -> Iterator[Promise]:
+    yield from _each(
+        "encoder-reset", "encoder board restarts", fault("board_reset", "encoder"), "link zero_lost",
+        during=(REST, MOVE, HOME, SESSION),
+    )  # fmt: skip
+    yield from _each(
+        "motor-reset",
+        "motor board 2 restarts",
+        fault("board_reset", "motor2"),
+        "link drive_left",
+        most=BRAKES,
+    )
+    yield from _each(
+        "encoder-silent", "encoder board unplugged", fault("silent", "encoder"), "encoder_stale",
+        during=(REST, MOVE, HOME, SESSION),
+    )  # fmt: skip
+    yield from _each(
+        "motor-silent", "motor board 2 unplugged", fault("silent", "motor2"), "drive_silent",
+        during=(REST, MOVE, HOME, SESSION),
+    )  # fmt: skip
+    for board, most in (("encoder", HOLDS), ("motor2", BRAKES)):
+        swapped = do.both(fault("board_reset", board), fault("wrong_identity", board, value=4711))
+        name, says = f"{board.rstrip('2')}-swapped", f"another {board.rstrip('2')} board is plugged in"
+        codes = "link zero_lost drive_left refused"
+        for drill in _each(name, says, swapped, codes, during=(REST, MOVE), most=most):
+            assert isinstance(drill, Drill)
+            yield replace(drill, is_refused=True)
+    wire = fault("lost_wire", "encoder", channel=1)
+    yield from _each("encoder-wire", "encoder wire broken", wire, "encoder_signal", most=BRAKES)
+
+
+def _gripper() -> Iterator[Promise]:
     """With an object in the gripper."""
-    gone, reset = _fault("silent", "motor4"), _fault("board_reset", "motor4")
+    gone, reset, during = fault("silent", "motor4"), fault("board_reset", "motor4"), (REST, MOVE)
     for drill in (
-        *_both("gripper-silent", "gripper's board unplugged", gone, "gripper_silent"),
-        *_both("gripper-reset", "gripper's board restarts", reset, "gripper_link"),
+        *_each("gripper-silent", "gripper's board unplugged", gone, "gripper_silent", during=during),
+        *_each("gripper-reset", "gripper's board restarts", reset, "gripper_link", during=during),
     ):
+        assert isinstance(drill, Drill)
         yield replace(drill, has_gripper=True)
 
 
-def _encoders() -> Iterator[Drill]:
-    yield from _both("clock-frozen", "time stamps stand", _fault("frozen_clock", "encoder"), "encoder_stale")
+def _encoders() -> Iterator[Promise]:
+    yield from _each("clock-frozen", "time stamps stand", fault("frozen_clock", "encoder"), "encoder_stale")
     for rate in (2_000.0, 20_000.0):
         name, says = f"drift-{rate:.0f}", f"counts of joint 1 drift by {rate:,.0f} a second"
-        inject = _fault("drifting_encoder", "encoder", channel=0, value=rate)
-        yield from _both(name, says, inject, "encoder_contradicted encoders_differ index_off", 1.0, **BRAKES)
-    inject = _fault("jumping_encoder", "encoder", channel=0, value=5_000.0)
-    yield from _both("jump-5000", "5,000 counts gained at once", inject, "encoder_leap", **BRAKES)
-    yield Drill("counts-stuck-motion", "counts of joint 1 stand", MOVE, LYING,
-                0.3, BRAKES["move_mm"], _fault("stuck_encoder", "encoder", channel=0))  # fmt: skip
-    yield Drill("backwards-motion", "joint 1 counts backwards", MOVE, LYING,
-                0.3, BRAKES["move_mm"], _fault("backwards_encoder", "encoder", channel=0))  # fmt: skip
+        inject = fault("drifting_encoder", "encoder", channel=0, value=rate)
+        yield from _each(
+            name, says, inject, "encoder_contradicted encoders_differ index_off", 1.0, most=BRAKES
+        )
+    for counts in (400.0, 5_000.0):
+        inject = fault("jumping_encoder", "encoder", channel=0, value=counts)
+        yield from _each(
+            f"jump-{counts:.0f}", f"{counts:,.0f} counts gained at once", inject, JUMPS, most=BRAKES
+        )
+    moving = (MOVE, SESSION)
+    inject = fault("slipped_encoder", "encoder", channel=0, value=5_000.0)
+    says = "encoder 1 slips on its shaft by 5,000 counts, with its index"
+    yield from _each("slip-5000", says, inject, f"{JUMPS} switch_off", most=BRAKES, during=(REST, MOVE))
+    inject = fault("stuck_encoder", "encoder", channel=0)
+    lying = " ".join(sorted(LYING))
+    yield from _each("counts-stuck", "counts of joint 1 stand", inject, lying, most=BRAKES, during=moving)
+    inject = fault("backwards_encoder", "encoder", channel=0)
+    yield from _each("backwards", "joint 1 counts backwards", inject, lying, most=BRAKES, during=moving)
+    yield Drill("wrap-motion", "the counter of joint 1 wraps in its travel (16 bits)", MOVE, GOES_ON,
+                most_mm=3.0, arm=_narrow)  # fmt: skip
 
 
-def _motors() -> Iterator[Drill]:
-    yield Drill("stalled-motion", "motor 1 without current", MOVE, frozenset({"encoder_contradicted", "following_error"}),
-                0.3, BRAKES["move_mm"], _fault("dead_motor", "motor1"))  # fmt: skip
-    yield from _both("runaway", "polarity of motor 2 swapped", _fault("swapped_polarity", "motor2"),
-                     "encoder_contradicted following_error", **BRAKES)  # fmt: skip
+def _narrow(arm: Arm) -> Arm:
+    """The arm with counters of 16 bits; that of joint 1 wraps at 0.08 rad."""
+    narrow = [replace(drive, encoder_bits=16) for drive in arm.drives]
+    return replace(arm, drives=(replace(narrow[0], zero_count=30_000), *narrow[1:]))
+
+
+def _motors() -> Iterator[Promise]:
+    yield from _each("stalled", "motor 1 without current", fault("dead_motor", "motor1"),
+                     "encoder_contradicted following_error", most=BRAKES, during=(MOVE, SESSION))  # fmt: skip
+    yield from _each("runaway", "polarity of motor 2 swapped", fault("swapped_polarity", "motor2"),
+                     "encoder_contradicted following_error", most=BRAKES)  # fmt: skip
     trip = "motor board 2 trips"
-    yield from _both(
-        "over-current", f"{trip}: over-current", _fault("over_current", "motor2"), "drive_fault", **FALLS
+    inject = fault("over_current", "motor2")
+    # Not in a session: the mock has no table, through which the arm would fall.
+    yield from _each(
+        "over-current", f"{trip}: over-current", inject, "drive_fault", most=FALLS, during=(REST, MOVE)
     )
-    inject = _fault("over_temperature", "motor2")
-    yield from _both("over-temperature", f"{trip}: over-temperature", inject, "drive_fault", **BRAKES)
-    yield from _both(
-        "supply-drop",
-        "supply falls to 5 V",
-        _fault("supply", *MOTORS, value=5.0),
-        "drive_fault supply",
-        **BRAKES,
+    inject = fault("over_temperature", "motor2")
+    every = (REST, MOVE, HOME, SESSION)
+    yield from _each(
+        "over-temperature", f"{trip}: over-temperature", inject, "drive_fault", most=BRAKES, during=every
     )
+    inject = fault("supply", *MOTORS, value=5.0)
+    yield from _each("supply-drop", "supply falls to 5 V", inject, "drive_fault supply", most=BRAKES)
     for kind, value, code in (
         ("says_supply", 0.0, "supply"), ("says_current", 32.7, "over_current"), ("says_temperature", 127.0, "over_temperature"),
     ):  # fmt: skip
-        inject = _fault(kind, "motor2", value=value)
         says = f"motor board 2 {kind.replace('_', ' ')} {value:g}"
-        yield from _both(kind.replace("_", "-"), says, inject, f"{code} encoder_contradicted", **BRAKES)
+        codes = f"{code} encoder_contradicted"
+        inject = fault(kind, "motor2", value=value)
+        yield from _each(kind.replace("_", "-"), says, inject, codes, most=BRAKES)
 
 
-def _host() -> Iterator[Drill]:
+def _host() -> Iterator[Promise]:
     for pause_s in (0.05, 0.1, 0.17):
-        yield from _both(
-            f"pause-{pause_s * 1e3:.0f}", f"loop paused {pause_s * 1e3:.0f} ms", _away(pause_s), ""
-        )
-    yield from _both("killed", "loop killed, another 1.9 s later", _away(1.9), "drive_fault", 2.0)
-    for delay_s in (0.0, 0.1, 0.3, 0.6):
-        inject = _stop_at(delay_s)
+        says = f"loop paused {pause_s * 1e3:.0f} ms"
+        yield from _each(f"pause-{pause_s * 1e3:.0f}", says, do.away(pause_s), "")
+    killed = do.away(1.9)
+    yield from _each("killed", "loop killed, another 1.9 s later", killed, "drive_fault", 2.0)
+    for step_s in (-3600.0, 3600.0):
+        name = "clock-back" if step_s < 0.0 else "clock-ahead"
+        says = f"time of day stepped by {step_s / 3600.0:+.0f} h"
+        yield from _each(name, says, do.clock_stepped(step_s), "")
+    for delay_s in (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7):
         name, says = f"stop-{delay_s * 1e3:.0f}-motion", f"stop pressed {delay_s * 1e3:.0f} ms later"
-        yield Drill(name, says, MOVE, GOES_ON, most_mm=2.0, inject=inject)
+        yield Drill(name, says, MOVE, GOES_ON, most_mm=2.0, inject=do.stop_at(delay_s))
+    yield Drill(
+        "stop-homing", "stop pressed while homing", HOME, GOES_ON, most_mm=2.0, inject=do.stop_at(0.2)
+    )
 
 
-def _in_real_time() -> Iterator[RealTimeDrill]:
+def _requests() -> Iterator[Promise]:
+    every = (REST, MOVE, HOME)
+    yield from _each("nonsense", "40 requests with wrong types, NaN, values out of range",
+                     do.refused(do.NONSENSE), "", during=every)  # fmt: skip
+    yield from _each("contradiction", "requests that do not fit what goes on", do.refused(do.CONTRADICTING), "",
+                     during=(MOVE, HOME))  # fmt: skip
+    yield from _each("two-clients", "a second client commands", do.refused(do.COMMANDS, do.GUEST), "",
+                     during=(MOVE, HOME))  # fmt: skip
+    yield from _each("table-in-the-way", "moves that would meet the table, the floor or the base",
+                     do.refused(do.MEETING), "", during=(REST,))  # fmt: skip
+    yield from _each("singularity", "lines out of reach, and through a singularity",
+                     do.unplanned(do.UNREACHABLE), "", during=(REST,))  # fmt: skip
+
+
+def _in_real_time() -> Iterator[Promise]:
     gone = frozenset({GONE})
     yield RealTimeDrill("killed-realtime", "the loop's process killed", MOVE, gone, 1.0, 30.0)
     yield RealTimeDrill("paused-realtime", "the loop's process paused 100 ms", MOVE, GOES_ON, 1.0, 30.0, 0.1)
+    yield DiskDrill("disk-full-realtime", "no room for the recording", MOVE, GOES_ON, 1.0, 30.0, speed=0.3)
 
 
 def drills() -> dict[str, Promise]:
     """Every drill, in the order of the table."""
     groups: tuple[Iterator[Promise], ...] = (
-        _frames(), _boards(), _gripper(), _encoders(), _motors(), _host(), _in_real_time()
+        _frames(), _buses(), _boards(), _gripper(), _encoders(), _motors(), _host(), _requests(), _in_real_time(),
+        iter(FileDrill.all()),
     )  # fmt: skip
     return {drill.name: drill for group in groups for drill in group}
 
 
 def drill_named(name: str) -> Promise:
-    """A drill by its name. ArmError lists the names."""
+    """A drill by its name. ArmError gives the nearest ones, and the command that lists all."""
     known = drills()
     if name not in known:
-        raise ArmError(f"no drill {name!r}: expected one of {', '.join(known)}")
+        near = get_close_matches(name, known, n=5, cutoff=0.4)
+        meant = f": did you mean {' or '.join(near)}?" if near else ";"
+        raise ArmError(f"no drill {name!r}{meant} `armwright drill --list` lists all {len(known)}")
     return known[name]

@@ -43,6 +43,7 @@ class Outcome:
     found: tuple[str, ...]
     message: str
     wrong_mrad: float
+    wrong_after: str = ""  # what was wrong once the cause was mended
 
     @property
     def broken(self) -> tuple[str, ...]:
@@ -58,6 +59,10 @@ class Outcome:
             broken.append(f"more than {drill.most_mm:g} mm off its path")
         if self.wrong_mrad > WRONG_rad * 1e3:
             broken.append(f"{self.wrong_mrad:.0f} mrad wrong, and homed")
+        if self.lost.endswith("records"):
+            broken.append(f"{self.lost} lost")
+        if self.wrong_after:
+            broken.append(self.wrong_after)
         return tuple(broken)
 
 

@@ -1,6 +1,7 @@
 """Drills in real time: the loop's own process is killed or paused by a signal, mock arm and boards in another process."""
 
 import os
+import resource
 import signal
 import tempfile
 import time
@@ -9,7 +10,7 @@ from pathlib import Path
 
 from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
-from control.server.client import ArmClient, RuntimeGone
+from control.server.client import ArmClient, RequestRefused, RuntimeGone
 from procedures.drills.promise import Outcome, Promise, length_m, stood_s
 from procedures.drills.stage import off_way_m
 from procedures.mock.bench import RealTimeBench
@@ -28,6 +29,7 @@ class RealTimeDrill(Promise):
     """The loop's process is paused for a while, or killed."""
 
     pause_s: float | None = None  # None: killed
+    speed: float = 1.0  # of the limits
 
     def run(self) -> Outcome:
         """Run it on a fresh mock arm."""
@@ -45,12 +47,12 @@ class RealTimeDrill(Promise):
         client = bench.start(arm)
         client.enable()
         start = bench.rig.joint_rad()
-        client.move_joints(TO_rad, waits=False)
+        client.move_joints(TO_rad, self.speed, waits=False)
         end_s = time.monotonic() + ARRIVES_S
         while bench.rig.joint_rad()[0] < FAST_FROM_rad and time.monotonic() < end_s:
             time.sleep(LOOK_S)
         way, begun_s = [(time.monotonic(), bench.rig.tip_m())], time.monotonic()
-        self._strike(bench.runtime_pid)
+        self._strike(bench.runtime_pid, client)
         found, message = self._found(client)
         noticed_s = time.monotonic() - begun_s
         while time.monotonic() - begun_s < (WATCHED_S if self.pause_s is None else ARRIVES_S):
@@ -73,9 +75,14 @@ class RealTimeDrill(Promise):
             (found,) if found else (),
             message,
             0.0,
+            self._wrong_after(client),
         )
 
-    def _strike(self, pid: int) -> None:
+    def _wrong_after(self, client: ArmClient) -> str:
+        """What is not as promised, as text."""
+        return ""
+
+    def _strike(self, pid: int, client: ArmClient) -> None:
         if self.pause_s is None:
             os.kill(pid, signal.SIGKILL)
             return
@@ -90,3 +97,29 @@ class RealTimeDrill(Promise):
         except (RuntimeGone, OSError) as gone:
             return GONE, str(gone)
         return (faults[0]["code"], faults[0]["message"]) if faults else ("", "")
+
+
+@dataclass(frozen=True, slots=True)
+class DiskDrill(RealTimeDrill):
+    """The kernel refuses the recording's next byte: the motion ends by a controlled stop, and no other begins."""
+
+    def _strike(self, pid: int, client: ArmClient) -> None:
+        path = Path(client.status()["recorder"]["file"])
+        size = path.stat().st_size
+        for writer in _descendants(pid):
+            resource.prlimit(writer, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+
+    def _wrong_after(self, client: ArmClient) -> str:
+        if not client.status()["was_stopped"]:
+            return "the motion was not stopped"
+        try:
+            client.move_joints(FROM_rad)
+        except RequestRefused as refusal:
+            return "" if "nothing is recorded" in str(refusal) else str(refusal)
+        return "a motion began unrecorded"
+
+
+def _descendants(pid: int) -> list[int]:
+    """The processes that a process has started, and theirs."""
+    children = [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return children + [grand for child in children for grand in _descendants(child)]

@@ -4,8 +4,8 @@ What nobody asked for is measured against a twin: the same arm, scenario and mot
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
@@ -19,7 +19,7 @@ from control.model.description import load_arm
 from control.model.end_effector import Gripper
 from control.safety.table import Mode
 from control.server.assemble import Assembly, assemble
-from control.server.client import ArmClient
+from control.server.client import ArmClient, Message
 from control.server.in_process import InProcessChannel
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point
@@ -30,8 +30,9 @@ PERIOD_S = 0.002
 FROM_rad, TO_rad = (-0.8, -0.6, 0.2), (0.8, -0.3, 0.6)
 UNDER_WAY_S = 0.35  # of the motion when the fault comes: joint 1 is at full speed
 SETTLED_S = 0.4  # at rest before the fault
+SEARCHED_S = 0.6  # of homing when the fault comes: the first joint searches its switch
 THINNED = 4  # cycles: 10 mm of way at full speed, whose chord is 0.03 mm off its arc
-REST, MOVE = "at rest", "in motion"
+REST, MOVE, HOME, SESSION = "at rest", "in motion", "homing", "in a session"
 
 
 GRIPPER = Gripper(
@@ -43,17 +44,40 @@ HELD_m = 0.03  # the width of what it holds
 
 @dataclass(slots=True)
 class Stage:
-    """One arm, one runtime; `way` grows while time passes: (time [s], true tip [m])."""
+    """One arm, one runtime; `way` grows while time passes: (time [s], true tip [m]).
 
+    It is the channel of its client: whenever the client waits, cycles run, and are noted. `each_cycle` is called after each
+    of them; `undo` is what ends with the fault.
+    """
+
+    arm: Arm
     rig: SteppedRig
     connection: Connection
     assembly: Assembly
     channel: InProcessChannel
-    client: ArmClient
     way: list[tuple[float, Point]] = field(default_factory=list)
+    each_cycle: list[Callable[[], None]] = field(default_factory=list)
+    undo: ExitStack = field(default_factory=ExitStack)
     noticed_s: float | None = None
     found: tuple[str, ...] = ()
     message: str = ""
+
+    @property
+    def client(self) -> ArmClient:
+        """A client of the runtime."""
+        return ArmClient(self)
+
+    def request(self, message: Message) -> Message:
+        """Serve a request between two cycles."""
+        return self.channel.request(message)
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass for a client."""
+        self.run(duration_s)
+
+    def close(self) -> None:
+        """Disconnect the client."""
+        self.channel.close()
 
     @property
     def now_s(self) -> float:
@@ -75,6 +99,8 @@ class Stage:
         while self.now_s < end_s - 1e-9:
             self.channel.wait(PERIOD_S)
             self._note()
+            for happens in tuple(self.each_cycle):
+                happens()
 
     def away(self, duration_s: float) -> None:
         """Let time pass without the loop: it is paused, or dead."""
@@ -100,16 +126,38 @@ class Stage:
         if during == MOVE:
             self.client.move_joints(TO_rad, waits=False)
             self.run(UNDER_WAY_S)
+        elif during == HOME:
+            self.client.ask("home", again=True)
+            self.run(SEARCHED_S)
 
-    def recover(self) -> None:
-        """The cause is mended, the operator acknowledges and holds the arm."""
+    def mend(self) -> None:
+        """The cause is gone."""
+        self.undo.close()
+        self.each_cycle.clear()
         self.rig.clear_faults()
+
+    def recover(self) -> str:
+        """The cause is mended, the operator acknowledges and holds the arm; why that was refused, as text."""
+        self.mend()
         self.run(0.2)
-        with suppress(ArmError, LinkError):
+        refusal = ""
+        try:
             if self.mode is Mode.FAULT:
                 self.client.acknowledge()
             self.client.hold()
+        except (ArmError, LinkError) as error:
+            refusal = str(error)
         self.run(0.3)
+        return refusal
+
+    def restart(self) -> None:
+        """The runtime is ended and started again; a port that had vanished is there again."""
+        with suppress(LinkError):
+            self.connection.close()
+        self.rig.plug_in()
+        self.connection, self.assembly = _started(self.arm, self.rig)
+        self.channel = InProcessChannel(self.assembly, self.rig.clock)
+        self.run(0.02)
 
     def grip_N(self) -> float:
         """True force on what the gripper holds; 0 without a gripper."""
@@ -143,17 +191,21 @@ def stage(arm: Arm | None = None, scenario: Scenario | None = None) -> Iterator[
     """Open a stage; its drives are off. Limits are those of a real arm."""
     built = arm or load_arm("right")
     with SteppedRig(built, scenario or drill_scenario()) as rig:
-        model = _wired(built, rig)
-        connection = connect(model, rig.clock, PERIOD_S)
-        assembly = assemble(model, connection.hardware, PERIOD_S, stopwatch_s=rig.clock.now_s)
-        channel = InProcessChannel(assembly, rig.clock)
-        opened = Stage(rig, connection, assembly, channel, ArmClient(channel))
-        try:
-            opened.run(0.02)
-            yield opened
-        finally:
-            with suppress(LinkError):
-                connection.close()
+        connection, assembly = _started(built, rig)
+        opened = Stage(built, rig, connection, assembly, InProcessChannel(assembly, rig.clock))
+        with opened.undo:
+            try:
+                opened.run(0.02)
+                yield opened
+            finally:
+                with suppress(LinkError):
+                    opened.connection.close()
+
+
+def _started(arm: Arm, rig: SteppedRig) -> tuple[Connection, Assembly]:
+    model = _wired(arm, rig)
+    connection = connect(model, rig.clock, PERIOD_S)
+    return connection, assemble(model, connection.hardware, PERIOD_S, stopwatch_s=rig.clock.now_s)
 
 
 def _wired(arm: Arm, rig: SteppedRig) -> Arm:

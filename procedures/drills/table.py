@@ -3,10 +3,10 @@
 from collections.abc import Iterable
 
 from procedures.drills.drill import WATCHED_S
-from procedures.drills.promise import Outcome
+from procedures.drills.promise import Outcome, Promise
 
 HEADER = ("drill", "during", "noticed", "stood", "off path", "ran on", "lost", "found")
-WIDTHS = (22, 10, 9, 9, 9, 9, 11, 0)
+WIDTHS = (26, 12, 9, 9, 9, 9, 11, 0)
 
 
 def header() -> str:
@@ -50,7 +50,12 @@ def in_words(outcome: Outcome) -> str:
         f"  noticed     {_ms(outcome.noticed_s)} ms after the fault"
         if outcome.noticed_s is not None
         else "  noticed     nothing to report",
-        f"  stood       {_ms(outcome.stood_s, f'not within {WATCHED_S:g} s, x')} ms after the fault",
+        "  stood       "
+        + (
+            f"not within {WATCHED_S:g} s"
+            if outcome.stood_s is None
+            else f"{_ms(outcome.stood_s)} ms after the fault"
+        ),
         f"  off path    {outcome.off_path_mm:.1f} mm at most, from the path that was asked for",
         f"  ran on      {outcome.ran_on_mm:.0f} mm since the fault",
         f"  lost        {outcome.lost}",
@@ -69,3 +74,8 @@ def _ms(value_s: float | None, none: str = "-") -> str:
 
 def _line(cells: tuple[str, ...]) -> str:
     return " ".join(cell.ljust(width) for cell, width in zip(cells, WIDTHS, strict=True)).rstrip()
+
+
+def listing(every: Iterable[Promise]) -> str:
+    """The names of drills, with what each does."""
+    return "\n".join(f"{drill.name.ljust(WIDTHS[0])} {drill.says}" for drill in every)

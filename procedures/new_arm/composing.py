@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from procedures.new_arm.stretched import is_level
 
 NO_FLOOR_z_m = -10.0  # below every arm: the lowest that arm.toml takes
 BELOW_REST_m = 0.05
+SLOWER = 0.95  # of the model's speed; limits are rounded down to two digits
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +56,9 @@ def compose(serial: SerialArm, answers: Answers) -> NewArm:
         limits=limits,
     )
     names = tuple(joint.name for joint in serial.joints)
-    return NewArm(arm, names, (*serial.notes, *notes, *floor_notes, *more, *_weak(arm, needed)))
+    return NewArm(
+        arm, names, (*serial.notes, *notes, *floor_notes, *more, *_weak(arm, needed), *_slow(arm, serial))
+    )
 
 
 def _limits(serial: SerialArm) -> tuple[Limits, list[str]]:
@@ -85,3 +89,13 @@ def _weak(arm: Arm, needed: tuple[Load, ...]) -> list[str]:
                 f" {load.torque_Nm:.3g} N m of gravity"
             )
     return notes
+
+
+def _slow(arm: Arm, serial: SerialArm) -> list[str]:
+    """Joints whose chosen motor does not reach the speed that the model gives."""
+    slow = [
+        f"joint {drive.joint} {joint.speed_rad_s:.3g} rad/s, here {drive.joint_speed_limit_rad_s:.3g}"
+        for drive, joint in zip(arm.drives, serial.joints, strict=True)
+        if math.isfinite(joint.speed_rad_s) and drive.joint_speed_limit_rad_s < SLOWER * joint.speed_rad_s
+    ]
+    return [f"speeds that the placeholder motors do not reach: {'; '.join(slow)}"] if slow else []

@@ -84,6 +84,11 @@ class Probe:
         """As the hardware."""
         self._hardware.watch_indices(is_wanted)
 
+    @property
+    def reports_a_cycle(self) -> int:
+        """As the hardware."""
+        return self._hardware.reports_a_cycle
+
     def passed_indices(self) -> list[tuple[int, int]]:
         """As the hardware."""
         return self._hardware.passed_indices()

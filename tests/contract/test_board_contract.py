@@ -100,6 +100,7 @@ def test_a_board_that_restarts_is_noticed_and_set_up_anew(holding: Cell, on_boar
     messages = [f"{fault.where} {fault.message}" for fault in holding.runtime.monitor.faults]
     assert any("restarted by itself" in message for message in messages), messages
     holding.client.ask("acknowledge")
+    holding.run(0.1)
     holding.client.enable()
     assert holding.mode is Mode.HOLDING
 

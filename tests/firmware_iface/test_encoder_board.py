@@ -441,6 +441,22 @@ def test_a_report_that_comes_after_a_newer_one_is_dropped_and_is_no_restart() ->
     assert (board.late, board.resets) == (1, 0)
 
 
+def test_an_old_answer_that_comes_again_makes_no_restart_of_the_old_report_after_it() -> None:
+    """The order is that of the reports' own time stamps: other frames have none."""
+    board, link, _ = make()
+    index = wire.encode(wire.IndexLatch(3, 0, 1_003_000, 5))
+    for number in (1, 2):
+        link.push(send(report(number, time_us=1_000_000 + 1000 * number)))
+    link.push(index)
+    for number in range(4, 90):
+        link.push(send(report(number, time_us=1_000_000 + 1000 * number)))
+    board.update()
+    link.push(index + send(report(80, time_us=1_080_000), report(90, time_us=1_090_000)))
+    board.update()
+    assert board.latest == report(90, time_us=1_090_000)
+    assert (board.late, board.resets, board.lost) == (1, 0, 0)
+
+
 def test_a_watched_index_is_armed_again_after_each_pulse_without_waiting() -> None:
     arm = [wire.ArmIndex(number, 1, wire.IndexAction.ARM) for number in (1, 2)]
     board, link, clock = make(

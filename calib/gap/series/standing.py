@@ -157,7 +157,7 @@ def _harmless(look: Look, numbers: Sequence[int], reporting: Picked) -> list[int
 
 
 def standing(look: Look, names: Sequence[int], corrected: Sequence[int], reporting: Picked) -> list[int]:
-    """Names that explain more than is left without a name, in a channel where they show, on the runs kept apart.
+    """Names that explain more than is left without a name, in the channels where they show, on the runs kept apart.
 
     What has no name casts shadows: of a dozen laws of a joint one always takes a part of it. So the largest of all is known.
     """
@@ -175,7 +175,7 @@ def standing(look: Look, names: Sequence[int], corrected: Sequence[int], reporti
                 ratios[k] = np.inf
                 continue
             rest = [*(one for one in stands if one != k), *corrected, *blocks]
-            ratios[k] = _outweighs(look, k, left(look, rest, nameless), whole, reporting)
+            ratios[k] = _outweighs(look, some[k], left(look, rest, nameless), whole, reporting)
         least = min(stands, key=lambda k: ratios[k])
         if ratios[least] >= 1.0:
             break
@@ -183,16 +183,24 @@ def standing(look: Look, names: Sequence[int], corrected: Sequence[int], reporti
     return stands
 
 
-def _outweighs(look: Look, number: int, without: Array, whole: Array, reporting: Picked) -> float:
-    """What a term explains over what is left above the noise, where that is most."""
-    best = 0.0
-    for cell in look.linear.terms[number].response:
+def _outweighs(look: Look, one: Member, without: Array, whole: Array, reporting: Picked) -> float:
+    """What a term explains over what is left above the noise in the channels that it moves, each as it moves them."""
+    explained, remains, moved = [], [], []
+    for cell, columns in one.term.response.items():
         rows = look.around.scene.cells[cell].rows
         picked = reporting[rows]
         if picked.any():
-            size, other = (float(np.mean(one[rows][picked] ** 2)) for one in (whole, without))
-            best = max(best, (other - size) / max(size - 1.0, GROWS))
-    return best
+            own = columns[picked] @ one.size
+            size, other, signal = (
+                float(np.mean(part**2)) for part in (whole[rows][picked], without[rows][picked], own)
+            )
+            explained.append(other - size)
+            remains.append(max(size - 1.0, GROWS))
+            moved.append(signal)
+    most = max(moved, default=0.0)
+    if most <= 0.0:
+        return 0.0
+    return sum(explained) / sum(left * signal / most for left, signal in zip(remains, moved, strict=True))
 
 
 def grown(look: Look, rest: Array, whole: Array, reporting: Picked) -> float:

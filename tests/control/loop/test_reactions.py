@@ -108,6 +108,38 @@ def test_motions_of_all_joints_that_are_wrong_at_once_are_found_on_all() -> None
     ]
 
 
+def test_a_joint_at_its_limit_is_in_order_beside_one_beyond_it() -> None:
+    def look(q_rad: list[float], speed_rad_s: list[float]) -> list[tuple[str, str]]:
+        expected = Expectation(True, True, True)
+        watch = Watch(limits_of_watch(), NAMES)
+        return said(watch.look(8.0, good(), q_rad, speed_rad_s, [0.5] * 2, [0.0] * 2, 0, expected))
+
+    assert look([0.5, 0.5], [4.0, 4.5]) == [("overspeed", "joint 2")]
+    assert look([0.5625, 0.625], [0.0, 0.0]) == [("following_error", "joint 2")]
+
+
+class Quick(Watch):
+    """A watch whose thorough look must not be needed."""
+
+    def _boards(self, now_s: float, feedback: Feedback, expected: Expectation) -> list[Fault]:
+        raise AssertionError("looked thoroughly")
+
+
+def test_a_cycle_in_order_needs_no_thorough_look() -> None:
+    watch, expected = Quick(limits_of_watch(), NAMES), Expectation(True, True, True)
+    still = [0.5, 0.5], [0.0, 0.0], [0.5, 0.5], [0.0, 0.0]
+    assert watch.look(8.0, good(), *still, 10, expected) == []
+    watch.note_pause(8.0, 0.125)
+    assert watch.look(8.0, good(7.875), *still, 0, expected) == []  # the host's own pause
+    wild = [9.0, 9.0], [9.0, 9.0], [0.5, 0.5], [0.0, 0.0]
+    assert watch.look(8.0, good(), *wild, 0, Expectation(True, True, False)) == []
+    unhomed = good()
+    unhomed.channel_flags = [ZERO_SET, QUADRATURE_ERROR]
+    assert watch.look(8.0, unhomed, *still, 0, Expectation(True, False, True)) == []
+    with pytest.raises(AssertionError, match="thoroughly"):
+        watch.look(8.0, good(), *still, 11, expected)
+
+
 def test_a_silent_encoder_board_and_a_late_loop_are_one_finding_each() -> None:
     assert said(looked(lambda feedback: setattr(feedback, "encoder_at_s", 7.9))) == [
         ("encoder_stale", "encoder board")

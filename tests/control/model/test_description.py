@@ -12,8 +12,10 @@ import pytest
 
 import control
 from control.errors import ArmError, ArmFileError, MissingModel
-from control.model.arm import Calibration, Drive, Effect
+from control.model.arm import Arm, Calibration, Drive, Effect
+from control.model.arm_checks import check_arm
 from control.model.description import arm_names, load_arm, parse_arm, save_arm
+from control.model.reader import Rejected
 from tests.places import ARMS, ROOT
 
 RIGHT = resources.files("control.arms").joinpath("right.toml").read_text(encoding="utf-8")
@@ -359,3 +361,16 @@ def test_with_dh_takes_only_a_finite_table_of_the_right_shape() -> None:
 def test_an_arm_can_be_sent_to_another_process() -> None:
     arm = load_arm("right")
     assert pickle.loads(pickle.dumps(arm)) == arm
+
+
+def test_a_counter_too_narrow_for_the_count_at_its_index_is_refused() -> None:
+    """Homing would set it to a count that it cannot hold: the joint would be wrong by whole turns of the counter."""
+    arm = load_arm("right")
+
+    def narrow(bits: int) -> Arm:
+        drives = (dataclasses.replace(drive, encoder_bits=bits) for drive in arm.drives)
+        return dataclasses.replace(arm, drives=tuple(drives))
+
+    check_arm(narrow(16))
+    with pytest.raises(Rejected, match=r"encoder_bits.*a counter that holds 23840 \+- 4096 counts"):
+        check_arm(narrow(15))

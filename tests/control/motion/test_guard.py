@@ -17,10 +17,11 @@ from control.motion.guard import Guard, stopping_distance
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove, Stop
 from control.motion.setpoint import SetPoint, at_rest
-from control.safety.room import Room
+from control.safety.room import Body, Room
 from tests.cell import RIGHT
 
 LIMITS = JointLimits.of(RIGHT)
+THIN = Body((0.0, 0.0))  # of two corners
 LOW = (0.0, -1.0, -0.35)  # the tip over the board, 0.1 m above it
 
 
@@ -72,14 +73,14 @@ def room(**changes: Any) -> Room:
 
 
 def height_m(x: float, y: float, z: float, where: Room) -> float:
-    return where.clearance([(x, y, 0.9), (x, y, z)]).distance_m
+    return where.clearance([(x, y, 0.9), (x, y, z)], THIN).distance_m
 
 
 def test_the_floor_counts_beside_the_board_and_the_tilted_board_over_it() -> None:
     where = room(tolerance_m=0.0, base_radius_m=0.0)
     assert height_m(0.3, 0.4, -0.05, where) == pytest.approx(-0.05)
     assert (
-        where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.05)]).what
+        where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.05)], THIN).what
         == "the tip would be below the floor or table"
     )
     slope = math.tan(RIGHT.table.roll_tilt_rad)
@@ -92,13 +93,13 @@ def test_the_floor_counts_beside_the_board_and_the_tilted_board_over_it() -> Non
 
 def test_the_tolerance_is_for_what_the_model_does_not_know() -> None:
     where = room(tolerance_m=0.01, base_radius_m=0.0)
-    assert where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.0099)]).distance_m >= 0.0
-    assert where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.0101)]).distance_m < 0.0
+    assert where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.0099)], THIN).distance_m >= 0.0
+    assert where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.0101)], THIN).distance_m < 0.0
 
 
 def test_a_forearm_is_held_above_the_floor_between_its_ends() -> None:
     where = room(tolerance_m=0.0, base_radius_m=0.0, floor_z_m=0.0)
-    low_elbow = where.clearance([(0.3, 0.4, -0.02), (0.3, 0.4, 0.3)])
+    low_elbow = where.clearance([(0.3, 0.4, -0.02), (0.3, 0.4, 0.3)], THIN)
     assert low_elbow.distance_m == pytest.approx(-0.02)
     assert low_elbow.what == "the arm would be below the floor or table"
 
@@ -112,16 +113,17 @@ def test_the_distance_from_the_base_is_that_of_two_segments() -> None:
         points = np.array(ends[0]) + along * (np.array(ends[1]) - np.array(ends[0]))
         heights = np.clip(points[:, 2], 0.0, 0.1)
         true = float(np.hypot(np.hypot(points[:, 0], points[:, 1]), points[:, 2] - heights).min())
-        found = where.clearance(ends)
+        found = where.clearance(ends, THIN)
         assert found.distance_m + 10.0 == pytest.approx(true, abs=3e-4)
         assert found.what == "the arm would meet its own base"
 
 
-def test_arrays_and_floats_say_the_same() -> None:
-    guard = Guard(with_limits(base_radius_m=0.1), LIMITS)
+@pytest.mark.parametrize("radius_m", [0.0, 0.03])
+def test_arrays_and_floats_say_the_same(radius_m: float) -> None:
+    guard = Guard(thick(radius_m, with_limits(base_radius_m=0.1)), LIMITS)
     batch = guard._corners.batch(poses(300))
-    free = guard._corners.first_free
-    least = np.min([distances for distances, _ in guard._room.clearances(batch, free)], axis=0)
+    body = Body(guard._corners.radii_m, guard._corners.first_free)
+    least = np.min([distances for distances, _ in guard._room.clearances(batch, body)], axis=0)
     near = 0
     for q, expected in zip(poses(300), least, strict=True):
         if (found := guard.clearance(tuple(q)).distance_m) < math.inf:
@@ -133,7 +135,34 @@ def test_arrays_and_floats_say_the_same() -> None:
 
 def test_a_position_that_is_not_a_number_is_an_error() -> None:
     with pytest.raises(Exception, match="finite positions"):
-        room().clearance([(0.3, math.nan, 0.9), (0.3, 0.4, 0.1)])
+        room().clearance([(0.3, math.nan, 0.9), (0.3, 0.4, 0.1)], THIN)
+
+
+def thick(radius_m: float, arm: Any = RIGHT) -> Any:
+    return replace(arm, links=tuple(replace(link, radius_m=radius_m) for link in arm.links))
+
+
+def test_a_link_is_as_thick_as_its_radius_says_and_the_tip_is_a_point() -> None:
+    where, body = room(tolerance_m=0.0, base_radius_m=0.06, board=None), Body((0.0, 0.02, 0.04))
+    upright = [(0.4, 0.0, 0.9), (0.4, 0.0, 0.5), (0.4, 0.0, -0.01)]
+    assert where.clearance(upright, body).distance_m == pytest.approx(
+        -0.01
+    )  # the tip may touch, so it has no radius
+    elbow_low = [(0.4, 0.0, 0.9), (0.4, 0.0, 0.03), (0.4, 0.0, 0.9)]
+    assert where.clearance(elbow_low, body).distance_m == pytest.approx(
+        0.03 - 0.04
+    )  # the thicker of both links
+    forearm = where.clearance([(0.4, 0.0, 0.9), (0.4, 0.0, 0.05), (0.5, 0.0, -0.001)], body)
+    assert forearm.distance_m == pytest.approx(0.05 - 0.75 * 0.051 - 0.04)  # a quarter before the tip
+    beside = [(0.0, 0.115, 0.4), (0.0, 0.115, 0.07), (0.5, 0.115, 0.3)]
+    assert where.clearance(beside, body).distance_m == pytest.approx(0.115 - 0.06 - 0.04, abs=5e-3)
+
+
+def test_the_radius_of_a_link_comes_from_its_arm_toml_and_stops_what_a_line_would_pass() -> None:
+    low = (0.6, -0.85, -0.2)
+    assert Guard(RIGHT, LIMITS).clearance(low).distance_m >= 0.0
+    assert Guard(thick(0.2), LIMITS).clearance(low).distance_m < 0.0
+    assert Corners(thick(0.2)).radii_m == (0.2,) * len(Corners(RIGHT).at(0.0, 0.0, 0.0))
 
 
 # ---- motions

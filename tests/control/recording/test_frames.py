@@ -29,6 +29,7 @@ VALUES = {
     "f": st.one_of(st.floats(-50.0, 50.0, width=32), st.just(math.nan), EXACT),
     "i": st.integers(-(2**31), 2**31 - 1),
     "I": st.integers(0, 2**32 - 1),
+    "H": st.integers(0, 2**16 - 1),
     "B": st.integers(0, 255),
 }
 SMALL_LAYOUT = Layout.of(1, has_joint_side=True)

@@ -330,6 +330,34 @@ def test_while_one_client_moves_the_arm_another_may_watch_and_stop_only(cell: Ce
     ]  # nothing goes on: the next command is free
 
 
+def test_control_of_a_client_that_hangs_can_be_ended_and_it_commands_nothing_more(cell: Cell) -> None:
+    cell.client.take_control()
+    cell.start_move((0.6, -0.3, 0.5))
+    cell.run(0.1)
+    refusal = handled(cell, COMMANDS[0], 9)["error"]
+    assert "`armwright stop --take` also ends" in refusal
+    assert handled(cell, {"do": "control", "revoke": True}, 9) == {
+        "ok": True,
+        "client": 9,
+        "in_control": None,
+    }
+    cell.run(0.6)
+    assert cell.mode is Mode.HOLDING
+    assert cell.runtime.was_stopped
+    assert handled(cell, {"do": "control", "take": True}, 9)["in_control"] == 9
+    handled(cell, {"do": "control", "take": False}, 9)
+    for command in COMMANDS:  # it wakes up: what it planned is not what is wanted any more
+        assert "somebody has taken control from this client" in handled(cell, command, 0)["error"], command
+    assert handled(cell, {"do": "stop"}, 0)["ok"]
+    cell.assembly.requests.on_gone(0)  # and connects again
+    assert handled(cell, {"do": "move_joints", "q_rad": [0.6, -0.3, 0.5]}, 0)["ok"]
+
+
+def test_a_client_does_not_revoke_its_own_control(cell: Cell) -> None:
+    cell.client.take_control()
+    assert handled(cell, {"do": "control", "revoke": True}, 0)["in_control"] == 0
+
+
 def test_control_that_was_taken_lasts_between_motions_until_its_connection_ends(cell: Cell) -> None:
     cell.client.take_control()
     for command in COMMANDS:

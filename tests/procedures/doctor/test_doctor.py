@@ -20,7 +20,7 @@ from hil_mocks.scenario import FaultTable, Scenario
 from procedures.doctor import host
 from procedures.doctor.boards import Boards, open_boards
 from procedures.doctor.finding import Finding, Level, as_text, graded, percentile, verdict, worst
-from procedures.doctor.host import judge_lateness, lateness, look_at_disk
+from procedures.doctor.host import judge_lateness, judge_strain, lateness, look_at_disk, look_at_kernel
 from procedures.doctor.judging import clock_drift, judge
 from procedures.doctor.sampling import sample
 from tests.cell import RIGHT, scenario, wired_to, with_drive
@@ -249,3 +249,25 @@ def test_wrong_input_is_one_message(
 ) -> None:
     assert main(["doctor", *options]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_the_kernel_is_looked_at_and_what_is_missing_has_a_remedy(tmp_path: Path) -> None:
+    governor = tmp_path / "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"
+    realtime, throttle = tmp_path / "sys/kernel/realtime", tmp_path / "proc/sys/kernel/sched_rt_runtime_us"
+    for file, text in ((governor, "powersave"), (realtime, "0"), (throttle, "500000")):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(f"{text}\n")
+    assert [(found.level, found.measured) for found in look_at_kernel(tmp_path)] == [
+        (Level.WARN, "powersave"), (Level.WARN, "without PREEMPT_RT"), (Level.WARN, "50 % of each second"),
+    ]  # fmt: skip
+    assert all(found.remedy for found in look_at_kernel(tmp_path))
+    for file, text in ((governor, "performance"), (realtime, "1"), (throttle, "-1")):
+        file.write_text(f"{text}\n")
+    assert {found.level for found in look_at_kernel(tmp_path)} == {Level.OK}
+    assert look_at_kernel(tmp_path / "nothing")[2].level is Level.OK
+
+
+def test_switches_while_lateness_was_measured_are_a_warning() -> None:
+    assert judge_strain(3, 10).level is Level.OK
+    assert "400 involuntary switches, 3 page faults" in judge_strain(3, 400).measured
+    assert judge_strain(3, 400).level is Level.WARN

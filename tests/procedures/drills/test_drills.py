@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,13 +10,30 @@ import pytest
 
 from console.main import main
 from procedures.drills.catalogue import drills
+from procedures.drills.power import Disk, PowerLost
 from procedures.drills.stage import off_way_m
 from procedures.drills.table import HEADER, header, row, verdict
 
 SAFETY = Path(__file__).parents[3] / "docs" / "safety.md"
 
 
-@pytest.mark.parametrize("name", ["pause-100-motion", "drift-20000-rest", "serial-gone-motion"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "pause-100-motion",
+        "drift-20000-rest",
+        "serial-gone-motion",
+        "serial-gone-measuring",
+        "encoder-swapped-rest",
+        "same-id-rest",
+        "bus-full-rest",
+        "two-clients-motion",
+        "wrap-motion",
+        "power-session",
+        "power-arm",
+        "cut-recording",
+    ],
+)
 def test_a_drill_goes_as_promised(name: str) -> None:
     outcome = drills()[name].run()
     assert outcome.broken == ()
@@ -47,5 +65,41 @@ def test_the_page_lists_every_drill_and_no_other() -> None:
 def test_drills_run_on_a_mock_only(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["drill", "stop-0-motion"]) == 2
     assert "--mock" in capsys.readouterr().err
-    assert main(["drill", "nothing", "--mock"]) == 2
-    assert "expected one of serial-lost-rest" in capsys.readouterr().err
+
+
+def test_a_wrong_name_is_answered_by_near_ones_and_by_what_lists_all(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["drill", "serial-los-rest", "--mock"]) == 2
+    error = capsys.readouterr().err
+    assert "did you mean serial-lost-rest" in error
+    assert "`armwright drill --list`" in error
+    assert main(["drill", "--list"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(drills())
+
+
+def test_a_disk_without_power_keeps_what_was_forced_to_it_and_nothing_else(tmp_path: Path) -> None:
+    kept, lost, named = tmp_path / "kept", tmp_path / "lost", tmp_path / "named"
+    named.write_bytes(b"before")
+    disk = Disk(fails_at=100)
+    with disk.under():
+        for path, is_forced in ((kept, True), (lost, False)):
+            with path.open("wb", buffering=0) as file:
+                os.write(file.fileno(), b"all of it")
+                if is_forced:
+                    os.fsync(file.fileno())
+        (tmp_path / "new").write_bytes(b"after")
+        (tmp_path / "new").replace(named)
+    disk.forget()
+    assert (kept.read_bytes(), lost.read_bytes(), named.read_bytes()) == (b"all of it", b"", b"before")
+
+
+def test_no_write_goes_on_after_the_power_has_failed(tmp_path: Path) -> None:
+    disk = Disk(fails_at=0)
+    with disk.under(), (tmp_path / "a").open("wb", buffering=0) as file:
+        with pytest.raises(PowerLost):
+            os.write(file.fileno(), b"half")
+        with pytest.raises(PowerLost):
+            os.fsync(file.fileno())
+    disk.forget()
+    assert (tmp_path / "a").read_bytes() == b""

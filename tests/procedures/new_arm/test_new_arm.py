@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -144,3 +145,16 @@ def test_a_hanging_arm_has_no_floor_and_says_so(tmp_path: Path, capsys: pytest.C
     assert main(["arm", "--from-mjcf", str(model), "--out", str(tmp_path / "h.toml")]) == 0
     assert "no floor is watched" in capsys.readouterr().out
     assert load_arm(tmp_path / "h.toml").gravity_m_s2 == (0.0, 0.0, 9.81)
+
+
+def test_a_speed_that_no_placeholder_motor_reaches_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    strong = 'effort="300" velocity="10"'
+    text = export_text(RIGHT, "urdf")
+    text = re.sub(r'effort="[^"]*" velocity="[^"]*"', strong, text)
+    model = tmp_path / "quick.urdf"
+    model.write_text(text, encoding="utf-8")
+    assert main(["arm", "--from-urdf", str(model), "--out", str(tmp_path / "quick.toml")]) == 0
+    assert "do not reach: joint 1 10 rad/s, here 2.1" in capsys.readouterr().out
+    assert load_arm(tmp_path / "quick.toml").drive(1).joint_speed_limit_rad_s == 2.1

@@ -1,0 +1,201 @@
+"""Drills of files: the power fails in each write, the disk is full, a file is cut anywhere. Nothing moves."""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+
+from calib.errors import CalibrationError
+from calib.points.writer import Key, Record
+from calib.session.folder import POINTS, SessionFolder
+from calib.session.plan import SessionPlan, board_targets
+from calib.session.state import Event, Mark
+from control.errors import ArmError
+from control.files import NotWritten, write_whole
+from control.model.description import load_arm, save_arm
+from control.recording.reading import Recording
+from control.recording.record import Layout
+from procedures.drills.power import Disk, PowerLost
+from procedures.drills.promise import GOES_ON, Outcome, Promise
+
+PLAN = SessionPlan("right", "00", 3, board_targets(["normal", "roll"], ["1", "2", "3"]))
+KEYS = [target.key for target in PLAN.targets]
+ROOMS_bytes = range(0, 900, 15)  # after the first record: some three records and their journal
+ROWS = 3
+Acknowledge = Callable[[Key, Mark], None]
+
+
+@dataclass(frozen=True, slots=True)
+class FileDrill(Promise):
+    """`check` breaks things in an empty folder, and returns how many times it did, and what was lost."""
+
+    check: Callable[[Path], tuple[int, int]] = field(default=lambda folder: (0, 0))
+
+    def run(self) -> Outcome:
+        """Break it everywhere."""
+        with tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
+            times, lost = self.check(Path(folder))
+        message = f"{times} places"
+        return Outcome(self, 0.0, 0.0, None, 0.0, f"{lost} records" if lost else "nothing", (), message, 0.0)
+
+    @staticmethod
+    def all() -> tuple[FileDrill, ...]:
+        """All of them."""
+        rows = (
+            ("power-session", "the power fails in each write of a session", _power_in_session),
+            ("power-arm", "the power fails in each write of arm.toml", _power_in_arm),
+            ("power-calibration", "the power fails in each write of calibration.json", _power_in_calibration),
+            ("disk-full-session", "the disk of a session is full", _full_in_session),
+            ("cut-session", "points.csv and journal end anywhere in their last line", _cut_session),
+            ("cut-recording", "a recording ends anywhere", _cut_recording),
+        )
+        return tuple(FileDrill(name, says, "files", GOES_ON, check=check) for name, says, check in rows)
+
+
+def _power_in_session(folder: Path) -> tuple[int, int]:
+    lost = 0
+    for fails_at in count():
+        path, known = folder / str(fails_at), dict[Key, Mark]()
+        path.mkdir()
+        disk, is_whole = Disk(fails_at), False
+        with disk.under(), contextlib.suppress(PowerLost):
+            _take(path, known.__setitem__)
+            is_whole = True
+        disk.forget()
+        lost += _missing(path, known)
+        if is_whole:
+            return fails_at, lost
+    return 0, lost
+
+
+def _take(path: Path, acknowledge: Acknowledge) -> None:
+    """Records, a redo, a skip, a bad one; each is acknowledged when it has returned."""
+    with SessionFolder(path, PLAN) as folder:
+        for key in KEYS[:4]:
+            folder.record(_record(key))
+            acknowledge(key, Mark.DONE)
+        for event, key, mark in (
+            (Event.SKIP, KEYS[4], Mark.SKIPPED), (Event.BAD, KEYS[3], Mark.BAD), (Event.REDO, KEYS[1], Mark.LEFT)
+        ):  # fmt: skip
+            acknowledge(key, mark)  # either is right until it has returned: see `_missing`
+            folder.happen(event, key)
+        folder.note("a remark", KEYS[0])
+        folder.record(_record(KEYS[1]))
+        acknowledge(KEYS[1], Mark.DONE)
+
+
+def _missing(path: Path, known: dict[Key, Mark]) -> int:
+    """How many records that were acknowledged, and not withdrawn since, are gone; all of them if it does not open."""
+    wanted = {key for key, mark in known.items() if mark is Mark.DONE}
+    try:
+        with SessionFolder(path, PLAN) as folder:
+            return sum(folder.state.marks[key] is not Mark.DONE for key in wanted)
+    except (CalibrationError, OSError):
+        return max(1, len(wanted))
+
+
+def _power_in_arm(folder: Path) -> tuple[int, int]:
+    arm, lost = load_arm("right"), 0
+    for fails_at in count():
+        path = folder / f"{fails_at}.toml"
+        disk, is_whole = Disk(fails_at), False
+        with disk.under(), contextlib.suppress(PowerLost):
+            save_arm(arm, path)
+            is_whole = True
+        disk.forget()
+        if path.exists() or is_whole:
+            try:
+                lost += load_arm(path).drives != arm.drives
+            except ArmError:
+                lost += 1
+        if is_whole:
+            return fails_at, lost
+    return 0, lost
+
+
+def _power_in_calibration(folder: Path) -> tuple[int, int]:
+    path, lost = folder / "calibration.json", 0
+    older, newer = b'{"format": "calibration/1"}' * 1000, b'{"format": "calibration/1", "newer": 1}' * 1000
+    for fails_at in count():
+        path.write_bytes(older)
+        disk, is_whole = Disk(fails_at), False
+        with disk.under(), contextlib.suppress(PowerLost):
+            write_whole(path, newer)
+            is_whole = True
+        disk.forget()
+        lost += path.read_bytes() not in ((newer,) if is_whole else (older, newer))
+        if is_whole:
+            return fails_at, lost
+    return 0, lost
+
+
+def _full_in_session(folder: Path) -> tuple[int, int]:
+    lost = 0
+    for room in ROOMS_bytes:
+        path, kept = folder / str(room), {KEYS[0]: Mark.DONE}
+        with SessionFolder(path, PLAN) as session:
+            session.record(_record(KEYS[0]))
+            size = max(file.stat().st_size for file in path.iterdir())
+            with _files_up_to(size + room):
+                for key in KEYS[1:4]:
+                    with contextlib.suppress(NotWritten):
+                        session.record(_record(key))
+                        kept[key] = Mark.DONE
+            session.record(_record(KEYS[5]))
+            kept[KEYS[5]] = Mark.DONE
+        lost += _missing(path, kept)
+    return len(ROOMS_bytes), lost
+
+
+def _cut_session(folder: Path) -> tuple[int, int]:
+    """A write that was cut short: all lines before it count."""
+    path = folder / "session"
+    with SessionFolder(path, PLAN) as session:
+        for key in KEYS[:3]:
+            session.record(_record(key))
+            session.note("a remark", key)
+    known, cuts, lost = dict.fromkeys(KEYS[:2], Mark.DONE), 0, 0
+    for name in (POINTS, "journal.jsonl"):
+        whole = (path / name).read_bytes()
+        for end in range(whole.rstrip(b"\n").rfind(b"\n") + 1, len(whole)):
+            (path / name).write_bytes(whole[:end])
+            lost += _missing(path, known)
+            cuts += 1
+        (path / name).write_bytes(whole)
+    return cuts, lost
+
+
+def _cut_recording(folder: Path) -> tuple[int, int]:
+    """Every whole row before the cut is read."""
+    layout = Layout.of(1)
+    header = layout.header({"arm": "right"})
+    size, lost = layout.packing.size, 0
+    row = layout.packing.pack(*(0 for _ in layout.names))
+    for cut in range(ROWS * size):
+        path = folder / "cut.armlog"
+        path.write_bytes(header + (row * ROWS)[:cut])
+        lost += sum(1 for _ in Recording.open(path).rows()) != cut // size
+    return ROWS * size, lost
+
+
+def _record(key: Key) -> Record:
+    joints: Sequence[float] = (0.1, 0.2, 0.3)
+    return Record(
+        *key, tuple(joints), (1e-5,) * 3, (1, -1, 1), (0.2, 1.4, 0.3), 0.0, 0.0, (0.5, 0.0, 0.0), (25.0,) * 3
+    )
+
+
+@contextlib.contextmanager
+def _files_up_to(size: int) -> Iterator[None]:
+    """The kernel's own limit: a write that would pass it comes back short, the next fails."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
