@@ -25,6 +25,10 @@ demo-gap: install  ## an effect hidden in the mock arm, found, added to the mode
 drills: install  ## faults of every kind on the mock arm: how soon noticed, what moved, what was lost (docs/safety.md); some minutes
 	$(BIN)/armwright drill --mock
 
+soak: install  ## 24 simulated hours of table sessions, then an hour in real time beside busy processors; HOURS=1 MINUTES=10 for less
+	$(BIN)/python -m benchmarks.soak.stepped --hours $(or $(HOURS),24)
+	$(BIN)/python -m benchmarks.soak.realtime --minutes $(or $(MINUTES),60)
+
 lint: install  ## ruff, format check, mypy strict, import contracts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

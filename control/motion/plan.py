@@ -170,7 +170,8 @@ def _follower(
     """Positions of three joints have branches or scalar solutions; everything else follows a posture."""
     if arm.joint_count == 3 and waypoints.orientations is None:
         return BranchFollower(inverse or InverseKinematics(arm), kinematics, waypoints)
-    return PostureFollower(arm, PoseInverse(arm, PoseKinematics(kinematics)), waypoints)
+    poses = inverse.poses if inverse is not None else PoseKinematics(kinematics)
+    return PostureFollower(arm, PoseInverse(arm, poses), waypoints)
 
 
 class _Planner:

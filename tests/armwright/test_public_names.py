@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 import armwright
+from benchmarks.arms import SIX
+from benchmarks.tip_paths import circle_in_place
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "python.md").read_text("utf-8")
@@ -105,12 +107,22 @@ def test_every_error_is_an_armwright_error() -> None:
     assert all(issubclass(error, armwright.ArmwrightError) for error in errors)
 
 
+def test_a_path_with_orientations_is_planned_and_sampled_for_six_joints() -> None:
+    waypoints = circle_in_place(SIX, tilt_rad=0.1)
+    assert waypoints.orientations is not None
+    rows = [[*point, *turned] for point, turned in zip(waypoints.points, waypoints.orientations, strict=True)]
+    trajectory = armwright.plan_path(SIX, rows, 0.1)
+    samples = trajectory.sample([0.0, 0.5 * trajectory.duration_s, trajectory.duration_s])
+    assert samples.joint_rad.shape == (3, 6)
+    assert samples.tip_m[-1] == pytest.approx(waypoints.points[-1], abs=1e-6)
+
+
 def test_wrong_input_is_one_error_of_the_family_that_says_the_shape() -> None:
     arm = armwright.load_arm("right")
     two_joints = armwright.make_points([[1.0, 2.0]], [[1.0, 2.0, 3.0]])
     with pytest.raises(armwright.BadTarget, match=r"expected shape \(..., 3\), got \(2,\)"):
         armwright.Kinematics(arm).forward([1.0, 2.0])
-    with pytest.raises(armwright.PathError, match=r"expected shape \(m, 3\).*got \(2, 2\)"):
+    with pytest.raises(armwright.PathError, match=r"expected shape \(m, 3\), or \(m, 7\) .*, got \(2, 2\)"):
         armwright.plan_path(arm, [[1.0, 2.0], [3.0, 4.0]])
     with pytest.raises(armwright.CalibrationError, match=r"tip_m: expected shape \(1, 3\), got \(1, 2\)"):
         armwright.make_points([[1.0, 2.0, 3.0]], [[1.0, 2.0]])

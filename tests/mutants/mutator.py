@@ -60,7 +60,9 @@ def mutants_of(source: str) -> Iterator[Mutant]:
             _change(changed, twin, variant)
             after = ast.unparse(ast.fix_missing_locations(changed))
             if after != ast.unparse(tree):
-                yield Mutant(node.lineno, _short(before), _short(ast.unparse(twin)), after)  # type: ignore[attr-defined]
+                now = _short(ast.unparse(twin))
+                is_gone = now == _short(before)
+                yield Mutant(node.lineno, _short(before), "left out" if is_gone else now, after)  # type: ignore[attr-defined]
 
 
 def _not_mutated(tree: ast.Module) -> set[int]:

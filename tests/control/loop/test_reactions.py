@@ -162,6 +162,10 @@ def test_a_fault_bit_says_what_the_document_says(bit: int) -> None:
     assert len(two) == (2 if bit == 0x10 else 4)
 
 
+def test_reactions_have_an_order_of_severity() -> None:
+    assert Reaction.CONTROLLED < Reaction.HOLD < Reaction.BRAKE
+
+
 def test_faults_that_are_not_the_zeros_leave_it() -> None:
     assert {
         "zero_lost", "encoder_signal", "encoder_miscount", "encoder_leap", "encoder_contradicted", "encoders_differ",
@@ -187,6 +191,7 @@ class Witnessed:
             self.now_s += CYCLE_s
             self.feedback.reply_at_s, self.feedback.reported_at_s = [self.now_s] * 2, [self.now_s] * 2
             found = self.witnesses.look(self.now_s, CYCLE_s, self.feedback, self.speed_rad_s, self.model_A)
+        self.last = found
         return said(found)
 
     def until_found(self, most: int = 500) -> tuple[int, list[tuple[str, str]]]:
@@ -268,6 +273,33 @@ def test_a_supply_that_is_off_excuses_a_speed_that_is_off_by_as_much() -> None:
     assert arm.after(200) == []
 
 
+def test_a_supply_that_is_low_excuses_as_much_as_one_that_is_high() -> None:
+    arm = Witnessed()
+    arm.feedback.sent_V, arm.feedback.supply_V = [20.0, 20.0], [19.2, 19.2]  # a fifth below 24 V
+    arm.speed_rad_s = [4.0, 4.0]
+    assert arm.after(200) == []
+    arm.speed_rad_s = [
+        2.5,
+        2.5,
+    ]  # 10 V are missing, of which 4 V are the supply's and 2.5 V the share of the terms
+    assert arm.until_found()[1] == [("encoder_contradicted", name) for name in NAMES]
+
+
+def test_after_old_values_both_equations_wait_for_new_ones() -> None:
+    arm = Witnessed()
+    arm.feedback.sent_V[0], arm.feedback.current_A[1], arm.feedback.sent_V[1] = 4.0, 9.0, math.nan
+    arm.model_A = None
+    before, found = arm.until_found()
+    assert found == [("encoder_contradicted", "joint 1")]
+    arm.model_A = [0.0, 0.0]
+    old = arm.now_s - 0.1
+    arm.feedback.reply_at_s = [old, old]
+    look = arm.witnesses.look
+    assert not [look(arm.now_s, CYCLE_s, arm.feedback, [0.0, 0.0], arm.model_A) for _ in range(300)][-1]
+    arm.model_A = None
+    assert arm.until_found() == (before, found)
+
+
 def test_a_torque_that_the_model_does_not_explain_is_found_on_its_joint() -> None:
     arm = Witnessed()
     arm.feedback.sent_V = [math.nan] * 2
@@ -275,12 +307,22 @@ def test_a_torque_that_the_model_does_not_explain_is_found_on_its_joint() -> Non
     assert arm.after(600) == []
     arm.feedback.current_A[1] = 2.2
     assert arm.until_found()[1] == [("unexplained_torque", "joint 2")]
+    text = arm.last[0].message
+    assert "gives 4." in text  # 2 A at 2 N m an ampere
+    assert "limit 4.0 N m" in text
     arm.model_A = [0.0, 0.5]
     arm.witnesses.forget()
     assert arm.after(600) == []
+    arm.model_A = [0.0, 0.0]
+    again = arm.until_found()
     arm.model_A = None
     arm.feedback.current_A[1] = 9.0
     assert arm.after(600) == []
+    arm.feedback.current_A[1], arm.model_A = 2.2, [0.0, 0.0]
+    fresh = Witnessed()
+    fresh.feedback.sent_V, fresh.feedback.current_A[1] = [math.nan] * 2, 2.2
+    assert arm.until_found() == fresh.until_found()
+    assert again[1] == [("unexplained_torque", "joint 2")]
 
 
 def test_witnesses_that_start_anew_forget_what_they_saw() -> None:
@@ -338,6 +380,7 @@ def test_two_counts_of_one_motor_that_differ_are_found_on_its_joint_whatever_wra
     assert faults((0, 2**31 - 10), (20, -(2**31) + 10)) == []
     assert faults((32760, 0), (-32760, 16), bits=16) == []
     assert faults((32760, 0), (-32760, 16), bits=32) == one
+    assert faults((0, 0), (32768, 0), bits=16) == one  # half of what it counts, and not nothing
 
 
 def test_a_board_that_was_off_is_not_compared_with_before() -> None:

@@ -353,3 +353,16 @@ def test_the_faults_that_take_the_zero_are_those_of_the_page():
     rows = [line for line in page.splitlines() if line.rstrip().endswith("zero lost |")]
     named = {row.split("`")[1] for row in rows}
     assert named | {"zero_lost", "encoder_signal", "encoder_miscount"} == LOSES_ZERO
+
+
+def test_a_monitor_begins_at_rest_with_nothing_known_and_nothing_doubted():
+    monitor = Monitor()
+    assert (monitor.mode, monitor.faults, monitor.reaction) == (Mode.OFF, (), None)
+    assert (monitor.is_homed, monitor.is_zero_doubted, monitor.is_at_rest) == (False, False, True)
+
+
+def test_a_refusal_carries_its_reason_for_programs():
+    with pytest.raises(IllegalTransition) as refused:
+        _monitor(Mode.HOLDING).acknowledge()
+    assert refused.value.why == "there is no fault"
+    assert (refused.value.mode, refused.value.event) == (Mode.HOLDING, "ACKNOWLEDGE")

@@ -29,6 +29,10 @@ def test_the_tip_is_as_far_from_the_floor_as_it_is_above_it_less_the_tolerance()
     assert BARE.clearance([(0.3, 0.0, -0.5), (0.5, 0.0, -0.03)]) == (pytest.approx(-0.49), BODY)
 
 
+def test_an_arm_of_one_point_is_its_tip() -> None:
+    assert BARE.clearance([(0.5, 0.0, -0.03)]) == (pytest.approx(-0.02), TIP)
+
+
 def test_a_floor_just_at_its_tolerance_is_free_and_what_is_below_is_not() -> None:
     at, below = ([(0.3, 0.0, 0.5), (0.5, 0.0, z)] for z in (-0.01, math.nextafter(-0.01, -1.0)))
     assert BARE.clearance(at).distance_m == math.inf
