@@ -9,13 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from control.hardware.interface import Feedback
-from control.loop.homing_sequence import HOME_SWITCH
+from control.hardware.words import HOME_SWITCH, WARNING
 from control.safety.fault import Fault, Reaction
 from control.safety.witness import Lasting, SpeedWitness, TorqueWitness
 from control.servo.servo import Motor
 
 LASTS_S = 0.02  # of a value outside of its limits: ten cycles at 500 Hz
-WARNING = 0x80  # bit of the statusword: the board limits its output, docs/motor_board.md
 FRESH_REPLY, FRESH_COUNT = (
     1.5,
     3.0,
