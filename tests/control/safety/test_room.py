@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from control.errors import ArmError
-from control.safety.room import Board, BOARD_MARGIN_m, Body, Room
+from control.model.table import board_cavities
+from control.safety.room import Board, Body, Room
 from tests.cell import RIGHT
 
 BARE = Room(floor_z_m=0.0, tolerance_m=0.01, board=None, base_top_m=0.4, base_radius_m=0.0)
@@ -139,14 +140,16 @@ def test_arrays_say_what_floats_say() -> None:
 
 
 def test_the_room_of_an_arm_is_what_its_file_says() -> None:
-    room, limits = Room.of(RIGHT), RIGHT.limits
+    limits = replace(RIGHT.limits, floor_clearance_m=0.02)
+    room = Room.of(replace(RIGHT, limits=limits))
     assert room.floor_z_m == limits.floor_z_m + limits.floor_clearance_m
     assert (room.tolerance_m, room.base_radius_m) == (limits.floor_tolerance_m, limits.base_radius_m)
     assert room.base_top_m == RIGHT.links[0].d_m
     assert RIGHT.table is not None
     assert room.board is not None
     assert room.board.origin_m == RIGHT.table.origin_m
-    assert room.board.radius_m > BOARD_MARGIN_m
+    outermost_m = max(math.hypot(x, y) for x, y, _ in board_cavities(RIGHT.table).values())
+    assert room.board.radius_m == pytest.approx(outermost_m + 0.03)
     sunk = replace(RIGHT, links=(replace(RIGHT.links[0], d_m=-0.2), *RIGHT.links[1:]))
     assert Room.of(sunk).base_top_m == 0.0
 
