@@ -83,7 +83,12 @@ ARM = option(
 SOCKET = option("--socket", metavar="PATH", help="the runtime's socket (default: chosen by the arm's name)")
 OUT = option("--out", metavar="DIR", required=True, help="folder for the results; created if missing")
 JSON = option("--json", action="store_true", help="print JSON for another program")
-RATE = option("--rate", type=finite, default=500.0, metavar="HZ", help="cycles per second (default: 500)")
+RATE = option(
+    "--rate",
+    type=finite,
+    metavar="HZ",
+    help="cycles per second (default: 500, or what the arm's boards carry)",
+)
 LINKS = (
     option(
         "--encoder",

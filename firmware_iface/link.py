@@ -13,6 +13,7 @@ import termios
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from struct import Struct
 from typing import Protocol
 
@@ -22,6 +23,7 @@ from serial.tools import list_ports
 
 from firmware_iface.errors import LinkLost, MisuseError, PortMissing
 
+BY_ID = Path("/dev/serial/by-id")  # of udev: names that stay when devices are plugged in another order
 _PATIENT_READS = 4  # looks at an empty tty before the kernel is asked to hand over what it holds
 _READ_BYTES = 65536  # more than a serial driver buffers
 _INT = Struct("i")
@@ -79,10 +81,11 @@ class FrameLink(Protocol):
         ...
 
 
-def open_serial(url: str, baud: int) -> ByteLink:
+def open_serial(url: str, baud: int, patience: int = _PATIENT_READS) -> ByteLink:
     """Open a serial port by any URL that pyserial takes: /dev/ttyUSB0, COM3, socket://host:port, loop:// ...
 
-    8N1, exclusive, low-latency mode where supported. Raises PortMissing, which lists the available ports.
+    8N1, exclusive, low-latency mode where supported. `patience`: how many empty looks in a row before a tty is read all the
+    same, which may wait for the kernel. Raises PortMissing, which lists the available ports.
     """
     if baud <= 0:
         raise MisuseError(f"serial port {url}: baud must be positive, got {baud}")
@@ -96,24 +99,33 @@ def open_serial(url: str, baud: int) -> ByteLink:
         # Only real UARTs on USB have this mode; a pty answers with an error, and needs none.
         with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):
             port.set_low_latency_mode(True)
-        return _PosixByteLink(port, url, baud)
+        return _PosixByteLink(port, url, baud, patience)
     if url.startswith("socket:") and os.name == "posix":
-        return _SocketByteLink(port, url, 0)
+        return _SocketByteLink(port, url, 0, patience)
     return _PyserialByteLink(port, url, 0 if url.startswith("socket:") else baud)
 
 
 @dataclass(frozen=True, slots=True)
 class PortHere:
-    """A serial port of this machine: its path and the system's description of the device ("" if unknown)."""
+    """A serial port of this machine: its path, the system's description of the device and its stable name ("" if unknown)."""
 
     path: str
     description: str
+    stable: str = ""
 
 
-def serial_ports() -> list[PortHere]:
-    """List the serial ports of this machine without opening them."""
+def serial_ports(by_id: Path = BY_ID) -> list[PortHere]:
+    """List the serial ports of this machine without opening them; `by_id` is the folder of their stable names."""
+    stable: dict[str, str] = {}
+    with contextlib.suppress(OSError):
+        stable = {str(link.resolve()): str(link) for link in sorted(by_id.iterdir())}
     ports = sorted(list_ports.comports(), key=lambda port: port.device)
-    return [PortHere(port.device, "" if port.description == "n/a" else port.description) for port in ports]
+    return [
+        PortHere(
+            port.device, "" if port.description == "n/a" else port.description, stable.get(port.device, "")
+        )
+        for port in ports
+    ]
 
 
 def can_buses() -> list[tuple[str, str]]:
@@ -135,12 +147,13 @@ def _ports_here() -> str:
 class _PosixByteLink:
     """A tty or pty: opened by pyserial, read and written directly (pyserial's layers cost some 20 us a read)."""
 
-    def __init__(self, port: serial.SerialBase, name: str, baud: int) -> None:
+    def __init__(self, port: serial.SerialBase, name: str, baud: int, patience: int) -> None:
         self.name = name
         self.baud = baud
         self._port = port
         self._fd = port.fileno()
         os.set_blocking(self._fd, False)
+        self._patience = patience
         self._empty_reads = 0
         self._writable = select.poll()
         self._writable.register(self._fd, select.POLLOUT)
@@ -153,7 +166,7 @@ class _PosixByteLink:
         try:
             (waiting,) = _INT.unpack(fcntl.ioctl(self._fd, termios.FIONREAD, _NO_BYTES))
             self._empty_reads = 0 if waiting else self._empty_reads + 1
-            if self._empty_reads % (_PATIENT_READS + 1) == _PATIENT_READS:
+            if self._empty_reads % (self._patience + 1) == self._patience:
                 waiting = _READ_BYTES
             return os.read(self._fd, waiting) if waiting else b""
         except BlockingIOError:

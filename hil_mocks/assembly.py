@@ -83,7 +83,7 @@ def build_encoder_boards(
 ) -> list[EncoderBoardMock]:
     """Build one board for each named by a drive, in order."""
     boards = []
-    for i in range(1 + max(w.encoder_board for w in wiring)):
+    for i in range(1 + max((w.encoder_board for w in wiring), default=-1)):
         on_it = {w.encoder_channel: w for w in wiring if w.encoder_board == i}
         channels = [on_it.get(at) for at in range(1 + max(on_it, default=0))]
         port = arm.encoder_boards[i] if i < len(arm.encoder_boards) else None

@@ -30,6 +30,10 @@ OF_MOTOR = (
     | {"over_current", "over_temperature", "supply", "encoder_fault", "swapped_polarity"}
     | {"dead_motor", "stuck_joint", "says_current", "says_supply", "says_temperature"}
 )
+OF_BOUGHT = ON_FRAMES | {
+    "board_reset", "e_stop", "over_current", "over_temperature", "supply", "swapped_polarity", "dead_motor", "stuck_joint",
+    "stuck_encoder",
+}  # fmt: skip
 OF_CAMERA = ON_FRAMES - {"delay_frames", "replay_frames"}  # its latency is a separate key
 BUILT_IN = _BUILT_INTO_ENCODER | _BUILT_INTO_MOTOR  # before power-up
 _NEED_VALUE = {
@@ -55,7 +59,14 @@ Frames = list[tuple[float, bytes]]  # (arrival time at the host, frame)
 
 def check_fault(fault: FaultTable, boards: Sequence[str], where: str) -> None:
     """Raise ScenarioError unless the board exists and can have the fault."""
-    known = {"e": OF_ENCODER, "m": OF_MOTOR, "c": OF_CAMERA}
+    known = {
+        "e": OF_ENCODER,
+        "m": OF_MOTOR,
+        "c": OF_CAMERA,
+        "r": OF_BOUGHT,
+        "d": OF_BOUGHT - {"e_stop", "stuck_encoder"},
+        "s": OF_BOUGHT - {"e_stop", "stuck_encoder"},
+    }
     place = f'{where}: fault "{fault.kind}"'
     if fault.board not in boards:
         raise ScenarioError(f'{place}: no board "{fault.board}"; there are {", ".join(boards)}.')

@@ -29,7 +29,7 @@ def as_built(arm: Arm, scenario: Scenario) -> Arm:
 
 
 def _is_on(drive: Drive, fault: FaultTable) -> bool:
-    board = "encoder" + (str(drive.encoder_board + 1) if drive.encoder_board else "")
+    board = "encoder" + (str(drive.encoder_board + 1) if drive.encoder_board > 0 else "")
     return fault.board == board and drive.encoder_channel == fault.channel
 
 

@@ -70,6 +70,7 @@ class RealTimeRig:
         self._lines = self._socket.makefile("rb")
         self.clock: Clock = MonotonicClock()
         self.encoder_urls: list[str] = announcement["encoder_urls"]
+        self.board_urls: dict[str, str] = announcement["board_urls"]
         self.can_interface: str = announcement["can_interface"]
         self.can_channel: str = announcement["can_channel"]
         self.can_options: dict[str, int] = announcement["can_options"]

@@ -58,6 +58,8 @@ class MockArm(Protocol):
     @property
     def encoder_url(self) -> str: ...
     @property
+    def board_urls(self) -> dict[str, str]: ...
+    @property
     def can_interface(self) -> str: ...
     @property
     def can_channel(self) -> str: ...
@@ -123,18 +125,20 @@ class SteppedRig:
         self.scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
         self.robot = MockRobot(as_built, self.scenario)
         name = f"armwright-{os.getpid()}-{next(_channels)}"
-        boards = range(len(self.robot.encoder_boards))
+        lines = range(self.robot.serial_lines)
         serial_wires: list[SerialWire]
         if through_kernel:
-            serial_wires, self.can_interface = [Pty() for _ in boards], "virtual"
+            serial_wires, self.can_interface = [Pty() for _ in lines], "virtual"
         else:
             register()
-            serial_wires, self.can_interface = [Line(f"{name}-{k}") for k in boards], CAN_INTERFACE
+            serial_wires, self.can_interface = [Line(f"{name}-{k}") for k in lines], CAN_INTERFACE
         self.can_channel = name
         self.wires = Wires(serial_wires, self.can_interface, name)
         self.can_options = self.wires.can_options
         self.camera_port = self.wires.camera_port
-        self.encoder_urls = [wire.path for wire in self.wires.serial]
+        paths = [wire.path for wire in self.wires.serial]
+        self.encoder_urls = paths[: len(self.robot.encoder_boards)]
+        self.board_urls = dict(zip(self.robot.bought.ports, paths[len(self.encoder_urls) :], strict=True))
         self.clock: Clock = SteppedClock(self.robot, self.wires)
 
     @property

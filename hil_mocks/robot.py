@@ -14,7 +14,8 @@ from functools import partial
 
 from control.model.description import Arm
 from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
-from hil_mocks.devices.motor_board import OPEN, Frame, Output
+from hil_mocks.bought import Bought, Seen
+from hil_mocks.devices.motor_board import BRAKE, OPEN, Frame, Output
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.faults import FaultPlan, Frames, Line, check_fault
 from hil_mocks.gripper import PinWires, build_gripper, build_gripper_board
@@ -35,7 +36,6 @@ class MockRobot:
     def __init__(self, arm: Arm, scenario: Scenario) -> None:
         self.scenario, self.tick_s = scenario, scenario.tick_s
         self._ticks, self._steps = 0, _steps_per_tick(scenario)
-        where = f"scenario {scenario.path or scenario.name}"
         arm = as_built(arm, scenario)
         self._tools = {tool.name: tool_parts(tool) for tool in arm.tools}
         self._dead: set[int] = set()  # joints whose motor has a broken wire
@@ -44,39 +44,60 @@ class MockRobot:
         self.plant = build_plant(arm, scenario)
         self._wiring = wiring_of(arm, scenario)
         self.encoder_boards = build_encoder_boards(arm, scenario, self._wiring)
+        self.bought = Bought(arm, self._wiring, lambda j: self._encoder_rad()[j])
+        self._motor_joints = [j for j in range(len(self._wiring)) if j not in self.bought.joints]
         self.motor_boards = [
-            build_motor_board(w, scenario, partial(self._motor_count, j)) for j, w in enumerate(self._wiring)
+            build_motor_board(self._wiring[j], scenario, partial(self._motor_count, j))
+            for j in self._motor_joints
         ]
         self.gripper: GripperPlant | None = None
         if arm.gripper is not None:
             self.gripper = build_gripper(arm.gripper, scenario)
             self.motor_boards.append(build_gripper_board(arm.gripper, scenario, self.gripper))
+            self._motor_joints.append(self.plant.joints)  # its motor comes after those of the joints
         self.pins = PinWires(arm, scenario, self.motor_boards)
         self._channels = [
             Channels(i, self._wiring, len(board.setup.counts_per_turn))
             for i, board in enumerate(self.encoder_boards)
         ]
         self.camera = build_camera(arm, scenario)
-        motors = range(len(self.motor_boards))  # those of the joints, and the gripper's
-        self._motor_of_node = {board.setup.node: j for j, board in enumerate(self.motor_boards)}
+        self._name_boards(scenario)
+        self._wire_up(arm)
+        self._power_up()
+
+    def _name_boards(self, scenario: Scenario) -> None:
+        """Names of the boards in faults, and the lines that these act on."""
+        self._board_of_node = {board.setup.node: at for at, board in enumerate(self.motor_boards)}
         self._encoder_names = ["encoder" + (str(i + 1) if i else "") for i in range(len(self.encoder_boards))]
         self._motor_names = [f"motor{board.setup.node}" for board in self.motor_boards]
-        self.board_names = [*self._encoder_names, *self._motor_names, "camera"]
+        self.board_names = [*self._encoder_names, *self._motor_names, *self.bought.names, "camera"]
         for fault in scenario.fault:
-            check_fault(fault, self.board_names, where)
+            check_fault(fault, self.board_names, f"scenario {scenario.path or scenario.name}")
         self._lines = {name: Line(name, scenario.seed) for name in self.board_names}
         self._plan = FaultPlan(scenario.fault)
+
+    def _wire_up(self, arm: Arm) -> None:
+        """What the motors are driven with, and what is on its way to the host."""
         self._directions = [w.motor_direction for w in self._wiring]
         if arm.gripper is not None:
             self._directions.append(arm.gripper.motor_direction)
         self._polarity = list(self._directions)
-        self._applied: list[Output] = [OPEN for _ in motors]
-        self._limits_A = [math.inf for _ in motors]
-        self._serial: list[Frames] = [[] for _ in self.encoder_boards]
+        self._applied: list[Output] = [OPEN for _ in self._directions]
+        self._limits_A = [math.inf for _ in self._directions]
+        self._serial: list[Frames] = [[] for _ in (*self.encoder_boards, *self.bought.lines)]
         self._can_on_its_way: list[tuple[float, Frame]] = []
         self.can_outgoing: list[Frame] = []
         self.camera_outgoing: list[bytes] = []
-        self._power_up()
+
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        """What each joint's bridge puts out."""
+        return tuple(self._applied)
+
+    @property
+    def serial_lines(self) -> int:
+        """The number of serial lines."""
+        return len(self._serial)
 
     @property
     def now_s(self) -> float:
@@ -115,20 +136,27 @@ class MockRobot:
         return self.gripper.opening_m, self.gripper.force_N()
 
     def from_host_serial(self, board: int, received: bytes) -> None:
-        """Process bytes from the host to an encoder board now."""
-        if not self._lines[self._encoder_names[board]].is_silent:
+        """Process bytes from the host to a serial line now: the encoder boards', then the bought boards'."""
+        line = board - len(self.encoder_boards)
+        if line >= 0:
+            if not self._lines[self.bought.line_names[line]].is_silent:
+                self.bought.lines[line].receive(received, self.now_s)
+                self._gather_line(line)
+        elif not self._lines[self._encoder_names[board]].is_silent:
             self.encoder_boards[board].receive(received, self.now_s)
             self._gather_serial(board)
 
     def from_host_can(self, can_id: int, payload: bytes) -> None:
         """Process a frame from the host now; replies go to `can_outgoing`."""
         if can_id == 0:
-            for j in range(len(self.motor_boards)):
-                self._to_motor_board(j, can_id, payload)
+            for at in range(len(self.motor_boards)):
+                self._to_motor_board(at, can_id, payload)
+        self._to_can_drives(can_id, payload)
+        if can_id == 0:
             return
-        at = self._motor_of_node.get(can_id & 0xF)
-        if at is not None:
-            self._to_motor_board(at, can_id, payload)
+        addressed = self._board_of_node.get(can_id & 0xF)
+        if addressed is not None:
+            self._to_motor_board(addressed, can_id, payload)
 
     def tick(self) -> None:
         """Advance everything by one tick."""
@@ -143,16 +171,21 @@ class MockRobot:
             gripper.step(self._steps)
             currents_A = [*currents_A, gripper.current_A]
             supply_V, is_clamped = [*supply_V, gripper.supply_V], [*is_clamped, gripper.is_clamped]
-        for j, board in enumerate(self.motor_boards):
+        for at, (j, board) in enumerate(zip(self._motor_joints, self.motor_boards, strict=True)):
             frames = board.tick(now_s, polarity[j] * currents_A[j], supply_V[j], is_clamped[j])
             if frames:
-                self._send_can(j, frames)
+                self._send_can(self._motor_names[at], frames)
             if board.output is not self._applied[j]:
-                self._drive(j)
+                self._apply(j, board.output, board.current_limit_A)
         self.pins.tick()
         if self._can_on_its_way:
             self._release_can(now_s)
         encoder_rad, joint_rad = self._encoder_rad(), self.plant.joint_rad()
+        if self.bought.joints:
+            signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
+            for driven in self.bought.tick(now_s, Seen(signed_A, supply_V, is_clamped, joint_rad)):
+                self._apply(*driven)
+            self._gather_can_drives()
         for i, encoder in enumerate(self.encoder_boards):
             encoder.tick(now_s, *self._channels[i].seen(encoder_rad, joint_rad))
             if encoder.outgoing:
@@ -161,7 +194,7 @@ class MockRobot:
             self._look(now_s)
 
     def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes:
-        """Bytes of an encoder board that arrive at the host by now, or within `ahead_s`."""
+        """Bytes of a serial line that arrive at the host by now, or within `ahead_s`."""
         queue = self._serial[board]
         if not queue:
             return b""
@@ -199,10 +232,12 @@ class MockRobot:
             elif start.raw_counts is not None:
                 encoder.preset([start.raw_counts[j] for _, j in on_it], False)
             self._gather_serial(i)
-        for j, board in enumerate(self.motor_boards):
-            supply_V = [*self.plant.bridges.supply_V, self.gripper.supply_V if self.gripper else 0.0]
-            self._send_can(j, board.tick(0.0, 0.0, supply_V[j], False))
-            self._drive(j)
+        supply_V = [*self.plant.bridges.supply_V, self.gripper.supply_V if self.gripper else 0.0]
+        for at, (j, board) in enumerate(zip(self._motor_joints, self.motor_boards, strict=True)):
+            self._send_can(self._motor_names[at], board.tick(0.0, 0.0, supply_V[j], False))
+            self._apply(j, board.output, board.current_limit_A)
+        for j in self.bought.joints:
+            self._apply(j, BRAKE, math.inf)
 
     def _motor_count(self, j: int) -> int:
         reading_rad = self.plant.encoder_rad(j)
@@ -221,27 +256,29 @@ class MockRobot:
         """Raw counts and home switches by channel of an encoder board."""
         return self._channels[board].seen(self._encoder_rad(), self.plant.joint_rad())
 
-    def _to_motor_board(self, j: int, can_id: int, payload: bytes) -> None:
-        if self._lines[self._motor_names[j]].is_silent:
+    def _to_motor_board(self, at: int, can_id: int, payload: bytes) -> None:
+        if self._lines[self._motor_names[at]].is_silent:
             return
-        board = self.motor_boards[j]
+        j, board = self._motor_joints[at], self.motor_boards[at]
         frames = board.receive(can_id, payload, self.now_s)
         if frames:
-            self._send_can(j, frames)
+            self._send_can(self._motor_names[at], frames)
         if board.output is not self._applied[j] or board.current_limit_A != self._limits_A[j]:
-            self._drive(j)
+            self._apply(j, board.output, board.current_limit_A)
 
     def _drive(self, j: int) -> None:
-        """Apply the board's output to the motor."""
-        board, plant = self.motor_boards[j], self.plant
-        self._limits_A[j] = board.current_limit_A
-        kind, value = self._applied[j] = board.output
+        """Apply the last output anew: the wiring has changed."""
+        self._apply(j, self._applied[j], self._limits_A[j])
+
+    def _apply(self, j: int, output: Output, limit_A: float) -> None:
+        """Apply a board's output to the motor of a joint, or of the gripper."""
+        plant = self.plant
+        self._limits_A[j] = limit_A
+        kind, value = self._applied[j] = output
         if j == plant.joints and self.gripper is not None:
-            self.gripper.drive(
-                "open" if j in self._dead else kind, self._polarity[j] * value, self._limits_A[j]
-            )
+            self.gripper.drive("open" if j in self._dead else kind, self._polarity[j] * value, limit_A)
             return
-        plant.bridges.limit_current(j, self._limits_A[j])
+        plant.bridges.limit_current(j, limit_A)
         if j in self._dead:
             plant.drive_open(j)
         elif kind == "voltage":
@@ -251,8 +288,22 @@ class MockRobot:
         else:
             plant.drive_open(j)
 
-    def _send_can(self, j: int, frames: list[Frame]) -> None:
-        line = self._lines[self._motor_names[j]]
+    def _to_can_drives(self, can_id: int, payload: bytes) -> None:
+        drives = self.bought.can_drives
+        for name, drive in zip(drives.names, drives.mocks, strict=True):
+            if not self._lines[name].is_silent:
+                drive.receive(can_id, payload, self.now_s)
+        self._gather_can_drives()
+
+    def _gather_can_drives(self) -> None:
+        drives = self.bought.can_drives
+        for name, drive in zip(drives.names, drives.mocks, strict=True):
+            if drive.outgoing:
+                self._send_can(name, list(drive.outgoing))
+                drive.outgoing.clear()
+
+    def _send_can(self, name: str, frames: list[Frame]) -> None:
+        line = self._lines[name]
         if not line.faults:
             self.can_outgoing += frames
             return
@@ -273,6 +324,14 @@ class MockRobot:
             self._serial[board] += line.passed(outgoing) if line.faults else outgoing
             outgoing.clear()
 
+    def _gather_line(self, line: int) -> None:
+        """Answers of a bought board's line; the faults of its first board act on its frames."""
+        outgoing = self.bought.lines[line].outgoing
+        through = self._lines[self.bought.line_names[line]]
+        sent = through.passed(outgoing) if through.faults else outgoing
+        self._serial[len(self.encoder_boards) + line] += sent
+        outgoing.clear()
+
     def _look(self, now_s: float) -> None:
         datagrams = self.camera.tick(now_s, self.plant.tip_m)
         line = self._lines["camera"]
@@ -292,17 +351,16 @@ class MockRobot:
     def _switch(self, fault: FaultTable, is_on: bool) -> None:
         if fault.board in self._motor_names:
             self._switch_motor(fault, self._motor_names.index(fault.board), is_on)
+        elif fault.board in self.bought.names:
+            joint = self.bought.joint(fault)
+            if joint is None or not self._switch_wiring(fault, joint, is_on):
+                self.bought.switch(fault, is_on, self.now_s)
         elif fault.board in self._encoder_names:
             self._switch_encoder(fault, self._encoder_names.index(fault.board), is_on)
 
-    def _switch_motor(self, fault: FaultTable, j: int, is_on: bool) -> None:
-        board = self.motor_boards[j]
-        if fault.kind.startswith("says_"):
-            board.says[fault.kind] = fault.value if is_on else None
-        elif fault.kind in _FORCED:
-            bit = _FORCED[fault.kind]
-            board.forced_faults = board.forced_faults | bit if is_on else board.forced_faults & ~bit
-        elif fault.kind == "swapped_polarity":
+    def _switch_wiring(self, fault: FaultTable, j: int, is_on: bool) -> bool:
+        """Begin or end a fault between any board and its motor; False if it is another sort."""
+        if fault.kind == "swapped_polarity":
             self._polarity[j] = self._directions[j] * (-1 if is_on else 1)
             self._drive(j)
         elif fault.kind == "dead_motor":
@@ -312,6 +370,19 @@ class MockRobot:
             self._jam(j, is_on)
         elif fault.kind == "supply":
             self._supply(j, fault.value if is_on else None)
+        else:
+            return False
+        return True
+
+    def _switch_motor(self, fault: FaultTable, at: int, is_on: bool) -> None:
+        board = self.motor_boards[at]
+        if self._switch_wiring(fault, self._motor_joints[at], is_on):
+            return
+        if fault.kind.startswith("says_"):
+            board.says[fault.kind] = fault.value if is_on else None
+        elif fault.kind in _FORCED:
+            bit = _FORCED[fault.kind]
+            board.forced_faults = board.forced_faults | bit if is_on else board.forced_faults & ~bit
         elif fault.kind == "board_reset" and is_on:
             board.power_up()
         elif fault.kind == "wrong_identity" and is_on:

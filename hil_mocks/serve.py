@@ -62,7 +62,8 @@ class Server:
     def __init__(self, arm: Arm, scenario: str, can_channel: str, socket_path: Path) -> None:
         self._arm = arm
         self._robot = MockRobot(arm, load_scenario(scenario))
-        self._wires = Wires([Pty() for _ in self._robot.encoder_boards], "udp_multicast", can_channel)
+        lines = [Pty() for _ in range(self._robot.serial_lines)]
+        self._wires = Wires(lines, "udp_multicast", can_channel)
         self._channel, self._path = can_channel, socket_path
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.bind(str(socket_path))
@@ -77,8 +78,10 @@ class Server:
 
     def announcement(self) -> dict[str, Any]:
         """The ports, as printed at the start."""
+        paths, encoders = [wire.path for wire in self._wires.serial], len(self._robot.encoder_boards)
         return {
-            "encoder_urls": [wire.path for wire in self._wires.serial],
+            "encoder_urls": paths[:encoders],
+            "board_urls": dict(zip(self._robot.bought.ports, paths[encoders:], strict=True)),
             "can_interface": "udp_multicast",
             "can_channel": self._channel,
             "can_options": self._wires.can_options,

@@ -41,6 +41,11 @@ class JointWiring:
         """The count at the motor board: a positive voltage counts up."""
         return math.floor(self.motor_direction * encoder_rad * self.counts_per_rad + self.phase_count)
 
+    def is_at_switch(self, joint_rad: float) -> bool:
+        """Whether the home switch is active; a missing one never is."""
+        side = 1.0 if self.index_rad >= self.switch_rad else -1.0
+        return (joint_rad - self.switch_rad) * side >= 0.0
+
     def index_count(self) -> int:
         """Raw count of an index pulse."""
         return self.raw_count(self.index_rad)

@@ -118,8 +118,9 @@ def wired_to(arm: Arm, rig: SteppedRig) -> Arm:
         replace(board, port=url) for board, url in zip(arm.encoder_boards, rig.encoder_urls, strict=True)
     )
     return replace(
-        arm, encoder_boards=boards, can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options)
-    )
+        arm, encoder_boards=boards, can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options),
+        boards=tuple(replace(board, port=rig.board_urls.get(board.port, board.port)) for board in arm.boards),
+    )  # fmt: skip
 
 
 @contextmanager
@@ -128,12 +129,13 @@ def open_cell(
     arm: Arm = RIGHT,
     sink: RowSink | None = None,
     believed: Arm | None = None,
+    period_s: float = PERIOD_S,
 ) -> Iterator[Cell]:
     """Connect a runtime that believes in `believed` to a mock of `arm`; drives are off."""
     with SteppedRig(arm, hidden or scenario()) as rig:
         model = wired_to(believed or arm, rig)
-        connection = connect(model, rig.clock, PERIOD_S, rig.camera_port)
-        assembly = assemble(model, connection.hardware, PERIOD_S, connection.camera, sink, rig.clock.now_s)
+        connection = connect(model, rig.clock, period_s, rig.camera_port)
+        assembly = assemble(model, connection.hardware, period_s, connection.camera, sink, rig.clock.now_s)
         channel = InProcessChannel(assembly, rig.clock)
         cell = Cell(rig, connection, assembly, channel, ArmClient(channel))
         original = assembly.runtime.cycle
@@ -146,7 +148,7 @@ def open_cell(
 
         assembly.runtime.cycle = cycle  # type: ignore[method-assign]
         try:
-            cell.run(0.02)
+            cell.run(10 * period_s)
             yield cell
         finally:
             connection.close()

@@ -16,12 +16,11 @@ LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 50.0, 1200.0  # three boards at 1 Mbit/s end a
 
 def run(given: argparse.Namespace) -> int:
     """Connect and serve."""
-    if not LOWEST_RATE_Hz <= given.rate <= HIGHEST_RATE_Hz:
+    if given.rate is not None and not LOWEST_RATE_Hz <= given.rate <= HIGHEST_RATE_Hz:
         raise ArmError(f"--rate: expected {LOWEST_RATE_Hz:g} to {HIGHEST_RATE_Hz:g} Hz, got {given.rate:g}")
     arm = with_links(load_arm(given.arm), link_options(given))
-    options = ServeOptions(
-        socket_path(given, arm), Path(given.log), 1.0 / given.rate, camera_port(given, arm)
-    )
+    rate_Hz = given.rate or arm.usual_rate_Hz
+    options = ServeOptions(socket_path(given, arm), Path(given.log), 1.0 / rate_Hz, camera_port(given, arm))
     serve(arm, options)
     return 0
 

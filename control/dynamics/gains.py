@@ -28,6 +28,7 @@ from control.model.arm import Arm, Drive, DrivePid
 
 POLE_rad_s = 40.0
 CURRENT_MODE_POLE_rad_s = 25.0
+POLE_PERIOD_S = 0.002  # of the loop for which the poles were chosen
 _POSES = 200
 DERIVATIVE_FILTER_S = 0.001  # half a cycle: just enough to smooth the encoder's quantisation
 
@@ -42,14 +43,18 @@ class Gains:
     derivative_filter_s: float
 
 
-def gains_of(arm: Arm, joint: int) -> Gains:
-    """Return the gains of a joint (1-based); MissingModel if neither the file nor the masses determine them."""
+def gains_of(arm: Arm, joint: int, period_s: float = POLE_PERIOD_S) -> Gains:
+    """Return the gains of a joint (1-based); MissingModel if neither the file nor the masses determine them.
+
+    `period_s`: of the loop. The delays are so many cycles long, so a slower loop gets poles that are slower by as much.
+    """
     drive = arm.drive(joint)
     pid = drive.pid
     filter_s = DERIVATIVE_FILTER_S if pid.derivative_filter_s is None else pid.derivative_filter_s
     if pid.kp is not None and pid.ki is not None and pid.kd is not None:
         return Gains(pid.kp, pid.ki, pid.kd, filter_s)
     pole_rad_s = CURRENT_MODE_POLE_rad_s if pid.mode == "current" else POLE_rad_s
+    pole_rad_s *= min(1.0, POLE_PERIOD_S / period_s)
     placed = placed_gains(drive, _inertia_kg_m2(arm, joint), filter_s, pole_rad_s)
     return Gains(
         placed.kp if pid.kp is None else pid.kp,

@@ -64,8 +64,14 @@ def board_stop(arm: Arm, period_s: float) -> BoardStop:
         drive.joint_speed_limit_rad_s / (HARDER * drive.joint_acceleration_limit_rad_s2)
         for drive in arm.drives
     ]
-    if not all(can_hold(drive) for drive in arm.drives):
-        return BoardStop(stop_after_s(period_s), BRAKED_STOP_S)
+    after_s = min(_after_s(arm, drive, period_s) for drive in arm.drives)
+    if not all(can_hold(drive) and arm.kind_of(drive).can_hold for drive in arm.drives):
+        return BoardStop(after_s, BRAKED_STOP_S)
     finite_s = [time_s for time_s in times_s if 0.0 < time_s < math.inf]
     follows = all(drive.pid.mode != "position" for drive in arm.drives)
-    return BoardStop(stop_after_s(period_s), max(finite_s, default=DEFAULT_STOP_S), follows)
+    return BoardStop(after_s, max(finite_s, default=DEFAULT_STOP_S), follows)
+
+
+def _after_s(arm: Arm, drive: Drive, period_s: float) -> float:
+    """A board that does not stop early obeys the last command until its watchdog: so long, the motion goes on."""
+    return stop_after_s(period_s) if arm.kind_of(drive).stops_early else arm.limits.watchdog_s

@@ -7,10 +7,11 @@ import contextlib
 from collections.abc import Sequence
 
 from control.hardware.interface import EndBoards, Feedback, OutputMode
-from control.hardware.roles import Drives, Encoders, Line
+from control.hardware.roles import Drives, Encoders, Line, PolledLine
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError
 
+ATTEND_EVERY_S = 0.00025  # an answer waits so long at most until the next request goes out
 NO_END = EndBoards()
 
 
@@ -24,10 +25,17 @@ class BoardHardware:
         drives: Sequence[Drives],
         lines: Sequence[Line],
         clock: Clock,
+        polled: Sequence[PolledLine] = (),
+        offers: frozenset[OutputMode] = frozenset(OutputMode),
         end: EndBoards = NO_END,
     ) -> None:
-        """`lines`: in the order in which they are drained. Every joint has one of the encoders and one of the drives."""
+        """`lines`: in the order in which they are drained; those also in `polled` are attended to between the cycles.
+
+        Every joint has one of the encoders and one of the drives.
+        """
         self.feedback = Feedback(joint_count)
+        self.offers = offers
+        self._polled = tuple(polled)
         self.end = end
         self._encoders, self._drives, self._lines = tuple(encoders), tuple(drives), tuple(lines)
         self._encoder_of = {joint: encoder for encoder in encoders for joint in encoder.joints}
@@ -36,6 +44,15 @@ class BoardHardware:
         self._wants_enabled = False
 
     # ---- every cycle
+
+    def attend(self, until_s: float) -> None:
+        """Wait until then, and serve the polled lines meanwhile."""
+        clock = self._clock
+        while self._polled and (now_s := clock.now_s()) < until_s - ATTEND_EVERY_S:
+            for line in self._polled:
+                line.attend()
+            clock.wait_until_s(now_s + ATTEND_EVERY_S)
+        clock.wait_until_s(until_s)
 
     def read(self) -> Feedback:
         """Drain the links into `feedback`. Raises LinkLost, BoardReset, ProtocolViolation."""

@@ -4,7 +4,7 @@ All devices are tried, and one error names all that failed.
 """
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from control.dynamics.gains import volt_gains_of
@@ -12,10 +12,13 @@ from control.errors import MissingModel
 from control.hardware.board_stop import board_stop
 from control.hardware.boards import NO_END, BoardHardware
 from control.hardware.gripper_board import GripperBoard
-from control.hardware.interface import EndBoards
+from control.hardware.interface import EndBoards, OutputMode
+from control.hardware.kinds import open_boards
+from control.hardware.opened import Opened, collect
 from control.hardware.pins import NamedPins
 from control.hardware.reference_drives import DriveWiring, ReferenceDrives
 from control.hardware.reference_encoders import ReferenceEncoders, start_stream
+from control.hardware.roles import Line
 from control.model.arm import Arm, CanBus, EncoderBoardPort
 from firmware_iface.camera import CameraReceiver
 from firmware_iface.clock import Clock
@@ -44,6 +47,7 @@ class Connection:
     camera: "TipCamera | None"
     encoders: tuple[EncoderBoard, ...]
     motors: tuple[MotorBoard, ...]
+    others: tuple[tuple[str, str], ...]  # boards of other kinds: where each is, and what it says of itself
     _closers: list[Callable[[], None]] = field(default_factory=list)
 
     def close(self) -> None:
@@ -96,32 +100,33 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
         MissingModel: arm.toml does not describe the wiring.
     """
     _require_wiring(arm)
-    closers: list[Callable[[], None]] = []
-    failures: list[LinkError] = []
+    opened = Opened()
     encoders = [
-        board
-        for port in arm.encoder_boards
-        if (board := _encoder(port, arm, clock, closers, failures)) is not None
+        board for port in arm.encoder_boards if (board := _encoder(port, arm, clock, opened)) is not None
     ]
-    motors = _motors(arm, clock, closers, failures)
-    end = _end_boards(arm, motors, period_s, failures) if motors else EndBoards()
-    attempted = len(arm.encoder_boards) + max(len(motors), 1)
+    motors = _motors(arm, clock, opened)
+    end = _end_boards(arm, motors, period_s, opened.failures) if motors else EndBoards()
+    open_boards(arm, clock, period_s, opened)
+    motor_boards = max(len(motors), any(not drive.board for drive in arm.drives))
+    attempted = len(arm.encoder_boards) + motor_boards + len(arm.boards)
     camera = None
-    if not failures and camera_port is not None:
-        with _collect(failures):
+    if not opened.failures and camera_port is not None:
+        with collect(opened.failures):
             receiver = CameraReceiver(camera_port)
-            closers.append(receiver.close)
+            opened.closers.append(receiver.close)
             camera = TipCamera(receiver)
-    for encoder in encoders if not failures else ():
-        with _collect(failures):
+    for encoder in encoders if not opened.failures else ():
+        with collect(opened.failures):
             start_stream(encoder, period_s)
-    if failures:
-        for close in closers:
+    if opened.failures:
+        for close in opened.closers:
             close()
-        raise ConnectionFailed(failures, attempted)
-    boards = tuple(board for _, board in motors)
-    hardware = reference_hardware(arm, clock, encoders, motors[0][0], boards, period_s, end)
-    return Connection(hardware, camera, tuple(encoders), boards, closers)
+        raise ConnectionFailed(opened.failures, attempted)
+    _add_reference(arm, clock, encoders, motors, period_s, opened)
+    boards, others = tuple(motor for _, motor in motors), tuple(opened.identities)
+    return Connection(
+        _composed(arm, clock, opened, end), camera, tuple(encoders), boards, others, opened.closers
+    )
 
 
 def reference_hardware(
@@ -133,18 +138,56 @@ def reference_hardware(
     period_s: float,
     end: EndBoards = NO_END,
 ) -> BoardHardware:
-    """The hardware of identified boards: `encoders` in the order of arm.toml, `motors` in that of the drives."""
+    """The hardware of identified reference boards: `encoders` in the order of arm.toml, `motors` in that of the drives."""
+    opened = Opened()
+    _add_reference(arm, clock, encoders, [(bus, motor) for motor in motors], period_s, opened)
+    return _composed(arm, clock, opened, end)
+
+
+def _add_reference(
+    arm: Arm,
+    clock: Clock,
+    encoders: Sequence[EncoderBoard],
+    motors: Sequence[tuple[MotorBus, MotorBoard]],
+    period_s: float,
+    opened: Opened,
+) -> None:
+    """Put the reference boards before the others: what they have received waits in the kernel, and is read first."""
     counters = [
         ReferenceEncoders(board, channels, clock, period_s)
         for index, board in enumerate(encoders)
         if (channels := _channels(arm, index))
     ]
-    wiring = [
-        DriveWiring(joint, motor, drive, volt_gains_of(arm, drive.joint))
-        for joint, (drive, motor) in enumerate(zip(arm.drives, motors, strict=True))
-    ]
-    drives = ReferenceDrives(arm, bus, wiring, clock, period_s)
-    return BoardHardware(len(arm.drives), counters, [drives], [*counters, drives], clock, end)
+    opened.encoders[:0] = counters
+    lines: list[Line] = [*counters]
+    if motors:
+        driven = [(joint, drive) for joint, drive in enumerate(arm.drives) if not drive.board]
+        wiring = [
+            DriveWiring(joint, motor, drive, volt_gains_of(arm, drive.joint))
+            for (joint, drive), (_, motor) in zip(driven, motors, strict=True)
+        ]
+        drives = ReferenceDrives(arm, motors[0][0], wiring, clock, period_s)
+        opened.drives.insert(0, drives)
+        lines.append(drives)
+    opened.lines[:0] = lines
+
+
+def _composed(arm: Arm, clock: Clock, opened: Opened, end: EndBoards) -> BoardHardware:
+    return BoardHardware(
+        len(arm.drives), opened.encoders, opened.drives, opened.lines, clock, opened.polled, _offers(arm), end
+    )
+
+
+def _offers(arm: Arm) -> frozenset[OutputMode]:
+    """What every drive of the arm can be commanded to do; a board that cannot hold brakes instead."""
+    kinds = [arm.kind_of(drive) for drive in arm.drives]
+    offers = {OutputMode.HOLD}
+    if all(kind.can_free for kind in kinds):
+        offers.add(OutputMode.OFF)
+    for mode in (OutputMode.VOLTAGE, OutputMode.CURRENT, OutputMode.POSITION):
+        if all(mode.name.lower() in kind.modes for kind in kinds):
+            offers.add(mode)
+    return frozenset(offers)
 
 
 def _channels(arm: Arm, board: int) -> dict[int, int]:
@@ -154,20 +197,12 @@ def _channels(arm: Arm, board: int) -> dict[int, int]:
     }
 
 
-@contextlib.contextmanager
-def _collect(failures: list[LinkError]) -> Iterator[None]:
-    try:
-        yield
-    except LinkError as error:
-        failures.append(error)
-
-
 def _require_wiring(arm: Arm) -> None:
     if len(arm.drives) != arm.joint_count:
         raise MissingModel(
             f"arm {arm.name}: {arm.joint_count} joints but {len(arm.drives)} [[drive]]: add the missing ones"
         )
-    if arm.can is None:
+    if arm.can is None and not all(drive.board for drive in arm.drives):
         raise MissingModel(
             f"arm {arm.name}: no [can] bus for its motor boards: add it, or give --can-interface and --can-channel"
         )
@@ -179,16 +214,10 @@ def _require_wiring(arm: Arm) -> None:
             )
 
 
-def _encoder(
-    port: EncoderBoardPort,
-    arm: Arm,
-    clock: Clock,
-    closers: list[Callable[[], None]],
-    failures: list[LinkError],
-) -> EncoderBoard | None:
+def _encoder(port: EncoderBoardPort, arm: Arm, clock: Clock, opened: Opened) -> EncoderBoard | None:
     try:
         link = open_serial(port.port, port.baud)
-        closers.append(link.close)
+        opened.closers.append(link.close)
         board = EncoderBoard(link, clock, port.name)
         identity = board.identify(serial_number=port.serial_number)
         index = arm.encoder_boards.index(port)
@@ -202,23 +231,23 @@ def _encoder(
             _compare(board.where, "counts a motor turn", drive.joint, drive.encoder_counts_per_rev, counts)
             _compare(board.where, "counter bits", drive.joint, drive.encoder_bits, identity.encoder_bits)
     except LinkError as error:
-        failures.append(error)
+        opened.failures.append(error)
         return None
     return board
 
 
-def _motors(
-    arm: Arm, clock: Clock, closers: list[Callable[[], None]], failures: list[LinkError]
-) -> list[tuple[MotorBus, MotorBoard]]:
-    if arm.can is None:
+def _motors(arm: Arm, clock: Clock, opened: Opened) -> list[tuple[MotorBus, MotorBoard]]:
+    """The reference motor boards, in the order of their drives."""
+    drives = [drive for drive in arm.drives if not drive.board]
+    if arm.can is None or not drives:
         return []
     motors: list[tuple[MotorBus, MotorBoard]] = []
-    with _collect(failures):
+    with collect(opened.failures):
         link = open_can(arm.can.interface, arm.can.channel, arm.can.bitrate, **arm.can.options)
-        closers.append(link.close)
+        opened.closers.append(link.close)
         bus = MotorBus(link, clock)
-        for drive in arm.drives:
-            with _collect(failures):
+        for drive in drives:
+            with collect(opened.failures):
                 board = MotorBoard(bus, drive.motor_node, f"joint {drive.joint}")
                 identity = board.identify(drive.motor_serial_number)
                 counts = identity.encoder_counts_per_turn
@@ -238,7 +267,7 @@ def _end_boards(
     if arm.gripper is not None:
         problems: list[LinkError] = []
         board = MotorBoard(bus, arm.gripper.motor_node, "gripper", problems)
-        with _collect(failures):
+        with collect(failures):
             identity = board.identify(arm.gripper.motor_serial_number)
             expected, got = arm.gripper.encoder_counts_per_rev, identity.encoder_counts_per_turn
             if expected not in (0, got):
@@ -261,7 +290,7 @@ def _pins(
         return None
     found = {node: DigitalPins(bus, boards[node]) for node in sorted(wanted)}
     for node, pins in found.items():
-        with _collect(failures):
+        with collect(failures):
             pins.require(1 + max(pin.pin for pin in arm.digital if pin.board == node))
     return NamedPins(arm.digital, found)
 

@@ -90,6 +90,12 @@ class Hardware(Protocol):
 
     feedback: Feedback
     end: EndBoards
+    offers: frozenset[OutputMode]
+    """The modes in which every drive of the arm can be commanded."""
+
+    def attend(self, until_s: float) -> None:
+        """Wait until then; lines whose boards speak only when asked are served meanwhile."""
+        ...
 
     def read(self) -> Feedback:
         """Drain the links into `feedback`. Raises LinkLost when a link is gone, ProtocolViolation when a board misbehaves."""

@@ -23,6 +23,14 @@ class Line(Protocol):
         ...
 
 
+class PolledLine(Protocol):
+    """A line whose boards speak only when they are asked."""
+
+    def attend(self) -> None:
+        """Go on asking, while the loop waits for its next cycle. Never raises: `update` does."""
+        ...
+
+
 class Encoders(Protocol):
     """The encoders on one board."""
 

@@ -3,11 +3,11 @@
 Writes `homing` and, when the pose becomes known, the set-point.
 """
 
+from control.hardware.words import ZERO_SET
 from control.loop import set_points
 from control.loop.arm_state import ArmState
 from control.loop.fault_reactions import fail
 from control.loop.homing_sequence import HomingFailed
-from control.loop.watch import ZERO_SET
 from control.motion.setpoint import at_rest
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Event

@@ -20,9 +20,9 @@ from typing import Protocol
 
 from control.hardware.board_stop import Bridge
 from control.hardware.interface import Feedback
+from control.hardware.words import HOME_SWITCH
 from control.motion.setpoint import SetPoint
 
-HOME_SWITCH = 1 << 2  # bit of the channel flags, docs/encoder_board.md
 DITHER_counts = 2  # a held joint without friction hunts by one count, which still is rest
 SETTLE_S = 0.1
 INDEX_SPEED_FRACTION = 0.3  # of the seeking speed: the joint must stop soon after the latch

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from control.hardware.interface import Feedback
-from control.loop.watch import OPERATION_ENABLED, STATE_MASK
+from control.hardware.words import OPERATION_ENABLED, STATE_MASK
 from control.safety.fault import Fault, Reaction
 
 ENABLE_LIMIT_S = 1.0  # a drive takes three cycles; a second means an emergency stop

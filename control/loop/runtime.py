@@ -354,11 +354,16 @@ class Runtime(ArmState):
     def guide(self, weightless: bool) -> None:
         """Start hand guiding: circuits open, so somebody must hold the arm; or `weightless`, with gravity compensation.
 
-        `weightless` needs a homed arm: ArmError if it is not.
+        `weightless` needs a homed arm: ArmError if it is not, and if its boards cannot do either.
         """
         self.monitor.require(Event.GUIDE)
         if weightless and not self.monitor.is_homed:
             raise ArmError("gravity compensation needs a homed arm: home it first (`armwright home`)")
+        if (OutputMode.CURRENT if weightless else OutputMode.OFF) not in self.parts.hardware.offers:
+            wanted = "take a current as command" if weightless else "open their motors' circuits"
+            raise ArmError(
+                f"hand guiding is not possible: not all of this arm's boards can {wanted} (docs/boards.md)"
+            )
         self.is_weightless = weightless
         self.on(Event.GUIDE)
         self.run_number += 1

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from control.hardware.interface import Feedback
+from control.hardware.words import OPERATION_ENABLED, QUADRATURE_ERROR, SIGNAL_LOST, STATE_MASK, ZERO_SET
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import following_error_excess, is_stale, overrun
 
-ZERO_SET, QUADRATURE_ERROR, SIGNAL_LOST = 1 << 3, 1 << 4, 1 << 5  # channel flags, docs/encoder_board.md
-OPERATION_ENABLED = 0x27  # statusword & 0x6F, docs/motor_board.md
-STATE_MASK = 0x6F
 DRIVE_FAULTS = {
     0: ("over-current", "check for a blocked joint or a short circuit; reduce the acceleration"),
     1: ("over-temperature", "let it cool; check the load and the fan"),

@@ -9,13 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from control.hardware.interface import Feedback
-from control.loop.homing_sequence import HOME_SWITCH
+from control.hardware.words import HOME_SWITCH, WARNING
 from control.safety.fault import Fault, Reaction
 from control.safety.witness import Lasting, SpeedWitness, TorqueWitness
 from control.servo.servo import Motor
 
 LASTS_S = 0.02  # of a value outside of its limits: ten cycles at 500 Hz
-WARNING = 0x80  # bit of the statusword: the board limits its output, docs/motor_board.md
 FRESH_REPLY, FRESH_COUNT = (
     1.5,
     3.0,
@@ -37,7 +36,7 @@ class WitnessLimits:
 class Joint:
     """The witnesses of one joint."""
 
-    __slots__ = ("current", "motor", "name", "speed", "supply", "temperature", "torque")
+    __slots__ = ("current", "motor", "name", "speed", "supply", "temperature", "torque", "was_outside")
 
     def __init__(self, name: str, motor: Motor, limits: WitnessLimits) -> None:
         self.name, self.motor = name, motor
@@ -51,6 +50,21 @@ class Joint:
             limits.supply_low * motor.supply_V, limits.supply_high * motor.supply_V, LASTS_S
         )
         self.temperature = Lasting(-math.inf, limits.temperature_degC, LASTS_S)
+        self.was_outside = False
+
+    def limits_passed(
+        self, elapsed_s: float, supply_V: float, current_A: float, temperature_degC: float
+    ) -> list[Fault]:
+        """The limits that a cycle's values have passed for long enough; notes whether any is outside."""
+        faults = []
+        if not self.supply.update(elapsed_s, supply_V):
+            faults.append(_of_supply(self, supply_V))
+        if not self.current.update(elapsed_s, current_A):
+            faults.append(_of_current(self, current_A))
+        if not self.temperature.update(elapsed_s, temperature_degC):
+            faults.append(_of_temperature(self, temperature_degC))
+        self.was_outside = self.supply.is_pending or self.current.is_pending or self.temperature.is_pending
+        return faults
 
 
 class Witnesses:
@@ -83,12 +97,14 @@ class Witnesses:
         for number, joint in enumerate(self._joints):
             supply_V, current_A = feedback.supply_V[number], feedback.current_A[number]
             temperature = feedback.temperature_C[number]
-            if not joint.supply.update(elapsed_s, supply_V):
-                faults.append(_of_supply(joint, supply_V))
-            if not joint.current.update(elapsed_s, current_A):
-                faults.append(_of_current(joint, current_A))
-            if not joint.temperature.update(elapsed_s, temperature):
-                faults.append(_of_temperature(joint, temperature))
+            # Almost every value is inside: comparisons are cheaper than three calls.
+            supply, current, warmth = joint.supply, joint.current, joint.temperature
+            if joint.was_outside or not (
+                supply.lower <= supply_V <= supply.upper
+                and current.lower <= current_A <= current.upper
+                and warmth.lower <= temperature <= warmth.upper
+            ):
+                faults += joint.limits_passed(elapsed_s, supply_V, current_A, temperature)
             if (
                 now_s - feedback.reply_at_s[number] > FRESH_REPLY * elapsed_s
                 or now_s - feedback.reported_at_s[number] > FRESH_COUNT * elapsed_s
@@ -243,7 +259,10 @@ class SwitchWatch:
             beyond_rad = (q_rad[joint] - place.switch_rad) * place.sense
             is_active = bool(channel_flags[joint] & HOME_SWITCH)
             wrong_rad = -beyond_rad if is_active else beyond_rad
-            if not self._lasting[joint].update(elapsed_s, 0.0 if wrong_rad <= place.tolerance_rad else 1.0):
+            is_right, lasting = wrong_rad <= place.tolerance_rad, self._lasting[joint]
+            if is_right and not lasting.is_pending:
+                continue
+            if not lasting.update(elapsed_s, 0.0 if is_right else 1.0):
                 faults.append(_of_switch(place, q_rad[joint], is_active))
         return faults
 

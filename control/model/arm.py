@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from control.errors import ArmError, MissingModel
+from control.model.board_kinds import KINDS, REFERENCE, BoardKind
 from control.model.end_effector import NO_TOOL, Digital, Gripper
 from control.model.end_effector import Tool as Tool
 from control.model.end_effector import Vector3 as Vector3
@@ -32,6 +33,7 @@ from control.model.rules import (
     GRAVITY,
     HEIGHT,
     JOINT_SPEED,
+    KIND,
     LAG,
     LENGTH,
     LIMIT,
@@ -153,6 +155,10 @@ class Drive:
         Annotated[int, ZERO_OR_MORE] | None, "compared with the board's, if given"
     ] = None
     zero_count: Annotated[int, "the encoder's count at joint angle 0"] = 0
+    board: Annotated[
+        str, "name of the [[board]] that drives it; absent: a motor board of docs/motor_board.md"
+    ] = ""
+    board_channel: Annotated[int, ONE_OR_MORE, "which motor of that board, from 1"] = 1
     board_holds: Annotated[
         bool,
         "the motor board's own encoder is connected and counts up with positive voltage; false: without the loop the"
@@ -162,7 +168,9 @@ class Drive:
     home: Annotated[Home | None, "absent: the joint cannot be homed; its zero is set on the board"] = None
 
     def __post_init__(self) -> None:
-        """Fill in the default wiring from the joint's number."""
+        """Fill in the default wiring from the joint's number; a drive with a `board` has none."""
+        if self.board and self.encoder_board < 0:
+            return
         board, channel = divmod(self.joint - 1, ENCODER_CHANNELS)
         for name, default in (
             ("encoder_board", board),
@@ -237,6 +245,17 @@ class CanBus:
     options: Annotated[Mapping[str, str | int | float | bool], "passed to the interface unchanged"] = field(
         default_factory=dict
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A bought board that drives joints: a kind, and where it is. docs/boards.md has the kinds."""
+
+    name: Annotated[str, NAME, "drives name it; each board's own"]
+    kind: Annotated[str, KIND, "docs/boards.md"]
+    address: Annotated[int, ZERO_OR_MORE, "on its line: an address, a node id or a servo's id"]
+    port: Annotated[str, "of a kind on a serial line: a device or any pyserial URL; boards may share it"] = ""
+    baud: Annotated[int, ONE_OR_MORE, "of that port"] = 115_200
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,6 +363,9 @@ class Arm:
     encoder_boards: Annotated[tuple[EncoderBoardPort, ...], "three channels each"] = field(
         default=(), metadata={"key": "encoder_board"}
     )
+    boards: Annotated[tuple[Board, ...], "bought boards that drive joints"] = field(
+        default=(), metadata={"key": "board"}
+    )
     can: Annotated[CanBus | None, ""] = None
     rest: Annotated[Rest | None, ""] = None
     limits: Annotated[Limits, ""] = Limits()
@@ -410,6 +432,22 @@ class Arm:
         has = ", ".join(str(drive.joint) for drive in self.drives) or "none"
         raise MissingModel(
             f"arm {self.name}: joint {joint} has no [[drive]] (joints with a drive: {has}); add one"
+        )
+
+    def board(self, drive: Drive) -> Board | None:
+        """Return the [[board]] of a drive, None if it is on a reference motor board."""
+        return next((board for board in self.boards if board.name == drive.board), None)
+
+    def kind_of(self, drive: Drive) -> BoardKind:
+        """Return what the board of a drive offers."""
+        board = self.board(drive)
+        return REFERENCE if board is None else KINDS[board.kind]
+
+    @property
+    def usual_rate_Hz(self) -> float:
+        """The loop's rate if none is asked for: what the slowest kind of board carries."""
+        return min(
+            (self.kind_of(drive).usual_rate_Hz for drive in self.drives), default=REFERENCE.usual_rate_Hz
         )
 
     @property

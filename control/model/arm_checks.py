@@ -3,6 +3,7 @@
 from collections.abc import Hashable, Iterable
 
 from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Home, Table
+from control.model.board_kinds import KINDS
 from control.model.effects import check_effect
 from control.model.joint_map import JointMap
 from control.model.maps import check_map
@@ -24,6 +25,7 @@ def check_arm(arm: Arm) -> None:
     for index, drive in enumerate(arm.drives):
         _check_drive(arm, drive, index)
     _check_wiring(arm)
+    _check_boards(arm)
     _check_end(arm)
     _check_rest(arm)
     _check_recording(arm)
@@ -80,12 +82,14 @@ def _check_wiring(arm: Arm) -> None:
     drives = list(enumerate(arm.drives))
     _check_unique(((("drive", i, "joint"), drive.joint) for i, drive in drives), "one [[drive]] per joint")
     _check_unique(
-        ((("drive", i, "motor_node"), drive.motor_node) for i, drive in drives), "one joint per motor node"
+        ((("drive", i, "motor_node"), drive.motor_node) for i, drive in drives if not drive.board),
+        "one joint per motor node",
     )
     _check_unique(
         (
             (("drive", i, "encoder_channel"), (drive.encoder_board, drive.encoder_channel))
             for i, drive in drives
+            if drive.encoder_board >= 0
         ),
         "one joint per encoder channel (board, channel)",
     )
@@ -100,8 +104,59 @@ def _check_wiring(arm: Arm) -> None:
             raise Rejected(("drive", i, "encoder_board"), expected, str(drive.encoder_board))
 
 
+def _check_boards(arm: Arm) -> None:
+    """The [[board]]s, and what drives say of them."""
+    boards = list(enumerate(arm.boards))
+    _check_unique(
+        ((("board", i, "name"), board.name) for i, board in boards), "a unique name for every board"
+    )
+    _check_unique(
+        ((("board", i, "address"), (board.kind, board.port, board.address)) for i, board in boards),
+        "a unique address on its line (kind, port, address)",
+    )
+    for i, board in boards:
+        kind = KINDS[board.kind]
+        if board.address not in kind.addresses:
+            expected = f"{kind.addresses.start} to {kind.addresses.stop - 1} for kind {board.kind}"
+            raise Rejected(("board", i, "address"), expected, str(board.address))
+        if kind.line == "serial" and not board.port:
+            raise Rejected(("board", i, "port"), f"the serial port of a {board.kind}", "nothing")
+    drives = [(i, drive) for i, drive in enumerate(arm.drives) if drive.board]
+    for i, drive in drives:
+        _check_drive_board(arm, drive, ("drive", i))
+    if any(KINDS[b.kind].line == "can" for _, b in boards) and len(drives) < len(arm.drives):
+        expected = "no reference motor board beside CANopen drives on [can]: each takes the other's frames for its own"
+        raise Rejected(("drive",), expected, "both")
+    _check_unique(
+        ((("drive", i, "board_channel"), (drive.board, drive.board_channel)) for i, drive in drives),
+        "one joint per motor of a board (board, channel)",
+    )
+
+
+def _check_drive_board(arm: Arm, drive: Drive, path: tuple[str | int, ...]) -> None:
+    if arm.board(drive) is None:
+        names = ", ".join(board.name for board in arm.boards) or "none"
+        raise Rejected((*path, "board"), f"the name of a [[board]] of this file ({names})", drive.board)
+    kind = arm.kind_of(drive)
+    if drive.board_channel > kind.motors:
+        raise Rejected((*path, "board_channel"), f"1 to {kind.motors}", str(drive.board_channel))
+    if drive.pid.mode not in kind.modes:
+        expected = f"what its board can do: {' or '.join(kind.modes)}"
+        raise Rejected((*path, "pid", "mode"), expected, drive.pid.mode)
+    if kind.line == "can" and drive.encoder_board >= 0:
+        expected = "none: such a drive closes its own loop, on its own encoder"
+        raise Rejected((*path, "encoder_board"), expected, str(drive.encoder_board))
+    if drive.encoder_board < 0 and not kind.has_encoder:
+        expected = "an encoder board, because the drive's board has no encoder of its own"
+        raise Rejected((*path, "encoder_board"), expected, "nothing")
+
+
 def _check_end(arm: Arm) -> None:
-    nodes = {drive.motor_node: f"joint {drive.joint}" for drive in arm.drives}
+    nodes = {drive.motor_node: f"joint {drive.joint}" for drive in arm.drives if not drive.board}
+    if arm.drives and not nodes and (arm.gripper is not None or arm.digital):
+        key = "gripper" if arm.gripper is not None else "digital"
+        expected = "a reference motor board among the drives: their bus carries gripper and pins"
+        raise Rejected((key,), expected, "only drives with a [[board]]")
     if (gripper := arm.gripper) is not None:
         if gripper.motor_node in nodes:
             expected = "a motor board of its own"

@@ -18,6 +18,7 @@ from control.errors import ArmError, ArmFileError
 from control.files import NO_ROOM, parsed_toml, read_text, write_new
 from control.model.arm import (
     Arm,
+    Board,
     Calibration,
     Camera,
     CanBus,
@@ -42,6 +43,7 @@ from control.model.toml_lines import key_lines, nearest_line
 
 __all__ = [
     "Arm",
+    "Board",
     "Calibration",
     "Camera",
     "CanBus",

@@ -48,6 +48,10 @@ class Body:
         object.__setattr__(self, "thickest_m", max(self.radii_m, default=0.0))
 
 
+def _lines(corners: int) -> Body:
+    return Body((0.0,) * corners)
+
+
 class _Library(NamedTuple):
     """What floats and arrays do differently."""
 
@@ -93,20 +97,23 @@ class Room:
             limits.base_radius_m,
         )
 
-    def clearance(self, corners: Sequence[Point], body: Body) -> Clearance:
-        """The least clearance of an arm whose body runs along `corners` (floats). ArmError if one is not finite."""
+    def clearance(self, corners: Sequence[Point], body: Body | None = None) -> Clearance:
+        """The least clearance of an arm whose body runs along `corners` (floats). ArmError if one is not finite.
+
+        `body`: without it, lines.
+        """
         least_m, about = math.inf, ""
         for corner in corners:
             if (total := sum(corner)) - total != 0.0:
                 raise ArmError(f"room: expected finite positions of the arm, got {corners}")
-        for distance_m, what in self._clearances(corners, body, _FLOATS):
+        for distance_m, what in self._clearances(corners, body or _lines(len(corners)), _FLOATS):
             if distance_m < least_m:
                 least_m, about = distance_m, what
         return Clearance(least_m, about)
 
-    def clearances(self, corners: Sequence[Any], body: Body) -> Iterator[tuple[Any, str]]:
+    def clearances(self, corners: Sequence[Any], body: Body | None = None) -> Iterator[tuple[Any, str]]:
         """For arrays: the clearances [m] of what may be near at all, and what each is about."""
-        return self._clearances(corners, body, _ARRAYS)
+        return self._clearances(corners, body or _lines(len(corners)), _ARRAYS)
 
     def _clearances(self, corners: Sequence[Point], body: Body, of: _Library) -> Iterator[tuple[Any, str]]:
         lowest_m = of.lowest([corner[2] for corner in corners]) - body.thickest_m

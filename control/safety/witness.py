@@ -109,6 +109,11 @@ class Lasting:
         self.lower, self.upper, self._lasts_s = lower, upper, lasts_s
         self._since_s = 0.0
 
+    @property
+    def is_pending(self) -> bool:
+        """Whether the last value was outside."""
+        return self._since_s > 0.0
+
     def update(self, elapsed_s: float, value: float) -> bool:
         """Take a value; whether it is inside the limits, or not yet outside for long enough. NaN is outside."""
         if self.lower <= value <= self.upper:

@@ -201,7 +201,7 @@ def _servo(arm: Arm, loads: Loads, period_s: float) -> Servo:
     mode = OutputMode[modes.pop().upper()]
     pids = []
     for drive in arm.drives:
-        gains = gains_of(arm, drive.joint)
+        gains = gains_of(arm, drive.joint, period_s)
         limit = drive.current_limit_A if mode is OutputMode.CURRENT else drive.supply_V
         pids.append(Pid(gains.kp, gains.ki, gains.kd, gains.derivative_filter_s, limit, period_s))
     shares = InertiaScale(arm) if mode is OutputMode.CURRENT else None

@@ -4,6 +4,7 @@ from typing import Any
 
 import msgspec
 
+from control.hardware.attended_clock import AttendedClock
 from control.server.assemble import Assembly
 from control.server.client import Message
 from control.server.messages import asked
@@ -22,7 +23,8 @@ class InProcessChannel:
         self.cycles = 0
         self._assembly = assembly
         self._clock = clock
-        self._beat = PeriodicTimer(clock, assembly.runtime.parts.period_s)
+        parts = assembly.runtime.parts
+        self._beat = PeriodicTimer(AttendedClock(clock, parts.hardware), parts.period_s)
         self.is_running = True
 
     def request(self, message: Message) -> Message:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+from control.hardware.attended_clock import AttendedClock
 from control.hardware.connect import Connection, connect
 from control.model.arm import Arm
 from control.model.description import arm_text
@@ -96,7 +97,7 @@ def run(assembly: Assembly, server: Server, clock: Clock, period_s: float, event
     assembly.requests.events = events
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: runtime.go_off(quits=True))
-    beat = PeriodicTimer(clock, period_s)
+    beat = PeriodicTimer(AttendedClock(clock, runtime.parts.hardware), period_s)
     follower = PhaseFollower(runtime.parts.hardware.reports_a_cycle, period_s)
     is_running = True
     failure: Exception | None = None

@@ -62,6 +62,7 @@ class EncoderBoard:
         self._latches: dict[int, int] = {}
         self._armed: dict[int, float] = {}  # channel: when its latch was last asked for [s]
         self._arming: tuple[int, int] | None = None  # (request sequence, channel) of ARM_INDEX under way
+        self._watch_asked: Sequence[int] = ()
         self._watched: list[int] = []  # channels whose indices are watched, the next one to arm first
         self._watch_at_s = -math.inf  # when an index was last armed for that
         self._passed: list[tuple[int, int]] = []
@@ -182,6 +183,9 @@ class EncoderBoard:
 
         Not beside `arm_index`, which is for one pulse.
         """
+        if channels is self._watch_asked and len(channels) == len(self._watched):
+            return  # asked every cycle
+        self._watch_asked = channels
         if list(channels) != sorted(self._watched):
             for channel in {*self._watched, *channels}:
                 self._forget_index(channel)

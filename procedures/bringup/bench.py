@@ -87,6 +87,11 @@ class Bench:
 
     def _opened(self, arm: Arm) -> tuple[tuple[EncoderBoard, ...], dict[int, MotorBoard], MotorBus]:
         can = arm.can
+        if any(drive.board for drive in arm.drives):
+            raise ArmError(
+                f"arm {arm.name}: bring-up measures with the current and voltage of reference motor boards, and this arm has"
+                " [[board]]s: check each joint by small jogs instead (docs/boards.md)"
+            )
         if can is None or not arm.encoder_boards:
             raise ArmError(
                 f"arm {arm.name}: its ports are not set: add [[encoder_board]] and [can], or give --encoder and"

@@ -9,7 +9,7 @@ import math
 from dataclasses import replace
 from statistics import fmean, median
 
-from control.loop.watch import QUADRATURE_ERROR, SIGNAL_LOST
+from control.hardware.words import QUADRATURE_ERROR, SIGNAL_LOST
 from control.model.arm import Drive
 from procedures.bringup.findings import Diagnosis
 from procedures.bringup.measuring import ODD_RATIO, Measured

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from statistics import fmean
 
-from control.loop.homing_sequence import HOME_SWITCH
-from control.loop.watch import QUADRATURE_ERROR, SIGNAL_LOST
+from control.hardware.words import HOME_SWITCH, QUADRATURE_ERROR, SIGNAL_LOST
 from procedures.bringup.driving import End, JointDriver, Run
 from procedures.bringup.operator import Operator, Stopped
 

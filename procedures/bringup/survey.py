@@ -6,7 +6,7 @@ Only the rough motor constants of the draft (resistance, constant, gear) are tru
 import math
 from dataclasses import asdict, dataclass
 
-from control.loop.watch import SIGNAL_LOST
+from control.hardware.words import SIGNAL_LOST
 from control.model.arm import Drive
 from control.model.joint_map import JointMap
 from procedures.bringup.bench import Bench, Channel, DriveLimits, Sample

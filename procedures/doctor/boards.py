@@ -4,6 +4,9 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from control.hardware.kinds import open_boards as open_kinds
+from control.hardware.opened import Opened
+from control.hardware.roles import Encoders
 from control.model.arm import Arm, Drive, EncoderBoardPort
 from firmware_iface.clock import Clock
 from firmware_iface.encoder import wire as encoder_wire
@@ -16,6 +19,7 @@ from procedures.doctor.finding import Finding, Level
 
 GROUP = "boards"
 LISTEN_S = 0.1
+ASKED = 50  # questions to a bought board, to see how fast it answers
 OTHER_BAUDS = (1_000_000, 921_600, 500_000, 460_800, 230_400, 115_200)
 
 
@@ -68,10 +72,11 @@ class Boards:
         self.findings.append(Finding(level, GROUP, what, measured, expected, remedy))
 
 
-def open_boards(arm: Arm, clock: Clock) -> Boards:
+def open_boards(arm: Arm, clock: Clock, period_s: float) -> Boards:
     """Open the boards of arm.toml and identify them; nothing is enabled, nothing moves. Never raises LinkError."""
     boards = Boards()
-    if not arm.encoder_boards:
+    _open_bought(boards, arm, clock, period_s)
+    if not arm.encoder_boards and any(drive.encoder_board >= 0 for drive in arm.drives):
         boards.note(
             Level.BAD,
             "encoder boards",
@@ -81,12 +86,43 @@ def open_boards(arm: Arm, clock: Clock) -> Boards:
         )
     for index, port in enumerate(arm.encoder_boards):
         _open_encoder(boards, arm, clock, index, port)
+    if all(drive.board for drive in arm.drives) and arm.drives:
+        return boards
     if arm.can is None:
         remedy = "add [can] to arm.toml, or give --can-interface and --can-channel"
         boards.note(Level.BAD, "CAN bus", "arm.toml names none", "", remedy)
         return boards
     _open_bus(boards, arm, clock)
     return boards
+
+
+def _open_bought(boards: Boards, arm: Arm, clock: Clock, period_s: float) -> None:
+    """Open the [[board]]s, and time how fast they answer."""
+    opened = Opened()
+    open_kinds(arm, clock, period_s, opened)
+    boards.closers += opened.closers
+    for where, identity in opened.identities:
+        boards.note(Level.OK, where, identity)
+    for failure in opened.failures:
+        boards.note(Level.BAD, "bought boards", str(failure), "", "docs/boards.md has a page for each kind")
+    for encoders in opened.encoders:
+        what = f"joint {encoders.joints[0] + 1}: answers with its counts"
+        try:
+            took_s = sorted(_took_s(encoders, clock) for _ in range(ASKED))
+        except LinkError as error:
+            boards.note(Level.BAD, what, str(error))
+            continue
+        level = Level.OK if took_s[-1] < 0.5 * period_s else Level.WARN
+        measured = f"within {1e3 * took_s[-1]:.1f} ms, half of them within {1e3 * took_s[ASKED // 2]:.1f} ms"
+        expected = f"within {5e2 * period_s:.1f} ms: half a cycle"
+        remedy = "lower --rate, raise the baud rate, or give each board a line of its own"
+        boards.note(level, what, measured, expected, "" if level is Level.OK else remedy)
+
+
+def _took_s(encoders: Encoders, clock: Clock) -> float:
+    begun_s = clock.now_s()
+    encoders.fresh_count(encoders.joints[0])
+    return clock.now_s() - begun_s
 
 
 def _open_encoder(boards: Boards, arm: Arm, clock: Clock, index: int, port: EncoderBoardPort) -> None:

@@ -184,9 +184,10 @@ def _written(folder: Path, now_s: Callable[[], float]) -> tuple[float, float]:
 
 def look_at_ports() -> list[Finding]:
     """List ports and buses of this host; nothing is opened."""
-    ports = [
-        f"{port.path} ({port.description})" if port.description else port.path for port in serial_ports()
-    ]
+    ports = []
+    for port in serial_ports():
+        known = [said for said in (port.description, port.stable) if said]
+        ports.append(f"{port.path} ({', '.join(known)})" if known else port.path)
     buses = [f"{interface}:{channel}" for interface, channel in can_buses()]
     return [
         Finding(Level.OK, "ports", "serial ports here", ", ".join(ports) or "none"),

@@ -4,7 +4,8 @@ import math
 from collections.abc import Iterator
 from statistics import fmean, median, pstdev
 
-from control.loop.watch import DRIVE_FAULTS, QUADRATURE_ERROR, SIGNAL_LOST
+from control.hardware.words import QUADRATURE_ERROR, SIGNAL_LOST
+from control.loop.watch import DRIVE_FAULTS
 from control.model.arm import Arm, Drive
 from firmware_iface.encoder import wire
 from procedures.doctor.finding import Finding, Level, graded, percentile

@@ -23,6 +23,7 @@ def wired_to(arm: Arm, rig: MockArm) -> Arm:
     return replace(
         arm,
         encoder_boards=boards,
+        boards=tuple(replace(board, port=rig.board_urls.get(board.port, board.port)) for board in arm.boards),
         can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options),
         camera=replace(arm.camera or Camera(), udp_port=rig.camera_port),
         limits=replace(

@@ -22,6 +22,7 @@ class Probe:
 
     def __init__(self, hardware: Hardware, clock: Clock) -> None:
         self.feedback: Feedback = hardware.feedback
+        self.offers = hardware.offers
         self.end: EndBoards = hardware.end
         self.trace = Trace()
         self._hardware, self._clock = hardware, clock
@@ -44,6 +45,10 @@ class Probe:
         """End the trace."""
         self._joint = None
         return self.trace
+
+    def attend(self, until_s: float) -> None:
+        """As the hardware."""
+        self._hardware.attend(until_s)
 
     def read(self) -> Feedback:
         """As the hardware."""

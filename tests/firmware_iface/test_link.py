@@ -4,12 +4,14 @@ import os
 import pty
 import tty
 from collections.abc import Iterator
+from pathlib import Path
 
 import can
 import pytest
+from serial.tools.list_ports_common import ListPortInfo
 
 from firmware_iface.errors import LinkLost
-from firmware_iface.link import FrameLink, open_can, open_serial
+from firmware_iface.link import FrameLink, PortHere, open_can, open_serial, serial_ports
 
 ERROR_PASSIVE, BUS_OFF = 0x04, 0x40
 
@@ -59,3 +61,17 @@ def test_a_port_that_takes_no_more_bytes_is_lost(monkeypatch: pytest.MonkeyPatch
     link.close()
     os.close(master)
     os.close(slave)
+
+
+def test_ports_have_the_stable_names_that_the_system_links_to_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = tmp_path / "ttyUSB0"
+    device.touch()
+    folder = tmp_path / "by-id"
+    folder.mkdir()
+    (folder / "usb-Basicmicro-if00").symlink_to(device)
+    info = ListPortInfo(str(device))
+    monkeypatch.setattr("firmware_iface.link.list_ports.comports", lambda: [info])
+    assert serial_ports(folder) == [PortHere(str(device), "", str(folder / "usb-Basicmicro-if00"))]
+    assert serial_ports(tmp_path / "none") == [PortHere(str(device), "")]

@@ -31,7 +31,7 @@ from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from hil_mocks.scenario import FaultTable, Start, load_scenario
 
-FOLDER = Path(__file__).parent / "drives"
+FOLDER = Path(__file__).parent / "recorded"
 ARM = load_arm("right")
 LAYOUT = Layout.of(ARM.joint_count)
 COLUMNS = stored_columns(

@@ -12,14 +12,13 @@ from control.server.scheduling import punctuality_remedy
 from firmware_iface.clock import MonotonicClock
 from procedures.link_options import link_options
 
-PERIOD_S = 0.002
 FORMAT = "check/1"
 
 
 def run(given: argparse.Namespace) -> int:
     """Connect, print the boards that answered, disconnect."""
     arm = with_links(load_arm(given.arm), link_options(given))
-    connection = connect(arm, MonotonicClock(), PERIOD_S, camera_port(given, arm))
+    connection = connect(arm, MonotonicClock(), 1.0 / arm.usual_rate_Hz, camera_port(given, arm))
     try:
         found = found_boards(connection)
     finally:
@@ -53,7 +52,8 @@ def found_boards(connection: Connection) -> dict[str, list[dict[str, Any]]]:
         for motor in connection.motors
         if (who := motor.identity) is not None
     ]  # fmt: skip
-    return {"encoder_boards": encoders, "motor_boards": motors}
+    others = [{"where": where, "identity": identity} for where, identity in connection.others]
+    return {"encoder_boards": encoders, "motor_boards": motors, "boards": others}
 
 
 def described(found: dict[str, list[dict[str, Any]]]) -> str:
@@ -68,6 +68,7 @@ def described(found: dict[str, list[dict[str, Any]]]) -> str:
         f" {one['encoder_counts_per_turn']} counts per turn"
         for one in found["motor_boards"]
     ]
+    lines += [f"{one['where']}: {one['identity']}" for one in found["boards"]]
     return "\n".join(lines)
 
 

@@ -22,10 +22,11 @@ def run(given: argparse.Namespace) -> int:
     """Check everything and print the findings."""
     if not 0.1 <= given.seconds <= LONGEST_S:
         raise ArmError(f"--seconds: expected 0.1 to {LONGEST_S:g}, got {given.seconds:g}")
-    if not 20.0 <= given.rate <= 1200.0:
+    if given.rate is not None and not 20.0 <= given.rate <= 1200.0:
         raise ArmError(f"--rate: expected 20 to 1200 Hz, got {given.rate:g}")
     with opened(given) as setting:
-        findings = examine(setting.arm, setting.clock, 1.0 / given.rate, given.seconds, Path(given.log))
+        rate_Hz = given.rate or setting.arm.usual_rate_Hz
+        findings = examine(setting.arm, setting.clock, 1.0 / rate_Hz, given.seconds, Path(given.log))
     if given.json:
         sys.stdout.write(json.dumps(as_json(setting.arm.name, findings), indent=1) + "\n")
     else:
@@ -36,7 +37,7 @@ def run(given: argparse.Namespace) -> int:
 def examine(arm: Arm, clock: Clock, period_s: float, duration_s: float, log_folder: Path) -> list[Finding]:
     """Check this machine, then ports, boards, timing and signals; all of them, even if one fails."""
     findings = look_at_host(period_s, arm.limits.watchdog_s, arm.joint_count, log_folder) + look_at_ports()
-    boards = open_boards(arm, clock)
+    boards = open_boards(arm, clock, period_s)
     try:
         found = list(judge(sample(boards, clock, period_s, duration_s), arm))
     finally:

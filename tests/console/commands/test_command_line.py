@@ -264,7 +264,7 @@ def test_check_names_every_board_of_an_arm_that_is_well(
         arguments = ["check", "--arm", str(tmp_path / "arm-2.toml"), "--camera-port", str(rig.camera_port)]
         assert main([*arguments, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert set(found) == {"format", "arm", "encoder_boards", "motor_boards", "rights"}
+    assert set(found) == {"format", "arm", "encoder_boards", "motor_boards", "boards", "rights"}
     assert [board["channels"] for board in found["encoder_boards"]] == [3]
     assert [board["encoder_counts_per_turn"] for board in found["motor_boards"]] == [2048] * 3
 

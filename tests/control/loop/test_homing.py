@@ -10,7 +10,8 @@ import msgspec
 import pytest
 
 from control.hardware.interface import Feedback
-from control.loop.homing_sequence import HOME_SWITCH, HomingFailed, HomingSequence, JointHome, Phase
+from control.hardware.words import HOME_SWITCH
+from control.loop.homing_sequence import HomingFailed, HomingSequence, JointHome, Phase
 from control.model.description import Home
 from control.motion.setpoint import SetPoint, at_rest
 from control.safety.table import Mode

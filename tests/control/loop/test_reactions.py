@@ -373,6 +373,9 @@ def test_two_counts_of_one_motor_that_differ_are_found_on_its_joint_whatever_wra
     assert faults((0, 0), (-17, 0)) == one
     assert faults((0, 0), (100, 80)) == []  # 16 and a quarter of 80
     assert faults((0, 0), (117, 80)) == one
+    assert faults((0, 0), (-100, -80)) == []
+    assert faults((0, 0), (30, 0), speed_rad_s=-20.0) == []
+    assert faults((0, 2**31 - 10), (200, -(2**31) + 10)) == one
     assert faults((0, 0), (100, -100)) == one
     assert faults((0, 0), (30, 0), speed_rad_s=20.0) == []  # 7 ms at 2000 counts/s: 14 more
     assert faults((0, 0), (31, 0), speed_rad_s=-20.0) == one
@@ -389,6 +392,9 @@ def test_a_board_that_was_off_is_not_compared_with_before() -> None:
     watch.forget()
     assert watch.look([(0, 5000, 0)], [0.0]) == []
     assert said(watch.look([(0, 9000, 0)], [0.0])) == [("encoders_differ", "joint 1")]
+    watch.forget()
+    watch.look([(0, 0, 0)], [0.0])
+    assert "has counted 500, its motor board 80" in watch.look([(0, 500, 80)], [0.0])[0].message
     fast = MotorCountWatch((100.0,), (32,), NAMES[:1])
     fast.look([(0, 0, 0)], [20.0])
     assert fast.look([(0, 30, 0)], [0.0]) == []  # the faster of the two moments counts

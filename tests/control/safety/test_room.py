@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from control.errors import ArmError
-from control.safety.room import Board, BOARD_MARGIN_m, Room
+from control.model.table import board_cavities
+from control.safety.room import Board, Body, Room
 from tests.cell import RIGHT
 
 BARE = Room(floor_z_m=0.0, tolerance_m=0.01, board=None, base_top_m=0.4, base_radius_m=0.0)
@@ -110,7 +111,9 @@ def test_the_body_that_hangs_on_the_base_does_not_count() -> None:
     room = replace(BARE, base_radius_m=0.1)
     corners = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.4), (0.5, 0.0, 0.3)]
     assert room.clearance(corners).distance_m == pytest.approx(-0.1)
-    assert room.clearance([*corners, (0.6, 0.0, 0.3)], first_free=2).distance_m == pytest.approx(0.4)
+    assert room.clearance(
+        [*corners, (0.6, 0.0, 0.3)], Body((0.0,) * 4, first_free=2)
+    ).distance_m == pytest.approx(0.4)
 
 
 def test_without_a_radius_there_is_no_base() -> None:
@@ -127,24 +130,26 @@ def test_arrays_say_what_floats_say() -> None:
     room = replace(BARE, board=replace(LEVEL, roll_slope=0.3, pitch_slope=-0.2), base_radius_m=0.1)
     chance = np.random.default_rng(4)
     corners = chance.uniform((-0.6, -0.6, -0.2), (0.7, 0.6, 0.5), (200, 4, 3))
-    of_arrays = {}
-    for distance, what in room.clearances(corners.transpose(1, 2, 0), 1):
+    of_arrays, body = {}, Body((0.0, 0.05, 0.02, 0.04), first_free=1)
+    for distance, what in room.clearances(corners.transpose(1, 2, 0), body):
         of_arrays[what] = np.minimum(of_arrays.get(what, math.inf), distance)
     for k, pose in enumerate(corners.tolist()):
-        found = room.clearance(pose, 1)
+        found = room.clearance(pose, body)
         least = min(float(distance[k]) for distance in of_arrays.values())
         assert found.distance_m == pytest.approx(least, abs=1e-12) or least > 0.0
 
 
 def test_the_room_of_an_arm_is_what_its_file_says() -> None:
-    room, limits = Room.of(RIGHT), RIGHT.limits
+    limits = replace(RIGHT.limits, floor_clearance_m=0.02)
+    room = Room.of(replace(RIGHT, limits=limits))
     assert room.floor_z_m == limits.floor_z_m + limits.floor_clearance_m
     assert (room.tolerance_m, room.base_radius_m) == (limits.floor_tolerance_m, limits.base_radius_m)
     assert room.base_top_m == RIGHT.links[0].d_m
     assert RIGHT.table is not None
     assert room.board is not None
     assert room.board.origin_m == RIGHT.table.origin_m
-    assert room.board.radius_m > BOARD_MARGIN_m
+    outermost_m = max(math.hypot(x, y) for x, y, _ in board_cavities(RIGHT.table).values())
+    assert room.board.radius_m == pytest.approx(outermost_m + 0.03)
     sunk = replace(RIGHT, links=(replace(RIGHT.links[0], d_m=-0.2), *RIGHT.links[1:]))
     assert Room.of(sunk).base_top_m == 0.0
 

@@ -35,7 +35,7 @@ def open_rig(*faults: FaultTable, believed: Arm = RIGHT, **changes: Any) -> Iter
 
 
 def examined(rig: SteppedRig, arm: Arm, duration_s: float = QUICK_S) -> list[Finding]:
-    boards = open_boards(arm, rig.clock)
+    boards = open_boards(arm, rig.clock, 0.002)
     try:
         return boards.findings + list(judge(sample(boards, rig.clock, 0.002, duration_s), arm))
     finally:
@@ -67,7 +67,7 @@ def test_nothing_is_energised_and_no_board_leaves_switch_on_disabled() -> None:
     with open_rig() as (rig, arm):
         before = rig.joint_rad()
         seen: set[State] = set()
-        boards = open_boards(arm, rig.clock)
+        boards = open_boards(arm, rig.clock, 0.002)
         sample(boards, rig.clock, 0.002, 0.1)
         seen = {motor.state for motor in boards.motors.values() if motor.state}
         boards.close()
@@ -125,7 +125,7 @@ def test_a_joint_that_moves_is_not_judged_for_noise_and_its_current_not_at_all()
 
 def test_a_bus_that_somebody_else_commands_is_only_listened_to() -> None:
     with open_rig() as (rig, arm):
-        first, second = open_boards(arm, rig.clock), Boards()
+        first, second = open_boards(arm, rig.clock, 0.002), Boards()
         try:
             sending = first.motors[1]
             original = rig.clock.wait_until_s
@@ -136,7 +136,7 @@ def test_a_bus_that_somebody_else_commands_is_only_listened_to() -> None:
                 original(t)
 
             rig.clock.wait_until_s = wait_until_s  # type: ignore[method-assign]
-            second = open_boards(replace(arm, encoder_boards=()), rig.clock)
+            second = open_boards(replace(arm, encoder_boards=()), rig.clock, 0.002)
             rig.clock.wait_until_s = original  # type: ignore[method-assign]
             assert not second.may_command
             commands = sample(second, rig.clock, 0.002, 0.05).motors
@@ -149,7 +149,7 @@ def test_a_bus_that_somebody_else_commands_is_only_listened_to() -> None:
 
 def test_an_arm_without_boards_says_what_to_add() -> None:
     bare = replace(RIGHT, encoder_boards=(), can=None)
-    said = [f.remedy for f in open_boards(bare, MonotonicClock()).findings]
+    said = [f.remedy for f in open_boards(bare, MonotonicClock(), 0.002).findings]
     assert said == [
         "add [[encoder_board]] to arm.toml, or give --encoder",
         "add [can] to arm.toml, or give --can-interface and --can-channel",

@@ -1,0 +1,276 @@
+"""CiA 402 drives on CANopen as encoders and drives of an arm (docs/cia402.md).
+
+The drive closes its own position or torque loop. Where the loop controls nothing, the drive holds its position: it has no
+brake by shorted windings. The zero is kept here, as an offset, so nothing is stored in a drive.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+from control.errors import MissingModel
+from control.hardware.interface import Feedback, OutputMode
+from control.hardware.opened import Opened, collect
+from control.hardware.words import (
+    EMERGENCY_STOP,
+    FAULT,
+    HOME_SWITCH,
+    OVER_CURRENT,
+    OVER_TEMPERATURE,
+    OWN_ENCODER,
+    STATE_MASK,
+    SUPPLY_HIGH,
+    SUPPLY_LOW,
+    WATCHDOG,
+    ZERO_SET,
+)
+from control.model.arm import Arm, Board, Drive
+from control.model.joint_map import JointMap
+from firmware_iface.canopen.bus import CanOpenBus
+from firmware_iface.canopen.drive import HOME_INPUT, Cia402Drive
+from firmware_iface.clock import Clock
+from firmware_iface.errors import BoardSilent, WrongIdentity
+from firmware_iface.link import open_can
+from firmware_iface.motor.cia402 import State
+
+PROFILE = 402
+FRESH_WAIT_S = 0.1
+HEARTBEATS = 4  # within the drives' time-out
+# Error codes of CiA 402 and CiA 301 by their first digits, as the loop's faults; the rest counts as a bad encoder or sensor.
+_FAULT_OF = (
+    (0x2000, 0xF000, OVER_CURRENT),
+    (0x3100, 0xFF00, SUPPLY_LOW),
+    (0x3210, 0xFFF0, SUPPLY_HIGH),
+    (0x3220, 0xFFF0, SUPPLY_LOW),
+    (0x4000, 0xF000, OVER_TEMPERATURE),
+    (0x8100, 0xFF00, WATCHDOG),
+)
+
+
+class Cia402Line:
+    """The bus, as the loop drains it; meets `control.hardware.roles.Line`."""
+
+    def __init__(self, bus: CanOpenBus, watchdog_s: float) -> None:
+        self._bus = bus
+        self._every_s = watchdog_s / HEARTBEATS
+        self._next_s = -math.inf
+
+    def update(self) -> None:
+        """Take what has arrived."""
+        self._bus.update()
+
+    def flush(self) -> None:
+        """All drives have their set-points: let them take these over at once, and say what they measure."""
+        bus = self._bus
+        if bus.clock.now_s() >= self._next_s:
+            bus.heartbeat()
+            self._next_s = bus.clock.now_s() + self._every_s
+        bus.sync()
+
+
+class Cia402Encoder:
+    """The drive's own encoder; meets `control.hardware.roles.Encoders`."""
+
+    reports_a_cycle = 0  # the drive answers the loop's own SYNC: there is no phase to follow
+
+    def frames(self) -> tuple[int, int]:
+        """No stream of reports."""
+        return 0, 0
+
+    def __init__(self, drive: Cia402Drive, bus: CanOpenBus, joint: int) -> None:
+        self.joints = (joint,)
+        self.offset = 0
+        """What is added to the drive's position: the zero is set here."""
+        self._joint, self._drive, self._bus = joint, drive, bus
+        self._is_zero_set = False
+        self._latched: int | None = None
+        self._resets = 0
+
+    def take(self, feedback: Feedback) -> None:
+        """Write the newest position."""
+        drive, joint = self._drive, self._joint
+        if self._resets != drive.resets:
+            self._resets, self._is_zero_set, self._latched = drive.resets, False, None
+        feedback.count[joint] = drive.position + self.offset
+        feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = drive.at_s
+        flags = ZERO_SET if self._is_zero_set else 0
+        feedback.channel_flags[joint] = flags | (HOME_SWITCH if drive.inputs & HOME_INPUT else 0)
+
+    def fresh_count(self, joint: int) -> int:
+        """A position that the drive measures from now on. BoardSilent if there is none."""
+        clock, asked_s = self._bus.clock, self._bus.clock.now_s()
+        self._bus.heartbeat()
+        self._bus.sync()
+        while (now_s := clock.now_s()) - asked_s < FRESH_WAIT_S:
+            clock.wait_until_s(now_s + 0.0005)
+            self._bus.update()
+            if self._drive.at_s >= asked_s:
+                return self._drive.position + self.offset
+        raise BoardSilent(f"{self._drive.where}: no position within {FRESH_WAIT_S} s of a SYNC")
+
+    def arm_index(self, joint: int) -> None:
+        """The position at which the home switch is seen takes the index's place."""
+        self._latched = self._drive.position + self.offset
+
+    def index_count(self, joint: int) -> int | None:
+        """The position at the switch."""
+        return self._latched
+
+    def watch_indices(self, is_wanted: bool) -> None:
+        """No index is watched."""
+
+    def passed_indices(self) -> list[tuple[int, int]]:
+        """No index is watched."""
+        return []
+
+    def shift(self, joint: int, counts: int) -> None:
+        """Shift the zero, which is kept here."""
+        self.fresh_count(joint)
+        self.offset += counts
+        self._is_zero_set = True
+
+    def restore(self) -> None:
+        """Configuring the drive does it."""
+
+
+class Cia402Joint:
+    """One drive; meets `control.hardware.roles.Drives`."""
+
+    def __init__(
+        self, drive: Cia402Drive, encoder: Cia402Encoder, joint: int, described: Drive, period_s: float,
+        watchdog_s: float, sync: Callable[[], None],
+    ) -> None:  # fmt: skip
+        """`sync` sends SYNC, with which a set-point takes effect."""
+        self.joints = (joint,)
+        self._joint, self._drive, self._encoder = joint, drive, encoder
+        self._map = JointMap(described)
+        self._sign = float(described.motor_direction)
+        self._permille_per_A = 1e3 * described.torque_constant_Nm_A / drive.rated_torque_Nm
+        self._supply_V = described.supply_V
+        self._period_s, self._watchdog_s = period_s, watchdog_s
+        self._configured_resets = -1
+        self._sync = sync
+        self._held: int | None = None
+        self._is_stopped = False
+
+    def take(self, feedback: Feedback) -> None:
+        """Write torque as current, supply and state."""
+        drive, joint = self._drive, self._joint
+        feedback.reply_at_s[joint] = drive.at_s
+        if drive.state is None:
+            feedback.statusword[joint] = 0
+            return
+        feedback.current_A[joint] = self._sign * drive.torque_permille / self._permille_per_A
+        supply_mV = drive.supply_mV
+        feedback.supply_V[joint] = self._supply_V if supply_mV is None else supply_mV * 1e-3
+        is_faulted = drive.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+        feedback.drive_faults[joint] = self._faults() if is_faulted else 0
+        # Bit 7 of a drive's statusword is a warning of its own, not that its output is limited.
+        feedback.statusword[joint] = FAULT if is_faulted else drive.statusword & STATE_MASK
+
+    def _faults(self) -> int:
+        codes = self._drive.errors[-1:] or [0]
+        if self._is_stopped:
+            return EMERGENCY_STOP
+        return next((bit for at, mask, bit in _FAULT_OF if codes[0] & mask == at), OWN_ENCODER)
+
+    def write(
+        self, wants_enabled: bool, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float],
+        feedback: Feedback,
+    ) -> None:  # fmt: skip
+        """Send the set-point, or the next step towards the wanted state."""
+        drive, joint = self._drive, self._joint
+        feedback.sent_V[joint] = math.nan
+        wanted = (
+            State.OPERATION_ENABLED if wants_enabled and not self._is_stopped else State.SWITCH_ON_DISABLED
+        )
+        if drive.state is not wanted or wanted is not State.OPERATION_ENABLED:
+            self._held = None
+            if self._is_stopped and drive.state is State.OPERATION_ENABLED:
+                drive.quick_stop()
+            else:
+                drive.step_towards(State.QUICK_STOP_ACTIVE if self._must_stay(drive.state) else wanted)
+        elif mode is OutputMode.POSITION:
+            self._held = None
+            drive.command_position(self._map.count(output[joint]) - self._encoder.offset)
+        elif mode is OutputMode.CURRENT:
+            self._held = None
+            drive.command_torque(round(self._sign * output[joint] * self._permille_per_A))
+        elif mode is OutputMode.OFF:
+            self._held = None
+            drive.command_torque(0)
+        else:
+            self._held = drive.position if self._held is None else self._held
+            drive.command_position(self._held)
+
+    def _must_stay(self, state: State | None) -> bool:
+        """Whether a stopped drive holds where it is, until the stop is acknowledged."""
+        return self._is_stopped and state is State.QUICK_STOP_ACTIVE
+
+    def is_any_enabled(self) -> bool:
+        """Whether the drive was in OPERATION ENABLED at the last SYNC."""
+        return self._drive.state is State.OPERATION_ENABLED
+
+    def configure(self, fresh_count: Callable[[int], int]) -> None:
+        """Map and start a drive that was not, or that has restarted."""
+        if self._configured_resets != self._drive.resets:
+            resets = self._drive.resets
+            self._drive.set_up(self._period_s, self._watchdog_s)
+            self._configured_resets = resets
+        self._encoder.fresh_count(self._joint)
+
+    def acknowledge_faults(self) -> None:
+        """Reset the drive's fault; it ends in SWITCH ON DISABLED. Raises BoardFaulted."""
+        if self._configured_resets == self._drive.resets:
+            self._drive.acknowledge_fault()
+        self._is_stopped = False
+
+    def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:
+        """The encoder's offset is used with every set-point."""
+
+    def emergency_stop(self) -> None:
+        """Quick stop: the drive slows down and holds until it is acknowledged."""
+        self._is_stopped = True
+        self._drive.quick_stop()
+        self._sync()
+
+
+def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
+    """Open the CAN bus, and identify and start every drive."""
+    if arm.can is None:
+        raise MissingModel(f"arm {arm.name}: no [can] bus for its CiA 402 drives: add it")
+    with collect(opened.failures):
+        link = open_can(arm.can.interface, arm.can.channel, arm.can.bitrate, **arm.can.options)
+        opened.closers.append(link.close)
+        bus = CanOpenBus(link, clock)
+        opened.lines.append(Cia402Line(bus, arm.limits.watchdog_s))
+        by_board: Mapping[str, tuple[int, Drive]] = {
+            drive.board: (joint, drive) for joint, drive in enumerate(arm.drives)
+        }
+        for described in boards:
+            with collect(opened.failures):
+                joint, drive = by_board[described.name]
+                _open_drive(bus, described, joint, drive, period_s, arm.limits.watchdog_s, opened)
+
+
+def _open_drive(
+    bus: CanOpenBus, described: Board, joint: int, drive: Drive, period_s: float, watchdog_s: float, opened: Opened
+) -> None:  # fmt: skip
+    node = Cia402Drive(bus, described.address, described.name)
+    identity = node.identify()
+    if identity.profile != PROFILE:
+        raise WrongIdentity(f"{node.where}: expected device profile 402 (a drive), got {identity.profile}")
+    if not node.rated_torque_Nm > 0.0:
+        raise WrongIdentity(
+            f"{node.where}: its motor rated torque (0x6076) is 0: set the motor's data in the drive"
+        )
+    encoder = Cia402Encoder(node, bus, joint)
+    driven = Cia402Joint(node, encoder, joint, drive, period_s, watchdog_s, bus.sync)
+    driven.configure(encoder.fresh_count)
+    opened.encoders.append(encoder)
+    opened.drives.append(driven)
+    opened.identities.append(
+        (
+            node.where,
+            f"vendor 0x{identity.vendor:08X}, product 0x{identity.product:08X}, serial number {identity.serial_number}",
+        )
+    )

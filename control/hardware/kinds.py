@@ -1,0 +1,27 @@
+"""How the boards of each kind are opened; what they offer is in `control.model.board_kinds`."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+from control.hardware import cia402, dynamixel, roboclaw
+from control.hardware.opened import Opened
+from control.model.arm import Arm, Board
+from firmware_iface.clock import Clock
+
+Opener = Callable[[Arm, Sequence[Board], Clock, float, Opened], None]
+"""Opens all boards of one kind for a cycle of so many seconds; failures are collected, not raised."""
+
+OPENERS: Final[Mapping[str, Opener]] = {
+    "roboclaw": roboclaw.open_boards,
+    "cia402": cia402.open_boards,
+    "dynamixel": dynamixel.open_boards,
+}
+
+
+def open_boards(arm: Arm, clock: Clock, period_s: float, opened: Opened) -> None:
+    """Open every [[board]] that drives a joint."""
+    named = {drive.board for drive in arm.drives}
+    for kind, opener in OPENERS.items():
+        boards = [board for board in arm.boards if board.kind == kind and board.name in named]
+        if boards:
+            opener(arm, boards, clock, period_s, opened)

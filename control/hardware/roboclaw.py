@@ -1,0 +1,297 @@
+"""RoboClaw boards as encoders and drives of an arm: two joints a board, several boards a line (docs/roboclaw.md).
+
+A board takes duties and obeys the last one until its time-out; it has no states, so the states of CiA 402 that the loop
+follows are kept here. It never goes on by itself after an error: FAULT is left only by `acknowledge_faults`.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+from control.hardware.interface import Feedback, OutputMode
+from control.hardware.opened import Opened, collect
+from control.hardware.words import (
+    EMERGENCY_STOP,
+    FAULT,
+    HOME_SWITCH,
+    OPERATION_ENABLED,
+    OVER_CURRENT,
+    OVER_TEMPERATURE,
+    OWN_ENCODER,
+    SUPPLY_HIGH,
+    SUPPLY_LOW,
+    SWITCH_ON_DISABLED,
+    WARNING,
+    ZERO_SET,
+)
+from control.model.arm import Arm, Board, Drive
+from firmware_iface.clock import Clock
+from firmware_iface.errors import BoardFaulted, MisuseError
+from firmware_iface.link import open_serial
+from firmware_iface.roboclaw import wire
+from firmware_iface.roboclaw.board import CHANNELS, RoboClaw
+from firmware_iface.roboclaw.line import PacketLine
+from firmware_iface.roboclaw.wire import Status
+
+# What an error of the board is to the loop: of both motors, and by channel.
+_SHARED = (
+    (Status.E_STOP, EMERGENCY_STOP),
+    (Status.TEMPERATURE | Status.TEMPERATURE_2, OVER_TEMPERATURE),
+    (Status.MAIN_VOLTAGE_HIGH | Status.LOGIC_VOLTAGE_HIGH, SUPPLY_HIGH),
+    (Status.MAIN_VOLTAGE_LOW | Status.LOGIC_VOLTAGE_LOW, SUPPLY_LOW),
+)
+_OWN = (
+    ((Status.DRIVER_1 | Status.CURRENT_1, OVER_CURRENT), (Status.SPEED_1 | Status.POSITION_1, OWN_ENCODER)),
+    ((Status.DRIVER_2 | Status.CURRENT_2, OVER_CURRENT), (Status.SPEED_2 | Status.POSITION_2, OWN_ENCODER)),
+)
+_LIMITS_CURRENT = (Status.OVER_CURRENT_WARNING_1, Status.OVER_CURRENT_WARNING_2)
+_SWITCH = (Status.S4_TRIGGERED, Status.S5_TRIGGERED)
+# Bytes of a cycle a board, there and back: duties 8 + 1, currents 2 + 6, status 2 + 6, encoders 2 + 10.
+CYCLE_BYTES = 37
+QUESTIONS = 4
+# A line is looked at every quarter of a millisecond, so a read that may wait for the kernel comes once in 10 ms at most.
+LOOKS_BEFORE_A_READ = 40
+TURN_AROUND_S = 0.0005  # from a request's last byte to the answer's first, and from there to the next request
+
+
+def cycle_s(boards: int, baud: int) -> float:
+    """How long the questions of one cycle take on a line: the shortest period of the loop."""
+    return boards * (CYCLE_BYTES * 10 / baud + QUESTIONS * TURN_AROUND_S)
+
+
+class RoboClawLine:
+    """The line, as the loop drains it; meets `control.hardware.roles.Line`."""
+
+    def __init__(self, line: PacketLine, boards: Sequence[RoboClaw]) -> None:
+        self._line = line
+        self._boards = tuple(boards)
+
+    def update(self) -> None:
+        """Take what has arrived. Raises LinkLost, BoardReset."""
+        self._line.update()
+        for board in self._boards:
+            if board.problems:
+                raise board.problems.pop(0)
+
+    def flush(self) -> None:
+        """Queue the cycle's questions and send the first; the others follow while the loop waits."""
+        for board in self._boards:
+            board.post_cycle()
+        self._line.update()
+
+    def attend(self) -> None:
+        """Go on with the questions."""
+        self._line.attend()
+
+
+class RoboClawEncoders:
+    """The encoder inputs of one board; meets `control.hardware.roles.Encoders`."""
+
+    reports_a_cycle = 0  # the board speaks only when asked: there is no phase to follow
+
+    def frames(self) -> tuple[int, int]:
+        """No stream of reports."""
+        return 0, 0
+
+    def __init__(self, board: RoboClaw, drives: Mapping[int, Drive]) -> None:
+        """`drives`: those whose encoder is on this board, by joint (0-based)."""
+        self.joints = tuple(drives)
+        self._board = board
+        self._channels = {joint: drive.board_channel - 1 for joint, drive in drives.items()}
+        self._are_zeros_set = dict.fromkeys(drives, False)
+        self._latched: dict[int, int] = {}
+        self._resets = 0
+
+    def take(self, feedback: Feedback) -> None:
+        """Write the newest counts."""
+        board = self._board
+        if self._resets != board.resets:
+            self._resets = board.resets
+            self._are_zeros_set = dict.fromkeys(self.joints, False)
+            self._latched.clear()
+        status = board.status or Status(0)
+        for joint, channel in self._channels.items():
+            feedback.count[joint] = board.counts[channel]
+            feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = board.counted_at_s
+            flags = ZERO_SET if self._are_zeros_set[joint] else 0
+            feedback.channel_flags[joint] = flags | (HOME_SWITCH if status & _SWITCH[channel] else 0)
+
+    def fresh_count(self, joint: int) -> int:
+        """The count now. BoardSilent if there is no answer."""
+        return self._board.read_counts()[self._channels[joint]]
+
+    def arm_index(self, joint: int) -> None:
+        """There is no index input: the count at which the switch is seen takes the index's place."""
+        self._latched[joint] = self._board.counts[self._channels[joint]]
+
+    def index_count(self, joint: int) -> int | None:
+        """The count at the switch."""
+        return self._latched.get(joint)
+
+    def watch_indices(self, is_wanted: bool) -> None:
+        """There is no index input."""
+
+    def passed_indices(self) -> list[tuple[int, int]]:
+        """There is no index input."""
+        return []
+
+    def shift(self, joint: int, counts: int) -> None:
+        """Set the counter of a joint at rest."""
+        self._board.set_count(self._channels[joint] + 1, self.fresh_count(joint) + counts)
+        self.fresh_count(joint)
+        self._are_zeros_set[joint] = True
+
+    def restore(self) -> None:
+        """Nothing is lost that is asked for all the time."""
+
+
+class RoboClawDrives:
+    """The motors of one board; meets `control.hardware.roles.Drives`."""
+
+    def __init__(
+        self, board: RoboClaw, drives: Mapping[int, Drive], timeout_s: float, shout: Callable[[bytes], None]
+    ) -> None:
+        """`drives`: of each joint (0-based); `timeout_s`: of the board; `shout` sends a packet at once."""
+        self.joints = tuple(drives)
+        self._board = board
+        self._drives = tuple(
+            (joint, drive.board_channel - 1, float(drive.motor_direction)) for joint, drive in drives.items()
+        )
+        self._current_limits_A = _by_channel(drives)
+        self._timeout_s = timeout_s
+        self._shout = shout
+        self._configured_resets = -1
+        self._faults = [0] * CHANNELS
+        self._is_enabled = False
+
+    def take(self, feedback: Feedback) -> None:
+        """Write currents, supply and the states kept here."""
+        board, status = self._board, self._board.status
+        if status is not None and status & wire.ERRORS:
+            for channel in range(CHANNELS):
+                self._faults[channel] |= _faults(status, channel)
+        replied_at_s = min(board.obeyed_at_s, board.currents_at_s)
+        for joint, channel, sign in self._drives:
+            feedback.reply_at_s[joint] = replied_at_s
+            if status is None or board.supply_V is None:
+                feedback.statusword[joint] = 0
+                continue
+            feedback.current_A[joint] = sign * board.currents_A[channel]
+            feedback.supply_V[joint] = board.supply_V
+            feedback.temperature_C[joint] = board.temperature_degC
+            feedback.drive_faults[joint] = self._faults[channel]
+            feedback.statusword[joint] = self._statusword(channel, status)
+
+    def _statusword(self, channel: int, status: Status) -> int:
+        if self._faults[channel]:
+            return FAULT
+        state = OPERATION_ENABLED if self._is_enabled else SWITCH_ON_DISABLED
+        return state | (WARNING if status & _LIMITS_CURRENT[channel] else 0)
+
+    def write(
+        self, wants_enabled: bool, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float],
+        feedback: Feedback,
+    ) -> None:  # fmt: skip
+        """Set the duties; everything but a voltage is 0: the windings are shorted."""
+        board = self._board
+        is_well = board.supply_V is not None and self._configured_resets == board.resets
+        self._is_enabled = wants_enabled and is_well and not any(self._faults)
+        is_driven = self._is_enabled and mode is OutputMode.VOLTAGE
+        for joint, channel, sign in self._drives:
+            volts = output[joint] if is_driven else 0.0
+            board.duty[channel] = _duty(sign * volts, board.supply_V)
+            feedback.sent_V[joint] = volts if is_driven else math.nan
+
+    def is_any_enabled(self) -> bool:
+        """Whether duties other than 0 may be on."""
+        return self._is_enabled
+
+    def configure(self, fresh_count: Callable[[int], int]) -> None:
+        """Set time-out and limits, which a restart of the board loses."""
+        if self._configured_resets != self._board.resets:
+            resets = self._board.resets
+            self._board.set_up(self._timeout_s, self._current_limits_A)
+            self._configured_resets = resets
+        self._board.read_status()
+
+    def acknowledge_faults(self) -> None:
+        """Forget the errors that are gone. Raises BoardFaulted for those that are not."""
+        self._is_enabled = False
+        status = self._board.read_status()
+        if status & wire.ERRORS:
+            names = ", ".join(str(one.name).replace("_", " ").lower() for one in Status(status & wire.ERRORS))
+            raise BoardFaulted(
+                f"{self._board.where}: its error ({names}) cannot be acknowledged: the cause persists"
+            )
+        self._faults = [0] * CHANNELS
+
+    def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:
+        """Nothing here depends on the count."""
+
+    def emergency_stop(self) -> None:
+        """Short the windings now, and stay there until the fault is acknowledged."""
+        self._faults = [faults | EMERGENCY_STOP for faults in self._faults]
+        self._board.duty[:] = [0] * CHANNELS
+        self._shout(self._board.stop_packet())
+
+
+def _faults(status: Status, channel: int) -> int:
+    """The loop's fault bits of one motor."""
+    return sum(bit for errors, bit in (*_SHARED, *_OWN[channel]) if status & errors)
+
+
+def _duty(volts: float, supply_V: float | None) -> int:
+    """The duty for a mean terminal voltage at this supply."""
+    if not supply_V:
+        return 0
+    share = min(max(volts / supply_V, -1.0), 1.0)
+    return round(share * wire.FULL_DUTY)
+
+
+def _by_channel(drives: Mapping[int, Drive]) -> tuple[float, float]:
+    limits_A = [math.inf] * CHANNELS
+    for drive in drives.values():
+        limits_A[drive.board_channel - 1] = drive.current_limit_A
+    return limits_A[0], limits_A[1]
+
+
+def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
+    """Open the lines of these boards and identify every board."""
+    for port in dict.fromkeys(board.port for board in boards):
+        on_it = [board for board in boards if board.port == port]
+        with collect(opened.failures):
+            link = open_serial(port, on_it[0].baud, LOOKS_BEFORE_A_READ)
+            opened.closers.append(link.close)
+            _require_time(on_it, link.baud, period_s)
+            line = PacketLine(link, clock)
+            found = []
+            for described in on_it:
+                with collect(opened.failures):
+                    found.append(_open_board(arm, described, line, opened))
+            polled = RoboClawLine(line, found)
+            opened.lines.append(polled)
+            opened.polled.append(polled)
+
+
+def _open_board(arm: Arm, described: Board, line: PacketLine, opened: Opened) -> RoboClaw:
+    board = RoboClaw(line, described.address, described.name)
+    identity = board.identify()
+    mine = {joint: drive for joint, drive in enumerate(arm.drives) if drive.board == described.name}
+    counted = {joint: drive for joint, drive in mine.items() if drive.encoder_board < 0}
+    for drive in counted.values():
+        board.require_quadrature(drive.board_channel)
+    if counted:
+        line.keep_asking(board.counts_question)
+        opened.encoders.append(RoboClawEncoders(board, counted))
+    opened.drives.append(RoboClawDrives(board, mine, arm.limits.watchdog_s, line.shout))
+    opened.identities.append((board.where, identity.version))
+    return board
+
+
+def _require_time(boards: Sequence[Board], baud: int, period_s: float) -> None:
+    needed_s = cycle_s(len(boards), baud) if baud else 0.0
+    if needed_s > period_s:
+        raise MisuseError(
+            f"RoboClaw line {boards[0].port}: {len(boards)} boards at {baud} baud need {needed_s * 1e3:.1f} ms a cycle, the loop"
+            f" has {period_s * 1e3:.1f} ms: serve with --rate {math.floor(1.0 / needed_s)} or less, raise the baud rate, or give"
+            " each board a line of its own (USB)"
+        )

@@ -1,0 +1,76 @@
+"""Kinds of boards that drive joints, as data: what each offers, and what the loop may expect of it.
+
+A `[[drive]]` without `board` is on a reference motor board (docs/motor_board.md): REFERENCE. `control.hardware.kinds` opens the
+others; each has a page in docs.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal
+
+
+@dataclass(frozen=True, slots=True)
+class BoardKind:
+    """What a board offers. `modes` are those of [drive.pid], the usual one first."""
+
+    line: Literal["serial", "can"]
+    motors: int  # on one board
+    addresses: range  # on its line
+    modes: tuple[str, ...]
+    has_encoder: bool  # its own, which the loop can use
+    can_free: bool  # opens the motor's circuit, so that a hand can move the joint
+    can_hold: bool  # brings its joint to rest and holds it without the host
+    usual_rate_Hz: float  # of the loop
+    stops_early: bool  # begins its own stop some cycles after the last command, not only at its watchdog
+
+
+REFERENCE: Final = BoardKind(
+    line="can",
+    motors=1,
+    addresses=range(1, 16),
+    modes=("voltage", "current", "position"),
+    has_encoder=False,  # what the loop uses is the encoder board's
+    can_free=True,
+    can_hold=True,
+    usual_rate_Hz=500.0,
+    stops_early=True,
+)
+
+KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
+    {
+        "roboclaw": BoardKind(
+            line="serial",
+            motors=2,
+            addresses=range(0x80, 0x88),
+            modes=("voltage",),
+            has_encoder=True,
+            can_free=False,
+            can_hold=False,
+            usual_rate_Hz=100.0,
+            stops_early=False,
+        ),
+        "cia402": BoardKind(
+            line="can",
+            motors=1,
+            addresses=range(1, 127),
+            modes=("position", "current"),
+            has_encoder=True,
+            can_free=True,
+            can_hold=True,
+            usual_rate_Hz=250.0,
+            stops_early=False,
+        ),
+        "dynamixel": BoardKind(
+            line="serial",
+            motors=1,
+            addresses=range(253),
+            modes=("position",),
+            has_encoder=True,
+            can_free=True,
+            can_hold=True,
+            usual_rate_Hz=100.0,
+            stops_early=False,
+        ),
+    }
+)

@@ -1,0 +1,253 @@
+"""One CiA 402 drive (IEC 61800-7-201) on a CANopen bus, seen from the host: SDO configuration, PDOs at SYNC, states."""
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+from firmware_iface.canopen import wire
+from firmware_iface.canopen.bus import HOST_NODE, CanOpenBus
+from firmware_iface.canopen.wire import Entry, NmtCommand
+from firmware_iface.errors import BoardFaulted, BoardReset, BoardSilent, RequestRefused
+from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, State, next_command
+
+ANSWER_TIMEOUT_s = 0.1  # drives answer SDO within some ms; some take 50 ms to store a value
+ATTEMPTS = 2
+_STEP_s = 0.001
+CYCLIC_POSITION: Final = 8
+CYCLIC_TORQUE: Final = 10
+
+DEVICE_TYPE = Entry(0x1000, 0, "u32")
+VENDOR, PRODUCT, REVISION, SERIAL = (Entry(0x1018, sub, "u32") for sub in (1, 2, 3, 4))
+HEARTBEAT_CONSUMER, HEARTBEAT_PRODUCER = Entry(0x1016, 1, "u32"), Entry(0x1017, 0, "u16")
+ABORT_CONNECTION, QUICK_STOP_OPTION = Entry(0x6007, 0, "i16"), Entry(0x605A, 0, "i16")
+CONTROLWORD, STATUSWORD = Entry(0x6040, 0, "u16"), Entry(0x6041, 0, "u16")
+MODE = Entry(0x6060, 0, "i8")
+POSITION, TARGET_POSITION = Entry(0x6064, 0, "i32"), Entry(0x607A, 0, "i32")
+TORQUE, TARGET_TORQUE = Entry(0x6077, 0, "i16"), Entry(0x6071, 0, "i16")
+RATED_TORQUE = Entry(0x6076, 0, "u32")
+SUPPLY, INPUTS = Entry(0x6079, 0, "u32"), Entry(0x60FD, 0, "u32")
+CYCLE_TIME, CYCLE_UNIT = Entry(0x60C2, 1, "u8"), Entry(0x60C2, 2, "i8")
+QUICK_STOP_WITHOUT_HOST, STAY_IN_QUICK_STOP = 3, 6  # of options 0x6007 and 0x605A
+EVERY_SYNC = 1  # transmission type
+_RPDO_1 = struct.Struct("<Hbi")
+_RPDO_2 = struct.Struct("<h")
+_TPDO_1 = struct.Struct("<Hih")
+_TPDO_2 = struct.Struct("<II")
+HOME_INPUT = 1 << 2  # of 0x60FD
+
+
+@dataclass(frozen=True, slots=True)
+class DriveIdentity:
+    """Object 0x1018, and the profile in 0x1000."""
+
+    profile: int
+    vendor: int
+    product: int
+    revision: int
+    serial_number: int
+
+
+class Cia402Drive:
+    """Sends set-points and keeps the latest values; `CanOpenBus.update()` delivers them, `CanOpenBus.sync()` asks for them.
+
+    `command…()` send frames and return. The other requests wait for answers through the clock, outside of the cycle.
+    """
+
+    def __init__(self, bus: CanOpenBus, node: int, name: str) -> None:
+        self.node = node
+        self.name = name
+        self.statusword = 0
+        self.state: State | None = None
+        self.position = 0
+        self.torque_permille = 0
+        self.at_s = -math.inf
+        """When the drive measured them: the SYNC before they came."""
+        self.supply_mV: int | None = None
+        self.inputs = 0
+        self.errors: list[int] = []
+        """Codes of emergency messages since the last acknowledged fault; 0x0000 is "no error" and not kept."""
+        self.resets = 0
+        self.identity: DriveIdentity | None = None
+        self.rated_torque_Nm = math.nan
+        self._bus = bus
+        self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
+        self._answers: dict[tuple[int, int], wire.SdoAnswer] = {}
+        self._is_known = False
+        bus.add(
+            node,
+            {
+                wire.TPDO_1: self._take_values,
+                wire.TPDO_2: self._take_slow_values,
+                wire.EMERGENCY: self._take_emergency,
+                wire.SDO_ANSWER: self._take_answer,
+                wire.HEARTBEAT: self._take_heartbeat,
+            },
+        )
+
+    @property
+    def where(self) -> str:
+        """Name in messages: `CiA 402 drive "elbow" (node 3) on socketcan:can0`."""
+        return f'CiA 402 drive "{self.name}" (node {self.node}) on {self._bus.name}'
+
+    # ---- in the cycle
+
+    def step_towards(self, wanted: State) -> None:
+        """Take the next step to a state, without a motion: the set-point is where the motor is. FAULT is not left."""
+        now = self.state
+        if now is None or now in (State.FAULT, State.FAULT_REACTION_ACTIVE, State.NOT_READY_TO_SWITCH_ON):
+            self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
+        elif now is not wanted and (command := next_command(now, wanted)) is not None:
+            self._controlword = int(command)
+        self._send(CYCLIC_POSITION, self.position, 0)
+
+    def command_position(self, position: int) -> None:
+        """Cyclic synchronous position."""
+        self._send(CYCLIC_POSITION, position, 0)
+
+    def command_torque(self, permille: int) -> None:
+        """Cyclic synchronous torque, in 1/1000 of the rated torque."""
+        self._send(CYCLIC_TORQUE, self.position, min(max(permille, -32768), 32767))
+
+    def quick_stop(self) -> None:
+        """Quick stop: the drive slows down by its own ramp and holds."""
+        self._controlword = int(DriveCommand.QUICK_STOP)
+        self._send(CYCLIC_POSITION, self.position, 0)
+
+    def _send(self, mode: int, position: int, permille: int) -> None:
+        wrapped = (position + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
+        send = self._bus.link.send
+        send(wire.RPDO_2 + self.node, _RPDO_2.pack(permille))
+        send(wire.RPDO_1 + self.node, _RPDO_1.pack(self._controlword, mode, wrapped))
+
+    # ---- outside of the cycle
+
+    def identify(self) -> DriveIdentity:
+        """Ask who it is. Raises BoardSilent, RequestRefused."""
+        profile = self.read(DEVICE_TYPE) & 0xFFFF
+        parts = (self.read(entry) for entry in (VENDOR, PRODUCT, REVISION, SERIAL))
+        self.identity = DriveIdentity(profile, *parts)
+        self.rated_torque_Nm = self.read(RATED_TORQUE) * 1e-3
+        self._is_known = True
+        return self.identity
+
+    def set_up(self, period_s: float, watchdog_s: float) -> None:
+        """Map the PDOs, set the drive's time-out for our heartbeat and what it does then, and start the node.
+
+        Nothing is stored in the drive. Raises RequestRefused with the object that it does not have.
+        """
+        self._bus.nmt(NmtCommand.PRE_OPERATIONAL, self.node)
+        self._map(0x1400, 0x1600, wire.RPDO_1, (CONTROLWORD, MODE, TARGET_POSITION))
+        self._map(0x1401, 0x1601, wire.RPDO_2, (TARGET_TORQUE,))
+        self._map(0x1800, 0x1A00, wire.TPDO_1, (STATUSWORD, POSITION, TORQUE))
+        self._map(0x1801, 0x1A01, wire.TPDO_2, (SUPPLY, INPUTS))
+        self.write(CYCLE_TIME, max(1, round(period_s * 1e3)))
+        self.write(CYCLE_UNIT, -3)
+        self.write(QUICK_STOP_OPTION, STAY_IN_QUICK_STOP)
+        self.write(ABORT_CONNECTION, QUICK_STOP_WITHOUT_HOST)
+        self.write(HEARTBEAT_CONSUMER, HOST_NODE << 16 | round(watchdog_s * 1e3))
+        self.write(HEARTBEAT_PRODUCER, round(watchdog_s * 1e3))
+        self._bus.heartbeat()
+        self._bus.nmt(NmtCommand.START, self.node)
+        self.state = None
+
+    def _map(self, communication: int, mapping: int, base: int, entries: tuple[Entry, ...]) -> None:
+        """Configure a PDO as CiA 301 has it: invalid, empty, filled, valid."""
+        cob, count = Entry(communication, 1, "u32"), Entry(mapping, 0, "u8")
+        self.write(cob, base + self.node | 1 << 31)
+        self.write(Entry(communication, 2, "u8"), EVERY_SYNC)
+        self.write(count, 0)
+        for sub, entry in enumerate(entries, start=1):
+            self.write(Entry(mapping, sub, "u32"), entry.mapping)
+        self.write(count, len(entries))
+        self.write(cob, base + self.node)
+
+    def acknowledge_fault(self, timeout_s: float = 0.5) -> None:
+        """Reset a fault by a rising edge of bit 7; ends in SWITCH ON DISABLED and never beyond. Raises BoardFaulted."""
+        clock = self._bus.clock
+        deadline_s = clock.now_s() + timeout_s
+        self.errors.clear()
+        while True:
+            for command in (
+                DriveCommand.DISABLE_VOLTAGE,
+                DriveCommand.FAULT_RESET,
+                DriveCommand.DISABLE_VOLTAGE,
+            ):
+                self._controlword = int(command)
+                self._send(CYCLIC_POSITION, self.position, 0)
+                self._bus.heartbeat()
+                self._bus.sync()
+                clock.wait_until_s(clock.now_s() + 4 * _STEP_s)
+                self._bus.update()
+            if self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+                return
+            if clock.now_s() >= deadline_s:
+                raise BoardFaulted(
+                    f"{self.where}: its fault ({self.error_text()}) cannot be acknowledged: the cause persists"
+                )
+
+    def error_text(self) -> str:
+        """The codes of its emergency messages."""
+        return ", ".join(f"0x{code:04X}" for code in self.errors[-3:]) or "no emergency message"
+
+    def read(self, entry: Entry) -> int:
+        """Read an object. Raises BoardSilent, RequestRefused."""
+        return wire.unpacked(entry.kind, self._ask(entry, wire.read_request(entry)).data)
+
+    def write(self, entry: Entry, value: int) -> None:
+        """Write an object. Raises BoardSilent, RequestRefused."""
+        self._ask(entry, wire.write_request(entry, value))
+
+    def _ask(self, entry: Entry, request: bytes) -> wire.SdoAnswer:
+        clock = self._bus.clock
+        for _ in range(ATTEMPTS):
+            self._answers.clear()
+            self._bus.link.send(wire.SDO_REQUEST + self.node, request)
+            deadline_s = clock.now_s() + ANSWER_TIMEOUT_s
+            while (now_s := clock.now_s()) < deadline_s:
+                clock.wait_until_s(now_s + _STEP_s)
+                self._bus.update()
+                answer = self._answers.get((entry.at, entry.sub))
+                if answer is not None:
+                    if answer.abort:
+                        raise RequestRefused(
+                            f"{self.where}: refused object {entry}: {wire.abort_text(answer.abort)}; docs/cia402.md lists what a"
+                            " drive must have"
+                        )
+                    return answer
+        raise BoardSilent(
+            f"{self.where}: no answer to SDO {entry} within {ANSWER_TIMEOUT_s:.1f} s, asked {ATTEMPTS} times; check its supply,"
+            " node id and bit rate"
+        )
+
+    # ---- frames delivered by the bus
+
+    def _take_values(self, payload: bytes, now_s: float) -> None:
+        if len(payload) == _TPDO_1.size:
+            self.statusword, self.position, self.torque_permille = _TPDO_1.unpack(payload)
+            self.at_s = self._bus.synced_at_s
+            self.state = STATE_OF_STATUSWORD[self.statusword & 0xFF]
+
+    def _take_slow_values(self, payload: bytes, now_s: float) -> None:
+        if len(payload) == _TPDO_2.size:
+            self.supply_mV, self.inputs = _TPDO_2.unpack(payload)
+
+    def _take_emergency(self, payload: bytes, now_s: float) -> None:
+        if len(payload) >= 2 and (code := int.from_bytes(payload[:2], "little")):
+            self.errors.append(code)
+
+    def _take_answer(self, payload: bytes, now_s: float) -> None:
+        if (answer := wire.sdo_answer(payload)) is not None:
+            self._answers[answer.at, answer.sub] = answer
+
+    def _take_heartbeat(self, payload: bytes, now_s: float) -> None:
+        if payload[:1] == bytes((wire.BOOT_UP,)) and self._is_known:
+            self.resets += 1
+            self.state, self.at_s = None, -math.inf
+            self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
+            self._bus.problems.append(
+                BoardReset(
+                    f"{self.where}: restarted by itself; its position and configuration are lost: check its supply, then home"
+                    " again"
+                )
+            )

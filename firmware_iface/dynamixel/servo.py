@@ -1,0 +1,233 @@
+"""One Dynamixel X servo on a half-duplex line, seen from the host."""
+
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from firmware_iface.clock import Clock
+from firmware_iface.dynamixel import wire
+from firmware_iface.dynamixel.wire import Instruction
+from firmware_iface.errors import BoardReset, LinkError, MisuseError, WrongIdentity
+from firmware_iface.link import ByteLink
+from firmware_iface.polled_line import WRONG, PolledLine, Unfinished
+
+ANSWER_TIMEOUT_s = 0.01  # return delay 0.5 ms by default, and the latency of a USB adapter
+REBOOT_s = 0.5
+MODEL, OPERATING_MODE, TORQUE_ENABLE, GOAL_POSITION, PROFILE = 0, 11, 64, 116, 108
+STATE_SPAN, VALUES_SPAN = (
+    (64, 35),
+    (126, 21),
+)  # address and length: torque to bus watchdog; current to temperature
+HARDWARE_ERROR, BUS_WATCHDOG = 70, 98
+WATCHDOG_STEP_s, LONGEST_WATCHDOG = 0.02, 127
+WATCHDOG_ERROR = 0xFF
+POSITION_MODES: Final = {3: "position", 4: "extended position"}
+# Unit of the present current by model number (e-Manual); models without a current are not here.
+CURRENT_UNIT_A: Final = {
+    1190: 0.001, 1200: 0.001,  # XL330-M077, -M288
+    1020: 0.00269, 1030: 0.00269, 1120: 0.00269, 1130: 0.00269,  # XM430-W350, -W210, XM540-W270, -W150
+}  # fmt: skip
+_VALUES = struct.Struct("<hiiiiHB")  # current, velocity, position, two of a trajectory, voltage, temperature
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ServoQuestion:
+    """An instruction to one servo and its status packet; meets `firmware_iface.polled_line.Question`."""
+
+    servo: int
+    made: Callable[[], bytes]
+    parameter_bytes: int
+    taken: Callable[[bytes, float], None]
+
+    @property
+    def answer_bytes(self) -> int:
+        """The bytes of the status packet."""
+        return wire.STATUS_OVERHEAD + self.parameter_bytes
+
+    def packet(self) -> bytes:
+        """The bytes to send."""
+        return self.made()
+
+    def answered(self, received: bytes) -> bytes | None:
+        """Error byte and parameters. Raises Unfinished. An adapter's echo of the instruction is passed over."""
+        echo = self.made()
+        received = received.removeprefix(echo)
+        try:
+            status = wire.status_in(received)
+        except ValueError:
+            return WRONG
+        if status is None:
+            raise Unfinished
+        if status.servo != self.servo or len(status.parameters) != self.parameter_bytes:
+            return WRONG
+        return bytes((status.error,)) + status.parameters
+
+    def take(self, data: bytes, sent_at_s: float) -> None:
+        """Use the answer."""
+        self.taken(data, sent_at_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GoalPositions:
+    """One sync write of all goal positions of a line; it has no answer."""
+
+    servos: list["DynamixelServo"]
+    answer_bytes: int = 0
+
+    def packet(self) -> bytes:
+        """The bytes to send."""
+        return wire.sync_write(
+            GOAL_POSITION, {servo.number: struct.pack("<i", servo.goal) for servo in self.servos}
+        )
+
+    def answered(self, received: bytes) -> bytes | None:
+        """There is no answer."""
+        return b""
+
+    def take(self, data: bytes, sent_at_s: float) -> None:
+        """There is no answer."""
+
+
+class ServoLine(PolledLine):
+    """A half-duplex line with servos."""
+
+    def __init__(self, link: ByteLink, clock: Clock) -> None:
+        super().__init__(link, clock, ANSWER_TIMEOUT_s)
+        self.servos: list[DynamixelServo] = []
+        self._goals = GoalPositions(self.servos)
+        self._turn = 0
+
+    def post_cycle(self) -> None:
+        """Queue the goal positions, and one servo's state in turn; the values are asked for in the rest of the cycle."""
+        self.post(self._goals)
+        self.post(self.servos[self._turn].state_question)
+        self._turn = (self._turn + 1) % len(self.servos)
+
+
+class DynamixelServo:
+    """Keeps the latest values of a servo and its goal; times are the host's, when the request was sent."""
+
+    def __init__(self, line: ServoLine, number: int, name: str) -> None:
+        if number not in wire.IDS:
+            raise MisuseError(f'Dynamixel "{name}": ids are 0 to 252, got {number}')
+        self.number = number
+        self.name = name
+        self.goal = 0
+        self.position = 0
+        self.current_A = 0.0
+        self.supply_V = math.nan
+        self.temperature_degC = 0.0
+        self.at_s = -math.inf
+        self.is_torque_on: bool | None = None
+        self.hardware_error = 0
+        self.is_watchdog_expired = False
+        self.resets = 0
+        self.model = 0
+        self.problems: list[LinkError] = []
+        self._line = line
+        self._current_unit_A = math.nan
+        self._watchdog = 0
+        self.values_question = ServoQuestion(
+            number, lambda: wire.read(number, *VALUES_SPAN), VALUES_SPAN[1], self._take_values
+        )
+        self.state_question = ServoQuestion(
+            number, lambda: wire.read(number, *STATE_SPAN), STATE_SPAN[1], self._take_state
+        )
+        self._torque = {
+            is_on: ServoQuestion(number, self._torque_packet(is_on), 0, lambda data, at_s: None)
+            for is_on in (False, True)
+        }
+        line.servos.append(self)
+
+    @property
+    def where(self) -> str:
+        """Name in messages: `Dynamixel "elbow" (id 3) on /dev/ttyUSB0`."""
+        return f'Dynamixel "{self.name}" (id {self.number}) on {self._line.name}'
+
+    def post_torque(self, is_on: bool) -> None:
+        """Queue switching the torque, if it is not so already."""
+        if self.is_torque_on is not is_on:
+            self._line.post(self._torque[is_on])
+            self._line.post(self.state_question)
+
+    # ---- outside of the cycle
+
+    def identify(self) -> str:
+        """Ask model and operating mode. Raises BoardSilent, WrongIdentity."""
+        self.model = int.from_bytes(self._read(MODEL, 2), "little")
+        if self.model not in CURRENT_UNIT_A:
+            known = ", ".join(map(str, CURRENT_UNIT_A))
+            raise WrongIdentity(
+                f"{self.where}: expected a model that measures its current (model numbers {known}), it is model {self.model}"
+            )
+        self._current_unit_A = CURRENT_UNIT_A[self.model]
+        (mode,) = self._read(OPERATING_MODE, 1)
+        if mode not in POSITION_MODES:
+            raise WrongIdentity(
+                f"{self.where}: expected operating mode 3 or 4 (position), it is {mode}: set it with Dynamixel Wizard"
+            )
+        return f"model {self.model}, {POSITION_MODES[mode]} mode"
+
+    def set_up(self, watchdog_s: float) -> None:
+        """Torque off, no motion profile, and the bus watchdog, which a restart clears. Nothing is stored."""
+        self._write(TORQUE_ENABLE, b"\0")
+        self._write(BUS_WATCHDOG, b"\0")
+        self._write(PROFILE, bytes(8))
+        steps = min(max(math.floor(watchdog_s / WATCHDOG_STEP_s + 1e-9), 1), LONGEST_WATCHDOG)
+        self._watchdog = 0
+        self._write(BUS_WATCHDOG, bytes((steps,)))
+        self._watchdog = steps
+        self.read_state()
+
+    def read_state(self) -> None:
+        """Torque, errors, and all values as they are now."""
+        self._take_state(b"\0" + self._read(*STATE_SPAN), 0.0)
+        now_s = self._line.clock.now_s()
+        self._take_values(b"\0" + self._read(*VALUES_SPAN), now_s)
+
+    def reboot(self) -> None:
+        """Restart the servo, which ends a hardware error; its torque is off then."""
+        self._watchdog = 0
+        self._converse(lambda: wire.packet(self.number, Instruction.REBOOT), 0, "REBOOT")
+        clock = self._line.clock
+        clock.wait_until_s(clock.now_s() + REBOOT_s)
+
+    def _read(self, address: int, count: int) -> bytes:
+        return self._converse(lambda: wire.read(self.number, address, count), count, f"READ {address}")
+
+    def _write(self, address: int, data: bytes) -> None:
+        self._converse(lambda: wire.write(self.number, address, data), 0, f"WRITE {address}")
+
+    def _converse(self, made: Callable[[], bytes], count: int, what: str) -> bytes:
+        answers: list[bytes] = []
+        question = ServoQuestion(self.number, made, count, lambda data, _: answers.append(data))
+        remedy = f"check its supply, id {self.number}, protocol 2.0"
+        self._line.converse(question, lambda: bool(answers), f"{self.where}: no answer to {what}", remedy)
+        return answers[0][1:]
+
+    def _torque_packet(self, is_on: bool) -> Callable[[], bytes]:
+        return lambda: wire.write(self.number, TORQUE_ENABLE, bytes((is_on,)))
+
+    # ---- answers
+
+    def _take_values(self, data: bytes, sent_at_s: float) -> None:
+        current, _, self.position, _, _, tenths_V, self.temperature_degC = _VALUES.unpack(data[1:])
+        self.current_A, self.supply_V = current * self._current_unit_A, tenths_V * 0.1
+        self.at_s = sent_at_s
+
+    def _take_state(self, data: bytes, _: float) -> None:
+        registers = data[1:]
+        self.is_torque_on = bool(registers[0])
+        self.hardware_error = registers[HARDWARE_ERROR - STATE_SPAN[0]]
+        watchdog = registers[BUS_WATCHDOG - STATE_SPAN[0]]
+        self.is_watchdog_expired = watchdog == WATCHDOG_ERROR
+        if self._watchdog and watchdog == 0:
+            self._watchdog = 0
+            self.resets += 1
+            self.problems.append(
+                BoardReset(
+                    f"{self.where}: restarted by itself; its torque is off: check its supply and cable"
+                )
+            )

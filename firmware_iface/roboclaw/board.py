@@ -1,0 +1,192 @@
+"""One RoboClaw board on a packet line, seen from the host: two motors, two quadrature encoders."""
+
+import math
+import struct
+from dataclasses import dataclass
+
+from firmware_iface.errors import BoardReset, LinkError, MisuseError, WrongIdentity
+from firmware_iface.roboclaw import wire
+from firmware_iface.roboclaw.line import VERSION_BYTES, PacketLine, Question
+from firmware_iface.roboclaw.wire import Command, Status
+
+CHANNELS = 2
+LEAST_TIMEOUT = 1  # in 0.1 s; 0 switches the board's time-out off
+
+
+@dataclass(frozen=True, slots=True)
+class RoboClawIdentity:
+    """What a board says of itself: product and firmware version, pin and encoder modes."""
+
+    version: str
+    pin_modes: tuple[int, int, int]
+    encoder_modes: tuple[int, int]
+
+
+class RoboClaw:
+    """Keeps the latest values of a board and its wanted duties; the line asks for them, and sends these.
+
+    Values are None or old until the board has answered; times are the host's, when the request was sent. `problems` holds what
+    `update` of the line's owner has to raise.
+    """
+
+    def __init__(self, line: PacketLine, address: int, name: str) -> None:
+        if address not in wire.ADDRESSES:
+            raise MisuseError(f'RoboClaw "{name}": addresses are 128 to 135 (0x80 to 0x87), got {address}')
+        self.name = name
+        self.address = address
+        self.duty = [0, 0]
+        """Wanted duties, -32767 to 32767 of the supply."""
+        self.sent_duty = (0, 0)
+        self.counts = (0, 0)
+        self.counted_at_s = -math.inf
+        self.currents_A = (0.0, 0.0)
+        self.currents_at_s = -math.inf
+        self.obeyed_at_s = -math.inf
+        self.supply_V: float | None = None
+        self.temperature_degC = 0.0
+        self.status: Status | None = None
+        self.identity: RoboClawIdentity | None = None
+        self.resets = 0
+        self.problems: list[LinkError] = []
+        self._line = line
+        self._timeout: int | None = None  # as set, in 0.1 s
+        self.counts_question = Question(address, Command.READ_ENCODERS, 8, self._take_counts)
+        self._duty = Question(address, Command.DUTY_M1_M2, None, self._take_duty, self._duty_data)
+        self._currents = Question(address, Command.READ_CURRENTS, 4, self._take_currents)
+        status = Question(address, Command.READ_STATUS, 4, self._take_status)
+        self._slow = (
+            status,
+            Question(address, Command.READ_MAIN_BATTERY, 2, self._take_supply),
+            status,
+            Question(address, Command.READ_SERIAL_TIMEOUT, 1, self._take_timeout),
+            status,
+            Question(address, Command.READ_TEMPERATURE, 2, self._take_temperature),
+        )
+        self._turn = 0
+
+    @property
+    def where(self) -> str:
+        """Name in messages: `RoboClaw "base" (address 0x80) on /dev/ttyACM0`."""
+        return f'RoboClaw "{self.name}" (address {self.address:#04x}) on {self._line.name}'
+
+    def post_cycle(self) -> None:
+        """Queue what a cycle needs: the duties first, currents, and in turn status, supply, time-out and temperature.
+
+        The encoders are read in the rest of the cycle, again and again.
+        """
+        line = self._line
+        line.post(self._duty)
+        line.post(self._currents)
+        line.post(self._slow[self._turn])
+        self._turn = (self._turn + 1) % len(self._slow)
+
+    def stop_packet(self) -> bytes:
+        """A packet that sets both duties to 0: the board shorts the windings."""
+        return wire.command_packet(self.address, Command.DUTY_M1_M2, wire.duty_data(0, 0))
+
+    # ---- outside of the cycle: these wait for answers
+
+    def identify(self) -> RoboClawIdentity:
+        """Ask who it is and how it is set up. Raises BoardSilent, WrongIdentity."""
+        text = self._read(Command.READ_FIRMWARE_VERSION, VERSION_BYTES)
+        version = text.decode("ascii", errors="replace").strip("\n\0 ")
+        if "claw" not in version.lower() and "mcp" not in version.lower():
+            raise WrongIdentity(
+                f"{self.where}: expected a RoboClaw or MCP controller, it says it is {version!r}"
+            )
+        pins = struct.unpack(">BBB", self._read(Command.READ_PIN_MODES, 3))
+        modes = struct.unpack(">BB", self._read(Command.READ_ENCODER_MODES, 2))
+        self.identity = RoboClawIdentity(version, pins, modes)
+        return self.identity
+
+    def require_quadrature(self, channel: int) -> None:
+        """WrongIdentity unless the encoder input of a channel (1 or 2) counts quadrature edges."""
+        if (
+            self.identity is not None
+            and (mode := self.identity.encoder_modes[channel - 1]) & wire.QUADRATURE_ONLY
+        ):
+            raise WrongIdentity(
+                f"{self.where}: expected a quadrature encoder at channel {channel}, its encoder mode is {mode:#04x} (absolute"
+                " or analog); set it in the vendor's Motion Studio"
+            )
+
+    def set_up(self, timeout_s: float, current_limits_A: tuple[float, float]) -> None:
+        """Set time-out, current limits and the fastest change of duty, none of which survives a restart of the board.
+
+        The time-out is rounded down to 0.1 s, and one step less where the board has that already: a board that restarts is
+        recognised by its old one.
+        """
+        wanted = max(LEAST_TIMEOUT, math.floor(timeout_s / wire.TIMEOUT_STEP_s + 1e-9))
+        (found,) = self._read(Command.READ_SERIAL_TIMEOUT, 1)
+        if found == wanted:
+            wanted = wanted - 1 if wanted > LEAST_TIMEOUT else wanted + 1
+        self._timeout = None
+        for channel, limit_A in enumerate(current_limits_A):
+            self._command(
+                Command.SET_DUTY_ACCELERATION_1 + channel, struct.pack(">I", wire.FASTEST_DUTY_CHANGE)
+            )
+            if math.isfinite(limit_A):
+                self._command(
+                    Command.SET_CURRENT_LIMIT_1 + channel, struct.pack(">II", round(limit_A * 100), 0)
+                )
+        self._command(Command.SET_SERIAL_TIMEOUT, bytes((wanted,)))
+        self._timeout = wanted
+        self.status = None  # of before a restart
+
+    def read_counts(self) -> tuple[int, int]:
+        """Both counts as they are now."""
+        self.counts = wire.pair_of_counts(self._read(Command.READ_ENCODERS, 8))
+        return self.counts
+
+    def read_status(self) -> Status:
+        """The status as it is now."""
+        self._take_status(self._read(Command.READ_STATUS, 4), 0.0)
+        return self.status or Status(0)
+
+    def set_count(self, channel: int, count: int) -> None:
+        """Set the counter of a channel, 1 or 2."""
+        self._command(Command.SET_ENCODER_1 + channel - 1, struct.pack(">I", count & 0xFFFF_FFFF))
+
+    def _read(self, command: int, reply_bytes: int) -> bytes:
+        return self._line.read(self.address, command, reply_bytes, self.where)
+
+    def _command(self, command: int, data: bytes) -> None:
+        self._line.command(self.address, command, data, self.where)
+
+    # ---- answers
+
+    def _duty_data(self) -> bytes:
+        self.sent_duty = (self.duty[0], self.duty[1])
+        return wire.duty_data(*self.sent_duty)
+
+    def _take_duty(self, _: bytes, sent_at_s: float) -> None:
+        self.obeyed_at_s = sent_at_s
+
+    def _take_counts(self, data: bytes, sent_at_s: float) -> None:
+        self.counts, self.counted_at_s = wire.pair_of_counts(data), sent_at_s
+
+    def _take_currents(self, data: bytes, sent_at_s: float) -> None:
+        """Currents with the sign of the motor's terminal voltage: the board says what each motor draws."""
+        drawn_A, duty = wire.pair_of_currents_A(data), self.sent_duty
+        self.currents_A = (math.copysign(1.0, duty[0]) * drawn_A[0], math.copysign(1.0, duty[1]) * drawn_A[1])
+        self.currents_at_s = sent_at_s
+
+    def _take_status(self, data: bytes, _: float) -> None:
+        self.status = Status(int.from_bytes(data, "big"))
+
+    def _take_supply(self, data: bytes, _: float) -> None:
+        self.supply_V = wire.tenths(data)
+
+    def _take_temperature(self, data: bytes, _: float) -> None:
+        self.temperature_degC = wire.tenths(data)
+
+    def _take_timeout(self, data: bytes, _: float) -> None:
+        if self._timeout is not None and data[0] != self._timeout:
+            self._timeout = None
+            self.resets += 1
+            self.problems.append(
+                BoardReset(
+                    f"{self.where}: restarted by itself; its counts, limits and time-out are lost: check its supply, then home"
+                    " again"
+                )
+            )

@@ -1,0 +1,254 @@
+"""The bought boards of a mock arm, behind its plant: which joints they drive, and what their faults do.
+
+RoboClaws on serial lines, CiA 402 drives on the CAN bus.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+from control.model.description import Arm
+from hil_mocks.devices import cia402_drive, dynamixel
+from hil_mocks.devices.cia402_drive import Cia402Mock, Cia402Setup
+from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
+from hil_mocks.devices.motor_board import BRAKE, Output
+from hil_mocks.devices.roboclaw import DRIVER_FAULT, E_STOP, FULL, OVER_HEATED, RoboClawLineMock, RoboClawMock
+from hil_mocks.scenario import FaultTable
+from hil_mocks.wiring import JointWiring
+
+
+class PacketLine(Protocol):
+    """A serial line whose boards answer; `outgoing` has bytes and when they arrive at the host."""
+
+    outgoing: list[tuple[float, bytes]]
+
+    def receive(self, received: bytes, now_s: float) -> None: ...
+
+
+class Seen(NamedTuple):
+    """What the boards see of the plant, by joint: currents in the boards' own sense, supply, whether a bridge is at a limit."""
+
+    currents_A: Sequence[float]
+    supply_V: Sequence[float]
+    is_clamped: Sequence[bool]
+    joint_rad: Sequence[float]
+
+
+Driven = tuple[int, Output, float]  # a joint, what its bridge puts out, and its current limit
+
+
+class CanDrives:
+    """The CiA 402 drives of an arm, by joint (0-based)."""
+
+    def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
+        self._wiring = wiring
+        nodes = {board.name: board.address for board in arm.boards if board.kind == "cia402"}
+        self.joints = [j for j, drive in enumerate(arm.drives) if drive.board in nodes]
+        self.names = [f"drive{nodes[arm.drives[j].board]}" for j in self.joints]
+        self.mocks = [
+            Cia402Mock(
+                Cia402Setup(
+                    node=nodes[(drive := arm.drives[j]).board],
+                    serial_number=0xC402_0000 + j,
+                    counts_per_turn=drive.encoder_counts_per_rev,
+                    torque_constant_Nm_A=drive.torque_constant_Nm_A,
+                    resistance_ohm=drive.resistance_ohm,
+                    current_limit_A=drive.current_limit_A,
+                ),
+                self._reader(j, encoder_rad),
+            )
+            for j in self.joints
+        ]
+
+    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+        """Advance the drives."""
+        outputs: list[Driven] = []
+        for j, mock in zip(self.joints, self.mocks, strict=True):
+            mock.is_home = self._wiring[j].is_at_switch(seen.joint_rad[j])
+            mock.tick(now_s, seen.currents_A[j], seen.supply_V[j])
+            outputs.append((j, mock.output, mock.setup.current_limit_A))
+        return outputs
+
+    def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:
+        """Begin or end a fault of a drive itself."""
+        mock = self.mocks[self.names.index(fault.board)]
+        errors = {
+            "over_temperature": cia402_drive.OVER_HEATED, "over_current": cia402_drive.OVER_CURRENT
+        }  # fmt: skip
+        if fault.kind in errors:
+            mock.forced_error = errors[fault.kind] if is_on else 0
+        elif fault.kind == "board_reset" and is_on:
+            mock.power_up()
+
+    def joint(self, fault: FaultTable) -> int:
+        """The joint of a fault's drive."""
+        return self.joints[self.names.index(fault.board)]
+
+    def _reader(self, j: int, encoder_rad: Callable[[int], float]) -> Callable[[], int]:
+        return lambda: self._wiring[j].motor_count(encoder_rad(j))
+
+
+class Servos:
+    """The smart servos of an arm, by joint (0-based), on their lines."""
+
+    def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
+        described = {board.name: board for board in arm.boards if board.kind == "dynamixel"}
+        self.joints = [j for j, drive in enumerate(arm.drives) if drive.board in described]
+        boards = [described[arm.drives[j].board] for j in self.joints]
+        self.names = [f"servo{board.address}" for board in boards]
+        self.ports = list(dict.fromkeys(board.port for board in boards))
+        self.mocks = [
+            DynamixelMock(
+                ServoSetup(board.address, arm.drives[j].gear_ratio * arm.drives[j].torque_constant_Nm_A),
+                self._reader(wiring[j], j, encoder_rad),
+            )
+            for j, board in zip(self.joints, boards, strict=True)
+        ]
+        self.lines = [
+            DynamixelLineMock(
+                [mock for mock, board in zip(self.mocks, boards, strict=True) if board.port == port],
+                next(board.baud for board in boards if board.port == port),
+            )
+            for port in self.ports
+        ]
+        self.line_of = [self.ports.index(board.port) for board in boards]
+
+    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+        """Advance the servos."""
+        outputs: list[Driven] = []
+        for j, mock in zip(self.joints, self.mocks, strict=True):
+            mock.tick(now_s, seen.currents_A[j], seen.supply_V[j])
+            outputs.append((j, mock.output, math.inf))
+        return outputs
+
+    def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:
+        """Begin or end a fault of a servo itself."""
+        mock = self.mocks[self.names.index(fault.board)]
+        errors = {"over_temperature": dynamixel.OVER_HEATED, "over_current": dynamixel.OVERLOAD}
+        if fault.kind in errors:
+            mock.forced_error = errors[fault.kind] if is_on else 0
+        elif fault.kind == "board_reset" and is_on:
+            mock.power_up(now_s)
+
+    def joint(self, fault: FaultTable) -> int:
+        """The joint of a fault's servo."""
+        return self.joints[self.names.index(fault.board)]
+
+    def _reader(self, wired: JointWiring, j: int, encoder_rad: Callable[[int], float]) -> Callable[[], float]:
+        turns_per_rad = wired.encoder_direction * wired.counts_per_rad / dynamixel.COUNTS_PER_TURN
+        zero_turns = wired.zero_count / dynamixel.COUNTS_PER_TURN
+        return lambda: encoder_rad(j) * turns_per_rad + zero_turns
+
+
+class RoboClaws:
+    """All RoboClaw lines of an arm. Joints 0-based; serial lines in the order of `ports`."""
+
+    def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
+        self._wiring, self._encoder_rad = wiring, encoder_rad
+        drawn = [board for board in arm.boards if board.kind == "roboclaw"]
+        self.names = [f"roboclaw{i + 1}" for i in range(len(drawn))]
+        self.ports = list(dict.fromkeys(board.port for board in drawn))
+        self._joints = {board.name: self._channels_of(arm, board.name) for board in drawn}
+        self._mocks = [RoboClawMock(board.address, self._reader(board.name)) for board in drawn]
+        self._of_mock = [self._joints[board.name] for board in drawn]
+        self.lines = [
+            RoboClawLineMock(
+                [mock for mock, board in zip(self._mocks, drawn, strict=True) if board.port == port],
+                next(board.baud for board in drawn if board.port == port),
+            )
+            for port in self.ports
+        ]
+        self.line_of = [self.ports.index(board.port) for board in drawn]
+
+    @property
+    def joints(self) -> list[int]:
+        """The joints that they drive."""
+        return [joint for joints in self._of_mock for joint in joints.values()]
+
+    def mock(self, name: str) -> RoboClawMock:
+        """A board by its name in faults, `roboclaw1` ..."""
+        return self._mocks[self.names.index(name)]
+
+    def joint(self, fault: FaultTable) -> int | None:
+        """The joint at the channel of a fault."""
+        return self._of_mock[self.names.index(fault.board)].get(fault.channel)
+
+    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+        """Advance the boards."""
+        outputs: list[Driven] = []
+        for mock, joints in zip(self._mocks, self._of_mock, strict=True):
+            measured, limited, supply = [0.0, 0.0], [False, False], 24.0
+            for channel, joint in joints.items():
+                measured[channel], limited[channel] = seen.currents_A[joint], seen.is_clamped[joint]
+                supply = seen.supply_V[joint]
+                mock.are_switches_on[channel] = self._wiring[joint].is_at_switch(seen.joint_rad[joint])
+            mock.tick(now_s, measured, supply, limited)
+            for channel, joint in joints.items():
+                volts = mock.duty[channel] / FULL * supply
+                output = Output("voltage", volts) if volts else BRAKE
+                outputs.append((joint, output, mock.settings.current_limits[channel] * 0.01))
+        return outputs
+
+    def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:
+        """Begin or end a fault of a board itself."""
+        mock = self.mock(fault.board)
+        errors = {
+            "e_stop": E_STOP, "over_temperature": OVER_HEATED, "over_current": DRIVER_FAULT[fault.channel % 2]
+        }  # fmt: skip
+        if fault.kind in errors:
+            bit = errors[fault.kind]
+            mock.forced_errors = mock.forced_errors | bit if is_on else mock.forced_errors & ~bit
+        elif fault.kind == "board_reset" and is_on:
+            mock.power_up()
+        elif fault.kind == "stuck_encoder":
+            mock.stuck.pop(fault.channel, None)
+            if is_on and (joint := self.joint(fault)) is not None:
+                mock.stuck[fault.channel] = self._wiring[joint].raw_count(self._encoder_rad(joint))
+
+    def _channels_of(self, arm: Arm, name: str) -> dict[int, int]:
+        """The joint at each channel of a board."""
+        return {d.board_channel - 1: j for j, d in enumerate(arm.drives) if d.board == name}
+
+    def _reader(self, name: str) -> Callable[[int], int]:
+        joints = self._joints[name]
+
+        def read(channel: int) -> int:
+            joint = joints.get(channel)
+            return 0 if joint is None else self._wiring[joint].raw_count(self._encoder_rad(joint))
+
+        return read
+
+
+class Bought:
+    """All bought boards of an arm: serial lines in the order of `ports`, with the name of the first board on each."""
+
+    def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
+        claws, servos = RoboClaws(arm, wiring, encoder_rad), Servos(arm, wiring, encoder_rad)
+        self.can_drives = CanDrives(arm, wiring, encoder_rad)
+        self._owners = (claws, servos, self.can_drives)
+        self.joints = [joint for owner in self._owners for joint in owner.joints]
+        self.names = [name for owner in self._owners for name in owner.names]
+        self.lines: list[PacketLine] = [*claws.lines, *servos.lines]
+        self.ports = [*claws.ports, *servos.ports]
+        self.line_names = [
+            names[line_of.index(line)]
+            for names, line_of in ((claws.names, claws.line_of), (servos.names, servos.line_of))
+            for line in dict.fromkeys(line_of)
+        ]
+
+    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+        """Advance all boards; what each joint is driven with."""
+        return [driven for owner in self._owners if owner.joints for driven in owner.tick(now_s, seen)]
+
+    def joint(self, fault: FaultTable) -> int | None:
+        """The joint of a fault."""
+        return self._owner(fault).joint(fault)
+
+    def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:
+        """Begin or end a fault of a board itself."""
+        self._owner(fault).switch(fault, is_on, now_s)
+
+    def _owner(self, fault: FaultTable) -> RoboClaws | Servos | CanDrives:
+        return next(owner for owner in self._owners if fault.board in owner.names)

@@ -1,0 +1,320 @@
+"""A CiA 402 drive on CANopen, written from CiA 301 and CiA 402 (IEC 61800-7-201): object dictionary, PDOs, states, modes.
+
+A state machine without I/O: `receive` frames, `tick` once per control period, and read `output`. It has its own position loop,
+as a drive that was tuned on the bench: position to speed, speed to voltage.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hil_mocks.devices.motor_board import OPEN, Frame, Output
+from hil_mocks.devices.motor_states import NEXT, State, word_of
+
+INITIALISING, STOPPED, PRE_OPERATIONAL, OPERATIONAL = 0x00, 0x04, 0x7F, 0x05
+CSP, CSV, CST = 8, 9, 10
+POSITION_RATE, SPEED_GAIN, SPEED_INTEGRAL = 20.0, 2.0, 40.0  # 1/s; -; 1/s
+SPEED_FILTER_S = 0.0015
+OVER_CURRENT, OVER_HEATED, SUPPLY_LOW, HEARTBEAT_LOST = 0x2310, 0x4310, 0x3220, 0x8130
+_LOWEST_SUPPLY_V = 9.0
+_FORMATS = {"u8": "<B", "i8": "<b", "u16": "<H", "i16": "<h", "u32": "<I", "i32": "<i"}
+NO_OBJECT, NO_SUB, READ_ONLY, LENGTH, STATE = 0x06020000, 0x06090011, 0x06010002, 0x06070010, 0x08000022
+_READ_ONLY = {0x1000, 0x1018, 0x603F, 0x6041, 0x6061, 0x6064, 0x606C, 0x6076, 0x6077, 0x6079, 0x60FD, 0x6502}
+
+
+@dataclass(frozen=True, slots=True)
+class Cia402Setup:
+    """Identity and motor data of a drive."""
+
+    node: int
+    serial_number: int
+    counts_per_turn: int
+    torque_constant_Nm_A: float
+    resistance_ohm: float
+    current_limit_A: float
+    rated_torque_mNm: int = 500
+    vendor: int = 0x0000_00FB
+    product: int = 0x6050_0000
+
+
+class Cia402Mock:
+    """The drive of a joint. `read_shaft` gives the edges counted by its encoder, without wrap."""
+
+    def __init__(self, setup: Cia402Setup, read_shaft: Callable[[], int]) -> None:
+        self.setup = setup
+        self._read_shaft = read_shaft
+        self.forced_error = 0  # a persistent cause, set by a fault of the scenario
+        self.is_home = False  # digital input "home switch"
+        self.outgoing: list[Frame] = []
+        self.power_up()
+
+    def power_up(self) -> None:
+        """State after power-up or NMT reset: everything at its default, position 0, a boot-up message."""
+        node = self.setup.node
+        self.objects = _defaults(self.setup)
+        for pdo, base in ((0, 0x200), (1, 0x300)):
+            self.objects[0x1400 + pdo, 1] = ("u32", base + node)
+            self.objects[0x1800 + pdo, 1] = ("u32", 0x8000_0000 | base - 0x80 + node)
+        self.nmt_state = PRE_OPERATIONAL
+        self.state = State.NOT_READY
+        self.error = 0
+        self.output = OPEN
+        self._origin = self._read_shaft()
+        self._before, self._speed, self._integral_V, self._torque_permille = self._origin, 0.0, 0.0, 0
+        self._supply_V = 24.0
+        self._word_before = 0x80
+        self._pending: dict[int, bytes] = {}  # RPDO payloads that wait for SYNC, by number
+        self._heard_s: float | None = None  # the host's heartbeat
+        self._last_s: float | None = None
+        self._beat_s = 0.0
+        self._held = 0
+        self.outgoing.append((0x700 + node, bytes((INITIALISING,))))
+
+    @property
+    def position(self) -> int:
+        """Position actual value, 32 bits."""
+        return _signed32(self._read_shaft() - self._origin)
+
+    def value(self, at: int, sub: int = 0) -> int:
+        """The value of an object."""
+        match at:
+            case 0x6041:
+                return self._statusword()
+            case 0x6064:
+                return self.position
+            case 0x606C:
+                return round(self._speed)
+            case 0x6077:
+                return self._torque_permille
+            case 0x6079:
+                return round(self._supply_V * 1e3)
+            case 0x60FD:
+                return 4 if self.is_home else 0
+            case 0x603F:
+                return self.error
+            case 0x6061:
+                return self.objects[0x6060, 0][1]
+        return self.objects[at, sub][1]
+
+    # ---- frames
+
+    def receive(self, can_id: int, payload: bytes, now_s: float) -> None:
+        """Process a frame from the bus."""
+        node = self.setup.node
+        if can_id == 0x000 and len(payload) == 2 and payload[1] in (0, node):
+            self._nmt(payload[0])
+        elif can_id == 0x080 and self.nmt_state == OPERATIONAL:
+            self._sync()
+        elif can_id == 0x600 + node and len(payload) == 8 and self.nmt_state != STOPPED:
+            self.outgoing.append((0x580 + node, self._sdo(payload)))
+        elif can_id == 0x700 + (self.objects[0x1016, 1][1] >> 16 & 0x7F):
+            self._heard_s = now_s
+        elif self.nmt_state == OPERATIONAL:
+            for pdo in (0, 1):
+                if can_id == self.objects[0x1400 + pdo, 1][1]:
+                    self._pending[pdo] = payload
+
+    def _nmt(self, command: int) -> None:
+        if command in (0x81, 0x82):
+            self.power_up()
+        else:
+            states = {0x01: OPERATIONAL, 0x02: STOPPED, 0x80: PRE_OPERATIONAL}
+            self.nmt_state = states.get(command, self.nmt_state)
+
+    def _sync(self) -> None:
+        """Take over what the RPDOs brought, and send the TPDOs that are mapped to SYNC."""
+        for pdo in sorted(self._pending, reverse=True):
+            self._unpack(pdo, self._pending.pop(pdo))
+        for pdo in (0, 1):
+            cob = self.objects[0x1800 + pdo, 1][1]
+            if not cob & 0x8000_0000 and self.objects[0x1800 + pdo, 2][1] == 1:
+                mapped = self._mapped(0x1A00 + pdo)
+                data = b"".join(_packed(kind, self.value(at, sub)) for at, sub, kind in mapped)
+                self.outgoing.append((cob & 0x7FF, data))
+
+    def _unpack(self, pdo: int, payload: bytes) -> None:
+        for at, sub, kind in self._mapped(0x1600 + pdo):
+            size = struct.calcsize(_FORMATS[kind])
+            (value,) = struct.unpack(_FORMATS[kind], payload[:size])
+            payload = payload[size:]
+            self._write(at, sub, kind, value)
+
+    def _mapped(self, mapping: int) -> list[tuple[int, int, str]]:
+        entries = [self.objects[mapping, sub][1] for sub in range(1, 1 + self.objects[mapping, 0][1])]
+        return [(e >> 16, e >> 8 & 0xFF, self.objects[e >> 16, e >> 8 & 0xFF][0]) for e in entries]
+
+    def _sdo(self, payload: bytes) -> bytes:
+        command, at, sub, data = struct.unpack("<BHB4s", payload)
+        known = self.objects.get((at, sub))
+        if known is None:
+            code = NO_SUB if any(index == at for index, _ in self.objects) else NO_OBJECT
+        elif command == 0x40:
+            packed = _packed(known[0], self.value(at, sub))
+            head = 0x43 | (4 - len(packed)) << 2
+            return struct.pack("<BHB4s", head, at, sub, packed.ljust(4, b"\0"))
+        else:
+            code = self._download(command, at, sub, known[0], data)
+        if code:
+            return struct.pack("<BHBI", 0x80, at, sub, code)
+        return struct.pack("<BHBI", 0x60, at, sub, 0)
+
+    def _download(self, command: int, at: int, sub: int, kind: str, data: bytes) -> int:
+        """Write an object; returns an abort code, 0 if it is done."""
+        size = 4 - (command >> 2 & 3)
+        if at in _READ_ONLY:
+            return READ_ONLY
+        if size != struct.calcsize(_FORMATS[kind]):
+            return LENGTH
+        if 0x1400 <= at <= 0x1BFF and self.nmt_state == OPERATIONAL:
+            return STATE
+        (value,) = struct.unpack(_FORMATS[kind], data[:size])
+        if (
+            0x1600 <= at <= 0x1BFF
+            and at & 0x200
+            and sub
+            and (value >> 16, value >> 8 & 0xFF) not in self.objects
+        ):
+            return NO_OBJECT
+        self._write(at, sub, kind, value)
+        return 0
+
+    def _write(self, at: int, sub: int, kind: str, value: int) -> None:
+        self.objects[at, sub] = (kind, value)
+        if at == 0x6040:
+            self._control(value)
+
+    # ---- states
+
+    def _statusword(self) -> int:
+        word = self.state.value
+        return word | 0x200 | (0x10 if self.state in (State.SWITCHED_ON, State.ENABLED) else 0)
+
+    def _control(self, controlword: int) -> None:
+        new = NEXT.get((self.state, word_of(controlword, self._word_before)))
+        self._word_before = controlword
+        if new is None or (self.state is State.FAULT and self._cause()):
+            return
+        if self.state is State.FAULT:
+            self.error = 0
+            self.outgoing.append((0x80 + self.setup.node, bytes(8)))  # no error
+        if new in (State.ENABLED, State.QUICK_STOP):
+            self._integral_V, self._held = 0.0, self.position
+        self.state = new
+
+    def _fault(self, code: int) -> None:
+        self.error, self.state = code, State.FAULT_REACTION
+        self._held = self.position
+        self.outgoing.append((0x80 + self.setup.node, struct.pack("<HB5s", code, 1, bytes(5))))
+
+    def _cause(self) -> int:
+        """The error code of a present cause."""
+        if self.forced_error:
+            return self.forced_error
+        return SUPPLY_LOW if self._supply_V < _LOWEST_SUPPLY_V and self.state is State.ENABLED else 0
+
+    def tick(self, now_s: float, current_A: float, supply_V: float) -> None:
+        """Run one control period."""
+        step_s = 0.001 if self._last_s is None else now_s - self._last_s
+        self._last_s, self._supply_V = now_s, supply_V
+        rated_Nm = self.setup.rated_torque_mNm * 1e-3
+        torque = round(1e3 * current_A * self.setup.torque_constant_Nm_A / rated_Nm)
+        self._torque_permille = min(max(torque, -32768), 32767)
+        if self.state is State.NOT_READY:
+            self.state = State.SWITCH_ON_DISABLED
+        elif self.state is State.FAULT_REACTION:
+            self.state = State.FAULT
+        if (cause := self._cause()) and self.state not in (State.FAULT, State.FAULT_REACTION):
+            self._fault(cause)
+        self._watch_host(now_s)
+        self._beat(now_s)
+        self._drive(step_s)
+
+    def _watch_host(self, now_s: float) -> None:
+        timeout_s = (self.objects[0x1016, 1][1] & 0xFFFF) * 1e-3
+        if timeout_s and self._heard_s is not None and now_s - self._heard_s > timeout_s:
+            self._heard_s = None
+            if self.state is State.ENABLED and self.objects[0x6007, 0][1] == 3:
+                self.state, self._held, self._integral_V = State.QUICK_STOP, self.position, 0.0
+            self.outgoing.append(
+                (0x80 + self.setup.node, struct.pack("<HB5s", HEARTBEAT_LOST, 0x11, bytes(5)))
+            )
+
+    def _beat(self, now_s: float) -> None:
+        every_s = self.objects[0x1017, 0][1] * 1e-3
+        if every_s and now_s - self._beat_s >= every_s:
+            self._beat_s = now_s
+            self.outgoing.append((0x700 + self.setup.node, bytes((self.nmt_state,))))
+
+    # ---- control
+
+    def _drive(self, step_s: float) -> None:
+        shaft = self._read_shaft()
+        rate, self._before = (shaft - self._before) / step_s, shaft
+        self._speed += (rate - self._speed) * step_s / (step_s + SPEED_FILTER_S)
+        if self.state is State.ENABLED:
+            self.output = self._by_mode(step_s)
+        elif self.state is State.QUICK_STOP:
+            self.output = self._to_position(self._held, step_s)
+        elif self.state in (State.FAULT_REACTION, State.FAULT):
+            self.output = Output("voltage", 0.0)  # after its reaction, the power stage shorts the windings
+        else:
+            self.output = OPEN
+
+    def _by_mode(self, step_s: float) -> Output:
+        match self.objects[0x6060, 0][1]:
+            case 10:
+                torque_Nm = self.objects[0x6071, 0][1] * 1e-6 * self.setup.rated_torque_mNm
+                limit_A = self.setup.current_limit_A
+                current_A = torque_Nm / self.setup.torque_constant_Nm_A
+                return Output("current", min(max(current_A, -limit_A), limit_A))
+            case 9:
+                return self._to_speed(self.objects[0x60FF, 0][1], step_s)
+            case 8:
+                return self._to_position(self.objects[0x607A, 0][1], step_s)
+        return self._to_position(self._held, step_s)
+
+    def _to_position(self, target: int, step_s: float) -> Output:
+        return self._to_speed(POSITION_RATE * _signed32(target - self.position), step_s)
+
+    def _to_speed(self, counts_s: float, step_s: float) -> Output:
+        volts_per_count_s = self.setup.torque_constant_Nm_A * 6.283185307179586 / self.setup.counts_per_turn
+        error_V = volts_per_count_s * (counts_s - self._speed)
+        wanted_V = volts_per_count_s * counts_s + SPEED_GAIN * error_V + self._integral_V
+        limited_V = min(max(wanted_V, -self._supply_V), self._supply_V)
+        if wanted_V == limited_V:
+            self._integral_V += SPEED_INTEGRAL * error_V * step_s
+        return Output("voltage", limited_V)
+
+
+def _defaults(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
+    """The dictionary after power-up: type and value by index and sub-index."""
+    objects: dict[tuple[int, int], tuple[str, int]] = {
+        (0x1000, 0): ("u32", 0x0002_0192), (0x1001, 0): ("u8", 0),
+        (0x1016, 0): ("u8", 1), (0x1016, 1): ("u32", 0), (0x1017, 0): ("u16", 0),
+        (0x1018, 0): ("u8", 4), (0x1018, 1): ("u32", setup.vendor), (0x1018, 2): ("u32", setup.product),
+        (0x1018, 3): ("u32", 0x0001_0000), (0x1018, 4): ("u32", setup.serial_number),
+        (0x6007, 0): ("i16", 1), (0x603F, 0): ("u16", 0), (0x6040, 0): ("u16", 0), (0x6041, 0): ("u16", 0),
+        (0x605A, 0): ("i16", 2), (0x6060, 0): ("i8", 0), (0x6061, 0): ("i8", 0), (0x6064, 0): ("i32", 0),
+        (0x606C, 0): ("i32", 0), (0x6071, 0): ("i16", 0), (0x6076, 0): ("u32", setup.rated_torque_mNm),
+        (0x6077, 0): ("i16", 0), (0x6079, 0): ("u32", 0), (0x607A, 0): ("i32", 0),
+        (0x60C2, 0): ("u8", 2), (0x60C2, 1): ("u8", 1), (0x60C2, 2): ("i8", -3),
+        (0x60FD, 0): ("u32", 0), (0x60FF, 0): ("i32", 0), (0x6502, 0): ("u32", 0x0380),
+    }  # fmt: skip
+    for pdo in (0, 1):
+        for communication, mapping in ((0x1400, 0x1600), (0x1800, 0x1A00)):
+            objects[communication + pdo, 0] = ("u8", 2)
+            objects[communication + pdo, 1] = ("u32", 0x8000_0000)
+            objects[communication + pdo, 2] = ("u8", 255)
+            objects[mapping + pdo, 0] = ("u8", 0)
+            objects.update({(mapping + pdo, sub): ("u32", 0) for sub in range(1, 9)})
+    return objects
+
+
+def _packed(kind: str, value: int) -> bytes:
+    return struct.pack(_FORMATS[kind], value)
+
+
+def _signed32(value: int) -> int:
+    return (value + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000

@@ -1,0 +1,235 @@
+"""RoboClaw boards on a packet serial line, written from the vendor's manual ("RoboClaw Series User Manual", Basicmicro).
+
+A board is a state machine without I/O: `receive` bytes, `tick` once per control period with the measurements, and read `duty`.
+What the manual leaves open, and what is assumed here, is in docs/roboclaw.md.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+ACKNOWLEDGEMENT = b"\xff"
+GAP_S = 0.010  # between two bytes of a packet: longer, and it is discarded
+LATENCY_S = 0.0003  # from the last byte of a request to the first of its answer
+FULL = 32767
+E_STOP, OVER_HEATED, VOLTAGE_HIGH, VOLTAGE_LOW = 0x1, 0x2, 0x8, 0x4000
+DRIVER_FAULT, OVER_CURRENT_WARNING, PIN_TRIGGERED = (0x40, 0x80), (0x10000, 0x20000), (0x400000, 0x800000)
+ERRORS = 0xFFFF
+
+# Bytes of data of the commands that set or command something; all others here read.
+WRITES = {
+    14: 1, 20: 0, 22: 4, 23: 4, 32: 2, 33: 2, 34: 4, 57: 4, 68: 4, 69: 4, 74: 3, 92: 1, 93: 1, 94: 0, 133: 8, 134: 8, 200: 0,
+}  # fmt: skip
+READS = {15, 16, 17, 21, 24, 25, 48, 49, 59, 75, 78, 82, 90, 91, 135, 136}
+
+
+def crc16(data: bytes) -> int:
+    """The manual's CRC: polynomial 0x1021 from 0, bit by bit."""
+    crc = 0
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1) ^ 0x1021 if crc & 0x8000 else crc << 1
+    return crc & 0xFFFF
+
+
+@dataclass(slots=True)
+class Settings:
+    """What command 94 saves, and what a restart brings back."""
+
+    timeout: int = 10  # in 0.1 s; 0: none
+    duty_accelerations: list[int] = field(default_factory=lambda: [655359, 655359])
+    current_limits: list[int] = field(default_factory=lambda: [6000, 6000])  # in 10 mA
+    pin_modes: tuple[int, int, int] = (0, 0x62, 0x62)  # S3; S4 and S5 as home switches
+    encoder_modes: list[int] = field(default_factory=lambda: [0, 0])
+    main_voltages: tuple[int, int] = (60, 340)  # in 0.1 V
+
+    def copy(self) -> Settings:
+        """A copy that shares nothing."""
+        return Settings(
+            self.timeout, list(self.duty_accelerations), list(self.current_limits), self.pin_modes,
+            list(self.encoder_modes), self.main_voltages,
+        )  # fmt: skip
+
+
+class RoboClawMock:
+    """One board. `read_shaft(channel)` gives the edges counted by an encoder input, without wrap; channels 0 and 1."""
+
+    version = "RoboClaw 2x15A v4.3.6"
+
+    def __init__(self, address: int, read_shaft: Callable[[int], int]) -> None:
+        self.address = address
+        self.saved = Settings()
+        self.forced_errors = 0  # persistent causes, set by a fault of the scenario
+        self.stuck: dict[int, int] = {}  # channel: the count at which its input stands still
+        self.are_switches_on = [False, False]
+        self._read_shaft = read_shaft
+        self.power_up()
+
+    def power_up(self) -> None:
+        """State after power-up or a restart: duties and counts 0, settings as saved."""
+        self.settings = self.saved.copy()
+        self.duty = [0.0, 0.0]  # applied, ramped towards `wanted_duty`
+        self.wanted_duty = [0, 0]
+        self._offsets = [-self._shaft(channel) for channel in (0, 1)]
+        self._currents = [0.0, 0.0]
+        self._is_limited = [False, False]
+        self._supply_V = 24.0
+        self._is_driven = False
+        self._obeyed_s = self._ticked_s = 0.0
+
+    def _shaft(self, channel: int) -> int:
+        return self.stuck.get(channel, self._read_shaft(channel))
+
+    def count(self, channel: int) -> int:
+        """The counter of a channel, 32 bits."""
+        return (self._shaft(channel) + self._offsets[channel]) & 0xFFFF_FFFF
+
+    @property
+    def status(self) -> int:
+        """The 32 bits of command 90."""
+        low, high = self.settings.main_voltages
+        tenths = round(self._supply_V * 10)
+        bits = self.forced_errors
+        bits |= (VOLTAGE_LOW if tenths < low else 0) | (VOLTAGE_HIGH if tenths > high else 0)
+        for channel in (0, 1):
+            bits |= OVER_CURRENT_WARNING[channel] if self._is_limited[channel] else 0
+            bits |= PIN_TRIGGERED[channel] if self.are_switches_on[channel] else 0
+        return bits
+
+    def tick(self, now_s: float, currents_A: list[float], supply_V: float, is_limited: list[bool]) -> None:
+        """Run one control period: measure, watch the time-out, and ramp the duties."""
+        step_s, self._ticked_s = now_s - self._ticked_s, now_s
+        self._currents, self._supply_V, self._is_limited = currents_A, supply_V, is_limited
+        timeout_s = self.settings.timeout * 0.1
+        if timeout_s and now_s - self._obeyed_s > timeout_s:
+            self.wanted_duty = [0, 0]
+        is_stopped = bool(self.status & ERRORS)
+        for channel in (0, 1):
+            wanted = 0 if is_stopped else self.wanted_duty[channel]
+            most = self.settings.duty_accelerations[channel] * step_s
+            change = wanted - self.duty[channel]
+            self.duty[channel] += min(max(change, -most), most)
+
+    def obey(self, packet: bytes, now_s: float) -> bytes:
+        """The answer to a whole, valid packet for this board, after having obeyed it."""
+        self._obeyed_s = now_s
+        command = packet[1]
+        if command in WRITES:
+            self._set(command, packet[2:-2])
+            return ACKNOWLEDGEMENT
+        data = self._said(command)
+        return data + struct.pack(">H", crc16(packet + data))
+
+    def _said(self, command: int) -> bytes:
+        settings = self.settings
+        match command:
+            case 15:
+                return bytes((settings.timeout,))
+            case 16 | 17:
+                return struct.pack(">IB", self.count(command - 16), 0)
+            case 21:
+                return self.version.encode("ascii") + b"\n\0"
+            case 24:
+                return struct.pack(">H", round(self._supply_V * 10))
+            case 25:
+                return struct.pack(">H", 50)
+            case 48:
+                return struct.pack(">hh", *(round(duty) for duty in self.duty))
+            case 49:
+                return struct.pack(">hh", *(self._drawn(channel) for channel in (0, 1)))
+            case 59:
+                return struct.pack(">HH", *settings.main_voltages)
+            case 75:
+                return bytes(settings.pin_modes)
+            case 78:
+                return struct.pack(">II", self.count(0), self.count(1))
+            case 82:
+                return struct.pack(">H", 300)
+            case 90:
+                return struct.pack(">I", self.status)
+            case 91:
+                return bytes(settings.encoder_modes)
+            case _:  # 135, 136
+                return struct.pack(">II", settings.current_limits[command - 135], 0)
+
+    def _set(self, command: int, data: bytes) -> None:
+        settings = self.settings
+        match command:
+            case 14:
+                settings.timeout = data[0]
+            case 20:
+                self._offsets = [-self._shaft(channel) for channel in (0, 1)]
+            case 22 | 23:
+                (count,) = struct.unpack(">I", data)
+                self._offsets[command - 22] = count - self._shaft(command - 22)
+            case 32 | 33:
+                (self.wanted_duty[command - 32],) = struct.unpack(">h", data)
+            case 34:
+                self.wanted_duty = list(struct.unpack(">hh", data))
+            case 57:
+                low, high = struct.unpack(">HH", data)
+                settings.main_voltages = (low, high)
+            case 68 | 69:
+                (settings.duty_accelerations[command - 68],) = struct.unpack(">I", data)
+            case 74:
+                settings.pin_modes = (data[0], data[1], data[2])
+            case 92 | 93:
+                settings.encoder_modes[command - 92] = data[0]
+            case 94:
+                self.saved = settings.copy()
+            case 133 | 134:
+                settings.current_limits[command - 133], _ = struct.unpack(">II", data)
+            case _:  # 200
+                self.forced_errors &= ~E_STOP
+
+    def _drawn(self, channel: int) -> int:
+        """What the motor draws in 10 mA: positive while it drives, negative while it feeds back."""
+        sign = -1.0 if self.duty[channel] < 0.0 else 1.0
+        return round(sign * self._currents[channel] * 100)
+
+
+class RoboClawLineMock:
+    """A line with boards: every board hears all bytes and answers packets with its address; the answers take their time."""
+
+    def __init__(self, boards: list[RoboClawMock], baud: int) -> None:
+        self.boards = {board.address: board for board in boards}
+        self.outgoing: list[tuple[float, bytes]] = []  # (arrival at the host, bytes)
+        self._byte_s = 10.0 / baud
+        self._packet = b""
+        self._heard_s = 0.0
+        self._is_deaf = False  # until a gap, after a command whose length is unknown
+
+    def receive(self, received: bytes, now_s: float) -> None:
+        """Bytes from the host."""
+        if now_s - self._heard_s > GAP_S:
+            self._packet, self._is_deaf = b"", False
+        self._heard_s = now_s
+        if self._is_deaf:
+            return
+        self._packet += received
+        while (length := self._length()) is not None and len(self._packet) >= length:
+            packet, self._packet = self._packet[:length], self._packet[length:]
+            self._take(packet, now_s)
+
+    def _length(self) -> int | None:
+        """Length of the packet that begins here, once it is known."""
+        if len(self._packet) < 2:
+            return None
+        address, command = self._packet[0], self._packet[1]
+        if not 0x80 <= address <= 0x87 or (command not in WRITES and command not in READS):
+            self._packet, self._is_deaf = b"", True
+            return None
+        return 2 if command in READS else 4 + WRITES[command]
+
+    def _take(self, packet: bytes, now_s: float) -> None:
+        board = self.boards.get(packet[0])
+        if board is None:
+            return
+        if packet[1] in WRITES and crc16(packet[:-2]) != int.from_bytes(packet[-2:], "big"):
+            return  # invalid: no answer
+        answer = board.obey(packet, now_s)
+        there_s = now_s + LATENCY_S + (len(packet) + len(answer)) * self._byte_s
+        self.outgoing.append((there_s, answer))

@@ -1,0 +1,123 @@
+"""Every kind of board keeps the same promises behind the loop's Protocol: what is safe does not depend on the board."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from control.hardware.interface import OutputMode
+from control.safety.table import Mode
+from tests.cell import Cell, holding_cell, open_cell, scenario
+from tests.kinds import ON_BOARDS, OnBoards
+
+
+@pytest.fixture(params=list(ON_BOARDS))
+def on_boards(request: pytest.FixtureRequest) -> OnBoards:
+    return ON_BOARDS[request.param]
+
+
+@pytest.fixture
+def holding(on_boards: OnBoards) -> Iterator[Cell]:
+    with holding_cell(scenario(q_rad=None, homed=True), on_boards.arm, period_s=on_boards.period_s) as cell:
+        yield cell
+
+
+def volts(cell: Cell) -> list[float]:
+    """Mean terminal voltages of the motors, as the plant has them."""
+    return [abs(value) if kind == "voltage" else 0.0 for kind, value in cell.rig.robot.outputs]
+
+
+def test_nothing_is_driven_before_enable_nor_after_off(on_boards: OnBoards) -> None:
+    with open_cell(scenario(q_rad=None), on_boards.arm, period_s=on_boards.period_s) as cell:
+        assert max(volts(cell)) == 0.0
+        cell.client.enable()
+        assert cell.connection.hardware.is_any_enabled()
+        cell.client.off()
+        cell.run(0.2)
+        assert not cell.connection.hardware.is_any_enabled()
+        assert max(volts(cell)) == 0.0
+
+
+def test_a_jog_moves_the_joint_in_its_positive_direction(holding: Cell) -> None:
+    before_rad = holding.rig.joint_rad()
+    holding.client.jog(joint=1, by_rad=0.1, speed_rad_s=0.5)
+    moved = [now - was for now, was in zip(holding.rig.joint_rad(), before_rad, strict=True)]
+    assert moved[0] > 0.05
+    assert max(map(abs, moved[1:])) < 0.02
+    assert holding.faults == []
+
+
+def test_a_silent_board_is_a_fault_and_its_motors_come_to_rest(holding: Cell, on_boards: OnBoards) -> None:
+    holding.inject("silent", on_boards.first)
+    holding.until_fault(0.5)
+    assert any(code in ("drive_silent", "encoder_stale") for code, _ in holding.faults)
+    holding.run(0.6)  # longer than any board's own watchdog
+    q_rad = holding.rig.joint_rad()
+    holding.run(0.05)
+    assert holding.rig.joint_rad() == pytest.approx(q_rad, abs=2e-3)
+
+
+def test_the_boards_stop_by_themselves_when_the_host_is_gone(holding: Cell, on_boards: OnBoards) -> None:
+    holding.client.ask("jog", joint=1, by_rad=0.5, speed_rad_s=0.5)
+    holding.run(0.15)
+    clock = holding.rig.clock
+    clock.wait_until_s(clock.now_s() + on_boards.arm.limits.watchdog_s + 0.6)
+    before_rad = holding.rig.joint_rad()
+    clock.wait_until_s(clock.now_s() + 0.05)
+    assert holding.rig.joint_rad()[0] == pytest.approx(before_rad[0], abs=1e-3)
+
+
+def test_a_boards_error_is_a_fault_that_only_a_person_ends(holding: Cell, on_boards: OnBoards) -> None:
+    holding.inject("over_temperature", on_boards.first)
+    holding.until_fault(0.5)
+    assert ("drive_fault", "joint 1") in holding.faults
+    assert "cannot be acknowledged" in holding.refusal(do="acknowledge")
+    holding.rig.clear_faults()
+    holding.run(0.3)
+    assert holding.mode is Mode.FAULT
+    assert holding.connection.hardware.feedback.drive_faults[0], "a fault that is gone has been forgotten"
+    assert volts(holding)[0] == 0.0
+    holding.client.ask("acknowledge")
+    assert holding.mode is not Mode.HOLDING
+    holding.client.enable()
+    assert holding.mode is Mode.HOLDING
+
+
+def test_an_emergency_stop_ends_a_motion_and_lasts(holding: Cell) -> None:
+    holding.client.ask("jog", joint=1, by_rad=0.5, speed_rad_s=0.5)
+    holding.run(0.2)
+    holding.connection.hardware.emergency_stop()
+    holding.run(0.3)
+    assert holding.mode is Mode.FAULT
+    before_rad = holding.rig.joint_rad()
+    holding.run(0.3)
+    assert holding.rig.joint_rad()[0] == pytest.approx(before_rad[0], abs=1e-3)
+
+
+def test_a_board_that_restarts_is_noticed_and_set_up_anew(holding: Cell, on_boards: OnBoards) -> None:
+    holding.inject("board_reset", on_boards.last, at_s=holding.rig.clock.now_s())
+    holding.until_fault(0.5)
+    holding.run(0.2)
+    messages = [f"{fault.where} {fault.message}" for fault in holding.runtime.monitor.faults]
+    assert any("restarted by itself" in message for message in messages), messages
+    holding.client.ask("acknowledge")
+    holding.run(0.1)
+    holding.client.enable()
+    assert holding.mode is Mode.HOLDING
+
+
+def test_a_shifted_counter_reads_the_shifted_count(holding: Cell) -> None:
+    feedback = holding.connection.hardware.feedback
+    before = feedback.count[0]
+    holding.connection.hardware.shift_count(0, 1000)
+    holding.connection.hardware.read()
+    assert abs(feedback.count[0] - before - 1000) <= 2
+    assert feedback.shift_count[0] == 1000
+
+
+def test_the_loop_knows_what_all_of_its_boards_offer(on_boards: OnBoards) -> None:
+    with open_cell(scenario(q_rad=None), on_boards.arm, period_s=on_boards.period_s) as cell:
+        offers = cell.connection.hardware.offers
+        assert OutputMode.HOLD in offers
+        if OutputMode.OFF not in offers:
+            cell.client.enable()
+            assert "docs/boards.md" in cell.refusal(do="guide", weightless=False)

@@ -1,0 +1,217 @@
+"""The CANopen side of CiA 402 drives: frames, SDO against canopen's own server, states, and what is not forgiven."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from firmware_iface.canopen import wire
+from firmware_iface.canopen.bus import CanOpenBus
+from firmware_iface.canopen.drive import STATUSWORD, Cia402Drive
+from firmware_iface.canopen.wire import Entry
+from firmware_iface.errors import BoardFaulted, BoardReset, BoardSilent, MisuseError, RequestRefused
+from firmware_iface.motor.cia402 import State
+from hil_mocks.devices.cia402_drive import Cia402Mock, Cia402Setup
+from hil_mocks.devices.motor_states import State as MockState
+
+NODE = 5
+GOLDEN = Path(__file__).parent.parent / "golden" / "canopen.txt"
+
+
+def golden(name: str) -> tuple[int, bytes]:
+    for line in GOLDEN.read_text().splitlines():
+        if line.startswith(name + " |"):
+            _, can_id, payload = line.split("|")
+            return int(can_id, 16), bytes.fromhex(payload)
+    raise KeyError(name)
+
+
+class Wire:
+    """A bus on which the far end answers at once: `answer` gets what the host sends and returns frames."""
+
+    name = "memory"
+
+    def __init__(self, answer: Callable[[int, bytes], list[tuple[int, bytes]]]) -> None:
+        self.sent: list[tuple[int, bytes]] = []
+        self.answer = answer
+        self._received: list[tuple[int, bytes]] = []
+        self._now_s = 0.0
+
+    def send(self, can_id: int, payload: bytes) -> None:
+        self.sent.append((can_id, bytes(payload)))
+        self._received += self.answer(can_id, bytes(payload))
+
+    def put(self, can_id: int, payload: bytes) -> None:
+        self._received.append((can_id, payload))
+
+    def receive(self) -> list[tuple[int, bytes]]:
+        frames, self._received = self._received, []
+        return frames
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def now_s(self) -> float:
+        return self._now_s
+
+    def wait_until_s(self, t: float) -> None:
+        self._now_s = max(self._now_s, t)
+
+
+def on(wired: Wire) -> Cia402Drive:
+    return Cia402Drive(CanOpenBus(wired, wired), NODE, "elbow")
+
+
+class Cell:
+    """A mock drive on a wire: its control period passes whenever the host waits."""
+
+    def __init__(self) -> None:
+        self.mock = Cia402Mock(Cia402Setup(NODE, 77, 2000, 0.05, 1.0, 10.0), lambda: 0)
+        self.states: list[MockState] = []
+        self.wired = Wire(self._answer)
+        self.bus = CanOpenBus(self.wired, self.wired)
+        self.drive = Cia402Drive(self.bus, NODE, "elbow")
+        wait = self.wired.wait_until_s
+
+        def wait_until_s(t: float) -> None:
+            wait(t)
+            self.mock.tick(t, 0.0, 24.0)
+            self.states.append(self.mock.state)
+            self._flush()
+
+        self.wired.wait_until_s = wait_until_s  # type: ignore[method-assign]
+
+    def _answer(self, can_id: int, payload: bytes) -> list[tuple[int, bytes]]:
+        self.mock.receive(can_id, payload, self.wired.now_s())
+        self.states.append(self.mock.state)
+        frames = list(self.mock.outgoing)
+        self.mock.outgoing.clear()
+        return frames
+
+    def _flush(self) -> None:
+        for frame in self.mock.outgoing:
+            self.wired.put(*frame)
+        self.mock.outgoing.clear()
+
+    def cycle(self, wanted: State) -> None:
+        self.drive.step_towards(wanted)
+        self.bus.sync()
+        self.wired.wait_until_s(self.wired.now_s() + 0.002)
+        self.bus.update()
+
+
+@pytest.fixture
+def cell() -> Cell:
+    made = Cell()
+    made.drive.identify()
+    made.drive.set_up(0.002, 0.2)
+    return made
+
+
+def test_frames_are_those_of_the_standard() -> None:
+    wired = Wire(lambda can_id, payload: [])
+    bus = CanOpenBus(wired, wired)
+    assert wire.read_request(STATUSWORD) == golden("SDO read 0x6041:00")[1]
+    assert wire.write_request(Entry(0x6060, 0, "i8"), 8) == golden("SDO write 0x6060:00 = 8")[1]
+    assert wire.write_request(Entry(0x1017, 0, "u16"), 200) == golden("SDO write 0x1017:00 = 200")[1]
+    consumer = wire.write_request(Entry(0x1016, 1, "u32"), 127 << 16 | 200)
+    assert consumer == golden("SDO write 0x1016:01 = node 127, 200 ms")[1]
+    mapped = wire.write_request(Entry(0x1A00, 1, "u32"), STATUSWORD.mapping)
+    assert mapped == golden("SDO write 0x1A00:01 = 0x60410010")[1]
+    bus.nmt(wire.NmtCommand.START, NODE)
+    bus.sync()
+    assert wired.sent == [golden("NMT start node 5"), golden("SYNC")]
+
+
+def test_the_drive_is_brought_to_operation_at_its_present_position(cell: Cell) -> None:
+    for _ in range(6):
+        cell.cycle(State.OPERATION_ENABLED)
+    assert cell.drive.state is State.OPERATION_ENABLED
+    assert cell.mock.objects[0x6060, 0] == ("i8", 8)
+    assert cell.mock.objects[0x607A, 0] == ("i32", cell.mock.position)
+    sent = {frame for frame in cell.wired.sent if frame[0] == 0x205}
+    assert (0x205, bytes.fromhex("0f 00 08 00 00 00 00")) in sent
+    cell.drive.command_position(-2)
+    assert cell.wired.sent[-1] == golden("RPDO 1 enable operation, CSP, -2")
+
+
+def test_a_fault_reset_never_leads_into_operation(cell: Cell) -> None:
+    for _ in range(6):
+        cell.cycle(State.OPERATION_ENABLED)
+    cell.mock.forced_error = 0x2310
+    for _ in range(4):
+        cell.cycle(State.OPERATION_ENABLED)
+    assert cell.drive.state is State.FAULT
+    assert cell.drive.error_text() == "0x2310"
+    with pytest.raises(BoardFaulted, match="cause persists"):
+        cell.drive.acknowledge_fault(0.05)
+    cell.mock.forced_error = 0
+    cell.states.clear()
+    cell.drive.acknowledge_fault()
+    assert cell.drive.state is State.SWITCH_ON_DISABLED
+    assert MockState.ENABLED not in cell.states
+
+
+def test_a_boot_up_message_of_a_running_drive_is_a_restart(cell: Cell) -> None:
+    cell.wired.put(0x700 + NODE, b"\x00")
+    with pytest.raises(BoardReset, match=r'"elbow" \(node 5\).*restarted by itself'):
+        cell.bus.update()
+    assert cell.drive.state is None
+
+
+def test_a_drive_that_hears_no_heartbeat_stops_by_itself(cell: Cell) -> None:
+    for _ in range(6):
+        cell.cycle(State.OPERATION_ENABLED)
+    for _ in range(150):
+        cell.wired.wait_until_s(cell.wired.now_s() + 0.002)
+    assert cell.mock.state is MockState.QUICK_STOP
+
+
+def test_silence_and_a_bad_node_id_are_errors_that_say_where() -> None:
+    with pytest.raises(BoardSilent, match=r"no answer to SDO 0x1000:00.*node id and bit rate"):
+        on(Wire(lambda can_id, payload: [])).identify()
+    wired = Wire(lambda can_id, payload: [])
+    with pytest.raises(MisuseError, match="1 to 126"):
+        Cia402Drive(CanOpenBus(wired, wired), 127, "x")
+
+
+class Server:
+    """canopen's own SDO server, on our wire."""
+
+    def __init__(self, canopen: Any) -> None:
+        self.network = canopen.Network()
+        self.network.bus = self
+        self._frames: list[tuple[int, bytes]] = []
+        dictionary = canopen.ObjectDictionary()
+        for index, sub, kind in (
+            (0x1000, 0, canopen.objectdictionary.UNSIGNED32),
+            (0x1017, 0, canopen.objectdictionary.UNSIGNED16),
+            (0x6060, 0, canopen.objectdictionary.INTEGER8),
+            (0x607A, 0, canopen.objectdictionary.INTEGER32),
+        ):
+            entry = canopen.objectdictionary.ODVariable(f"object {index:x}", index, sub)
+            entry.data_type, entry.access_type = kind, "rw"
+            dictionary.add_object(entry)
+        self.node = canopen.LocalNode(NODE, dictionary)
+        self.network.add_node(self.node)
+
+    def send(self, message: Any) -> None:
+        self._frames.append((message.arbitration_id, bytes(message.data)))
+
+    def answer(self, can_id: int, payload: bytes) -> list[tuple[int, bytes]]:
+        self._frames.clear()
+        self.network.notify(can_id, bytearray(payload), 0.0)
+        return list(self._frames)
+
+
+def test_sdo_agrees_with_the_server_of_the_canopen_library() -> None:
+    server = Server(pytest.importorskip("canopen"))
+    drive = on(Wire(server.answer))
+    for index, kind, value in ((0x1000, "u32", 0x0002_0192), (0x6060, "i8", -3), (0x607A, "i32", -123456)):
+        entry = Entry(index, 0, kind)
+        drive.write(entry, value)
+        assert server.node.sdo[index].raw == value
+        assert drive.read(entry) == value
+    with pytest.raises(RequestRefused, match=r"refused object 0x60FF:00: no such object \(0x06020000\)"):
+        drive.write(Entry(0x60FF, 0, "i32"), 0)

@@ -1,0 +1,98 @@
+"""Dynamixel protocol 2.0: the packets of the e-Manual, and a line that is late, echoes or is silent."""
+
+import struct
+from pathlib import Path
+
+import pytest
+
+from firmware_iface.dynamixel import wire
+from firmware_iface.dynamixel.servo import DynamixelServo, ServoLine
+from firmware_iface.errors import BoardSilent, MisuseError, WrongIdentity
+from firmware_iface.memory_link import byte_pair
+from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
+
+GOLDEN = {
+    line.split("|")[0].strip(): bytes.fromhex(line.split("|")[1])
+    for line in (Path(__file__).parent.parent / "golden" / "dynamixel.txt").read_text().splitlines()
+    if not line.startswith("#")
+}
+
+
+def test_packets_are_those_of_the_manual() -> None:
+    assert wire.packet(1, wire.Instruction.PING) == GOLDEN["PING id 1"]
+    assert wire.read(1, 132, 4) == GOLDEN["READ id 1 present position"]
+    assert wire.write(1, 116, struct.pack("<i", 512)) == GOLDEN["WRITE id 1 goal position 512"]
+    status = wire.status_in(GOLDEN["STATUS id 1 ping, model 1030 firmware 38"])
+    assert status == (1, 0, struct.pack("<HB", 1030, 38), 14)
+
+
+class Cable:
+    """A line with a mock servo; its clock is that of the servo. `echoes`: the adapter hears itself."""
+
+    def __init__(self, model: int = 1020, echoes: bool = False) -> None:
+        self.link, self._far = byte_pair("/dev/ttyU2D2", 1_000_000)
+        self.servo = DynamixelMock(ServoSetup(3, 1.0, model), lambda: 0.25)
+        self.mock = DynamixelLineMock([self.servo], 1_000_000)
+        self.is_cut = False
+        self._echoes = echoes
+        self._now_s = 0.0
+
+    def now_s(self) -> float:
+        return self._now_s
+
+    def wait_until_s(self, t: float) -> None:
+        while self._now_s < t:
+            self._now_s += 0.0005
+            received = self._far.read()
+            if self._echoes and received:
+                self._far.write(received)
+            self.mock.receive(received, self._now_s)
+            self.servo.tick(self._now_s, 0.0, 12.0)
+            sent, self.mock.outgoing = self.mock.outgoing, []
+            for _, status in [] if self.is_cut else sent:
+                self._far.write(status)
+
+
+@pytest.mark.parametrize("echoes", [False, True])
+def test_a_servo_says_who_and_where_it_is(echoes: bool) -> None:
+    cable = Cable(echoes=echoes)
+    servo = DynamixelServo(ServoLine(cable.link, cable), 3, "elbow")
+    assert servo.identify() == "model 1020, position mode"
+    servo.set_up(0.2)
+    assert (servo.position, servo.supply_V, servo.is_torque_on) == (1024, 12.0, False)
+    assert cable.servo.table[98] == 10
+
+
+def test_models_without_a_current_other_modes_and_bad_ids_are_refused() -> None:
+    cable = Cable(model=1060)
+    with pytest.raises(WrongIdentity, match="measures its current"):
+        DynamixelServo(ServoLine(cable.link, cable), 3, "elbow").identify()
+    cable = Cable()
+    cable.servo.table[11] = 1
+    with pytest.raises(WrongIdentity, match="operating mode 3 or 4"):
+        DynamixelServo(ServoLine(cable.link, cable), 3, "elbow").identify()
+    with pytest.raises(MisuseError, match="0 to 252"):
+        DynamixelServo(ServoLine(cable.link, cable), 254, "elbow")
+
+
+def test_a_silent_servo_is_an_error_that_says_what_to_check() -> None:
+    cable = Cable()
+    cable.is_cut = True
+    with pytest.raises(
+        BoardSilent, match=r'Dynamixel "elbow" \(id 3\) on /dev/ttyU2D2.*protocol 2.0.*1000000'
+    ):
+        DynamixelServo(ServoLine(cable.link, cable), 3, "elbow").identify()
+
+
+def test_the_bus_watchdog_stops_a_servo_whose_host_is_gone_until_it_is_cleared() -> None:
+    cable = Cable()
+    servo = DynamixelServo(ServoLine(cable.link, cable), 3, "elbow")
+    servo.identify()
+    servo.set_up(0.1)
+    cable.servo.write(64, b"\x01")
+    cable.wait_until_s(cable.now_s() + 0.3)
+    servo.read_state()
+    assert servo.is_watchdog_expired
+    assert cable.servo.write(116, struct.pack("<i", 5)) == 7  # goals are read-only
+    servo.set_up(0.1)
+    assert not servo.is_watchdog_expired

@@ -1,0 +1,158 @@
+"""RoboClaw's packet serial: bytes, answers that are wrong, late or missing, and a board that is not what it should be."""
+
+from pathlib import Path
+
+import pytest
+
+from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, WrongIdentity
+from firmware_iface.memory_link import MemoryByteLink, byte_pair
+from firmware_iface.roboclaw import wire
+from firmware_iface.roboclaw.board import RoboClaw
+from firmware_iface.roboclaw.line import ANSWER_TIMEOUT_s, PacketLine
+from firmware_iface.roboclaw.wire import Command
+from hil_mocks.devices.roboclaw import RoboClawLineMock, RoboClawMock
+
+GOLDEN = Path(__file__).parent.parent / "golden" / "roboclaw.txt"
+ROWS = [
+    [cell.strip() for cell in line.split("|")]
+    for line in GOLDEN.read_text().splitlines()
+    if not line.startswith("#")
+]
+
+
+@pytest.mark.parametrize("row", ROWS, ids=[row[0] for row in ROWS])
+def test_packets_are_those_of_the_manual(row: list[str]) -> None:
+    _, address, command, data, packet = row
+    made = wire.command_packet(int(address, 16), int(command), bytes.fromhex(data))
+    assert made == bytes.fromhex(packet)
+
+
+def test_any_single_flipped_bit_of_an_answer_is_rejected() -> None:
+    mock = RoboClawMock(0x80, lambda channel: (12345, -67)[channel])
+    mock.obey(wire.command_packet(0x80, Command.SET_ENCODER_1, bytes(4)), 0.0)
+    answer = mock.obey(wire.read_packet(0x80, Command.READ_ENCODERS), 0.0)
+    assert wire.reply_data(0x80, Command.READ_ENCODERS, answer) is not None
+    for bit in range(8 * len(answer)):
+        flipped = bytearray(answer)
+        flipped[bit // 8] ^= 1 << bit % 8
+        assert wire.reply_data(0x80, Command.READ_ENCODERS, bytes(flipped)) is None
+
+
+def test_an_answer_of_another_board_or_to_another_command_is_rejected() -> None:
+    answer = RoboClawMock(0x80, lambda channel: 0).obey(wire.read_packet(0x80, Command.READ_CURRENTS), 0.0)
+    assert wire.reply_data(0x81, Command.READ_CURRENTS, answer) is None
+    assert wire.reply_data(0x80, Command.READ_STATUS, answer) is None
+
+
+class Cable:
+    """A line with mock boards; its clock is that of the boards. `is_cut`: nothing comes back."""
+
+    def __init__(self, *addresses: int) -> None:
+        self.link, self._far = byte_pair("/dev/ttyCLAW", 115_200)
+        self.shafts = [1000, -5]
+        self.mocks = [RoboClawMock(address, lambda channel: self.shafts[channel]) for address in addresses]
+        self.mock = RoboClawLineMock(self.mocks, 115_200)
+        self.is_cut = False
+        self.flips = 0  # how many answers to spoil
+        self._now_s = 0.0
+
+    def now_s(self) -> float:
+        return self._now_s
+
+    def wait_until_s(self, t: float) -> None:
+        while self._now_s < t:
+            self._now_s += 0.0005
+            received = self._far.read()
+            if received:
+                self.mock.receive(received, self._now_s)
+            for board in self.mocks:
+                board.tick(self._now_s, [0.0, 0.0], 24.0, [False, False])
+            self._deliver(self._far)
+
+    def _deliver(self, far: MemoryByteLink) -> None:
+        there = [sent for sent in self.mock.outgoing if sent[0] <= self._now_s]
+        self.mock.outgoing = [sent for sent in self.mock.outgoing if sent[0] > self._now_s]
+        for _, answer in there:
+            if self.flips:
+                self.flips -= 1
+                answer = bytes((answer[0] ^ 1, *answer[1:]))
+            if not self.is_cut:
+                far.write(answer)
+
+
+@pytest.fixture
+def cable() -> Cable:
+    return Cable(0x80, 0x81)
+
+
+def board_on(cable: Cable, address: int = 0x80) -> RoboClaw:
+    return RoboClaw(PacketLine(cable.link, cable), address, "base")
+
+
+def test_two_boards_on_a_line_answer_for_themselves(cable: Cable) -> None:
+    line = PacketLine(cable.link, cable)
+    first, second = RoboClaw(line, 0x80, "first"), RoboClaw(line, 0x81, "second")
+    second.set_count(1, 777)
+    assert first.read_counts() == (0, 0)
+    assert second.read_counts() == (777, 0)
+    assert "RoboClaw" in second.identify().version
+
+
+def test_an_answer_that_is_wrong_once_is_asked_for_again(cable: Cable) -> None:
+    board = board_on(cable)
+    cable.flips = 1
+    assert board.read_counts() == (0, 0)
+
+
+def test_a_silent_board_is_given_up_after_three_time_outs_and_the_error_says_what_to_check(
+    cable: Cable,
+) -> None:
+    board = board_on(cable)
+    cable.is_cut = True
+    with pytest.raises(
+        BoardSilent, match=r'RoboClaw "base" \(address 0x80\) on /dev/ttyCLAW.*asked 3 times.*115200'
+    ):
+        board.read_counts()
+    assert cable.now_s() < 3 * (ANSWER_TIMEOUT_s + 0.005)
+
+
+def test_the_board_forgets_half_a_packet_after_a_gap(cable: Cable) -> None:
+    cable.link.write(b"\x80")  # of a host that died here
+    board = board_on(cable)
+    cable.wait_until_s(0.02)
+    assert board.read_counts() == (0, 0)
+
+
+def test_a_board_restart_is_told_by_its_saved_time_out(cable: Cable) -> None:
+    line = PacketLine(cable.link, cable)
+    board = RoboClaw(line, 0x80, "base")
+    board.set_up(0.25, (10.0, 10.0))
+    assert cable.mocks[0].settings.timeout == 2  # rounded down: the arm may not wait longer than it was told
+    cable.mocks[0].power_up()
+    for _ in range(200):
+        board.post_cycle()
+        line.update()
+        cable.wait_until_s(cable.now_s() + 0.003)
+        if board.problems:
+            break
+    assert isinstance(board.problems[0], BoardReset)
+
+
+def test_a_time_out_that_the_board_has_already_is_set_to_another(cable: Cable) -> None:
+    cable.mocks[0].settings.timeout = 2
+    board_on(cable).set_up(0.2, (10.0, 10.0))
+    assert cable.mocks[0].settings.timeout == 1
+
+
+def test_what_is_not_a_roboclaw_or_counts_no_edges_is_refused(cable: Cable) -> None:
+    board = board_on(cable)
+    cable.mocks[0].settings.encoder_modes[1] = 1
+    board.identify()
+    board.require_quadrature(1)
+    with pytest.raises(WrongIdentity, match="quadrature encoder at channel 2"):
+        board.require_quadrature(2)
+    cable.mocks[0].version = "Sabertooth"
+    with pytest.raises(WrongIdentity, match="Sabertooth"):
+        board.identify()
+    with pytest.raises(MisuseError, match="128 to 135"):
+        board_on(cable, 0x20)
