@@ -185,18 +185,22 @@ class Server:
             case "scenario":
                 self._robot = MockRobot(self._arm, load_scenario(request["name"]))
             case "status":
-                pacer = self._pacer
-                return {
-                    "time_s": robot.now_s,
-                    "overruns": pacer.overruns,
-                    "lost_s": pacer.lost_s,
-                    "worst_late_s": pacer.worst_late_s,
-                }
+                return self._status()
             case "quit":
                 self.end()
             case unknown:
                 raise RigError(f'mock arm: unknown request "{unknown}"; see docs/mock_robot.md.')
         return {}
+
+    def _status(self) -> dict[str, Any]:
+        """How well the mock keeps to real time."""
+        pacer = self._pacer
+        return {
+            "time_s": self._robot.now_s,
+            "overruns": pacer.overruns,
+            "lost_s": pacer.lost_s,
+            "worst_late_s": pacer.worst_late_s,
+        }
 
 
 def main(arguments: list[str] | None = None) -> int:

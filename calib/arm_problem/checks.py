@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.arm_problem.assembly import Choice, problem_of, referenced
-from calib.arm_problem.misread import require_read_as_meant
-from calib.arm_problem.misread_turns import require_turns_meant
-from calib.arm_problem.other_arm import require_own_arm
+from calib.arm_problem.misread.other_arm import require_own_arm
+from calib.arm_problem.misread.points import require_read_as_meant
+from calib.arm_problem.misread.turns import require_turns_meant
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.errors import UnusablePointsError

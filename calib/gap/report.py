@@ -15,8 +15,8 @@ from calib.gap.maps.outcome import MapsFound
 from calib.gap.maps.pictures import map_sections
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.pictures import joint_picture, places_picture, recordings_picture
+from calib.gap.series.drawing.pictures import dynamic_sections
 from calib.gap.series.outcome import DynamicOutcome
-from calib.gap.series.pictures import dynamic_sections
 from calib.gap.words import in_words, listed
 from calib.report.page import Section, bullets, page, paragraph, table, tiles, verdict
 

@@ -19,7 +19,7 @@ from calib.trust.held_out import Coverage, coverage_of
 from calib.trust.importance import Importance, importances
 from calib.trust.posterior import Posterior, posterior_of
 from calib.trust.prediction import Predictor, TipError
-from calib.validation.verdict import noise_floor
+from calib.validation.verdict import NoiseFloor, noise_floor
 from control.model.arm import Arm
 from control.progress import Advance, silent
 
@@ -96,9 +96,7 @@ def trust_in(arm: Arm, points: Points, request: MapRequest, advance: Advance = s
     advance("identifying, with what the geometry lacks", 0.1)
     discrepancy = Discrepancy(arm)
     posterior = posterior_of(problem, at, discrepancy)
-    floor = noise_floor(arm, points, problem, posterior.x)
-    measuring_m = floor.axis_m if floor is not None else None
-    repeat_m = math.sqrt(max(0.0, posterior.noise_m**2 - (measuring_m or 0.0) ** 2))
+    measuring_m, repeat_m = _noises_m(noise_floor(arm, points, problem, posterior.x), posterior.noise_m)
     poses = workspace_poses(arm, (), request.poses_count)
     predictor = Predictor(arm, problem, discrepancy, posterior, repeat_m, poses[:: max(1, len(poses) // 200)])
     advance("predicting errors over the workspace", 0.4)
@@ -125,6 +123,12 @@ def trust_in(arm: Arm, points: Points, request: MapRequest, advance: Advance = s
         measuring_m,
         tuple(warnings),
     )
+
+
+def _noises_m(floor: NoiseFloor | None, noise_m: float) -> tuple[float | None, float]:
+    """The measurement's noise, if it is known, and what the arm itself scatters beside it; of one axis [m]."""
+    measuring_m = floor.axis_m if floor is not None else None
+    return measuring_m, math.sqrt(max(0.0, noise_m**2 - (measuring_m or 0.0) ** 2))
 
 
 def _sheet(predictor: Predictor, q_rad: Array, direction: float, payload_kg: float) -> Sheet:

@@ -18,7 +18,7 @@ from firmware_iface.errors import LinkError
 
 # The arm does not get to its set-point: a stop from there would push on what holds it back.
 _RESISTED: Final = frozenset({"following_error", "unexplained_torque"})
-_OF_THE_MOTION: Final = frozenset({"motion", "room", "set_point_limit", "joint_range", "overspeed"})
+_OF_THE_MOTION: Final = frozenset({"motion", "workspace", "set_point_limit", "joint_range", "overspeed"})
 
 
 def fail(state: ArmState, fault: Fault) -> None:

@@ -15,7 +15,7 @@ from control.motion.errors import MotionError
 from control.motion.guard import Guard
 from control.motion.jog_joints import JointJog
 from control.motion.jog_limits import JogLimits
-from control.motion.jog_pose import STILL, PoseJog, Room, Twist
+from control.motion.jog_pose import STILL, PoseJog, RestGuard, Twist
 from control.motion.jog_tip import TipJog
 from control.motion.setpoint import SetPoint, Vector
 
@@ -210,10 +210,10 @@ class Jogging:
         if self._guard is None:
             raise ArmError("a tip jog needs every joint homed: home the arm first (`armwright home`)")
         if len(set_point.q_rad) != 3:
-            room = Room(self._guard.resting_pose, self._guard.objection)
+            guard = RestGuard(self._guard.resting_pose, self._guard.objection)
             inverse, limits = self._inverse, self._limits
             return PoseJog(
-                set_point, inverse.poses, inverse.held, limits.of_motion, limits.tip_speed_m_s, room
+                set_point, inverse.poses, inverse.held, limits.of_motion, limits.tip_speed_m_s, guard
             )
         return TipJog(
             set_point,

@@ -14,7 +14,9 @@ from control.motion.setpoint import Motion, SetPoint
 from control.safety.fault import Fault, Reaction
 from control.safety.table import TRAVELLING_MODES, Event, Mode
 
-ROOM_REMEDY = "move or jog the arm away; [limits] and [table] of arm.toml say where floor, table and base are"
+WORKSPACE_REMEDY = (
+    "move or jog the arm away; [limits] and [table] of arm.toml say where floor, table and base are"
+)
 
 
 def follow_motion(state: ArmState) -> None:
@@ -71,7 +73,12 @@ def follow_jog(state: ArmState) -> None:
 
 def _take(state: ArmState, wanted: SetPoint) -> None:
     if objection := set_points.objection(state, wanted):
-        fail(state, Fault("room", "motion", f"it was stopped: {objection}", ROOM_REMEDY, Reaction.CONTROLLED))
+        fail(
+            state,
+            Fault(
+                "workspace", "motion", f"it was stopped: {objection}", WORKSPACE_REMEDY, Reaction.CONTROLLED
+            ),
+        )
         return
     if (clip := set_points.take(state, wanted)) is not None:
         refuse(state, clip)

@@ -1,4 +1,4 @@
-"""The last guard of every motion: floor, table and own base (control.safety.room), for poses of the arm's joints.
+"""The last guard of every motion: floor, table and own base (control.safety.workspace), for poses of the arm's joints.
 
 Whole motions are checked before they begin; the loop looks at each set-point, and jogs look at the pose in which they would
 come to rest. An arm that is inside already may move out, but no deeper.
@@ -18,7 +18,7 @@ from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath
 from control.motion.setpoint import Motion, SetPoint
-from control.safety.room import Body, Clearance, Room
+from control.safety.workspace import Body, Clearance, Workspace
 
 STEP_rad = 0.02  # between checked poses of a joint move: 15 mm at 0.75 m
 _POSES_MOST = 500
@@ -29,17 +29,17 @@ _REMEDY = "nothing was moved; [limits] floor_z_m, floor_tolerance_m and base_rad
 
 
 class Guard:
-    """Holds poses of one arm against its room. Errors are MotionError."""
+    """Holds poses of one arm against its workspace. Errors are MotionError."""
 
     def __init__(self, arm: Arm, limits: JointLimits) -> None:
-        self._corners, self._room, self._limits = Corners(arm), Room.of(arm), limits
+        self._corners, self._workspace, self._limits = Corners(arm), Workspace.of(arm), limits
         self._body = Body(self._corners.radii_m, self._corners.first_free)
         self._corners.batch([(0.0,) * arm.joint_count])  # compiled now, not between two cycles
         self.clearance((0.0,) * arm.joint_count)
 
     def clearance(self, q_rad: Sequence[float]) -> Clearance:
         """The least clearance of a pose; below 0: the arm is inside of something."""
-        return self._room.clearance(self._corners.at(*q_rad), self._body)
+        return self._workspace.clearance(self._corners.at(*q_rad), self._body)
 
     def objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float]) -> str:
         """Why the arm must not get to `wanted_rad` from `here_rad`, as text; empty if it may."""
@@ -101,7 +101,7 @@ class Guard:
     ) -> None:
         allowed_m = min(0.0, here.distance_m - _DEEPER_m)
         worst_m, what, at_s = math.inf, "", 0.0
-        for distances, name in self._room.clearances(corners, body):
+        for distances, name in self._workspace.clearances(corners, body):
             k = int(np.argmin(distances))
             if distances[k] < min(worst_m, allowed_m):
                 worst_m, what, at_s = float(distances[k]), name, float(times_s[k])

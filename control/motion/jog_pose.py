@@ -52,7 +52,7 @@ class TipRate(NamedTuple):
     change: Twist
 
 
-class Room(NamedTuple):
+class RestGuard(NamedTuple):
     """What a set-point is held against: where it could come to rest, and why the arm must not get there."""
 
     resting_pose: Callable[[SetPoint], tuple[float, ...]]
@@ -69,10 +69,10 @@ class PoseJog:
         task: Task,
         limits: JointLimits,
         tip_speed_m_s: float,
-        room: Room,
+        guard: RestGuard,
     ) -> None:
         """`limits`: those of every motion, not of a jog; `tip_speed_m_s`: the largest tip speed."""
-        self._kinematics, self._task, self._limits, self._room = kinematics, task, limits, room
+        self._kinematics, self._task, self._limits, self._guard = kinematics, task, limits, guard
         self._most_m_s = tip_speed_m_s
         self._joints = start
         self._tip = TipRate(STILL, STILL, STILL)
@@ -199,12 +199,12 @@ class PoseJog:
             most, quickest = _HARD * limits.speed_rad_s[joint], _HARD * limits.acceleration_rad_s2[joint]
             if abs(speed) > most or abs(acceleration) > quickest:
                 return f"joint {joint + 1} would have to turn too fast near a singular pose"
-        rest = self._room.resting_pose(joints)
+        rest = self._guard.resting_pose(joints)
         for joint, (q, lower, upper) in enumerate(zip(rest, limits.lower_rad, limits.upper_rad, strict=True)):
             here = self._joints.q_rad[joint]
             if (q > upper and q > here) or (q < lower and q < here):
                 return f"joint {joint + 1} would leave its range"
-        return self._room.objection(rest, self._joints.q_rad)
+        return self._guard.objection(rest, self._joints.q_rad)
 
     def _slowness(self, rates: DampedRates) -> tuple[float, float]:
         """Shares of the tip's requested rate and acceleration that half of the joints' limits allow."""

@@ -189,14 +189,7 @@ def timed(
     actual = [speed * factor for speed, factor in zip(asked, factors, strict=True)]
     if ends_at_rest:
         actual[0] = actual[-1] = 0.0
-    paces = [max(pair) for pair in pairwise(asked)]
-    for i, pace in enumerate(paces):
-        if pace <= 0.0:
-            raise PathError(
-                f"way-points {i + 1} and {i + 2} both have 0 m/s, so the path between them has no speed:"
-                " give one of them a speed",
-                i + 1,
-            )
+    paces = _paces(asked)
     tangents = timing.tangents(points)
     lengths = timing.arc_lengths(points, tangents)
     counted = _counted(lengths, turns_rad)
@@ -216,6 +209,19 @@ def timed(
         slowed_corners=() if speeds is None else tuple(corners),
         turns_rad=tuple(turns_rad),
     )
+
+
+def _paces(speeds_m_s: Sequence[float]) -> list[float]:
+    """The faster of both ends' speeds for each section [m/s]; PathError where both are 0."""
+    paces = [max(pair) for pair in pairwise(speeds_m_s)]
+    for i, pace in enumerate(paces):
+        if pace <= 0.0:
+            raise PathError(
+                f"way-points {i + 1} and {i + 2} both have 0 m/s, so the path between them has no speed:"
+                " give one of them a speed",
+                i + 1,
+            )
+    return paces
 
 
 def _counted(lengths_m: Sequence[float], turns_rad: Sequence[float]) -> list[float]:

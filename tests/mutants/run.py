@@ -39,7 +39,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/control/safety/test_witness.py",
         "tests/control/loop/test_reactions.py",
     ),
-    "control.safety.room": ("tests/control/safety/test_room.py",),
+    "control.safety.workspace": ("tests/control/safety/test_workspace.py",),
     "control.loop.watch": ("tests/control/loop/test_reactions.py", "tests/control/loop/test_watch.py"),
     "control.loop.witnesses": ("tests/control/loop/test_reactions.py",),
 }

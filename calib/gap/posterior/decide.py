@@ -41,8 +41,10 @@ def decide(evidence: Evidence, found: Sequence[Weighed]) -> Decision:
     weights /= weights.sum()
     sets = [frozenset(evidence.terms[k].key for k, _ in one.members) for one in found]
     chance: dict[Key, float] = {}
-    for keys, weight in zip(sets, weights.tolist(), strict=True):
-        for key in keys:
+    for one, weight in zip(found, weights.tolist(), strict=True):
+        for key in dict.fromkeys(
+            evidence.terms[k].key for k, _ in one.members
+        ):  # a set's order differs from run to run
             chance[key] = chance.get(key, 0.0) + weight
     groups = [
         (*g, *crooked(evidence, found[0], g[0])) if len(g) == 1 else g

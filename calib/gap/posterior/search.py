@@ -53,7 +53,8 @@ class Search:
     def run(self, known: Iterable[frozenset[Key]] = ()) -> list[Weighed]:
         """All sets that were weighed, best first; `known`: sets to start from besides."""
         for start in [*self._starts(), *known]:
-            self._weigh([self._plain(key) for key in {*start, *self.forced}])
+            wanted = {*start, *self.forced}  # in the evidence's order: a set's own differs from run to run
+            self._weigh([self._plain(key) for key in self.evidence.of_key if key in wanted])
         expanded: set[frozenset[Key]] = set()
         self._improve(expanded)
         best = max(self.seen.values(), key=lambda one: one.log)
@@ -83,7 +84,7 @@ class Search:
         for _ in range(REGROWTH):
             before = set(self.seen)
             self._grow(around.members, around.kappa, 1, but, 0.0)
-            new = [self.seen[keys] for keys in self.seen.keys() - before]
+            new = [one for keys, one in self.seen.items() if keys not in before]
             more = max(new, key=lambda one: one.log, default=None)
             if more is None or more.log <= around.log:
                 return

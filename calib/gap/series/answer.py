@@ -301,7 +301,7 @@ def stages(look: Look, told: Judged, reporting: Picked) -> tuple[NamedEffect, ..
     numbers = {look.linear.terms[k].key: k for k in look.numbers}
     table = look.around.scene.rows.table
     share = {name: _share(look, numbers[name]) for name in told.laws}
-    corrected = [key for key in told.kept if key not in told.laws]
+    corrected = sorted((key for key in told.kept if key not in told.laws), key=str)
     found: list[NamedEffect] = []
     for name in sorted(share, key=lambda one: -share[one]):
         so_far = [*corrected, *(one.name for one in found), name]

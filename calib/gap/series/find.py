@@ -18,7 +18,7 @@ from calib.gap.series.answer import (
     stages,
     what_is_left,
 )
-from calib.gap.series.drawn_laws import drawn_laws
+from calib.gap.series.drawing.laws import drawn_laws
 from calib.gap.series.look import Look, looked
 from calib.gap.series.outcome import DynamicOutcome, doubts, floors_si, gap, grown, in_rad, in_si, left_out
 from calib.gap.series.plausible import plausible

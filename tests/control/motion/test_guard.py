@@ -17,7 +17,7 @@ from control.motion.guard import Guard, stopping_distance
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove, Stop
 from control.motion.setpoint import SetPoint, at_rest
-from control.safety.room import Body, Room
+from control.safety.workspace import Body, Workspace
 from tests.cell import RIGHT
 
 LIMITS = JointLimits.of(RIGHT)
@@ -65,19 +65,19 @@ def test_a_tool_is_a_corner_of_its_own() -> None:
     assert Corners(arm).at(0.1, 0.2, 0.3)[-1] == pytest.approx(Kinematics(arm).tip(0.1, 0.2, 0.3))
 
 
-# ---- the room
+# ---- the workspace
 
 
-def room(**changes: Any) -> Room:
-    return replace(Room.of(RIGHT), **changes)
+def workspace(**changes: Any) -> Workspace:
+    return replace(Workspace.of(RIGHT), **changes)
 
 
-def height_m(x: float, y: float, z: float, where: Room) -> float:
+def height_m(x: float, y: float, z: float, where: Workspace) -> float:
     return where.clearance([(x, y, 0.9), (x, y, z)], THIN).distance_m
 
 
 def test_the_floor_counts_beside_the_board_and_the_tilted_board_over_it() -> None:
-    where = room(tolerance_m=0.0, base_radius_m=0.0)
+    where = workspace(tolerance_m=0.0, base_radius_m=0.0)
     assert height_m(0.3, 0.4, -0.05, where) == pytest.approx(-0.05)
     assert (
         where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.05)], THIN).what
@@ -92,13 +92,13 @@ def test_the_floor_counts_beside_the_board_and_the_tilted_board_over_it() -> Non
 
 
 def test_the_tolerance_is_for_what_the_model_does_not_know() -> None:
-    where = room(tolerance_m=0.01, base_radius_m=0.0)
+    where = workspace(tolerance_m=0.01, base_radius_m=0.0)
     assert where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.0099)], THIN).distance_m >= 0.0
     assert where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.0101)], THIN).distance_m < 0.0
 
 
 def test_a_forearm_is_held_above_the_floor_between_its_ends() -> None:
-    where = room(tolerance_m=0.0, base_radius_m=0.0, floor_z_m=0.0)
+    where = workspace(tolerance_m=0.0, base_radius_m=0.0, floor_z_m=0.0)
     low_elbow = where.clearance([(0.3, 0.4, -0.02), (0.3, 0.4, 0.3)], THIN)
     assert low_elbow.distance_m == pytest.approx(-0.02)
     assert low_elbow.what == "the arm would be below the floor or table"
@@ -106,7 +106,7 @@ def test_a_forearm_is_held_above_the_floor_between_its_ends() -> None:
 
 def test_the_distance_from_the_base_is_that_of_two_segments() -> None:
     """Against a search along both."""
-    where, source = room(base_top_m=0.1, base_radius_m=10.0, floor_z_m=-9.0), random.Random(5)
+    where, source = workspace(base_top_m=0.1, base_radius_m=10.0, floor_z_m=-9.0), random.Random(5)
     for _ in range(200):
         ends = [tuple(source.uniform(-0.4, 0.4) for _ in range(3)) for _ in range(2)]
         along = np.linspace(0.0, 1.0, 2001)[:, None]
@@ -123,7 +123,7 @@ def test_arrays_and_floats_say_the_same(radius_m: float) -> None:
     guard = Guard(thick(radius_m, with_limits(base_radius_m=0.1)), LIMITS)
     batch = guard._corners.batch(poses(300))
     body = Body(guard._corners.radii_m, guard._corners.first_free)
-    least = np.min([distances for distances, _ in guard._room.clearances(batch, body)], axis=0)
+    least = np.min([distances for distances, _ in guard._workspace.clearances(batch, body)], axis=0)
     near = 0
     for q, expected in zip(poses(300), least, strict=True):
         if (found := guard.clearance(tuple(q)).distance_m) < math.inf:
@@ -135,7 +135,7 @@ def test_arrays_and_floats_say_the_same(radius_m: float) -> None:
 
 def test_a_position_that_is_not_a_number_is_an_error() -> None:
     with pytest.raises(Exception, match="finite positions"):
-        room().clearance([(0.3, math.nan, 0.9), (0.3, 0.4, 0.1)], THIN)
+        workspace().clearance([(0.3, math.nan, 0.9), (0.3, 0.4, 0.1)], THIN)
 
 
 def thick(radius_m: float, arm: Any = RIGHT) -> Any:
@@ -143,7 +143,7 @@ def thick(radius_m: float, arm: Any = RIGHT) -> Any:
 
 
 def test_a_link_is_as_thick_as_its_radius_says_and_the_tip_is_a_point() -> None:
-    where, body = room(tolerance_m=0.0, base_radius_m=0.06, board=None), Body((0.0, 0.02, 0.04))
+    where, body = workspace(tolerance_m=0.0, base_radius_m=0.06, board=None), Body((0.0, 0.02, 0.04))
     upright = [(0.4, 0.0, 0.9), (0.4, 0.0, 0.5), (0.4, 0.0, -0.01)]
     assert where.clearance(upright, body).distance_m == pytest.approx(
         -0.01

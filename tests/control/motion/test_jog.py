@@ -20,7 +20,7 @@ from control.motion.setpoint import at_rest
 from control.safety.limits import SetPointLimits, limit_set_point
 
 ARM = load_arm("right")
-ANYWHERE = Guard(  # neither floor nor table nor base: what they do is in tests/control/loop/test_room.py
+ANYWHERE = Guard(  # neither floor nor table nor base: what they do is in tests/control/loop/test_workspace.py
     replace(ARM, table=None, limits=replace(ARM.limits, floor_z_m=-9.0, base_radius_m=0.0)),
     JointLimits.of(ARM),
 )

@@ -1,4 +1,4 @@
-"""The room that an arm may use: above the floor and the table, outside of its own base. Pure functions of positions.
+"""The workspace that an arm may use: above the floor and the table, outside of its own base. Pure functions of positions.
 
 It knows no joints and no trajectories: corners of the arm in, a clearance out. What the arm must not meet is listed here, so
 further obstacles are further lines of `clearances`. All formulas hold for plain floats (the
@@ -76,7 +76,7 @@ class Board:
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class Workspace:
     """Floor, board and base of an arm. `tolerance_m`: how far the model may be wrong about floor and board."""
 
     floor_z_m: float
@@ -86,10 +86,10 @@ class Room:
     base_radius_m: float
 
     @staticmethod
-    def of(arm: Arm) -> "Room":
-        """The room of an arm.toml: [limits] floor_z_m, floor_clearance_m, floor_tolerance_m, base_radius_m, and [table]."""
+    def of(arm: Arm) -> "Workspace":
+        """The workspace of an arm.toml: [limits] floor_z_m, floor_clearance_m, floor_tolerance_m, base_radius_m, and [table]."""
         limits = arm.limits
-        return Room(
+        return Workspace(
             limits.floor_z_m + limits.floor_clearance_m,
             limits.floor_tolerance_m,
             _board_of(arm),
@@ -105,7 +105,7 @@ class Room:
         least_m, about = math.inf, ""
         for corner in corners:
             if (total := sum(corner)) - total != 0.0:
-                raise ArmError(f"room: expected finite positions of the arm, got {corners}")
+                raise ArmError(f"workspace: expected finite positions of the arm, got {corners}")
         for distance_m, what in self._clearances(corners, body or _lines(len(corners)), _FLOATS):
             if distance_m < least_m:
                 least_m, about = distance_m, what

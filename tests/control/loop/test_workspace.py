@@ -97,7 +97,7 @@ def test_a_motion_that_no_check_saw_is_stopped_at_the_floor(low: Cell) -> None:
     low.client.move_joints(LOW)
     low.runtime.start(motion)
     low.until_fault(5.0)
-    assert low.faults == [("room", "motion")]
+    assert low.faults == [("workspace", "motion")]
     low.run(1.0)
     assert min(heights) > -TOLERANCE_m - 0.02
     low.client.acknowledge()

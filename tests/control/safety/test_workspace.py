@@ -1,4 +1,4 @@
-"""The room of an arm: how far its body is from floor, board and base, in closed form, for floats and arrays alike."""
+"""The workspace of an arm: how far its body is from floor, board and base, in closed form, for floats and arrays alike."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pytest
 
 from control.errors import ArmError
 from control.model.table import board_cavities
-from control.safety.room import Board, Body, Room
+from control.safety.workspace import Board, Body, Workspace
 from tests.cell import RIGHT
 
-BARE = Room(floor_z_m=0.0, tolerance_m=0.01, board=None, base_top_m=0.4, base_radius_m=0.0)
+BARE = Workspace(floor_z_m=0.0, tolerance_m=0.01, board=None, base_top_m=0.4, base_radius_m=0.0)
 TIP = "the tip would be below the floor or table"
 BODY = "the arm would be below the floor or table"
 BASE = "the arm would meet its own base"
@@ -44,7 +44,7 @@ def test_a_floor_just_at_its_tolerance_is_free_and_what_is_below_is_not() -> Non
 def test_the_last_link_is_held_above_the_floor_between_its_ends_too(share: float) -> None:
     """A tilted board reaches up under the middle of a link whose ends are beside it."""
     middle = (0.5, 0.0)
-    narrow = Room(0.0, 0.0, Board((*middle, -0.2), 0.01, 0.0, 0.0), 0.4, 0.0)
+    narrow = Workspace(0.0, 0.0, Board((*middle, -0.2), 0.01, 0.0, 0.0), 0.4, 0.0)
     start, end = (0.5 - share, 0.0, -0.1), (0.5 - share + 1.0, 0.0, -0.1)
     found = [(distance, what) for distance, what in narrow.clearances(np.array([start, end])[:, :, None])]
     heights = [float(distance[0]) for distance, _ in found]
@@ -55,17 +55,17 @@ def test_the_last_link_is_held_above_the_floor_between_its_ends_too(share: float
 
 
 def test_over_the_board_the_board_counts_and_beside_it_the_floor() -> None:
-    room = replace(BARE, board=LEVEL)
-    assert room.clearance(arm_with_tip(0.5, 0.0, -0.025)) == (pytest.approx(0.005), TIP)
-    assert room.clearance(arm_with_tip(0.5, 0.2, -0.025)) == (pytest.approx(0.005), TIP)
-    assert room.clearance(arm_with_tip(0.5, 0.2001, -0.025)) == (pytest.approx(-0.015), TIP)
-    assert room.clearance(arm_with_tip(0.29, 0.0, -0.025)) == (pytest.approx(-0.015), TIP)
+    workspace = replace(BARE, board=LEVEL)
+    assert workspace.clearance(arm_with_tip(0.5, 0.0, -0.025)) == (pytest.approx(0.005), TIP)
+    assert workspace.clearance(arm_with_tip(0.5, 0.2, -0.025)) == (pytest.approx(0.005), TIP)
+    assert workspace.clearance(arm_with_tip(0.5, 0.2001, -0.025)) == (pytest.approx(-0.015), TIP)
+    assert workspace.clearance(arm_with_tip(0.29, 0.0, -0.025)) == (pytest.approx(-0.015), TIP)
 
 
 def test_a_board_above_the_floor_allows_no_less_than_the_floor() -> None:
-    room = replace(BARE, board=replace(LEVEL, origin_m=(0.5, 0.0, 0.3)))
-    assert room.clearance(arm_with_tip(0.5, 0.0, -0.005)).distance_m == math.inf
-    assert room.clearance(arm_with_tip(0.5, 0.0, -0.015)) == (pytest.approx(-0.005), TIP)
+    workspace = replace(BARE, board=replace(LEVEL, origin_m=(0.5, 0.0, 0.3)))
+    assert workspace.clearance(arm_with_tip(0.5, 0.0, -0.005)).distance_m == math.inf
+    assert workspace.clearance(arm_with_tip(0.5, 0.0, -0.015)) == (pytest.approx(-0.005), TIP)
 
 
 @pytest.mark.parametrize(
@@ -79,27 +79,27 @@ def test_a_board_above_the_floor_allows_no_less_than_the_floor() -> None:
 def test_a_tilted_board_is_as_low_as_its_lower_tilt_or_flat(
     roll: float, pitch: float, at: tuple[float, float], plane_m: float
 ) -> None:
-    room = replace(BARE, board=replace(LEVEL, roll_slope=roll, pitch_slope=pitch))
-    distance_m, what = room.clearance(arm_with_tip(*at, -0.04))
+    workspace = replace(BARE, board=replace(LEVEL, roll_slope=roll, pitch_slope=pitch))
+    distance_m, what = workspace.clearance(arm_with_tip(*at, -0.04))
     assert (distance_m, what) == (pytest.approx(-0.04 - (plane_m - 0.02 - 0.01)), TIP)
 
 
 def test_the_base_is_a_rod_with_a_round_top() -> None:
-    room = replace(BARE, base_radius_m=0.1)
+    workspace = replace(BARE, base_radius_m=0.1)
     beside = [(0.3, 0.0, 0.2), (0.3, 0.3, 0.2)]
-    assert room.clearance(beside) == (pytest.approx(0.2), BASE)
+    assert workspace.clearance(beside) == (pytest.approx(0.2), BASE)
     through = [(-0.3, 0.05, 0.2), (0.3, 0.05, 0.2)]
-    assert room.clearance(through) == (pytest.approx(-0.05), BASE)
+    assert workspace.clearance(through) == (pytest.approx(-0.05), BASE)
     over = [(-0.3, 0.0, 0.45), (0.3, 0.0, 0.45)]
-    assert room.clearance(over) == (pytest.approx(-0.05), BASE)
+    assert workspace.clearance(over) == (pytest.approx(-0.05), BASE)
     slanted = [(0.05, -0.2, 0.1), (0.05, 0.2, 0.3)]
-    assert room.clearance(slanted) == (pytest.approx(-0.05), BASE)
+    assert workspace.clearance(slanted) == (pytest.approx(-0.05), BASE)
     standing = [(0.3, 0.0, 0.1), (0.3, 0.0, 0.3)]
-    assert room.clearance(standing) == (pytest.approx(0.2), BASE)
+    assert workspace.clearance(standing) == (pytest.approx(0.2), BASE)
     ends_there = [(0.5, 0.0, 0.2), (0.2, 0.0, 0.2)]
-    assert room.clearance(ends_there) == (pytest.approx(0.1), BASE)
-    assert room.clearance([(0.3, 0.0, 0.501), (0.3, 0.3, 0.501)]).distance_m == math.inf
-    assert room.clearance([(0.3, 0.0, 0.5), (0.3, 0.3, 0.5)]).distance_m < math.inf
+    assert workspace.clearance(ends_there) == (pytest.approx(0.1), BASE)
+    assert workspace.clearance([(0.3, 0.0, 0.501), (0.3, 0.3, 0.501)]).distance_m == math.inf
+    assert workspace.clearance([(0.3, 0.0, 0.5), (0.3, 0.3, 0.5)]).distance_m < math.inf
 
 
 def test_below_the_origin_there_is_no_base() -> None:
@@ -108,10 +108,10 @@ def test_below_the_origin_there_is_no_base() -> None:
 
 
 def test_the_body_that_hangs_on_the_base_does_not_count() -> None:
-    room = replace(BARE, base_radius_m=0.1)
+    workspace = replace(BARE, base_radius_m=0.1)
     corners = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.4), (0.5, 0.0, 0.3)]
-    assert room.clearance(corners).distance_m == pytest.approx(-0.1)
-    assert room.clearance(
+    assert workspace.clearance(corners).distance_m == pytest.approx(-0.1)
+    assert workspace.clearance(
         [*corners, (0.6, 0.0, 0.3)], Body((0.0,) * 4, first_free=2)
     ).distance_m == pytest.approx(0.4)
 
@@ -127,38 +127,41 @@ def test_a_position_that_is_no_number_is_refused(bad: float) -> None:
 
 
 def test_arrays_say_what_floats_say() -> None:
-    room = replace(BARE, board=replace(LEVEL, roll_slope=0.3, pitch_slope=-0.2), base_radius_m=0.1)
+    workspace = replace(BARE, board=replace(LEVEL, roll_slope=0.3, pitch_slope=-0.2), base_radius_m=0.1)
     chance = np.random.default_rng(4)
     corners = chance.uniform((-0.6, -0.6, -0.2), (0.7, 0.6, 0.5), (200, 4, 3))
     of_arrays, body = {}, Body((0.0, 0.05, 0.02, 0.04), first_free=1)
-    for distance, what in room.clearances(corners.transpose(1, 2, 0), body):
+    for distance, what in workspace.clearances(corners.transpose(1, 2, 0), body):
         of_arrays[what] = np.minimum(of_arrays.get(what, math.inf), distance)
     for k, pose in enumerate(corners.tolist()):
-        found = room.clearance(pose, body)
+        found = workspace.clearance(pose, body)
         least = min(float(distance[k]) for distance in of_arrays.values())
         assert found.distance_m == pytest.approx(least, abs=1e-12) or least > 0.0
 
 
 def test_the_room_of_an_arm_is_what_its_file_says() -> None:
     limits = replace(RIGHT.limits, floor_clearance_m=0.02)
-    room = Room.of(replace(RIGHT, limits=limits))
-    assert room.floor_z_m == limits.floor_z_m + limits.floor_clearance_m
-    assert (room.tolerance_m, room.base_radius_m) == (limits.floor_tolerance_m, limits.base_radius_m)
-    assert room.base_top_m == RIGHT.links[0].d_m
+    workspace = Workspace.of(replace(RIGHT, limits=limits))
+    assert workspace.floor_z_m == limits.floor_z_m + limits.floor_clearance_m
+    assert (workspace.tolerance_m, workspace.base_radius_m) == (
+        limits.floor_tolerance_m,
+        limits.base_radius_m,
+    )
+    assert workspace.base_top_m == RIGHT.links[0].d_m
     assert RIGHT.table is not None
-    assert room.board is not None
-    assert room.board.origin_m == RIGHT.table.origin_m
+    assert workspace.board is not None
+    assert workspace.board.origin_m == RIGHT.table.origin_m
     outermost_m = max(math.hypot(x, y) for x, y, _ in board_cavities(RIGHT.table).values())
-    assert room.board.radius_m == pytest.approx(outermost_m + 0.03)
+    assert workspace.board.radius_m == pytest.approx(outermost_m + 0.03)
     sunk = replace(RIGHT, links=(replace(RIGHT.links[0], d_m=-0.2), *RIGHT.links[1:]))
-    assert Room.of(sunk).base_top_m == 0.0
+    assert Workspace.of(sunk).base_top_m == 0.0
 
 
 def test_the_board_covers_its_outermost_cavity_and_a_margin_and_tilts_as_its_table() -> None:
     assert RIGHT.table is not None
     tilted = replace(RIGHT, table=replace(RIGHT.table, roll_tilt_rad=0.2, pitch_tilt_rad=-0.1))
-    board = Room.of(tilted).board
+    board = Workspace.of(tilted).board
     assert board is not None
     assert (board.roll_slope, board.pitch_slope) == (math.tan(0.2), math.tan(-0.1))
     for table in (None, replace(RIGHT.table, known_pose=False), replace(RIGHT.table, origin_m=None)):
-        assert Room.of(replace(RIGHT, table=table)).board is None
+        assert Workspace.of(replace(RIGHT, table=table)).board is None

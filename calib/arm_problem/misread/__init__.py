@@ -1,0 +1,1 @@
+"""Is the file what its columns say: units, signs, columns, zeros, and the right arm?"""
