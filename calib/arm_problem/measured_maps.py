@@ -6,16 +6,22 @@ ch. IX).
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from scipy import sparse
 
 from calib.arrays import Array
 from control.kinematics.smooth_table import pieces
 from control.model.maps import CorrectionMap
 
+if TYPE_CHECKING:
+    from scipy import sparse
+
 
 def spline_columns(count: int, lower: float, upper: float, is_periodic: bool, x: Array) -> sparse.csr_array:
     """What the B-spline of each node does at places x (m,), (m, count)."""
+    from scipy import sparse
+
     piece, t = _place(count, lower, upper, is_periodic, x)
     weights = (
         np.array(

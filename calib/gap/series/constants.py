@@ -32,6 +32,8 @@ SURE_sd: Final = 3.0
 GROWS: Final = 0.02
 # Of a link's mass or inertia in the file, that may be missing: more is no link.
 MISSING_MOST: Final = 0.5
+# Of what a name does to the runs that were fitted, mean squares: with less on the runs kept apart these do not speak of it.
+SPEAKS: Final = 0.1
 # Of a cell's variance at the floor, on runs kept apart: what a remainder must explain there to be worth a word.
 REMAINS: Final = 0.1
 # Times the floor: what is above it without any block is said, too.

@@ -14,7 +14,7 @@ from calib.gap.posterior.constants import LAW_MOST
 from calib.gap.posterior.parameters import is_exact
 from calib.gap.posterior.term import Block, Key
 from calib.gap.series.blocks import CAMERA
-from calib.gap.series.constants import GROWS, REMAINS, SURE_sd
+from calib.gap.series.constants import GROWS, REMAINS, SPEAKS, SURE_sd
 from calib.gap.series.look import Look, left
 from calib.gap.series.outcome import gap
 from calib.gap.series.split import Picked
@@ -184,7 +184,12 @@ def standing(look: Look, names: Sequence[int], corrected: Sequence[int], reporti
 
 
 def _outweighs(look: Look, one: Member, without: Array, whole: Array, reporting: Picked) -> float:
-    """What a term explains over what is left above the noise in the channels that it moves, each as it moves them."""
+    """What a term explains over what is left above the noise in the channels that it moves, each as it moves them.
+
+    On the rows `reporting`, or on all where it hardly moves those: they do not speak of it.
+    """
+    if _strongest(look, one, reporting) < SPEAKS * _strongest(look, one, ~reporting):
+        reporting = np.ones_like(reporting)
     explained, remains, moved = [], [], []
     for cell, columns in one.term.response.items():
         rows = look.around.scene.cells[cell].rows
@@ -201,6 +206,16 @@ def _outweighs(look: Look, one: Member, without: Array, whole: Array, reporting:
     if most <= 0.0:
         return 0.0
     return sum(explained) / sum(left * signal / most for left, signal in zip(remains, moved, strict=True))
+
+
+def _strongest(look: Look, one: Member, picked: Picked) -> float:
+    """Mean square of what a term does to the rows picked, in the channel that it moves most there [noise variances]."""
+    found = [0.0]
+    for cell, columns in one.term.response.items():
+        here = columns[picked[look.around.scene.cells[cell].rows]] @ one.size
+        if len(here):
+            found.append(float(np.mean(here**2)))
+    return max(found)
 
 
 def grown(look: Look, rest: Array, whole: Array, reporting: Picked) -> float:
