@@ -99,10 +99,7 @@ def mixed() -> Arm:
 
 
 ON_BOARDS = {
-    # Setting up a restarted board takes longer than the 20 ms for which its values count as fresh.
-    "reference": OnBoards(
-        replace(RIGHT, limits=replace(RIGHT.limits, stale_s=0.06)), 0.002, "motor1", "motor3"
-    ),
+    "reference": OnBoards(RIGHT, 0.002, "motor1", "motor3"),
     "cia402": OnBoards(with_cia402(), 0.004, "drive11", "drive13"),
     "cia402 torque": OnBoards(with_cia402("current"), 0.002, "drive11", "drive13"),
     "dynamixel": OnBoards(with_dynamixels(), 0.01, "servo1", "servo3"),

@@ -228,6 +228,14 @@ class Runtime(ArmState):
         with contextlib.suppress(LinkError):
             self.parts.hardware.write(self._mode_without_control(), servo.output, servo.feedforward_V)
 
+    def ended_wait(self, now_s: float) -> bool:
+        """Whether the loop has waited for boards since its last cycle; what was not read meanwhile has not aged."""
+        if not self.has_waited:
+            return False
+        self.has_waited = False
+        self.parts.watch.note_pause(now_s, now_s - self.now_s)
+        return True
+
     # ---- requests
 
     def fail(self, fault: Fault) -> None:

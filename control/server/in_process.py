@@ -31,8 +31,7 @@ class InProcessChannel:
         """Serve the request at once, between two cycles."""
         runtime = self._assembly.runtime
         answer = self._assembly.requests.handle(asked(msgspec.json.encode(message)), 0)
-        if runtime.has_waited:
-            runtime.has_waited = False
+        if runtime.ended_wait(self._clock.now_s()):
             self._beat.restart()
         decoded: dict[str, Any] = msgspec.json.decode(encoded(answer))
         return decoded

@@ -112,8 +112,7 @@ def run(assembly: Assembly, server: Server, clock: Clock, period_s: float, event
             failure = failure or error
             runtime.go_off(quits=True)
         events.look()
-        if runtime.has_waited:
-            runtime.has_waited = False
+        if runtime.ended_wait(clock.now_s()):
             beat.restart()
     if failure is not None:
         raise failure
