@@ -67,7 +67,7 @@ def posterior_of(
         design, wanted = linearised(problem, at, discrepancy, x)
         if logs is not None:
             design, wanted = _weighted(design, wanted, np.exp(-2.0 * logs[0]) * loose_m2)
-        evidence = _Evidence(design[rows], wanted[rows], variance, discrepancy)
+        evidence = Evidence(design[rows], wanted[rows], variance, discrepancy)
         logs = evidence.best(logs)
         found = evidence.posterior(logs)
         x = np.clip(found.x, -1.0 * _limits(problem), _limits(problem))
@@ -103,7 +103,7 @@ def _limits(problem: ArmProblem) -> Array:
     return np.array([one.limit for one in problem.parameters])
 
 
-class _Evidence:
+class Evidence:
     """The evidence of sizes and noise for one linearisation."""
 
     def __init__(self, design: Array, wanted: Array, x_variance: Array, discrepancy: Discrepancy) -> None:
@@ -122,7 +122,7 @@ class _Evidence:
 
         begin = self._usual if start is None else start
         box = [(one - SIZE_LIMIT, one + SIZE_LIMIT) for one in self._usual]
-        return np.asarray(fmin_l_bfgs_b(self._minus_log, begin, bounds=box, maxiter=STEPS_MOST)[0])
+        return np.asarray(fmin_l_bfgs_b(self.minus_log, begin, bounds=box, maxiter=STEPS_MOST)[0])
 
     def posterior(self, logs: Array) -> Posterior:
         """The unknowns' distribution, given noise and sizes."""
@@ -142,7 +142,7 @@ class _Evidence:
         determinant = 2.0 * float(np.log(np.diag(factor)).sum() - np.log(scale).sum())
         return np.exp(-2.0 * logs[0]) * covariance @ self._moment, covariance, determinant
 
-    def _minus_log(self, logs: Array) -> tuple[float, Array]:
+    def minus_log(self, logs: Array) -> tuple[float, Array]:
         """Minus the log evidence and prior of noise and sizes, and its slope."""
         mean, covariance, determinant = self._solved(logs)
         x_count, noise = len(self._x_precision), np.exp(2.0 * logs[0])

@@ -107,8 +107,8 @@ def trust_in(arm: Arm, points: Points, request: MapRequest, advance: Advance = s
     )
     advance("predicting poses that are left out", 0.6)
     coverage = coverage_of(problem, at, discrepancy) if request.is_checked else None
-    advance("done", 1.0)
     groups = importances(predictor, problem, discrepancy, Conditions.of(poses, 1.0, request.payloads_kg[0]))
+    advance("done", 1.0)
     return Trust(
         arm,
         points,

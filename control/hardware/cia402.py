@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from control.errors import MissingModel
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened, collect
+from control.hardware.roles import AskedEncoders
 from control.hardware.words import (
     EMERGENCY_STOP,
     FAULT,
@@ -67,14 +68,8 @@ class Cia402Line:
         bus.sync()
 
 
-class Cia402Encoder:
+class Cia402Encoder(AskedEncoders):
     """The drive's own encoder; meets `control.hardware.roles.Encoders`."""
-
-    reports_a_cycle = 0  # the drive answers the loop's own SYNC: there is no phase to follow
-
-    def frames(self) -> tuple[int, int]:
-        """No stream of reports."""
-        return 0, 0
 
     def __init__(self, drive: Cia402Drive, bus: CanOpenBus, joint: int) -> None:
         self.joints = (joint,)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened, collect
+from control.hardware.roles import AskedEncoders
 from control.hardware.words import (
     EMERGENCY_STOP,
     FAULT,
@@ -65,14 +66,8 @@ class DynamixelLine:
         self._line.attend()
 
 
-class DynamixelEncoder:
+class DynamixelEncoder(AskedEncoders):
     """The absolute encoder of a servo; meets `control.hardware.roles.Encoders`."""
-
-    reports_a_cycle = 0  # the board speaks only when asked: there is no phase to follow
-
-    def frames(self) -> tuple[int, int]:
-        """No stream of reports."""
-        return 0, 0
 
     def __init__(self, servo: DynamixelServo, joint: int) -> None:
         self.joints = (joint,)

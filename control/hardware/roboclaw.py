@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened, collect
+from control.hardware.roles import AskedEncoders
 from control.hardware.words import (
     EMERGENCY_STOP,
     FAULT,
@@ -83,14 +84,8 @@ class RoboClawLine:
         self._line.attend()
 
 
-class RoboClawEncoders:
+class RoboClawEncoders(AskedEncoders):
     """The encoder inputs of one board; meets `control.hardware.roles.Encoders`."""
-
-    reports_a_cycle = 0  # the board speaks only when asked: there is no phase to follow
-
-    def frames(self) -> tuple[int, int]:
-        """No stream of reports."""
-        return 0, 0
 
     def __init__(self, board: RoboClaw, drives: Mapping[int, Drive]) -> None:
         """`drives`: those whose encoder is on this board, by joint (0-based)."""

@@ -31,6 +31,16 @@ class PolledLine(Protocol):
         ...
 
 
+class AskedEncoders:
+    """What encoders have in common whose board sends nothing by itself: there is no phase to follow, and no stream to count."""
+
+    reports_a_cycle = 0
+
+    def frames(self) -> tuple[int, int]:
+        """No stream of reports."""
+        return 0, 0
+
+
 class Encoders(Protocol):
     """The encoders on one board."""
 

@@ -7,9 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from calib.arm_problem.assembly import Choice
-from calib.arm_problem.frames import Frame
 from calib.arm_problem.parameters import Bounds
-from calib.boards.boards import read_boards
 from calib.calibration.calibrate import Calibrated, CalibrationPlan, LeaveOut, calibrate
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
 from calib.calibration.report import calibration_report
@@ -21,6 +19,7 @@ from calib.inputs import InputFile, input_file
 from calib.points.arm_points import points_for
 from calib.points.points import Points
 from calib.report.report import write_report
+from console.commands.calibration.boards_option import board_frames
 from console.commands.progress import Bar
 from console.quantities import orientation_noise_rad, quantity, unit_of
 from control.errors import ArmError
@@ -104,7 +103,7 @@ def _plan(given: argparse.Namespace) -> CalibrationPlan:
         bounds=_bounds(given.bound or []),
         fixed=_names(given.fix or []),
         freed=_names(given.free or []),
-        boards=_boards(given.boards),
+        boards=board_frames(given.boards),
         effects=tuple(_names(given.effect or [])),
         orientation_noise_rad=orientation_noise_rad(given.orientation_noise),
     )
@@ -140,16 +139,6 @@ def _bounds(texts: list[str]) -> Bounds:
         else:
             own[name] = quantity(value, unit_of(name), f"--bound {name}")
     return Bounds(own=own, **general)
-
-
-def _boards(file: str | None) -> dict[str, Frame]:
-    """Board poses measured by `armwright register`."""
-    if file is None:
-        return {}
-    return {
-        setup: Frame(f"table_{setup}", board.rotation, board.origin_m)
-        for setup, board in read_boards(Path(file)).items()
-    }
 
 
 def _leave_out(text: str | None) -> LeaveOut:

@@ -6,14 +6,13 @@ import sys
 from pathlib import Path
 
 from calib.arm_problem.assembly import Choice
-from calib.arm_problem.frames import Frame
-from calib.boards.boards import read_boards
 from calib.design import Plan, Request, Uncertainty, View, in_words, plan_json, plan_poses, write_plan
 from calib.design.observability import NAMES
 from calib.design.words import known_to
 from calib.errors import CalibrationError
 from calib.points.arm_points import points_for
 from calib.points.points import Points
+from console.commands.calibration.boards_option import board_frames
 from console.quantities import orientation_noise_rad
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -29,7 +28,7 @@ def run(given: argparse.Namespace) -> int:
     if given.out:
         require_writable(Path(given.out))
     taken = _points(given, arm)
-    choice = Choice(boards=_boards(given))
+    choice = Choice(boards=board_frames(given.boards))
     plan = plan_poses(arm, taken, request_of(given), choice)
     if given.json:
         sys.stdout.write(json.dumps(plan_json(plan, arm.name), indent=2, allow_nan=False) + "\n")
@@ -88,13 +87,6 @@ def _points(given: argparse.Namespace, arm: Arm) -> Points | None:
     for warning in warnings:
         sys.stderr.write(f"armwright: warning: {warning}\n")
     return points
-
-
-def _boards(given: argparse.Namespace) -> dict[str, Frame]:
-    if given.boards is None:
-        return {}
-    poses = read_boards(Path(given.boards))
-    return {setup: Frame(f"table_{setup}", pose.rotation, pose.origin_m) for setup, pose in poses.items()}
 
 
 def described(plan: Plan, arm: str) -> str:

@@ -8,8 +8,6 @@ from importlib.metadata import version
 from pathlib import Path
 
 from calib.arm_problem.assembly import Choice
-from calib.arm_problem.frames import Frame
-from calib.boards.boards import read_boards
 from calib.errors import CalibrationError
 from calib.inputs import input_file
 from calib.points.arm_points import points_for
@@ -19,6 +17,7 @@ from calib.trust.report import trust_report
 from calib.trust.task import Reliability, planned, reliability_of
 from calib.trust.trust import MapRequest, Trust, trust_in
 from calib.trust.words import as_text
+from console.commands.calibration.boards_option import board_frames
 from console.commands.progress import Bar
 from console.quantities import quantity
 from control.errors import ArmError
@@ -63,14 +62,7 @@ def _request(given: argparse.Namespace) -> MapRequest:
     payloads_kg = tuple(given.payload or (0.0,))
     if min(payloads_kg) < 0.0:
         raise CalibrationError(f"--payload: expected a mass not below 0, got {min(payloads_kg):g} kg")
-    return MapRequest(payloads_kg, tolerance_m, choice=Choice(boards=_boards(given)))
-
-
-def _boards(given: argparse.Namespace) -> dict[str, Frame]:
-    if given.boards is None:
-        return {}
-    poses = read_boards(Path(given.boards))
-    return {setup: Frame(f"table_{setup}", pose.rotation, pose.origin_m) for setup, pose in poses.items()}
+    return MapRequest(payloads_kg, tolerance_m, choice=Choice(boards=board_frames(given.boards)))
 
 
 def _write(

@@ -13,7 +13,7 @@ from calib.arrays import Array, norms
 from calib.design.candidates import workspace_poses
 from calib.trust.discrepancy import Conditions, Discrepancy
 from calib.trust.held_out import ELLIPSOID_95
-from calib.trust.posterior import _Evidence, linearised, posterior_of
+from calib.trust.posterior import Evidence, linearised, posterior_of
 from calib.trust.prediction import TipError
 from calib.trust.task import planned, reliability_of
 from calib.trust.trust import MapRequest, Trust, trust_in, within_95_m
@@ -88,14 +88,14 @@ def test_the_slope_of_the_evidence_is_its_slope() -> None:
     points = recorded().points
     problem = problem_of(ARM, points, Choice())
     at = Conditions(points.q_rad, points.direction, points.payload_kg, points.current_A)
-    evidence = _Evidence(
+    evidence = Evidence(
         *linearised(problem, at, Discrepancy(ARM), np.zeros(16)), np.full(16, 0.3), Discrepancy(ARM)
     )
     logs = np.log(np.array([2e-4, *(0.7 * one.usual for one in Discrepancy(ARM).sources)]))
-    value, slope = evidence._minus_log(logs)
+    value, slope = evidence.minus_log(logs)
     for k in range(len(logs)):
         step = 1e-4 * np.eye(len(logs))[k]
-        across = (evidence._minus_log(logs + step)[0] - evidence._minus_log(logs - step)[0]) / 2e-4
+        across = (evidence.minus_log(logs + step)[0] - evidence.minus_log(logs - step)[0]) / 2e-4
         assert slope[k] == pytest.approx(across, rel=1e-3, abs=1e-3)
     assert np.isfinite(value)
 
