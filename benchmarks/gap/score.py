@@ -11,7 +11,6 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -23,6 +22,8 @@ from benchmarks.gap.matrix import Answer, score_text
 from benchmarks.gap.mock import score as mock_score
 from benchmarks.gap.mock.cases import Level
 from benchmarks.gap.static import answers as static_answers
+from benchmarks.studies import add_options
+from calib.studies.opening import executor
 from console.commands.progress import Bar
 from control.model.description import load_arm
 
@@ -54,34 +55,36 @@ def main() -> int:
     )
     parser.add_argument("halves", nargs="*", metavar="HALF", help=f"{', '.join(WORDS)}; all by default")
     parser.add_argument("--cases", type=int, help="of each sort, in place of the default counts")
-    parser.add_argument("--processes", type=int, default=2)
+    add_options(parser)
     given = parser.parse_args()
     strange = [word for word in given.halves if word not in WORDS]
-    if strange or (given.cases is not None and given.cases < 1) or given.processes < 1:
+    if strange or (given.cases is not None and given.cases < 1):
         parser.error(f"expected {', '.join(WORDS)}, and counts of at least 1; got {' '.join(sys.argv[1:])}")
     halves = [half for word in given.halves or WORDS for half in WORDS[word]]
     began = time.perf_counter()
-    found = _answers([job for half in halves for job in _jobs(half, given.cases)], given.processes)
+    found = _answers([job for half in halves for job in _jobs(half, given.cases)], given)
     for half in halves:
         sys.stdout.write(score_text(half, found[half], TARGET[half]) + "\n")
-    sys.stdout.write(f"{time.perf_counter() - began:.0f} s on {given.processes} cores\n")
+    sys.stdout.write(f"{time.perf_counter() - began:.0f} s\n")
     return 0
 
 
-def _answers(jobs: Sequence[Job], processes: int) -> dict[Half, list[Answer]]:
+def _answers(jobs: Sequence[Job], given: argparse.Namespace) -> dict[Half, list[Answer]]:
     """All jobs, the longest first."""
+    ordered = sorted(jobs, key=lambda job: -job.seconds)
     found: dict[Half, list[Answer]] = {job.half: [] for job in jobs}
     whole, done = sum(job.seconds for job in jobs), 0.0
-    with ProcessPoolExecutor(processes) as pool, Bar("gap-score") as bar:
-        waiting: dict[Future[list[Answer]], Job] = {
-            pool.submit(job.run): job for job in sorted(jobs, key=lambda job: -job.seconds)
-        }
-        for future in as_completed(waiting):
-            job = waiting[future]
-            found[job.half] += future.result()
+    with executor(len(jobs), given.workers, given.cluster) as runs, Bar("gap-score") as bar:
+        for number, answers in runs.results(_answered, ordered, range(len(ordered))):
+            job = ordered[number]
+            found[job.half] += answers
             done += job.seconds
             bar.advance(job.what, done / whole)
     return {half: sorted(some, key=lambda one: one.case) for half, some in found.items()}
+
+
+def _answered(jobs: Sequence[Job], number: int) -> list[Answer]:
+    return jobs[number].run()
 
 
 def _jobs(half: Half, cases: int | None) -> list[Job]:

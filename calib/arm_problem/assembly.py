@@ -18,6 +18,7 @@ from calib.arm_problem.problem import ArmProblem
 from calib.arm_problem.starts import started_tool, with_started_frames
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError, UnusablePointsError
+from calib.points.covariance import matrices_of
 from calib.points.points import Points
 from control.kinematics.rotation import matrices
 from control.model.arm import Arm
@@ -27,7 +28,8 @@ BASE = "base"
 # Where neither the arm's [camera] nor an option says: a tracker's, and what its target of some 100 mm makes of it.
 POSITION_NOISE_m = 0.00014
 ORIENTATION_NOISE_rad = 0.002
-FREEABLE = (BASE, "table", "tool")
+CAMERA = "camera"
+FREEABLE = (BASE, CAMERA, "table", "tool")
 BASE_FRAME = (
     "x_m",
     "y_m",
@@ -60,7 +62,10 @@ class Choice:
         """The same choice, with the base frame freed if the tips' frame has no known relation to the arm's base.
 
         That is so if the arm's file has neither a `base_frame` nor a table of known pose; "base" in `fixed` prevents it.
+        Points of a camera free the camera's frame.
         """
+        if points.in_camera_frame and CAMERA not in self.freed:
+            return replace(self, freed=(*self.freed, CAMERA))
         is_tied = _has_base_frame(arm) or _is_tied_by_table(arm)
         is_measured = bool(np.isfinite(points.tip_m).all(axis=1).any())
         is_asked_for = BASE in self.freed or BASE in self.fixed
@@ -77,6 +82,10 @@ class Choice:
             raise CalibrationError(
                 f'free: expected some of {", ".join(FREEABLE)}, got "{wrong[0]}"; single DH parameters are free'
                 " unless they are fixed"
+            )
+        if CAMERA in self.freed and (BASE in self.freed or BASE in self.fixed):
+            raise CalibrationError(
+                "tips in a camera's frame say nothing about the base frame: neither fix nor free base"
             )
         if BASE in self.freed and BASE in self.fixed:
             raise CalibrationError("the base frame cannot be both fixed and free: omit one of the two")
@@ -104,8 +113,7 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
 
     Joint angles are encoder angles corrected by the static effects that the arm already has.
     """
-    base = base_frame_of(arm, BASE in choice.freed)
-    frames = [replace(base, is_placed=not base.is_free or _has_base_frame(arm) or _is_tied_by_table(arm))]
+    frames = [_measuring_frame(arm, choice)]
     position, which = np.array(points.tip_m), np.zeros(len(points), dtype=np.intp)
     unmeasured = np.flatnonzero(np.isnan(points.tip_m).any(axis=1)).tolist()
     for setup in dict.fromkeys(points.setup[k] for k in unmeasured):
@@ -128,7 +136,16 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
         (*corrections(arm, points, choice.effects), *choice.corrections),
         known_bending_m(arm, points.q_rad, points.payload_kg),
         *_orientations(arm, points, choice),
+        _covariances(arm, points, choice),
     )
+
+
+def _measuring_frame(arm: Arm, choice: Choice) -> Frame:
+    """The frame of measured tips: a camera's of unknown place, or the base frame."""
+    if CAMERA in choice.freed:
+        return Frame.unplaced(CAMERA)
+    base = base_frame_of(arm, BASE in choice.freed)
+    return replace(base, is_placed=not base.is_free or _has_base_frame(arm) or _is_tied_by_table(arm))
 
 
 def _orientations(arm: Arm, points: Points, choice: Choice) -> tuple[Array | None, float, bool]:
@@ -139,6 +156,16 @@ def _orientations(arm: Arm, points: Points, choice: Choice) -> tuple[Array | Non
     rotation = np.full((len(points), 3, 3), np.nan)
     rotation[measured] = matrices(points.orientation[measured])
     return frozen(rotation), lever_m(arm, choice.orientation_noise_rad), TARGET in choice.fixed
+
+
+def _covariances(arm: Arm, points: Points, choice: Choice) -> Array | None:
+    """Covariances (m, 2, 3, 3) of position and orientation if a point has one; those without get the arm's noise."""
+    if not np.isfinite(points.covariance).any():
+        return None
+    turn_rad = choice.orientation_noise_rad or turn_noise_rad(arm)
+    usual = np.array([(lever_m(arm, turn_rad) * turn_rad) ** 2, turn_rad**2])[:, None, None] * np.eye(3)
+    stated = matrices_of(points.covariance.reshape(-1, 2, 6))
+    return frozen(np.where(np.isfinite(stated), stated, usual))
 
 
 def lever_m(arm: Arm, noise_rad: float | None = None) -> float:

@@ -10,7 +10,7 @@
 | | compliance<j>_held = link-side share of friction / stiffness | -held friction |
 | belt_coupling | belt_coupling = ratio | q_2, of joint 3 |
 
-Signs as in control.dynamics.effect_laws; flank, gravity torque and held friction as in control.dynamics.static_pose,
+Signs as in control.model.effect_laws; flank, gravity torque and held friction as in control.dynamics.static_pose,
 from currents and directions of the points. How friction is shared between motor and link is unknown, hence the side
 parameters, which are not part of the effect. An effect is requested by name and joint: "backlash:2", "belt_coupling".
 """
@@ -30,7 +30,7 @@ from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
 from calib.points.points import Points
 from control.model.arm import Arm, Effect
-from control.model.effects import COUPLED
+from control.model.effects import COUPLED, EFFECTS, linear_values, moved_joint
 
 Key = tuple[str, int | None]  # effect and joint
 
@@ -45,12 +45,12 @@ def corrections(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[Correc
     has = {(effect.effect, effect.joint): effect for effect in arm.effects}
     made = []
     for key in dict.fromkeys(_key(text, arm.joint_count) for text in wanted):
-        law, before = LAWS[key[0]], has.get(key)
-        starts = law.linear(before.parameters) if before is not None else ()
-        for term, start in zip(law.terms, chain(starts, repeat(0.0)), strict=False):
+        before = has.get(key)
+        starts = linear_values(key[0], before.parameters) if before is not None else ()
+        for term, start in zip(LAWS[key[0]], chain(starts, repeat(0.0)), strict=False):
             slope = term.slope(at, key[1] or 0)
             if not term.is_side or slope.any():
-                whole = _of_joint(slope, _acts_on(key), arm.joint_count)
+                whole = _of_joint(slope, moved_joint(*key) or 0, arm.joint_count)
                 made.append(Correction(term.name(key[1]), term.unit, whole, term.bound, start))
     return tuple(made)
 
@@ -78,7 +78,7 @@ def effects_of(values: Mapping[str, float]) -> tuple[Effect, ...]:
     """Effects of docs/formats.md from the corrections' values by name, without unphysical ones."""
     found = []
     for (name, joint), linear in _gathered(values).items():
-        parameters = LAWS[name].parameters(linear)
+        parameters = _parameters(name, linear)
         if parameters is not None:
             found.append(Effect(name, joint, parameters))
     return tuple(found)
@@ -91,11 +91,17 @@ def with_effects(arm: Arm, values: Mapping[str, float]) -> Arm:
     return dataclasses.replace(arm, effects=(*others, *effects_of(values)))
 
 
+def _parameters(effect: str, values: Sequence[float]) -> dict[str, float] | None:
+    """As arm.toml has them; None where these values are no such effect."""
+    linear = EFFECTS[effect].linear
+    return linear.parameters(values) if linear is not None and linear.is_possible(values) else None
+
+
 def unphysical(values: Mapping[str, float]) -> tuple[str, ...]:
     """A sentence for each unphysical effect: negative backlash or compliance."""
     sentences = []
     for (name, joint), linear in _gathered(values).items():
-        if LAWS[name].parameters(linear) is None:
+        if _parameters(name, linear) is None:
             sentences.append(
                 f"{name} of joint {joint}: the estimate {linear[0]:.2g} is physically impossible; it is omitted. Either these"
                 " points do not show the effect, or another effect is present."
@@ -151,10 +157,6 @@ def _choices() -> str:
     return ", ".join(name if name == COUPLING else f"{name}:<joint>" for name in LAWS)
 
 
-def _acts_on(key: Key) -> int:
-    return COUPLED if key[1] is None else key[1]
-
-
 def _of_joint(slope: Array, joint: int, joint_count: int) -> Array:
     """(m, n), zero but for the column of `joint`."""
     columns = np.zeros((len(slope), joint_count))
@@ -168,15 +170,13 @@ def _gathered(values: Mapping[str, float]) -> dict[Key, list[float]]:
     for name, value in values.items():
         effect, joint, place = _named(name)
         found.setdefault((effect, joint), {})[place] = value
-    return {
-        key: [places.get(k, 0.0) for k in range(len(LAWS[key[0]].terms))] for key, places in found.items()
-    }
+    return {key: [places.get(k, 0.0) for k in range(len(LAWS[key[0]]))] for key, places in found.items()}
 
 
 def _named(name: str) -> tuple[str, int | None, int]:
     """Effect, joint and place among its terms of a correction's name."""
     for effect, law in LAWS.items():
-        for place, term in enumerate(law.terms):
+        for place, term in enumerate(law):
             middle = name.removeprefix(term.head).removesuffix(term.tail)
             if effect == COUPLING and name == COUPLING:
                 return effect, None, place

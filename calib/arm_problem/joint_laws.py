@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -13,15 +12,9 @@ import numpy.typing as npt
 
 from calib.arrays import Array
 from calib.points.points import Points
-from control.dynamics.effect_laws import (
-    backlash_rad,
-    belt_coupling_rad,
-    compliance_rad,
-    encoder_eccentricity_rad,
-    encoder_scale_rad,
-)
 from control.dynamics.static_pose import RestingPose, resting
 from control.model.arm import Arm
+from control.model.effect_laws import backlash_rad, compliance_rad
 from control.model.effects import COUPLED_TO
 
 COUPLING: Final = "belt_coupling"
@@ -99,31 +92,6 @@ class Term:
         return f"{self.head}{joint or ''}{self.tail}"
 
 
-@dataclass(frozen=True, slots=True)
-class Law:
-    """An effect: its linear parameters, and the conversions from and to those of docs/formats.md (None: no such effect)."""
-
-    terms: tuple[Term, ...]
-    linear: Callable[[Mapping[str, float]], tuple[float, ...]]
-    parameters: Callable[[Sequence[float]], dict[str, float] | None]
-
-
-def _positive(key: str, invert: bool = False) -> Callable[[Sequence[float]], dict[str, float] | None]:
-    """A parameter that is above 0, or its inverse."""
-
-    def made(values: Sequence[float]) -> dict[str, float] | None:
-        return {key: 1.0 / values[0] if invert else values[0]} if values[0] > 0.0 else None
-
-    return made
-
-
-def _eccentricity(values: Sequence[float]) -> dict[str, float] | None:
-    sine, cosine = values
-    if sine == cosine == 0.0:
-        return None
-    return {"amplitude_rad": math.hypot(sine, cosine), "phase_rad": math.atan2(cosine, sine)}
-
-
 def _unclear(part: int) -> Term:
     """Mean position in the backlash of the unclear poses of one part of SHARE_PARTS."""
 
@@ -133,62 +101,26 @@ def _unclear(part: int) -> Term:
     return Term("backlash", f"_unclear{part + 1}", "rad", 0.05, slope, True)
 
 
-LAWS: Final[Mapping[str, Law]] = {
-    "encoder_scale": Law(
-        (Term("encoder_scale", "", "1", 0.05, lambda at, j: encoder_scale_rad(at.q_rad(j), 1.0)),),
-        lambda p: (p["scale"],),
-        lambda values: {"scale": values[0]},
+def _harmonic(part: Callable[[Array], Array]) -> Slope:
+    """Sine or cosine of the joint's angle."""
+    return lambda at, joint: part(at.q_rad(joint))
+
+
+# Of each effect its linear parameters: first those of its record (control.model.effects), then side parameters.
+LAWS: Final[Mapping[str, tuple[Term, ...]]] = {
+    "encoder_scale": (Term("encoder_scale", "", "1", 0.05, lambda at, j: at.q_rad(j)),),
+    "encoder_eccentricity": (
+        Term("eccentricity", "_sin", "rad", 0.05, _harmonic(np.sin)),
+        Term("eccentricity", "_cos", "rad", 0.05, _harmonic(np.cos)),
     ),
-    "encoder_eccentricity": Law(
-        (
-            Term(
-                "eccentricity",
-                "_sin",
-                "rad",
-                0.05,
-                lambda at, j: encoder_eccentricity_rad(at.q_rad(j), 1.0, 0.0),
-            ),
-            Term(
-                "eccentricity",
-                "_cos",
-                "rad",
-                0.05,
-                lambda at, j: encoder_eccentricity_rad(at.q_rad(j), 1.0, 0.5 * math.pi),
-            ),
-        ),
-        lambda p: (
-            p["amplitude_rad"] * math.cos(p["phase_rad"]),
-            p["amplitude_rad"] * math.sin(p["phase_rad"]),
-        ),
-        _eccentricity,
+    "backlash": (
+        Term("backlash", "", "rad", 0.05, lambda at, j: backlash_rad(at.flank(j), 1.0)),
+        *(_unclear(part) for part in range(SHARE_PARTS)),
+        Term("backlash", "_led", "rad", 0.05, lambda at, j: backlash_rad(at.led_side(j), 1.0), True),
     ),
-    "backlash": Law(
-        (
-            Term("backlash", "", "rad", 0.05, lambda at, j: backlash_rad(at.flank(j), 1.0)),
-            *(_unclear(part) for part in range(SHARE_PARTS)),
-            Term("backlash", "_led", "rad", 0.05, lambda at, j: backlash_rad(at.led_side(j), 1.0), True),
-        ),
-        lambda p: (p["width_rad"],),
-        _positive("width_rad"),
+    "joint_compliance": (
+        Term("compliance", "", "rad/Nm", 0.01, lambda at, j: compliance_rad(at.gravity_Nm(j), 1.0)),
+        Term("compliance", "_held", "rad/Nm", 0.01, lambda at, j: compliance_rad(at.held_Nm(j), 1.0), True),
     ),
-    "joint_compliance": Law(
-        (
-            Term("compliance", "", "rad/Nm", 0.01, lambda at, j: compliance_rad(at.gravity_Nm(j), 1.0)),
-            Term(
-                "compliance",
-                "_held",
-                "rad/Nm",
-                0.01,
-                lambda at, j: compliance_rad(at.held_Nm(j), 1.0),
-                is_side=True,
-            ),
-        ),
-        lambda p: (1.0 / p["stiffness_Nm_rad"],),
-        _positive("stiffness_Nm_rad", invert=True),
-    ),
-    COUPLING: Law(
-        (Term(COUPLING, "", "1", 0.1, lambda at, j: belt_coupling_rad(at.q_rad(COUPLED_TO), 1.0)),),
-        lambda p: (p["ratio"],),
-        lambda values: {"ratio": values[0]},
-    ),
+    COUPLING: (Term(COUPLING, "", "1", 0.1, lambda at, j: at.q_rad(COUPLED_TO)),),
 }

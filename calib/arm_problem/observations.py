@@ -43,7 +43,8 @@ class Observations:
     q_rad (m, n) from the encoders; position_m (m, 3): where the tip was, in the frame frames[frame[i]];
     `setup` and `point` name each pose. `known_shift_m` (m, 3): displacement of the tip by the arm's present effects, besides
     joint angles. `rotation` (m, 3, 3): the measured target's orientation in the same frame, NaN where there is none, or None;
-    an error of it counts as `lever_m` times its angle; `is_target_known`: the target's axes are the last link's.
+    an error of it counts as `lever_m` times its angle; `is_target_known`: the target's axes are the last link's. `covariance`
+    (m, 2, 3, 3): of position and orientation in the frame's axes, NaN where nothing was measured; None: all points count alike.
     """
 
     q_rad: Array
@@ -57,6 +58,7 @@ class Observations:
     rotation: Array | None = None
     lever_m: float = 0.0
     is_target_known: bool = False
+    covariance: Array | None = None
 
     def __post_init__(self) -> None:
         """ValueError for inconsistent shapes, which are a programming error."""
@@ -96,6 +98,7 @@ class Observations:
             None if self.rotation is None else frozen(self.rotation[keep]),
             self.lever_m,
             self.is_target_known,
+            None if self.covariance is None else frozen(self.covariance[keep]),
         )
 
     @property

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from calib.arm_problem.expansion import Expansion
 from calib.arm_problem.frames import left_jacobian, mean_rotation, rotation_of
 from calib.arm_problem.parameters import Bounds, Parameter
-from calib.arm_problem.problem import ALL, ArmProblem, Problem, Turns
+from calib.arm_problem.problem import ALL, ArmProblem, Turns
 from calib.arrays import Array
 from control.kinematics.rotation import cross_matrices, logarithms
 
@@ -29,11 +29,6 @@ TARGET = "target"
 TARGET_NAMES = ("target_rx", "target_ry", "target_rz")
 SMALL_rad = 1e-4
 Places = npt.NDArray[np.intp]
-
-
-def whole_problem(problem: ArmProblem) -> Problem:
-    """The problem with the rows of measured orientations; the problem itself where there are none."""
-    return PosedProblem(problem) if len(problem.observed.turned_rows) else problem
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from calib.gap.effects.catalogue import role_of
 from calib.gap.finding import EffectName, GapFinding, Nameable, NamedEffect, Unknown
 
 # Standard deviations, or share of the value, that two estimates of one parameter may differ by.
@@ -22,14 +23,6 @@ POSES, SERIES = "poses", "time series"
 SURELY = 4.0
 AT_FLOOR = 1.3  # times the noise: a level with more left than that has not said all that it shows
 GEOMETRY = ("link_geometry", "base_frame")
-# What can be mistaken for each other on one joint at the other level: a joint that is not where its encoder says.
-ROLES = (
-    ("backlash", "joint_compliance", "link_flexure", "encoder_scale", "encoder_eccentricity", "belt_coupling", "thermal_drift"),
-    (
-        "coulomb_friction", "viscous_friction", "stribeck_friction", "load_friction", "asymmetric_friction", "cogging",
-        "torque_constant",
-    ),
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +54,12 @@ class Level:
 
     def rival_of(self, name: EffectName) -> EffectName | None:
         """What it names in the same role on the same joint in place of `name`."""
-        role = next((role for role in ROLES if name.effect in role), ())
+        role = role_of(name.effect)
         return next(
             (
                 other
                 for other in self.names()
-                if other != name and other.effect in role and other.acts_on == name.acts_on
+                if other != name and role and role_of(other.effect) == role and other.acts_on == name.acts_on
             ),
             None,
         )
@@ -159,7 +152,7 @@ def _named_later(finding: GapFinding, other: Level) -> GapFinding:
     if not any(name in other.names() for names in finding.ambiguous for name in names):
         return finding
     nothing = dict.fromkeys(finding.after_si, math.nan)
-    return dataclasses.replace(finding, gap_after=math.nan, after_si=nothing)
+    return dataclasses.replace(finding, gap_after=math.nan, gap_as_written=math.nan, after_si=nothing)
 
 
 def _without(finding: GapFinding, denied: dict[EffectName, str]) -> GapFinding:
@@ -177,7 +170,9 @@ def _without(finding: GapFinding, denied: dict[EffectName, str]) -> GapFinding:
         return finding
     share = min(1.0, gap_after / finding.gap_before) if finding.gap_before > 0.0 else 1.0
     before_si = {channel: share * value for channel, value in finding.before_si.items()}
-    return dataclasses.replace(finding, effects=tuple(effects), gap_after=gap_after, after_si=before_si)
+    return dataclasses.replace(
+        finding, effects=tuple(effects), gap_after=gap_after, gap_as_written=math.nan, after_si=before_si
+    )
 
 
 def _merged(
@@ -200,6 +195,7 @@ def _merged(
         noise_floor={**dynamic.noise_floor, **static.noise_floor},
         gap_before=math.hypot(static.gap_before, dynamic.gap_before) / math.sqrt(2.0),
         gap_after=math.hypot(static.gap_after, dynamic.gap_after) / math.sqrt(2.0),
+        gap_as_written=math.hypot(static.gap_as_written, dynamic.gap_as_written) / math.sqrt(2.0),
         before_si={**dynamic.before_si, **static.before_si},
         after_si={**dynamic.after_si, **static.after_si},
         effects=_effects(static, dynamic),

@@ -9,13 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from control.files import write_whole
-from control.model.effects import COUPLED
+from control.model.effects import moved_joint, place_of
 from control.model.maps import CorrectionMap
 
 Parameters = Mapping[str, tuple[float, float]]  # by name: value and standard deviation
 
 GEOMETRY = "link_geometry"  # the effect: the links' lengths and axes are others than the model's
-ON_LINKS = ("link_flexure", "link_inertia")  # the key is still `joint`, and carries the link's number
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,13 +26,13 @@ class EffectName:
 
     def __str__(self) -> str:
         """As `backlash on joint 2`."""
-        place = "link" if self.effect in ON_LINKS else "joint"
+        place = place_of(self.effect)
         return self.effect if self.joint is None else f"{self.effect} on {place} {self.joint}"
 
     @property
     def acts_on(self) -> int | None:
         """The joint or link that it moves."""
-        return COUPLED if self.effect == "belt_coupling" else self.joint
+        return moved_joint(self.effect, self.joint)
 
     def content(self) -> dict[str, object]:
         """For gap.json."""
@@ -132,6 +131,7 @@ class GapFinding:
 
     `gap_before` and `gap_after`: root mean square over the noise floor, on recordings that were used for nothing else;
     `is_held_out` is False where there were none to spare and the gap is that of what was fitted. `maps`: None if not asked for.
+    `gap_after` counts how each part departs from its law; `gap_as_written` is that of the laws alone, as arm.toml has them.
     """
 
     arm: str
@@ -150,6 +150,7 @@ class GapFinding:
     remainder: tuple[Remainder, ...] = ()
     open_questions: tuple[OpenQuestion, ...] = ()
     maps: MeasuredMaps | None = None
+    gap_as_written: float = math.nan
 
     @property
     def judged_on(self) -> str:
@@ -173,6 +174,7 @@ def gap_content(found: GapFinding) -> dict[str, object]:
         "gap": {
             "before": _number(found.gap_before),
             "after": _number(found.gap_after),
+            "as_written": _number(found.gap_as_written),
             "before_si": _numbers(found.before_si),
             "after_si": _numbers(found.after_si),
         },

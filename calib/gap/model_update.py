@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import cmath
 import dataclasses
 from collections.abc import Mapping, Sequence
 
 from calib.arrays import Array
 from calib.gap.finding import GEOMETRY, EffectName, GapFinding, Parameters
 from control.model.arm import Arm, Effect
-
-# Where a change and what the file knows add up to one effect of the same kind, their sum is the total. Others are replaced: no
-# single law is the sum of two of different speed, order or time.
-SUMMED = (
-    "encoder_scale", "backlash", "belt_coupling", "payload", "coulomb_friction", "viscous_friction", "load_friction",
-    "asymmetric_friction", "command_delay", "supply_sag", "link_inertia",
-)  # fmt: skip
+from control.model.effects import total
 
 
 def updated_arm(arm: Arm, found: GapFinding, dh: Array | None) -> Arm:
@@ -60,24 +53,5 @@ def as_totals(arm: Arm, found: GapFinding) -> GapFinding:
 
 def _total(effect: str, known: Mapping[str, float], found: Parameters) -> Parameters:
     """Both as one effect of the same kind, with the standard deviations of what was found."""
-    values = _sum(effect, known, {name: value for name, (value, _) in found.items()})
+    values = total(effect, known, {name: value for name, (value, _) in found.items()})
     return {name: (value, found.get(name, (value, 0.0))[1]) for name, value in values.items()}
-
-
-def _sum(effect: str, known: Mapping[str, float], found: Mapping[str, float]) -> Mapping[str, float]:
-    """Both as one of the same kind; what was found alone where there is no such."""
-    if effect in SUMMED and known.keys() == found.keys():
-        return {name: value + known[name] for name, value in found.items()}
-    if effect == "joint_compliance":  # two springs behind each other
-        softness = 1.0 / known["stiffness_Nm_rad"] + 1.0 / found["stiffness_Nm_rad"]
-        return {**known, **found, "stiffness_Nm_rad": 1.0 / softness}
-    if effect == "torque_constant":
-        return {"scale": known["scale"] * found["scale"]}
-    amplitude = "amplitude_rad" if effect == "encoder_eccentricity" else "amplitude_Nm"
-    is_wave = effect in ("encoder_eccentricity", "cogging")
-    if is_wave and known.get("order") == found.get("order"):
-        both = cmath.rect(known[amplitude], known["phase_rad"]) + cmath.rect(
-            found[amplitude], found["phase_rad"]
-        )
-        return {**found, amplitude: abs(both), "phase_rad": cmath.phase(both)}
-    return found

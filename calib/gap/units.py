@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from types import MappingProxyType
 from typing import Final
 
@@ -28,7 +29,6 @@ AMPERES: Final = "A"
 TORQUES: Final = "Nm"
 FINE_COUNTS: Final = 1 << 24  # of an encoder that nobody described: the steps that the data show are coarser
 IDEAL: Final = Drive(1, 1.0, FINE_COUNTS, 1.0, 1.0, 1e6)
-NEED_DRIVES: Final = ("torque_constant", "cogging", "command_delay", "supply_sag")  # of the effects
 
 
 def amperes_per(arm: Arm, unit: str) -> Array:
@@ -60,6 +60,15 @@ def with_ideal_drives(arm: Arm) -> Arm:
     return dataclasses.replace(
         arm, drives=tuple(has.get(j, dataclasses.replace(IDEAL, joint=j)) for j in joints)
     )
+
+
+def without_voltages(log: Log) -> Log:
+    """The log without its voltages, which say nothing where motors are not known."""
+    runs = tuple(
+        dataclasses.replace(run, voltage_V=frozen(run.voltage_V * math.nan), is_commanded=False)
+        for run in log.runs
+    )
+    return dataclasses.replace(log, runs=runs)
 
 
 def points_in_amperes(arm: Arm, points: Points, unit: str) -> Points:

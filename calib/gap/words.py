@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from calib.gap.finding import GEOMETRY, EffectName, GapFinding, NamedEffect, Unknown
 
 NEAR = 0.05  # share of what is left: an effect that explains less is not near
+LISTED_MOST = 6  # of names in a sentence
+BEYOND = 1.05  # times the gap after: arm.toml leaves more than what was found does
 AT_FLOOR = 1.1  # times the floor, up to which a gap counts as closed
 
 
@@ -38,17 +41,27 @@ def _sentences(found: GapFinding) -> Iterator[str]:
         yield f"The gap could not be evaluated: on {found.judged_on} nothing moves that any channel shows."
     else:
         yield f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {after} after."
+    yield from _as_written(found)
     yield from _maps(found)
     blind = [
         one.name for one in found.nameable if not one.is_nameable and one.name not in {n.name for n in named}
     ]
     if blind:
         yield (
-            f"This data could not name {listed(blind)} of usual size (too small beside the noise, or indistinguishable from"
+            f"This data could not name {_some(blind)} of usual size (too small beside the noise, or indistinguishable from"
             " others)."
         )
     if found.next_experiment:
         yield found.next_experiment
+
+
+def _as_written(found: GapFinding) -> Iterator[str]:
+    """What arm.toml explains, where that is less than what was found."""
+    if found.gap_as_written > AT_FLOOR and found.gap_as_written > BEYOND * found.gap_after:
+        yield (
+            f"arm.toml holds the laws without how these parts depart from them: it leaves {found.gap_as_written:.2f} times the"
+            " noise. Measured maps (--map) hold more."
+        )
 
 
 def _maps(found: GapFinding) -> Iterator[str]:
@@ -85,6 +98,15 @@ def parameters_text(effect: NamedEffect) -> str:
         f"{name} = {value:.4g}" + (f" +- {sd:.2g}" if sd == sd else "")
         for name, (value, sd) in effect.parameters.items()
     )
+
+
+def _some(names: Sequence[EffectName]) -> str:
+    """All where they are few; else the kinds, with how many of each."""
+    if len(names) <= LISTED_MOST:
+        return listed(names)
+    kinds = Counter(one.effect for one in names)
+    texts = [f"{kind} ({count})" if count > 1 else kind for kind, count in kinds.items()]
+    return f"{len(names)} effects: {', '.join(texts)},"
 
 
 def listed(names: Sequence[EffectName]) -> str:

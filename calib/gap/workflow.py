@@ -12,6 +12,7 @@ from pathlib import Path
 from calib.errors import CalibrationError
 from calib.gap.both import brought_together
 from calib.gap.consistent import consistent
+from calib.gap.effects.catalogue import needing_drives
 from calib.gap.finding import GapFinding, write_gap_json
 from calib.gap.log import Log, joined_logs, read_log
 from calib.gap.maps.angles import angle_maps
@@ -25,15 +26,15 @@ from calib.gap.series.find import examine
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.units import (
     AMPERES,
-    NEED_DRIVES,
     TORQUES,
     amperes_per,
     log_in_amperes,
     points_in_amperes,
     with_ideal_drives,
+    without_voltages,
 )
 from calib.inputs import input_file
-from calib.points.arm_points import points_for
+from calib.points.arm_points import base_points_for
 from calib.points.points import Points
 from control.errors import ArmError
 from control.files import write_whole
@@ -92,7 +93,7 @@ def read_recordings(
             "gap: give --points for static poses, --log for time series, or both; --record records them"
         )
     point_files, log_files = tuple(map(Path, points)), tuple(map(Path, logs))
-    poses = [points_for(arm, point_files)] if point_files else []
+    poses = [base_points_for(arm, point_files, "gap")] if point_files else []
     runs = [read_log(path, arm.joint_count) for path in log_files]
     log = joined_logs(tuple(log for log, _ in runs)) if runs else None
     return Recordings(
@@ -154,14 +155,15 @@ def find_gap_in(
 
     `with_maps`: what is left is measured as maps besides, which stand in arm.toml where they help what was not fitted.
     """
-    searched, said = arm, list(recordings.warnings)
+    searched, log, said = arm, recordings.log, list(recordings.warnings)
     if recordings.are_torques and len(arm.drives) < arm.joint_count:
-        searched, without = with_ideal_drives(arm), (*without, *NEED_DRIVES)
+        searched, without = with_ideal_drives(arm), (*without, *needing_drives())
+        log = None if log is None else without_voltages(log)
         said.append(
             f"arm {arm.name} has no [[drive]] of some joints: its torques are taken as they are, without rotors; not tried are"
-            f" {', '.join(NEED_DRIVES)}"
+            f" {', '.join(needing_drives())}"
         )
-    found = find_gap(searched, recordings.points, recordings.log, without=without, advance=advance)
+    found = find_gap(searched, recordings.points, log, without=without, advance=advance)
     files = (*recordings.point_files, *recordings.log_files)
     found = dataclasses.replace(
         found,

@@ -4,27 +4,20 @@
 measured map adds what it has at the set-point.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import replace
-from math import exp, sin, tanh
 from typing import Final, Protocol
 
 from control.dynamics.dynamics import Dynamics
-from control.dynamics.effect_laws import SMOOTH_rad_s
 from control.kinematics.smooth_table import SmoothTable
-from control.model.arm import Arm, Effect
+from control.model.arm import Arm, Drive, Effect
+from control.model.effect_laws import Torque, direction
+from control.model.effects import EFFECTS, corrected
 from control.model.maps import CorrectionMap
 
-FED_FORWARD: Final = frozenset(
-    {
-        "payload", "link_inertia", "torque_constant", "coulomb_friction", "viscous_friction", "stribeck_friction",
-        "load_friction", "asymmetric_friction", "cogging",
-    }
-)  # fmt: skip
+FED_FORWARD: Final = corrected("torque")
 Torques = tuple[float, ...]
-FrictionTerm = Callable[
-    [float, float, float], float
-]  # motor's angle, joint's speed, rigid-body torque -> torque
 
 
 class MotionTorques(Protocol):
@@ -46,8 +39,8 @@ def torque_model(arm: Arm, payload_kg: float = 0.0) -> MotionTorques:
     Raises MissingModel where the arm's file lacks masses.
     """
     rigid = Dynamics(with_link_inertia(arm), payload_kg + own_payload_kg(arm)).inverse
-    terms = [(e.joint - 1, _term(arm, e)) for e in arm.effects if e.joint is not None and e.effect in _LAWS]
-    terms += [(one.joint - 1, _map(arm, one)) for one in arm.maps if one.corrects == "torque_Nm"]
+    terms = [_term(arm, one) for one in arm.effects if EFFECTS[one.effect].torque is not None]
+    terms += [(one.joint - 1, 1.0, _map(arm, one)) for one in arm.maps if one.corrects == "torque_Nm"]
 
     def torques(
         q: Sequence[float],
@@ -60,8 +53,8 @@ def torque_model(arm: Arm, payload_kg: float = 0.0) -> MotionTorques:
         if not terms:
             return transmitted
         total, at = list(transmitted), q if motor_rad is None else motor_rad
-        for joint, term in terms:
-            total[joint] += term(at[joint], speed[joint], transmitted[joint])
+        for joint, ratio, term in terms:
+            total[joint] += term(ratio * at[joint], speed[joint], transmitted[joint])
         return tuple(total)
 
     return torques
@@ -95,50 +88,28 @@ def with_link_inertia(arm: Arm) -> Arm:
 
 def torque_constants_Nm_A(arm: Arm) -> Torques:
     """Joint torque per ampere, and volts per rad/s, of each motor; MissingModel where a joint has no [[drive]]."""
+    return tuple(torque_constant_Nm_A(arm, arm.drive(joint)) for joint in range(1, arm.joint_count + 1))
+
+
+def torque_constant_Nm_A(arm: Arm, drive: Drive) -> float:
+    """The same of one drive, with what the arm's file has of the effect."""
     scale = {e.joint: e.parameters["scale"] for e in arm.effects if e.effect == "torque_constant"}
-    drives = [arm.drive(joint) for joint in range(1, arm.joint_count + 1)]
-    return tuple(d.gear_ratio * d.torque_constant_Nm_A * scale.get(d.joint, 1.0) for d in drives)
+    return drive.gear_ratio * drive.torque_constant_Nm_A * scale.get(drive.joint, 1.0)
 
 
-def _term(arm: Arm, effect: Effect) -> FrictionTerm:
-    return _LAWS[effect.effect](arm, effect)
+def _term(arm: Arm, effect: Effect) -> tuple[int, float, Torque]:
+    """Joint (0-based), turns of the law's angle a joint turn, and law of an effect with a torque."""
+    kind, joint = EFFECTS[effect.effect], effect.joint
+    assert kind.torque is not None
+    assert joint is not None
+    ratio = arm.drive(joint).gear_ratio if kind.is_of_motor else 1.0
+    return joint - 1, ratio, kind.torque(effect.parameters, math)
 
 
-def _coulomb(arm: Arm, effect: Effect) -> FrictionTerm:
-    torque = effect.parameters["torque_Nm"]
-    return lambda q, speed, load: torque * tanh(speed / SMOOTH_rad_s)
-
-
-def _viscous(arm: Arm, effect: Effect) -> FrictionTerm:
-    coefficient = effect.parameters["coefficient_Nm_s_rad"]
-    return lambda q, speed, load: coefficient * speed
-
-
-def _stribeck(arm: Arm, effect: Effect) -> FrictionTerm:
-    torque, scale = effect.parameters["torque_Nm"], effect.parameters["speed_rad_s"]
-    return lambda q, speed, load: torque * exp(-((speed / scale) ** 2)) * tanh(speed / SMOOTH_rad_s)
-
-
-def _load(arm: Arm, effect: Effect) -> FrictionTerm:
-    fraction = effect.parameters["fraction"]
-    return lambda q, speed, load: fraction * abs(load) * tanh(speed / SMOOTH_rad_s)
-
-
-def _asymmetric(arm: Arm, effect: Effect) -> FrictionTerm:
-    torque = effect.parameters["torque_Nm"]
-    return lambda q, speed, load: torque * abs(tanh(speed / SMOOTH_rad_s))
-
-
-def _cogging(arm: Arm, effect: Effect) -> FrictionTerm:
-    amplitude, phase = effect.parameters["amplitude_Nm"], effect.parameters["phase_rad"]
-    per_rad = effect.parameters["order"] * arm.drive(effect.joint or 0).gear_ratio
-    return lambda q, speed, load: amplitude * sin(per_rad * q + phase)
-
-
-def _map(arm: Arm, one: CorrectionMap) -> FrictionTerm:
+def _map(arm: Arm, one: CorrectionMap) -> Torque:
     table, directed = SmoothTable.of(one), SmoothTable.of_direction(one)
     turn = arm.drive(one.joint).gear_ratio if one.is_periodic else 1.0
-    place: FrictionTerm
+    place: Torque
     match one.over:
         case "load_Nm":
             place = _at_load
@@ -149,7 +120,7 @@ def _map(arm: Arm, one: CorrectionMap) -> FrictionTerm:
 
     def torque(q: float, speed: float, load: float) -> float:
         at = turn * place(q, speed, load)
-        return table(at) if directed is None else table(at) + tanh(speed / SMOOTH_rad_s) * directed(at)
+        return table(at) if directed is None else table(at) + direction(speed) * directed(at)
 
     return torque
 
@@ -164,13 +135,3 @@ def _at_speed(q: float, speed: float, load: float) -> float:
 
 def _at_load(q: float, speed: float, load: float) -> float:
     return load
-
-
-_LAWS: dict[str, Callable[[Arm, Effect], FrictionTerm]] = {
-    "coulomb_friction": _coulomb,
-    "viscous_friction": _viscous,
-    "stribeck_friction": _stribeck,
-    "load_friction": _load,
-    "asymmetric_friction": _asymmetric,
-    "cogging": _cogging,
-}

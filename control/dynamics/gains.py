@@ -9,7 +9,12 @@ The joint model neglects the inductance (its time constant is a fraction of a cy
 
     kd = (3 w - a) / b,   kp = 3 w^2 / b,   ki = w^3 / b.
 
-Where the back-EMF damps more than 3 w, kd is zero. With the loop's delay (one and a half cycles of 2 ms, counts up to 1 ms
+Where the back-EMF damps more than 3 w, kd is zero. In a loop slower than 500 Hz, w is slower in proportion and most motors
+damp more than that; then two poles are at -w and the third is the motor's own, at -(a - 2 w):
+
+    kp = (w^2 + 2 w (a - 2 w)) / b,   ki = w^2 (a - 2 w) / b.
+
+With the loop's delay (one and a half cycles of 2 ms, counts up to 1 ms
 old) and the filters of the speed estimate, w = 40 rad/s leaves the reference arm at least 50 degrees of phase margin (40 with
 0.5 kg at the tip) and a sensitivity of at most 1.65 in every pose, at a crossover of 28 to 72 rad/s. In current mode no
 back-EMF damps and the derivative has to, so delay costs more: w = 25 rad/s leaves 44 degrees at the design inertia
@@ -55,7 +60,8 @@ def gains_of(arm: Arm, joint: int, period_s: float = POLE_PERIOD_S) -> Gains:
         return Gains(pid.kp, pid.ki, pid.kd, filter_s)
     pole_rad_s = CURRENT_MODE_POLE_rad_s if pid.mode == "current" else POLE_rad_s
     pole_rad_s *= min(1.0, POLE_PERIOD_S / period_s)
-    placed = placed_gains(drive, _inertia_kg_m2(arm, joint), filter_s, pole_rad_s)
+    is_slow = period_s > POLE_PERIOD_S
+    placed = placed_gains(drive, _inertia_kg_m2(arm, joint), filter_s, pole_rad_s, is_slow)
     return Gains(
         placed.kp if pid.kp is None else pid.kp,
         placed.ki if pid.ki is None else pid.ki,
@@ -73,9 +79,16 @@ def volt_gains_of(arm: Arm, joint: int) -> Gains:
 
 
 def placed_gains(
-    drive: Drive, inertia_kg_m2: float, filter_s: float, pole_rad_s: float = POLE_rad_s
+    drive: Drive,
+    inertia_kg_m2: float,
+    filter_s: float,
+    pole_rad_s: float = POLE_rad_s,
+    leaves_third: bool = False,
 ) -> Gains:
-    """Return the gains that put three poles at -pole for a joint of this inertia."""
+    """Return the gains that put three poles at -pole for a joint of this inertia.
+
+    `leaves_third`: only two, if its back-EMF damps more than three such poles would.
+    """
     constant = drive.gear_ratio * drive.torque_constant_Nm_A
     if drive.pid.mode == "current":
         b, a = constant / inertia_kg_m2, 0.0
@@ -83,19 +96,22 @@ def placed_gains(
         b = constant / (drive.resistance_ohm * inertia_kg_m2)
         a = constant * b
     w = pole_rad_s
-    return Gains(3.0 * w * w / b, w**3 / b, max(3.0 * w - a, 0.0) / b, filter_s)
+    third = max(w, a - 2.0 * w) if leaves_third else w
+    return Gains((w * w + 2.0 * w * third) / b, w * w * third / b, max(3.0 * w - a, 0.0) / b, filter_s)
 
 
 class InertiaScale:
-    """Scale of each joint's derived gains in a pose: its inertia there over its largest inertia.
+    """Scale of each joint's derived gains in current mode: its inertia in a pose over its largest inertia.
 
-    1 for a joint whose gains are in arm.toml. `unknown` holds the smallest scales, for an arm whose pose is not known.
+    1 for a joint in another mode, or whose gains are in arm.toml. `unknown` holds the smallest scales, for an arm whose pose is
+    not known.
     """
 
     def __init__(self, arm: Arm) -> None:
         joints = range(1, arm.joint_count + 1)
         self._largest = tuple(_inertia_kg_m2(arm, joint) for joint in joints)
-        self._is_derived = tuple(arm.drive(joint).pid.kp is None for joint in joints)
+        pids = [drive.pid for drive in arm.drives]
+        self._is_derived = tuple(pid.mode == "current" and pid.kp is None for pid in pids)
         self._mass_matrix = Dynamics(arm).mass_matrix
         diagonals = np.diagonal(Dynamics(arm).mass_matrices(_scatter(arm)), axis1=1, axis2=2)
         self.unknown = self._shares(diagonals.min(axis=0).tolist())

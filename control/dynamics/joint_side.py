@@ -19,8 +19,9 @@ from control.errors import ArmError
 from control.kinematics.encoder_chain import RIGID_EFFECTS, EncoderChain, Floats
 from control.kinematics.smooth_table import SmoothTable
 from control.model.arm import Arm
+from control.model.effects import COUPLED, COUPLED_TO, corrected
 
-GEAR_EFFECTS: Final = frozenset({"backlash", "joint_compliance"})
+GEAR_EFFECTS: Final = corrected("gear")
 SIDE_EFFECTS: Final = RIGID_EFFECTS | GEAR_EFFECTS
 LINK_SHARE: Final = 0.5  # of a joint's dry friction on the link side: the middle of the possible range
 UNKNOWN_FRICTION: Final = (
@@ -176,13 +177,13 @@ def usable_range_rad(arm: Arm) -> tuple[tuple[float, float], ...]:
     ArmError if that range is empty.
     """
     rigid, laws = EncoderChain(arm), gear_laws(arm)
-    second = arm.limits_rad[1] if arm.joint_count > 1 else (0.0, 0.0)
+    second = arm.limits_rad[COUPLED_TO - 1] if arm.joint_count >= COUPLED_TO else (0.0, 0.0)
     belt = [rigid.belt(q) if isfinite(q) else inf for q in second]
     found = []
     for j, (lower, upper) in enumerate(arm.limits_rad):
         law = laws.get(j + 1)
         off = 0.0 if law is None else _largest_offset_rad(arm, j + 1, law)
-        low, high = (min(belt), max(belt)) if j == 2 else (0.0, 0.0)
+        low, high = (min(belt), max(belt)) if j + 1 == COUPLED else (0.0, 0.0)
         room = (
             max(lower, rigid.joint_of(j, lower) + off + high),
             min(upper, rigid.joint_of(j, upper) - off + low),

@@ -17,8 +17,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from control.dynamics.dynamics import Dynamics
-from control.dynamics.feedforward import own_payload_kg, torque_constants_Nm_A, with_link_inertia
+from control.dynamics.feedforward import (
+    own_payload_kg,
+    torque_constant_Nm_A,
+    torque_constants_Nm_A,
+    with_link_inertia,
+)
 from control.model.arm import Arm
+from control.model.effects import EFFECTS
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -34,7 +40,6 @@ ROUNDING_Nm: Final = 1e-6
 # Of the torque at the current limit, if neither currents nor effects determine it:
 ASSUMED_FRICTION: Final = 0.1
 ASSUMED_LEAST: Final = 1e-3  # minimum: every gear has some
-_FRICTIONS: Final = ("coulomb_friction", "stribeck_friction")
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,14 +104,9 @@ def torque_per_A(arm: Arm) -> Array:
 
 def known_torque_per_A(arm: Arm) -> Array:
     """Joint torque per ampere of each motor, (n,), not a number for a joint without a [[drive]]."""
-    has = {drive.joint for drive in arm.drives}
-    if len(has) == arm.joint_count:
-        return torque_per_A(arm)
-    scale = {one.joint: one.parameters["scale"] for one in arm.effects if one.effect == "torque_constant"}
     per_A = np.full(arm.joint_count, np.nan)
     for drive in arm.drives:
-        constant = drive.gear_ratio * drive.torque_constant_Nm_A
-        per_A[drive.joint - 1] = constant * scale.get(drive.joint, 1.0)
+        per_A[drive.joint - 1] = torque_constant_Nm_A(arm, drive)
     return per_A
 
 
@@ -120,7 +120,7 @@ def friction_Nm(arm: Arm, held_Nm: Array, gravity_Nm: Array | None = None) -> tu
     per_A = np.nan_to_num(known_torque_per_A(arm))
     modelled = np.zeros(arm.joint_count)
     for effect in arm.effects:
-        if effect.effect in _FRICTIONS and effect.joint is not None:
+        if EFFECTS[effect.effect].is_dry and effect.joint is not None:
             modelled[effect.joint - 1] += effect.parameters["torque_Nm"]
     seen = np.isfinite(held_Nm).any(axis=0)
     shown = np.zeros(arm.joint_count)

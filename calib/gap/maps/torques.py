@@ -24,8 +24,8 @@ from calib.gap.maps.outcome import DrawnMap, MapsFound, rms
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.signals.parts import sorted_terms
 from calib.gap.signals.recording import Motion
-from control.dynamics.effect_laws import direction
 from control.model.arm import Arm
+from control.model.effect_laws import direction
 from control.model.maps import CorrectionMap, Over
 
 SAMPLES_PER_s = 200.0  # of the second look: what 60 Hz can tell
@@ -114,7 +114,7 @@ class Signals:
 
     def table(self, one: CorrectionMap) -> Array:
         """What a map says at every sample."""
-        return along(one, self.over(one.over), direction(self.speed_rad_s))
+        return along(one, self.over(one.over), direction(self.speed_rad_s, np))
 
     def slow(self) -> Band:
         """Rows of the decision: already filtered samples, filtered once more."""
@@ -161,7 +161,7 @@ def _looked(signals: Signals, band: Band, is_fast: bool) -> MapsFound:
     candidates = _candidates(signals, band, is_fast)
     if not usual > 0.0 or not candidates:
         return nothing
-    way = direction(signals.speed_rad_s)
+    way = direction(signals.speed_rad_s, np)
     tables = tuple((band.mix @ one.columns(signals.over(one.over), way)).toarray() for one in candidates)
     none = np.zeros((len(band.at), 0))
     folds, pieces = _divided(signals, band)

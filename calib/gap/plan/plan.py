@@ -109,6 +109,13 @@ def recording_plan(arm: Arm, request: PlanRequest, speed: float = 1.0) -> Record
     return plan
 
 
+def plan_of(arm: Arm, room: CollisionFreeBox, steps: Sequence[Step], speed: float = 1.0) -> RecordingPlan:
+    """These steps as a plan. CalibrationError where they leave the joints' ranges, or come near the floor."""
+    plan = RecordingPlan(room, tuple(steps), _duration_s(arm, steps, speed))
+    _require_clear(arm, plan)
+    return plan
+
+
 FULL = Extent()
 QUICK = Extent(levels=2, spread=8, outside=3, pulled=1)
 LEAST = Extent(levels=2, spread=2, outside=0, pulled=1)

@@ -9,10 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arm_problem.assembly import problem_of
-from calib.arm_problem.joint_laws import LAWS
+from calib.arm_problem.assembly import BASE, Choice, problem_of
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask
+from calib.gap.effects.catalogue import is_load
+from calib.gap.effects.frame import FRAME
+from calib.gap.effects.pose_scene import load_of
 from calib.gap.finding import (
     GEOMETRY,
     EffectName,
@@ -22,11 +24,11 @@ from calib.gap.finding import (
     Remainder,
     Unknown,
 )
+from calib.gap.model_update import updated_arm
+from calib.gap.poses.as_written import left_as_written, without_unnamed
 from calib.gap.poses.cautions import about_fit
 from calib.gap.poses.currents import Currents
 from calib.gap.poses.drawn_laws import drawn_laws
-from calib.gap.poses.effects.frame import FRAME
-from calib.gap.poses.effects.scene import load_of
 from calib.gap.poses.experiments import next_experiment, open_questions
 from calib.gap.poses.floor import Floor, noise_floor
 from calib.gap.poses.held_out import holds_on_others, shows_in_others
@@ -41,6 +43,7 @@ from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Block, Key, Term
 from calib.points.points import Points
 from control.model.arm import Arm, Effect
+from control.model.effects import linear_values
 
 KINDS = ("d_m", "theta_rad", "L_m", "alpha_rad")
 
@@ -83,7 +86,8 @@ def answered(
     """The finding of a decision, with what its report draws."""
     best, points, parts = decision.best, looked.points, looked.parts
     decision, estimates, reasons = _borne_out(looked, around, decision)
-    x, residual = around.fitted(best)
+    residual = around.fitted(best)[1]
+    x, _ = around.fitted(without_unnamed(around, best, decision.names))
     floor = looked.refloored(residual).floor
     if floor.doubt >= UNMEASURED:
         floor = dataclasses.replace(floor, tip_m=floor.tip_m * best.kappa)
@@ -102,6 +106,8 @@ def answered(
     sizes = rms(nominal, sure), rms(stages[-1] if stages else geometry, sure)
     finding = _finding(looked, around, decision, reasons, tuple(effects), floor, sizes, source)
     problem = around.state.posed()
+    written = left_as_written(updated_arm(looked.arm, finding, problem.solution(x).dh), points, parts.known)
+    finding = dataclasses.replace(finding, gap_as_written=rms(written, sure) / floor.tip_m)
     warnings += tuple(about_fit(looked.arm, problem, x, floor, around.noise_m * best.kappa))
     grown = [(str(one.name), one.residual_m) for one in named]
     return StaticGap(
@@ -142,18 +148,27 @@ def _borne_out(
     """
     best = decision.best
     estimates = {name: estimated(around.evidence, best, name) for name in decision.names}
+    kept = [group for group in decision.remainders if _shows_elsewhere(around, best, group)]
+    nameless = [k for k, _ in best.members if any(around.terms[k].key in group for group in kept)]
     reasons = {
         name: why
         for name, own in estimates.items()
-        if (why := _why_not(around, best, name, own, _known(looked.arm, name) is not None))
+        if (why := _why_not(around, best, name, own, _is_looked_for(looked, name), nameless))
     }
-    kept = [group for group in decision.remainders if _shows_elsewhere(around, best, group)]
     names = tuple(name for name in decision.names if name not in reasons)
     remainders = (*kept, *((name,) for name in reasons))
     return dataclasses.replace(decision, names=names, remainders=remainders), estimates, reasons
 
 
-def _why_not(around: Around, best: Weighed, name: EffectName, own: Estimated, is_known: bool) -> str:
+def _is_looked_for(looked: Looked, name: EffectName) -> bool:
+    """Whether it is in every set: what the file has, and the frame of tips that nothing ties to the arm."""
+    is_frame = name.effect == FRAME and BASE in Choice().for_points(looked.arm, looked.points).freed
+    return is_frame or _known(looked.arm, name) is not None
+
+
+def _why_not(
+    around: Around, best: Weighed, name: EffectName, own: Estimated, is_known: bool, nameless: Sequence[int]
+) -> str:
     """Why a name is not given; empty if it is. What the arm's file has is a total, and may be nothing."""
     if _is_nothing(own):
         return (
@@ -165,12 +180,26 @@ def _why_not(around: Around, best: Weighed, name: EffectName, own: Estimated, is
         return f"{name} departs too far from its law"
     if not holds_on_others(around, best, name):
         return f"{name} does not hold on poses that it was not fitted to"
+    if not is_known and _may_be_error_of(around, best, name, nameless):
+        return f"{name} is no larger than the error of what has no name"
     return ""
+
+
+def _may_be_error_of(around: Around, best: Weighed, name: EffectName, nameless: Sequence[int]) -> bool:
+    """Whether blocks without a name explain so much more than a name that their error would pass for it.
+
+    A block is no law: what it stands for differs from it by at least as much as the roughest part from its law.
+    """
+    own = next(k for k, _ in best.members if around.terms[k].key == name)
+    if not nameless or around.terms[own].slope_Nm is not None:  # the currents speak for a torque
+        return False
+    explained = share_of(around.evidence, best, [own])
+    return explained < LAW_MOST**2 * share_of(around.evidence, best, nameless)
 
 
 def _is_nothing(own: Estimated) -> bool:
     """Whether the size that was found may as well be none."""
-    return float(np.linalg.norm(own.value / own.sd)) < CHANGED_sd
+    return not own.differs_from(np.zeros_like(own.value))
 
 
 def _shows_elsewhere(around: Around, best: Weighed, group: tuple[Key, ...]) -> bool:
@@ -190,13 +219,9 @@ def _is_new(arm: Arm, name: EffectName, found: Estimated) -> bool:
     known = _known(arm, name)
     if known is None:
         return not _is_nothing(found)  # the frame of a camera is always looked for
-    before = None
-    if name.effect in LAWS:
-        before = np.array(LAWS[name.effect].linear(known.parameters))
-    elif name.effect == "link_flexure":  # its law is linear in the softness, whose none is 0
-        before = np.array([1.0 / known.parameters["EI_Nm2"]])
-    if before is not None:
-        return bool(np.any(np.abs(found.value - before) > CHANGED_sd * found.sd))
+    before = () if is_load(name.effect) else linear_values(name.effect, known.parameters)
+    if before:
+        return found.differs_from(np.array(before))
     return any(
         key not in known.parameters or not abs(value - known.parameters[key]) <= CHANGED_sd * sd
         for key, (value, sd) in found.parameters.items()

@@ -1,4 +1,4 @@
-"""The motors' holding currents as a second witness: what they hold beyond the model's gravity.
+"""The motors' holding currents as a second source: what they hold beyond the model's gravity.
 
 Per joint: motor torque by the nominal constant minus gravity = a constant and a share of the load for each direction of the last
 motion (friction, asymmetric friction, load friction, the sensor's offset: never named here) + what a candidate adds + scatter.
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array, Mask
-from calib.gap.poses.effects.scene import stated_kg
+from calib.gap.effects.pose_scene import stated_kg
 from calib.points.points import Points
 from control.dynamics.static_pose import gravity_Nm, torque_per_A
 from control.errors import MissingModel

@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.drawn_law import DrawnLaw
+from calib.gap.effects.pose_columns import NO_TORQUE_Nm
 from calib.gap.finding import EffectName
-from calib.gap.poses.effects.record import NO_TORQUE_Nm
 from calib.gap.poses.linear import tip_by_joint
 from calib.gap.poses.state import Around
 from calib.gap.posterior.search import Weighed

@@ -4,21 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from calib.gap.effects.catalogue import told_apart_by
 from calib.gap.finding import EffectName, Nameable, OpenQuestion, Remainder, Unknown
-
-TOLD_APART_BY = {
-    "backlash": "the same poses from both approaches, some where gravity on that joint changes its sign",
-    "joint_compliance": "the same poses with and without a known payload",
-    "encoder_scale": "poses over the whole travel of that joint",
-    "encoder_eccentricity": "poses over more than 120 degrees of that joint",
-    "belt_coupling": "poses in which joint 2 moves while joint 3 stands",
-    "link_flexure": "markers at both ends of that link, with and without a known payload",
-    "base_frame": "markers on the arm's base, or the board seated anew",
-    "payload": "holding currents from both directions, with two known masses",
-    "torque_constant": "holding currents from both directions, with two known masses",
-    "link_inertia": "holding currents from both directions, with two known masses",
-    "thermal_drift": "the same reference pose every few minutes, the others in shuffled order",
-}
 
 AGAIN = "Look there, and repeat the recording in another order to see whether it comes back."
 
@@ -39,10 +26,8 @@ def next_experiment(
         return None
     names = _listed([str(one.name) for one in hidden[:4]]) + (" and others" if len(hidden) > 4 else "")
     free = "" if has_free else "a dozen or more free poses away from the table, seen by the camera; "
-    wanted = dict.fromkeys(
-        TOLD_APART_BY[one.name.effect] for one in hidden if one.name.effect in TOLD_APART_BY
-    )
-    return f"To name {names}, record {free}{'; '.join(list(wanted)[:3])}."
+    wanted = told_apart_by([one.name.effect for one in hidden])
+    return f"To name {names}, record {free}{'; '.join(wanted[:3])}."
 
 
 def open_questions(
@@ -60,7 +45,7 @@ def open_questions(
 
 
 def _apart(names: Sequence[EffectName]) -> str:
-    wanted = dict.fromkeys(TOLD_APART_BY[name.effect] for name in names if name.effect in TOLD_APART_BY)
+    wanted = told_apart_by([name.effect for name in names])
     return f"To tell {_listed([str(name) for name in names])} apart, record {'; '.join(wanted)}."
 
 

@@ -9,22 +9,20 @@ from collections.abc import Collection
 import numpy as np
 
 from calib.arm_problem.assembly import BASE, Choice, problem_of
-from calib.arm_problem.joint_laws import LAWS
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask
 from calib.errors import UnusablePointsError
+from calib.gap.effects.catalogue import are_total_in_poses, is_load, pose_terms
+from calib.gap.effects.frame import FRAME
+from calib.gap.effects.pose_scene import Scene
 from calib.gap.finding import EffectName
 from calib.gap.poses.answer import Looked, answered
 from calib.gap.poses.cautions import about_data, about_outliers, cleaned, require_posed
 from calib.gap.poses.currents import holding_currents
-from calib.gap.poses.effects.catalogue import terms_of
-from calib.gap.poses.effects.frame import FRAME
-from calib.gap.poses.effects.loads import LOADS
-from calib.gap.poses.effects.scene import Scene
 from calib.gap.poses.floor import FINEST_m, Floor, noise_floor
-from calib.gap.poses.linear import Linear
+from calib.gap.poses.linear import Linear, tip_by_joint
 from calib.gap.poses.outcome import StaticGap
-from calib.gap.poses.outlying import outlying
+from calib.gap.poses.outlying import middle, outlying
 from calib.gap.poses.recordings import Split, split
 from calib.gap.poses.state import Around, State
 from calib.gap.posterior.constants import FLOOR_DOUBT, UNMEASURED
@@ -38,7 +36,6 @@ from control.model.arm import Arm
 from control.progress import Advance, silent
 
 LOOKS = 3  # linearisations, at most
-TOTALS = (*LAWS, *LOADS, "link_flexure")  # what of the arm's file is looked for as a whole
 FREEDOM_LEAST = 60  # values beyond all parameters that a noise from the richest model needs
 
 
@@ -65,18 +62,20 @@ def find(
 
 def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
     """The geometry alone fitted, outliers left out, the noise found."""
-    own = [one for one in arm.effects if one.effect in TOTALS and one.effect not in without]
-    loads = [one for one in own if one.effect in LOADS]
+    own = [one for one in arm.effects if are_total_in_poses(one.effect) and one.effect not in without]
+    loads = [one for one in own if is_load(one.effect)]
     bare_arm = dataclasses.replace(arm, effects=tuple(one for one in arm.effects if one not in own))
     loaded = dataclasses.replace(bare_arm, effects=(*bare_arm.effects, *loads))
     parts = split(points)
     problem, x = _geometry(bare_arm, points, parts.known)
     fitted = bare_arm.with_dh(problem.solution(x).dh)
     scene = Scene.of(fitted, dataclasses.replace(fitted, effects=loaded.effects), points)
-    laws = _laws(scene, without)
+    variants = _laws(scene, without)
+    laws = [middle(same) for same in variants]
     linear = Linear.around(problem, x, np.zeros((len(points), 3)), laws)
     residual = problem.residuals(x)
-    out = outlying(linear, _scatter_m(noise_floor(arm, points, residual), residual))
+    scatter_m = _scatter_m(noise_floor(arm, points, residual), residual)
+    out = outlying(linear, variants, tip_by_joint(problem, x), scatter_m)
     if out.any():
         parts = parts.without(out)
         problem, x = _geometry(bare_arm, points, parts.known)
@@ -90,13 +89,13 @@ def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
     return Looked(arm, bare_arm, loaded, points, parts, problem, x, floor, currents, out)
 
 
-def _laws(scene: Scene, without: Collection[str]) -> list[Term]:
-    """The law of every effect on every joint, the middle one of its variants, without departures."""
+def _laws(scene: Scene, without: Collection[str]) -> list[list[Term]]:
+    """The law of every effect on every joint in all its variants, without departures."""
     variants: dict[Key, list[Term]] = {}
-    for one in terms_of(scene):
+    for one in pose_terms(scene):
         if isinstance(one.key, EffectName) and one.key.effect not in without:
-            variants.setdefault(one.key, []).append(one)
-    return [same[len(same) // 2].law_alone() for same in variants.values()]
+            variants.setdefault(one.key, []).append(one.law_alone())
+    return list(variants.values())
 
 
 def _geometry(arm: Arm, points: Points, rows: Mask) -> tuple[ArmProblem, Array]:
@@ -134,7 +133,9 @@ def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
 
 def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tuple[Looked, Around, Decision]:
     """Look, linearise anew around what was found, with the noise that repeats then show, and look again until it stays."""
-    forced = [EffectName(one.effect, one.joint) for one in looked.arm.effects if one.effect in TOTALS]
+    forced = [
+        EffectName(one.effect, one.joint) for one in looked.arm.effects if are_total_in_poses(one.effect)
+    ]
     if BASE in Choice().for_points(looked.arm, looked.points).freed and FRAME not in without:
         forced.append(EffectName(FRAME))  # a camera's or tracker's frame is never known to the noise
     state = State.bare(looked.problem, looked.x, looked.loaded)

@@ -10,7 +10,7 @@ import numpy as np
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask
 from calib.gap.poses.currents import Currents
-from calib.gap.posterior.gram import Gram
+from calib.gap.posterior.evidence import Gram
 from calib.gap.posterior.term import Term
 
 FREE_PRECISION = 1e-6  # of an unknown without a bound, in its own scale

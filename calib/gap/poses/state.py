@@ -11,13 +11,12 @@ import numpy as np
 
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask, frozen
+from calib.gap.effects.catalogue import is_load, pose_terms
+from calib.gap.effects.frame import FRAME, beyond_linear_m
+from calib.gap.effects.pose_scene import Scene, load_of
 from calib.gap.finding import EffectName
 from calib.gap.model_update import effect_of, with_totals
 from calib.gap.poses.currents import Currents
-from calib.gap.poses.effects.catalogue import terms_of
-from calib.gap.poses.effects.frame import FRAME, beyond_linear_m
-from calib.gap.poses.effects.loads import LOADS
-from calib.gap.poses.effects.scene import Scene, load_of
 from calib.gap.poses.linear import Linear, of_currents, tip_by_joint
 from calib.gap.poses.nameless.blocks import blocks_of
 from calib.gap.posterior.evidence import Evidence
@@ -95,7 +94,7 @@ class Around:
     ) -> Around:
         """`arm`: without the effects that are looked for; `noise`: floor [m] and its doubt; `blocks`: of a look before."""
         scene = Scene.of(arm.with_dh(state.loaded.dh), state.loaded, points)
-        names = [_unlisted(one, without) for one in terms_of(scene)]
+        names = [_unlisted(one, without) for one in pose_terms(scene)]
         terms = [*names, *(blocks or blocks_of(scene, names))]
         problem = state.posed()
         linear = Linear.around(problem, state.x, state.linear_m, terms, state.weight)
@@ -155,7 +154,7 @@ class Around:
                 extra += one.doubt[:, None, None] * lever[:, :, None] * lever[:, None, :]
             if one.key == EffectName(FRAME):
                 beyond += beyond_linear_m(one, own, state.problem.references_m)
-            if isinstance(one.key, EffectName) and one.key.effect in LOADS and one.parameters is not None:
+            if isinstance(one.key, EffectName) and is_load(one.key.effect) and one.parameters is not None:
                 loads.append(effect_of(one.key, one.parameters(own[:1] * one.size, np.zeros((1, 1)))))
         weight = np.linalg.inv(np.linalg.cholesky(np.eye(3) + extra))
         moved = dataclasses.replace(state, x=x, turn_rad=turn, shift_m=shift + beyond, weight=weight)

@@ -2,40 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import Parameters
+from control.model.effects import EFFECTS
 
 ToParameters = Callable[[Array, Array], Parameters]  # of coefficients (c,) and their covariance (c, c)
 
 
-def only(parameter: str) -> ToParameters:
-    """The coefficient itself."""
-    return lambda value, covariance: {parameter: (float(value[0]), float(np.sqrt(covariance[0, 0])))}
+def values_of(effect: str, values: Sequence[float]) -> dict[str, float]:
+    """An effect's parameters by its linear unknowns; of one that is not linear, the values are its parameters."""
+    kind = EFFECTS[effect]
+    if kind.linear is not None:
+        return kind.linear.parameters(values)
+    return dict(zip(kind.required or kind.optional, values, strict=False))
 
 
-def inverse(parameter: str, beyond: float = 0.0) -> ToParameters:
-    """1 / (coefficient + beyond): the stiffness of a compliance."""
+def parameters_of(effect: str) -> ToParameters:
+    """The same with standard deviations."""
+    linear = EFFECTS[effect].linear
 
     def made(value: Array, covariance: Array) -> Parameters:
-        compliance, sd = float(value[0]) + beyond, float(np.sqrt(covariance[0, 0]))
-        return {parameter: (1.0 / compliance, sd / compliance**2)}
+        named = values_of(effect, value.tolist())
+        count = len(value) if linear is None else len(linear.slopes(value.tolist())[0])
+        slopes = np.eye(count) if linear is None else np.array(linear.slopes(value.tolist()))
+        variance = np.einsum("pc,cd,pd->p", slopes, covariance[:count, :count], slopes)
+        sd = np.sqrt(np.maximum(variance, 0.0)).tolist()
+        return {name: (number, own) for (name, number), own in zip(named.items(), sd, strict=False)}
 
     return made
 
 
-def amplitude_and_phase(value: Array, covariance: Array) -> Parameters:
-    """Of a sin q + b cos q = A sin(q + phase)."""
-    a, b = float(value[0]), float(value[1])
-    amplitude = max(float(np.hypot(a, b)), 1e-300)
-    by_amplitude, by_phase = np.array([a, b]) / amplitude, np.array([-b, a]) / amplitude**2
-    return {
-        "amplitude_rad": (amplitude, float(np.sqrt(by_amplitude @ covariance @ by_amplitude))),
-        "phase_rad": (float(np.arctan2(b, a)), float(np.sqrt(by_phase @ covariance @ by_phase))),
-    }
+def inverse(parameter: str, beyond: float = 0.0) -> ToParameters:
+    """1 / (coefficient + beyond)."""
+
+    def made(value: Array, covariance: Array) -> Parameters:
+        whole, sd = float(value[0]) + beyond, float(np.sqrt(covariance[0, 0]))
+        return {parameter: (1.0 / whole, sd / whole**2)}
+
+    return made
 
 
 def sized(size: Array, made: ToParameters) -> ToParameters:

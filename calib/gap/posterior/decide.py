@@ -14,11 +14,6 @@ from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Block, Key
 
-OWN_VARIABLE = {  # of an effect's law, as the blocks of its joint say it
-    "encoder_scale": "q{j}", "encoder_eccentricity": "q{j}", "belt_coupling": "other angles", "backlash": "direction",
-    "joint_compliance": "load", "thermal_drift": "time",
-}  # fmt: skip
-
 
 @dataclass(frozen=True, slots=True)
 class Decision:
@@ -92,9 +87,12 @@ def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
 
     Twice the largest departure is two standard deviations of it.
     """
-    if not isinstance(key, EffectName) or key.effect not in OWN_VARIABLE:
+    if not isinstance(key, EffectName):
         return ()
-    joint, own = key.acts_on, OWN_VARIABLE[key.effect].format(j=key.joint)
+    blocks = evidence.terms[evidence.of_key[key][0]].traits.blocks
+    if not blocks:
+        return ()
+    joint, own = key.acts_on, blocks.format(j=key.joint)
     moves = _moves(evidence, best)
     law = moves.get(key, 0.0)
     return tuple(

@@ -17,12 +17,25 @@ from scipy.special import log_ndtr
 
 from calib.arrays import Array
 from calib.gap.posterior.constants import LAW_LEAST
-from calib.gap.posterior.gram import Gram
 from calib.gap.posterior.term import Key, Term
 
 NEVER = -1e6  # log evidence of a play or a softness below nought, of departures without a law
 
 Member = tuple[int, int]  # number of the term, number of its scales
+
+
+@dataclass(frozen=True, slots=True)
+class Gram:
+    """What evidence needs of any number of measurements: G (p, p) and h (p,) of tips and of currents, in standard deviations;
+    y'My of the tips, and their degrees of freedom.
+    """
+
+    tip: Array
+    pull: Array
+    current: Array
+    current_pull: Array
+    left: float
+    freedom: float
 
 
 @dataclass(frozen=True, slots=True)

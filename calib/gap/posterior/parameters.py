@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri, ndtr
 
 from calib.arrays import Array
 from calib.gap.finding import Parameters
-from calib.gap.posterior.constants import NEGLIGIBLE
+from calib.gap.posterior.constants import NEGLIGIBLE, CHANGED_sd
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Key, Term
@@ -25,8 +26,19 @@ class Estimated:
     departure: float
     variable: str
     value: Array
-    sd: Array
+    covariance: Array
     variants: tuple[tuple[int, float], ...]
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations of `value`, (c,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def differs_from(self, other: Array) -> bool:
+        """Whether the coefficients differ from others (c,) by what one of them alone would at CHANGED_sd."""
+        apart = self.value - other
+        least = chdtri(len(apart), 2.0 * ndtr(-CHANGED_sd))  # of chi-square
+        return bool(apart @ np.linalg.solve(self.covariance, apart) > least)
 
 
 def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
@@ -54,8 +66,8 @@ def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
     summed = dict.fromkeys(numbers, 0.0)
     for number, weight in zip(numbers, share.tolist(), strict=True):
         summed[number] += weight
-    sd, departs_by = np.sqrt(np.diag(covariance)), float(share @ np.array(departs))
-    return Estimated(named, departs_by, best.variable, mean, sd, tuple(summed.items()))
+    departs_by = float(share @ np.array(departs))
+    return Estimated(named, departs_by, best.variable, mean, covariance, tuple(summed.items()))
 
 
 def _ways(

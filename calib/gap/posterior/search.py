@@ -6,12 +6,13 @@ import heapq
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from calib.gap.finding import EffectName
 from calib.gap.posterior.evidence import NEVER, Evidence, Member
-from calib.gap.posterior.term import Key
+from calib.gap.posterior.term import Key, Traits
 
 GROWTH = 2  # terms that are tried beside a set that still grows
 WIDTH = 6  # terms that are tried beside a set
@@ -20,10 +21,11 @@ WINDOW = 8.0  # log evidence below the best at which a set is still looked into
 GAIN_LEAST = -4.0  # log odds below which a further term cannot matter
 EXPANSIONS = 30
 BLOCKS_MOST = 6  # nameless blocks in a set; what many small ones leave is noise
-STARTS = ("joint_compliance", "backlash")  # effects that all joints have at once, if one has
 EXCHANGED = 3.0  # log evidence below the best within which members are exchanged
 REGROWTH = 6
 POLISHES = 3
+MERGES = 3  # times that two members make room for one other
+BESIDE = 2  # terms that are tried in the place of two
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +93,15 @@ class Search:
             around = more
 
     def _starts(self) -> list[frozenset[Key]]:
+        """Nothing, and what all joints have at once, if one has."""
         names = [key for key in self.evidence.of_key if isinstance(key, EffectName)]
-        some = [frozenset(key for key in names if key.effect == effect) for effect in STARTS]
-        return [frozenset(), *some, some[0] | some[1]]
+        everywhere = [key for key in names if self._traits(key).is_on_every_joint]
+        effects = dict.fromkeys(key.effect for key in everywhere)
+        some = [frozenset(key for key in everywhere if key.effect == effect) for effect in effects]
+        return [frozenset(), *some, frozenset(everywhere)]
+
+    def _traits(self, key: Key) -> Traits:
+        return self.evidence.terms[self.evidence.of_key[key][0]].traits
 
     def may_join(self, key: Key, present: Collection[Key]) -> bool:
         """Whether a key can be in one set with those present."""
@@ -176,3 +184,54 @@ class Search:
         found = Weighed(tuple(own), kappa, evidence.value(own, kappa) + spread + odds + never, tuple(gains))
         self.seen[keys] = found
         return found
+
+
+class MergingSearch(Search):
+    """The search with one more step, two members make room for one other; without keys that are `barred`.
+
+    Friction laws of a joint look alike: two wrong ones that grew first (viscous, and Coulomb of the other sign) do what one
+    block (drag) does better, and no exchange of single members gets there.
+    """
+
+    def __init__(self, evidence: Evidence, barred: Collection[Key] = ()) -> None:
+        super().__init__(evidence)
+        self.barred = frozenset(barred)
+
+    def run(self, known: Iterable[frozenset[Key]] = ()) -> list[Weighed]:
+        """All sets that were weighed, best first; `known`: sets to start from besides."""
+        found = super().run((start & self.evidence.of_key.keys()) - self.barred for start in known)
+        for _ in range(MERGES):
+            best = found[0]
+            for pair in combinations(best.members, 2):
+                places = {self._joint(number) for number, _ in pair}
+                if len(places) == 1:
+                    rest = [one for one in best.members if one not in pair]
+                    self._weigh(rest)
+                    self._grow(rest, best.kappa, BESIDE)
+            self._improve(set())
+            found = sorted(self.seen.values(), key=lambda one: -one.log)
+            if found[0] is best:
+                break
+        return found
+
+    def may_join(self, key: Key, present: Collection[Key]) -> bool:
+        """Not two that are one thing: with both, each hides what the other does."""
+        if key in self.barred:
+            return False
+        if not isinstance(key, EffectName):
+            return True
+        alternative = self._traits(key).alternative
+        return not alternative or not any(
+            isinstance(one, EffectName)
+            and one != key
+            and one.joint == key.joint
+            and self._traits(one).alternative == alternative
+            for one in present
+        )
+
+    def _starts(self) -> list[frozenset[Key]]:
+        return [some for some in super()._starts() if all(self.may_join(key, some - {key}) for key in some)]
+
+    def _joint(self, number: int) -> int:
+        key = self.evidence.terms[number].key
+        return key.joint or 0

@@ -31,6 +31,22 @@ class Block:
 
 
 Key = EffectName | Block
+SMOOTH = 5  # degree of a smooth function of one variable
+
+
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """What an effect is beside others. `blocks`: how the variable begins of those blocks of its joint that are functions of its
+    own ("{j}": its joint); `is_on_every_joint`: all joints have it at once, if one has. Of effects that share an `alternative`
+    one joint has one: no model follows both.
+    """
+
+    blocks: str = ""
+    is_on_every_joint: bool = False
+    alternative: str = ""
+
+
+NO_TRAITS = Traits()
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +74,7 @@ class Term:
     parameters: Callable[[Array, Array], Parameters] | None = None
     variable: str = ""
     doubt: Array | None = None
+    traits: Traits = NO_TRAITS
 
     @property
     def count(self) -> int:
@@ -118,3 +135,10 @@ def like(law: Array, shapes: Sequence[Array]) -> list[Array]:
         if own > 1e-12 * max(size, 1e-300):
             found.append(shape * (size / own))
     return found
+
+
+def smooth(values: Array, degree: int = SMOOTH) -> Array:
+    """Legendre polynomials of degrees 1 to `degree` over the range of values (m,): (degree, m)."""
+    low, high = float(values.min()), float(values.max())
+    unit = (2.0 * values - low - high) / max(high - low, 1e-12)
+    return np.asarray(np.polynomial.legendre.legvander(unit, degree)[:, 1:].T)

@@ -1,1 +1,1 @@
-"""Residuals of a model as rows over their noise floor, and which sizes of an effect are worth a name."""
+"""Rows of residuals over their noise, what stands beside every row, and how rows respond to laws."""

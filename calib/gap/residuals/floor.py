@@ -40,14 +40,12 @@ def _from_repeats(physics: Physics, by_run: dict[int, tuple[Places, Array]], axe
     for group in physics.recording.repeats:
         for a, b in itertools.pairwise(group):
             differences.append(_difference(*by_run[a], *by_run[b], axes))
-    found = [d for d in differences if len(d) >= FEWEST]
+    found = [d for d in differences if len(d) >= FEWEST and d.any()]  # what never differs repeats nothing
     if not found:
         return None
     pooled = np.concatenate(found)
     robust = NORMAL * float(np.median(np.abs(pooled - np.median(pooled))))
     plain = float(np.sqrt(np.mean(pooled**2)))
-    if plain == 0.0:  # copies of one run repeat nothing
-        return None
     # Where a few rows differ by far more (a stick-slip that falls differently) the middle is the noise.
     return float((robust if plain > 1.3 * robust else plain) / np.sqrt(2.0))
 

@@ -15,10 +15,11 @@ import numpy.typing as npt
 from calib.arrays import Array
 from calib.gap.residuals.floor import Block, floors
 from calib.gap.signals.body import Load
-from calib.gap.signals.laws import sampled_friction_Nm
+from calib.gap.signals.friction import sampled_friction_Nm
 from calib.gap.signals.physics import Physics, Prediction
 from calib.gap.signals.recording import Flags, Motion, Recording, UnusableLogError
 from calib.gap.signals.terms import Term
+from control.model.effect_laws import SMOOTH_rad_s
 
 SLOW_rad_s = 0.008  # below, friction of real joints is pre-sliding, and no law here speaks of that
 PRESLIDING_rad = 0.0005  # since a joint turned: within it friction is a spring, as long as it may take
@@ -193,7 +194,7 @@ def _driven_rows(recording: Recording, run: Motion) -> Flags:
 def _mask(recording: Recording, run: Motion) -> Flags:
     """Rows in which the joint really moves, one way."""
     filters = recording.filters
-    rest = max(0.003, NOISE_SPEEDS * 0.5 * _speed_noise(recording, run))
+    rest = max(SMOOTH_rad_s, NOISE_SPEEDS * 0.5 * _speed_noise(recording, run))
     slow = max(SLOW_rad_s, NOISE_SPEEDS * _speed_noise(recording, run))
     turns = np.abs(run.speed) < rest
     turns[1:] |= np.sign(run.speed[1:]) != np.sign(run.speed[:-1])

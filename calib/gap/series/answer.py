@@ -1,4 +1,4 @@
-"""What is told of the last look: names with law, parameters and departure, sets, what is left, and what would settle it."""
+"""The verdict on the last fit: names with law, parameters and departure, sets, what is left, and what would settle it."""
 
 from __future__ import annotations
 
@@ -10,34 +10,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
+from calib.gap.effects.catalogue import parameters, role_of
+from calib.gap.effects.electrical import SAMPLING
 from calib.gap.finding import EffectName, Nameable, NamedEffect, OpenQuestion, Remainder, Unknown
-from calib.gap.posterior.constants import DEPARTURES, FLOOR_DOUBT
+from calib.gap.posterior.constants import FLOOR_DOUBT, LAW_MOST, REMAINS, SILENT_MOST
 from calib.gap.posterior.decide import left_with
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.term import Block, Key
-from calib.gap.residuals.sizes import is_worth_a_name
 from calib.gap.series.blocks import CAMERA
-from calib.gap.series.constants import REMAINS, SILENT_MOST
-from calib.gap.series.effects import SAMPLING
+from calib.gap.series.fit import Fit, left
 from calib.gap.series.linear import only
-from calib.gap.series.look import Look, left
 from calib.gap.series.outcome import gap, in_si
 from calib.gap.series.split import Picked
-from calib.gap.series.standing import Member, bends, grown, members, standing, with_only
-from calib.gap.signals import forms
+from calib.gap.series.validation import Member, bends, dominant_names, grown, members, with_only
 from calib.gap.signals.recording import Recording
 from calib.gap.signals.terms import Term as Law
 from control.model.effects import EFFECTS
 
 # Of a sample: what a voltage lies off on the whole that changed in steps nobody recorded.
 THINNED = (0.43, 0.57)
-OF_THE_TIP = (
-    "backlash", "joint_compliance", "link_flexure", "encoder_scale", "encoder_eccentricity", "belt_coupling",
-)  # fmt: skip
-NEGLIGIBLE = 0.005  # of all weight: a size of it does not count
-# What departs more than two standard deviations of the roughest part has another law.
-LAW_MOST = 2.0 * max(DEPARTURES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +45,14 @@ class Left:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """What is told of the last look: names with law, covariance of its values and departure; what is left; corrections.
+class Verdict:
+    """The verdict on the last fit: names with law, covariance of its values and departure; what is left; corrections.
 
-    `look`: its best set without what was withdrawn.
+    `fit`: its best set without what was withdrawn.
     `kept`: keys that stay in the model: names, and what is taken off as the sensors' own.
     """
 
-    look: Look
+    fit: Fit
     laws: dict[EffectName, Law]
     covariance: dict[EffectName, Array]
     departure: dict[EffectName, float]
@@ -73,46 +65,46 @@ class Judged:
     warnings: tuple[str, ...]
 
 
-def judged(look: Look, reporting: Picked, harming: Sequence[Key]) -> Judged:
+def judged(fit: Fit, reporting: Picked, harming: Sequence[Key]) -> Verdict:
     """Names that are of a size worth one, keep their law, and hold on recordings that were not fitted."""
     said: list[str] = []
     other: list[Left] = []
     corrected, names = [], []
-    for one in members(look):
+    for one in members(fit):
         key = one.term.key
-        if correction := _correction(look, one):
+        if correction := _correction(fit, one):
             said.append(correction)
             corrected.append(one.number)
-        elif key in look.decision.names and one.term.law is not None and one.is_sure:
-            if not is_worth_a_name(look.around.scene.arm, one.term.law(one.size)):
+        elif key in fit.decision.names and one.term.law is not None and one.is_sure:
+            if not one.term.law(one.size).is_worth_a_name(fit.around.scene.arm):
                 continue
-            if against := _against(look, one, reporting):
+            if against := _against(fit, one, reporting):
                 said.append(f"{against.words}: not named")
                 other += [against] if abs(against.worth) > REMAINS else []
             else:
                 names.append(one.number)
-    named = standing(look, names, corrected, reporting)
-    overshadowed = [_overshadowed(look, k, [*named, *corrected], reporting) for k in names if k not in named]
+    named = dominant_names(fit, names, corrected, reporting)
+    overshadowed = [_overshadowed(fit, k, [*named, *corrected], reporting) for k in names if k not in named]
     said += [f"{one.words}: not named" for one in overshadowed if one.worth > REMAINS]
     other += [one for one in overshadowed if one.worth > REMAINS]
     said += [
         f"{key} helps the runs that decide, but not those held out: not taken into account" for key in harming
     ]
-    other += _contested(look, reporting)
-    sets = tuple(group for group in look.decision.ambiguous if _is_material(look, group))
-    return _told(look, with_only(look, [*named, *corrected]), named, other, sets, harming, said, reporting)
+    other += _contested(fit, reporting)
+    sets = tuple(group for group in fit.decision.ambiguous if _is_material(fit, group))
+    return _verdict(fit, with_only(fit, [*named, *corrected]), named, other, sets, harming, said, reporting)
 
 
-def _told(
-    whole: Look, look: Look, named: Collection[int], other: Sequence[Left], sets: tuple[tuple[EffectName, ...], ...],
+def _verdict(
+    whole: Fit, fit: Fit, named: Collection[int], other: Sequence[Left], sets: tuple[tuple[EffectName, ...], ...],
     harming: Sequence[Key], said: Sequence[str], reporting: Picked,
-) -> Judged:  # fmt: skip
-    """Of a look whose best set has what is named or taken off, and blocks; `whole` has what was withdrawn, too."""
+) -> Verdict:  # fmt: skip
+    """Of a fit whose best set has what is named or taken off, and blocks; `whole` has what was withdrawn, too."""
     laws: dict[EffectName, Law] = {}
     spread: dict[EffectName, Array] = {}
     departs: dict[EffectName, float] = {}
     kept: set[Key] = set()
-    some = list(members(look))
+    some = list(members(fit))
     for one in some:
         key = one.term.key
         if isinstance(key, Block) and one.term.words != CAMERA:
@@ -123,12 +115,12 @@ def _told(
     left_over = list(other)
     for one in some:
         key = one.term.key
-        if not isinstance(key, Block) or key in kept or look.decision.probability.get(key, 0.0) <= 0.5:
+        if not isinstance(key, Block) or key in kept or fit.decision.probability.get(key, 0.0) <= 0.5:
             continue
-        worth = _worth(look, one.number, reporting)
+        worth = _worth(fit, one.number, reporting)
         if worth <= REMAINS:
             continue
-        law, share = bends(look, one, [own for own in some if own.term.key in laws])
+        law, share = bends(fit, one, [own for own in some if own.term.key in laws])
         if law is None:
             left_over.append(Left(worth, one.term.words, one.number))
         else:
@@ -136,46 +128,46 @@ def _told(
             kept.add(key)
     remainder = _remainder(whole, left_over, reporting)
     unknown = _unknown(whole, left_over, kept)
-    return Judged(
-        look, laws, spread, departs, sets, unknown, remainder, frozenset(kept), tuple(harming), tuple(said)
+    return Verdict(
+        fit, laws, spread, departs, sets, unknown, remainder, frozenset(kept), tuple(harming), tuple(said)
     )
 
 
-def _overshadowed(look: Look, number: int, others: Sequence[int], reporting: Picked) -> Left:
+def _overshadowed(fit: Fit, number: int, others: Sequence[int], reporting: Picked) -> Left:
     """A name beside which more is left than it explains."""
-    name = look.linear.terms[number].key
+    name = fit.linear.terms[number].key
     assert isinstance(name, EffectName)
-    rest = with_only(look, others).numbers
-    worth = grown(look, left(look, rest), left(look, [*rest, number]), reporting)
+    rest = with_only(fit, others).numbers
+    worth = grown(fit, left(fit, rest), left(fit, [*rest, number]), reporting)
     return Left(worth, f"more is left than {name} would explain", number, name)
 
 
-def _correction(look: Look, one: Member) -> str:
+def _correction(fit: Fit, one: Member) -> str:
     """When camera or currents are read is no effect of the arm: said, and taken off."""
     if one.term.words == CAMERA:
         time_ms = 1e3 * float(one.size[0]) * one.term.size
         way = "late" if time_ms < 0.0 else "early"
         return f"the camera's times are {abs(time_ms):.2f} ms {way}: taken into account"
     if isinstance(one.term.key, EffectName) and one.term.key.effect == SAMPLING and one.term.law is not None:
-        # as the refit has it; beside what is always there, a command that is late by as little says the same
-        time_ms = 1e3 * look.around.found.get(one.term.key, one.term.law(one.size)).values[0]
-        if THINNED[0] < 1e-3 * time_ms * look.around.scene.recording.filters.rate_Hz < THINNED[1]:
+        # as the refit has it; beside nuisances, a command that is late by as little says the same
+        time_ms = 1e3 * fit.around.found.get(one.term.key, one.term.law(one.size)).values[0]
+        if THINNED[0] < 1e-3 * time_ms * fit.around.scene.recording.filters.rate_Hz < THINNED[1]:
             return (
                 "other voltages were held between these samples, half a sample away on the whole: was the log thinned out? Taken"
                 " into account; record every sample"
             )
         than = (
             "after the voltage of their line took effect"
-            if look.around.scene.recording.has_voltage
+            if fit.around.scene.recording.has_voltage
             else "before the end of a step of the voltage"
         )
         return f"angles and currents are read {time_ms:.2f} ms {than}: taken into account"
     return ""
 
 
-def _against(look: Look, one: Member, reporting: Picked) -> Left | None:
+def _against(fit: Fit, one: Member, reporting: Picked) -> Left | None:
     """Why a name cannot stand, if it cannot."""
-    name, worth = one.term.key, _worth(look, one.number, reporting)
+    name, worth = one.term.key, _worth(fit, one.number, reporting)
     rival = name if isinstance(name, EffectName) else None
     # Every gear has friction: what departs from Coulomb's or the viscous law is that friction all the same.
     if one.departure > LAW_MOST and not one.term.is_common:
@@ -185,15 +177,15 @@ def _against(look: Look, one: Member, reporting: Picked) -> Left | None:
     return None
 
 
-def _contested(look: Look, reporting: Picked) -> Iterator[Left]:
+def _contested(fit: Fit, reporting: Picked) -> Iterator[Left]:
     """Names of the best set in whose place something nameless may stand."""
-    for group in look.decision.remainders:
+    for group in fit.decision.remainders:
         blocks = [key for key in group if isinstance(key, Block)]
-        for number in look.numbers:
-            key = look.linear.terms[number].key
+        for number in fit.numbers:
+            key = fit.linear.terms[number].key
             if key in group and isinstance(key, EffectName):
-                words = next(one.words for one in look.linear.terms if one.key == blocks[0])
-                worth = _worth(look, number, reporting)
+                words = next(one.words for one in fit.linear.terms if one.key == blocks[0])
+                worth = _worth(fit, number, reporting)
                 if worth > REMAINS:
                     yield Left(worth, f"{words}, or {key}", number, key)
 
@@ -212,30 +204,30 @@ def _of_values(one: Member) -> Array:
     return np.asarray(across @ one.covariance @ across.T)
 
 
-def _worth(look: Look, number: int, reporting: Picked) -> float:
+def _worth(fit: Fit, number: int, reporting: Picked) -> float:
     """By how much the squared gap of a cell grows on the rows kept apart, at most, without a term; negative where it shrinks."""
-    return grown(look, left(look, look.numbers, [number]), left(look, look.numbers), reporting)
+    return grown(fit, left(fit, fit.numbers, [number]), left(fit, fit.numbers), reporting)
 
 
-def what_is_left(look: Look, keys: Collection[Key]) -> Array:
+def what_is_left(fit: Fit, keys: Collection[Key]) -> Array:
     """What these leave of all rows beside how what is known departs, as estimated beside blocks, (rows,)."""
-    terms = look.linear.terms
-    drop = [k for k in look.numbers if terms[k].key not in keys and isinstance(terms[k].key, Block)]
-    return left(look, [k for k in look.numbers if terms[k].key in keys or k in drop], drop)
+    terms = fit.linear.terms
+    drop = [k for k in fit.numbers if terms[k].key not in keys and isinstance(terms[k].key, Block)]
+    return left(fit, [k for k in fit.numbers if terms[k].key in keys or k in drop], drop)
 
 
-def _unknown(look: Look, other: Sequence[Left], kept: Collection[Key]) -> Unknown | None:
+def _unknown(fit: Fit, other: Sequence[Left], kept: Collection[Key]) -> Unknown | None:
     """The largest of what is left."""
     if not other:
         return None
     one = max(other, key=lambda one: one.worth)
-    nearest, share = _nearest(look, kept)
+    nearest, share = _nearest(fit, kept)
     return Unknown(one.words, one.rival or nearest, round(share, 3))
 
 
-def _nearest(look: Look, kept: Collection[Key]) -> tuple[EffectName | None, float]:
+def _nearest(fit: Fit, kept: Collection[Key]) -> tuple[EffectName | None, float]:
     """The effect that is not named and explains most beside the names, and its share of what these leave."""
-    evidence, best, terms = look.evidence, look.best, look.linear.terms
+    evidence, best, terms = fit.evidence, fit.best, fit.linear.terms
     named = tuple(one for one in best.members if terms[one[0]].key in kept)
     added = evidence.added(named, best.kappa)
     others = [
@@ -263,65 +255,63 @@ def _nearest(look: Look, kept: Collection[Key]) -> tuple[EffectName | None, floa
     )
 
 
-def _remainder(look: Look, other: Sequence[Left], reporting: Picked) -> tuple[Remainder, ...]:
+def _remainder(fit: Fit, other: Sequence[Left], reporting: Picked) -> tuple[Remainder, ...]:
     """What is left without one name, the largest first."""
-    whole = left(look, look.numbers)
-    scene = look.around.scene
+    whole = left(fit, fit.numbers)
+    scene = fit.around.scene
     found = []
     for one in sorted(other, key=lambda one: -one.worth):
         if one.worth > 0.0:
-            moved = left(look, look.numbers, [one.number]) - whole
+            moved = left(fit, fit.numbers, [one.number]) - whole
             size = {
                 channel: value
                 for channel, value in in_si(moved, scene.rows.table, reporting, scene.arm).items()
                 if value > 0.0
             }
-            found.append(Remainder(one.words, _share(look, one.number), size))
+            found.append(Remainder(one.words, _share(fit, one.number), size))
     return tuple(found)
 
 
-def _share(look: Look, number: int) -> float:
+def _share(fit: Fit, number: int) -> float:
     """Of the excess of all rows that decide over what the best set leaves, what a term explains."""
-    whole = left_with(look.evidence, look.best)
-    excess = look.evidence.gram.left - whole
-    rest = dataclasses.replace(look.best, members=tuple(one for one in look.best.members if one[0] != number))
-    return (
-        float(np.clip((left_with(look.evidence, rest) - whole) / excess, 0.0, 1.0)) if excess > 0.0 else 0.0
-    )
+    whole = left_with(fit.evidence, fit.best)
+    excess = fit.evidence.gram.left - whole
+    rest = dataclasses.replace(fit.best, members=tuple(one for one in fit.best.members if one[0] != number))
+    return float(np.clip((left_with(fit.evidence, rest) - whole) / excess, 0.0, 1.0)) if excess > 0.0 else 0.0
 
 
-def _is_material(look: Look, names: Sequence[EffectName]) -> bool:
+def _is_material(fit: Fit, names: Sequence[EffectName]) -> bool:
     """Whether one of a set, as it is in the best set, is of a size worth a name."""
-    laws = look.laws()
-    return any(name in laws and is_worth_a_name(look.around.scene.arm, laws[name]) for name in names)
+    laws = fit.laws()
+    return any(name in laws and laws[name].is_worth_a_name(fit.around.scene.arm) for name in names)
 
 
-def stages(look: Look, told: Judged, reporting: Picked) -> tuple[NamedEffect, ...]:
+def stages(fit: Fit, verdict: Verdict, reporting: Picked) -> tuple[NamedEffect, ...]:
     """Names by what each explains, with the gap as they come in."""
-    numbers = {look.linear.terms[k].key: k for k in look.numbers}
-    table = look.around.scene.rows.table
-    share = {name: _share(look, numbers[name]) for name in told.laws}
-    corrected = sorted((key for key in told.kept if key not in told.laws), key=str)
+    numbers = {fit.linear.terms[k].key: k for k in fit.numbers}
+    table = fit.around.scene.rows.table
+    share = {name: _share(fit, numbers[name]) for name in verdict.laws}
+    corrected = sorted((key for key in verdict.kept if key not in verdict.laws), key=str)
     found: list[NamedEffect] = []
     for name in sorted(share, key=lambda one: -share[one]):
         so_far = [*corrected, *(one.name for one in found), name]
         found.append(
             NamedEffect(
                 name,
-                forms.parameters(told.laws[name], told.covariance[name]),
-                gap(what_is_left(look, so_far), table, reporting),
-                probability=look.decision.probability[name],
+                parameters(verdict.laws[name], verdict.covariance[name]),
+                gap(what_is_left(fit, so_far), table, reporting),
+                probability=fit.decision.probability[name],
                 share=share[name],
-                departure=told.departure[name],
-                variable=look.linear.terms[numbers[name]].variable,
+                departure=verdict.departure[name],
+                variable=fit.linear.terms[numbers[name]].variable,
             )
         )
     return tuple(found)
 
 
-def silent(look: Look, after: Array, reporting: Picked, harming: Sequence[Key] = ()) -> Unknown | None:
+def silent(fit: Fit, after: Array, reporting: Picked, harming: Sequence[Key] = ()) -> Unknown | None:
     """What is left above the floor although no block takes it: the worst cell, and the name that was withdrawn, if one was."""
-    scene = look.around.scene
+    scene = fit.around.scene
     rivals = [key for key in harming if isinstance(key, EffectName) and key.effect in EFFECTS]
     most = math.sqrt(1.0 + REMAINS) if rivals else SILENT_MOST
     if not reporting.any() or gap(after, scene.rows.table, reporting) < most:
@@ -338,17 +328,17 @@ def silent(look: Look, after: Array, reporting: Picked, harming: Sequence[Key] =
     )
 
 
-def nameable_effects(look: Look) -> tuple[Nameable, ...]:
+def nameable_effects(fit: Fit) -> tuple[Nameable, ...]:
     """Detectability of every effect's usual size, and its rivals, whatever is nominal taken as right."""
     some: dict[Key, list[int]] = {}
-    for number, one in enumerate(look.linear.terms):
+    for number, one in enumerate(fit.linear.terms):
         if isinstance(one.key, EffectName) and one.key.effect in EFFECTS:
             some.setdefault(one.key, []).append(number)
     middle = [numbers[len(numbers) // 2] for numbers in some.values()]
     if not middle:
         return ()
-    at = look.linear.at(middle)[look.linear.first :]
-    evidence = Evidence(only(look.gram, at), [look.linear.terms[k] for k in middle], FLOOR_DOUBT)
+    at = fit.linear.at(middle)[fit.linear.first :]
+    evidence = Evidence(only(fit.gram, at), [fit.linear.terms[k] for k in middle], FLOOR_DOUBT)
     return nameable(evidence)
 
 
@@ -364,24 +354,24 @@ def next_experiment(
     return None
 
 
-def open_questions(recording: Recording, told: Judged) -> tuple[OpenQuestion, ...]:
+def open_questions(recording: Recording, verdict: Verdict) -> tuple[OpenQuestion, ...]:
     """One for each set and each remainder."""
     sets = [
         OpenQuestion(f"Which of {', '.join(map(str, names))} is it?", _to_separate(recording, names))
-        for names in told.ambiguous
+        for names in verdict.ambiguous
     ]
     rest = [
         OpenQuestion(
             f"What is it that shows in {one.where}?",
             f"Record {_advice(recording, one.where.startswith('the tip'))}.",
         )
-        for one in told.remainder
+        for one in verdict.remainder
     ]
     return (*sets, *rest)
 
 
 def _to_separate(recording: Recording, names: Sequence[EffectName]) -> str:
-    is_of_tip = any(name.effect in OF_THE_TIP for name in names)
+    is_of_tip = any(role_of(name.effect) == "angle" for name in names)
     return f"To separate {', '.join(map(str, names))}, record {_advice(recording, is_of_tip)}."
 
 

@@ -11,18 +11,19 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.posterior.term import Block
-from calib.gap.residuals.sizes import smallest, typical
-from calib.gap.series.around import Around
-from calib.gap.series.constants import USUAL
-from calib.gap.series.scene import Beside, Response, Scene
-from calib.gap.series.term import SeriesTerm
+from calib.gap.effects.friction import COULOMB
+from calib.gap.posterior.constants import USUAL
+from calib.gap.posterior.term import Block, smooth
+from calib.gap.residuals.operating_point import OperatingPoint
+from calib.gap.residuals.scene import Beside, Response, Scene
+from calib.gap.residuals.term import SeriesTerm
+from calib.gap.signals.terms import typical
 
-SMOOTH = 5
+ZERO_rad, PLACE_m, CAMERA_s = 3e-4, 3e-4, 5e-4  # sizes worth a word, as those of forms
 PRESLIDING_rad = (0.001, 0.003, 0.01)
 
 
-def blocks_of(around: Around) -> Iterator[SeriesTerm]:
+def blocks_of(around: OperatingPoint) -> Iterator[SeriesTerm]:
     """All of them for these channels."""
     scene = around.scene
     for joint in range(1, scene.arm.joint_count + 1):
@@ -33,13 +34,6 @@ def blocks_of(around: Around) -> Iterator[SeriesTerm]:
     if scene.recording.has_tip:
         yield from _fields(scene)
     yield from _clocks(around)
-
-
-def smooth(values: Array, degree: int = SMOOTH) -> Array:
-    """Legendre polynomials of degrees 1 to `degree` over the range of values (m,): (degree, m)."""
-    low, high = float(values.min()), float(values.max())
-    unit = (2.0 * values - low - high) / max(high - low, 1e-12)
-    return np.asarray(np.polynomial.legendre.legvander(unit, degree)[:, 1:].T)
 
 
 def _unit(columns: Array) -> Array:
@@ -66,7 +60,7 @@ def _torques(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
     if number is None:
         return
     at, j = scene.whole, joint - 1
-    size = USUAL * typical(scene.arm, "coulomb_friction", j)
+    size = USUAL * typical(scene.arm, COULOMB, j)
     for variable, words, columns in _of_torque(at, j, scene.arm.joint_count):
         if columns.size and np.ptp(columns) > 0.0:
             said = f"the current of joint {joint}, {words}"
@@ -173,7 +167,7 @@ def _angles(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
     if number is None:
         return
     at, j = scene.beside[number], joint - 1
-    size = USUAL * smallest(scene.arm, "zero", j)
+    size = USUAL * ZERO_rad
     for variable, words, columns in _of_an_angle(at, j, scene.arm.joint_count):
         said = (
             f"the tip, {words}"
@@ -232,20 +226,20 @@ def _fields(scene: Scene) -> Iterator[SeriesTerm]:
     unit = (tip - tip.mean(axis=0)) / max(float(np.ptp(tip, axis=0).max()), 1e-9)
     ways = [unit[:, a] * unit[:, b] for a in range(3) for b in range(a, 3)]
     columns = np.array([(way[:, None] * axis).ravel() for way in ways for axis in np.eye(3)])
-    size = USUAL * smallest(scene.arm, "base_frame", -1) / scene.cells[number].floor
+    size = USUAL * PLACE_m / scene.cells[number].floor
     yield from _block(
         0, "tip field", "the tip: the measured places are off by a smooth field", {number: size * columns.T}
     )
 
 
-def _clocks(around: Around) -> Iterator[SeriesTerm]:
+def _clocks(around: OperatingPoint) -> Iterator[SeriesTerm]:
     """Clocks that differ: the camera's, and the moment at which a sample is read."""
     scene = around.scene
     number = scene.number("tip_m")
     if number is not None:
         speeds = scene.beside[number].speed
         moved = sum(scene.lever_m(j) * speeds[:, j] for j in range(scene.arm.joint_count))
-        size = USUAL * smallest(scene.arm, "camera time", -1)
+        size = USUAL * CAMERA_s
         columns = size / scene.cells[number].floor * np.asarray(moved)[:, None]
         yield SeriesTerm(Block(0, "camera time"), CAMERA, 1, 0, size, response={number: columns}, width=1)
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from calib.arrays import Array
+from calib.gap.effects.catalogue import known_laws
 from calib.gap.finding import GapFinding
 from calib.gap.log import Log
 from calib.gap.residuals.rows import Rows, without_motion
+from calib.gap.residuals.scene import Scene
 from calib.gap.series.answer import (
-    Judged,
+    Verdict,
     judged,
     nameable_effects,
     next_experiment,
@@ -19,13 +21,11 @@ from calib.gap.series.answer import (
     what_is_left,
 )
 from calib.gap.series.drawing.laws import drawn_laws
-from calib.gap.series.look import Look, looked
+from calib.gap.series.fit import Fit, fitted
 from calib.gap.series.outcome import DynamicOutcome, doubts, floors_si, gap, grown, in_rad, in_si, left_out
 from calib.gap.series.plausible import plausible
-from calib.gap.series.scene import Scene
 from calib.gap.series.split import Split, split
-from calib.gap.series.standing import borne_out
-from calib.gap.signals import forms
+from calib.gap.series.validation import validated
 from calib.gap.signals.motion import motion_gaps
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import Recording, prepare
@@ -48,55 +48,50 @@ def examine(
     arm: Arm, log: Log, advance: Advance | None = None, candidates: Collection[str] | None = None
 ) -> DynamicOutcome:
     """`find`, with what a report shows beside the finding."""
-    told = _rising(advance or quiet)
-    told("reading the runs", 0.0)
-    recording = plausible(arm, prepare(arm, log))
-    known = forms.known_terms(arm)
+    progress = _rising(advance or quiet)
+    progress("reading the runs", 0.0)
+    recording, known = plausible(arm, prepare(arm, log)), known_laws(arm)
     rows = Rows(Physics(arm, recording), known)
-    unmoved = without_motion(rows.table)
-    parts = split(recording, rows.table)
-    scene = Scene(rows, known)
-    look = looked(scene, known, parts, candidates, told)
-    told("the gap on runs used for nothing else", 0.95)
+    warnings = [*recording.warnings, *without_motion(rows.table)]
+    parts, scene = split(recording, rows.table), Scene(rows, known)
+    fit = fitted(scene, known, parts, candidates, progress)
+    progress("the gap on runs used for nothing else", 0.95)
     parts = parts.only(scene.kept)
-    look, harming = borne_out(look, parts.reporting)
-    told_of = judged(look, parts.reporting, harming)
-    look = told_of.look
-    before = rows.residual(known)
-    after = what_is_left(look, told_of.kept) if told_of.kept else before  # nothing is added to the model
-    finding = _finding(arm, log, recording, look, told_of, parts, (before, after))
-    told("done", 1.0)
-    said = (
-        *unmoved,
-        *doubts(before, rows.table),
-        *left_out(scene.kept, rows.table),
-        *told_of.warnings,
-        *grown(finding),
-    )
-    names = tuple(run.name for run in recording.runs)
-    model = (*known, *(law for key, law in look.laws().items() if key in told_of.kept))
+    fit, harming = validated(fit, parts.reporting)
+    verdict = judged(fit, parts.reporting, harming)
+    fit, before = verdict.fit, rows.residual(known)
+    model = (*known, *(law for key, law in fit.laws().items() if key in verdict.kept))
+    after, written = before, before  # where nothing is added to the model
+    if verdict.kept:
+        after, written = what_is_left(fit, verdict.kept), rows.residual(model)
+    finding = _finding(arm, log, recording, fit, verdict, parts, (before, after, written))
+    progress("done", 1.0)
+    warnings += [*doubts(before, rows.table), *left_out(scene.kept, rows.table)]
+    warnings += [*verdict.warnings, *grown(finding)]
     return DynamicOutcome(
         finding,
-        (*recording.warnings, *said),
+        tuple(warnings),
         rows.table,
         before,
         after,
         parts,
-        names,
+        tuple(run.name for run in recording.runs),
         rows.physics,
         model,
-        drawn_laws(look, [one.name for one in finding.effects]),
+        drawn_laws(fit, [one.name for one in finding.effects]),
     )
 
 
 def _finding(
-    arm: Arm, log: Log, recording: Recording, look: Look, told_of: Judged, parts: Split, sizes: tuple[Array, Array]
+    arm: Arm, log: Log, recording: Recording, fit: Fit, verdict: Verdict, parts: Split, sizes: tuple[Array, Array, Array]
 ) -> GapFinding:  # fmt: skip
-    """What was decided, with the gap on the runs that were used for nothing else; `sizes`: rows before and after."""
-    before, after = sizes
-    rows, known, reporting = look.around.scene.rows, look.around.known, parts.reporting
-    moved = motion_gaps(rows.physics, known, (*known, *told_of.laws.values()), parts.report_runs)
-    unknown = told_of.unknown or silent(look, what_is_left(look, told_of.kept), reporting, told_of.harming)
+    """What was decided, with the gap on the runs that were used for nothing else; `sizes`: rows before, after, and with
+    the laws alone.
+    """
+    before, after, written = sizes
+    rows, known, reporting = fit.around.scene.rows, fit.around.known, parts.reporting
+    moved = motion_gaps(rows.physics, known, (*known, *verdict.laws.values()), parts.report_runs)
+    unknown = verdict.unknown or silent(fit, what_is_left(fit, verdict.kept), reporting, verdict.harming)
     return GapFinding(
         arm=arm.name,
         data=log.sources,
@@ -105,13 +100,14 @@ def _finding(
         gap_after=gap(after, rows.table, reporting),
         before_si={**in_si(before, rows.table, reporting, arm), **in_rad(moved, "before_rad")},
         after_si={**in_si(after, rows.table, reporting, arm), **in_rad(moved, "after_rad")},
-        effects=stages(look, told_of, reporting),
-        ambiguous=told_of.ambiguous,
+        effects=stages(fit, verdict, reporting),
+        ambiguous=verdict.ambiguous,
         unknown=unknown,
-        nameable=nameable_effects(look),
-        next_experiment=next_experiment(recording, told_of.ambiguous, unknown),
-        remainder=told_of.remainder,
-        open_questions=open_questions(recording, told_of),
+        nameable=nameable_effects(fit),
+        next_experiment=next_experiment(recording, verdict.ambiguous, unknown),
+        remainder=verdict.remainder,
+        open_questions=open_questions(recording, verdict),
+        gap_as_written=gap(written, rows.table, reporting),
     )
 
 
@@ -119,9 +115,9 @@ def _rising(advance: Advance) -> Advance:
     """Progress that does not go back where a search begins again."""
     most = 0.0
 
-    def told(what: str, share: float) -> None:
+    def progress(what: str, share: float) -> None:
         nonlocal most
         most = max(most, share)
         advance(what, most)
 
-    return told
+    return progress

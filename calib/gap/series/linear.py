@@ -11,12 +11,12 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from calib.arrays import Array
-from calib.gap.posterior.gram import Gram
-from calib.gap.series.around import Around
-from calib.gap.series.scene import Scene
+from calib.gap.posterior.evidence import Gram
+from calib.gap.residuals.operating_point import OperatingPoint
+from calib.gap.residuals.scene import Scene
+from calib.gap.residuals.term import SeriesTerm
+from calib.gap.residuals.whitening import Noise, fitted
 from calib.gap.series.split import Picked
-from calib.gap.series.term import SeriesTerm
-from calib.gap.series.whitening import Noise, fitted
 
 Places = npt.NDArray[np.intp]
 
@@ -33,26 +33,28 @@ class Stack:
 class Linear:
     """Terms, and y (rows,): what the arm does beyond what is known, as if no term were in the model yet.
 
-    Columns are counted with those of `always` first. `stacks`: one a cell, of thin rows, as `thin_y` (thin rows,) is.
+    Columns are counted with those of `nuisances` first. `stacks`: one a cell, of thin rows, as `thin_y` (thin rows,) is.
     """
 
     scene: Scene
     terms: tuple[SeriesTerm, ...]
-    always: tuple[SeriesTerm, ...]
+    nuisances: tuple[SeriesTerm, ...]
     y: Array
     thin_y: Array
     stacks: tuple[Stack, ...]
     places: tuple[Places, ...]  # of each term's columns
 
     @classmethod
-    def around(cls, around: Around, terms: Sequence[SeriesTerm], always: Sequence[SeriesTerm] = ()) -> Linear:
+    def around(
+        cls, around: OperatingPoint, terms: Sequence[SeriesTerm], nuisances: Sequence[SeriesTerm] = ()
+    ) -> Linear:
         """Terms of the model are added to what it leaves, at what they are there."""
         y = -around.residual.copy()
         for one in terms:
             if one.now is not None and one.key in around.found:
                 for number, own in one.response.items():
                     y[around.scene.cells[number].rows] += own[:, : len(one.now)] @ one.now
-        whole = (*always, *terms)
+        whole = (*nuisances, *terms)
         ends = np.cumsum([0, *(one.count for one in whole)]).tolist()
         places = [np.arange(first, end) for first, end in itertools.pairwise(ends)]
         stacks = []
@@ -64,20 +66,20 @@ class Linear:
                 Stack(columns, np.concatenate([np.zeros(0, np.intp), *(places[number] for number in moving)]))
             )
         thin_y = np.concatenate([stack.columns[:, 0] for stack in stacks])
-        own_places = tuple(places[len(always) :])
-        return cls(around.scene, tuple(terms), tuple(always), y, thin_y, tuple(stacks), own_places)
+        own_places = tuple(places[len(nuisances) :])
+        return cls(around.scene, tuple(terms), tuple(nuisances), y, thin_y, tuple(stacks), own_places)
 
     @property
     def first(self) -> int:
-        """How many columns are always there."""
-        return sum(one.count for one in self.always)
+        """How many columns nuisances have."""
+        return sum(one.count for one in self.nuisances)
 
     def at(self, numbers: Sequence[int]) -> Places:
-        """Places of the columns of terms by number, after those that are always there."""
+        """Places of the columns of terms by number, after the nuisances'."""
         return np.concatenate([np.arange(self.first), *(self.places[number] for number in numbers)])
 
     def gram(self, noises: Sequence[Noise], rows: Picked) -> Gram:
-        """What evidence needs, from the picked thin rows, each cell whitened by its own noise; `always` is not integrated out."""
+        """What evidence needs, from the picked thin rows, each cell whitened by its own noise; nuisances are in it."""
         total = self.first + sum(one.count for one in self.terms)
         seen, pull, left, count = np.zeros((total, total)), np.zeros(total), 0.0, 0
         for k, thin in enumerate(self.scene.thin):
@@ -101,9 +103,9 @@ class Linear:
         return found
 
     def explained(self, numbers: Sequence[int], size: Array) -> Array:
-        """What terms by number and those that are always there do to all rows, with coefficients of their columns, (rows,)."""
+        """What terms by number and nuisances do to all rows, with coefficients of their columns, (rows,)."""
         found, first = np.zeros(len(self.y)), 0
-        for one in (*self.always, *(self.terms[number] for number in numbers)):
+        for one in (*self.nuisances, *(self.terms[number] for number in numbers)):
             for cell, own in one.response.items():
                 found[self.scene.cells[cell].rows] += own @ size[first : first + one.count]
             first += one.count
@@ -117,7 +119,7 @@ class Linear:
         return result
 
 
-def without_first(gram: Gram, first: int) -> Gram:
+def marginalised(gram: Gram, first: int) -> Gram:
     """The first columns, of prior standard deviation one, integrated out."""
     if not first:
         return gram
@@ -137,7 +139,7 @@ def only(gram: Gram, at: Places) -> Gram:
     )
 
 
-def foretold(
+def cross_validated(
     linear: Linear, numbers: Sequence[int], sd: Array, noises: Sequence[Noise], groups: Sequence[Picked]
 ) -> Array:
     """What a set leaves of every group of thin rows with the coefficients that the other groups give: (rows,).

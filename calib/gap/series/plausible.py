@@ -5,6 +5,7 @@ What is wrong is said and its channel left out, so that the others still give an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -27,6 +28,8 @@ SLOWEST_s, FASTEST_s = 0.1, 2e-5  # between samples
 MOVES_rad = 1e-3
 FAR = 0.25  # of the arm's reach: the tip is nowhere near
 MOVING_rad_s = 0.01
+FEWEST = 100  # samples that tell a factor
+EXPLAINED = 0.9  # of a voltage by current and speed, so that these tell the drive's constants
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,9 @@ def plausible(arm: Arm, recording: Recording) -> Recording:
     said: list[str] = []
     current = recording.has_current and not _is_silent(recording, "i{}_A", said)
     voltage = recording.has_voltage and not _is_silent(recording, "u{}_V", said)
+    is_in_volts = current and voltage and not _wrong_voltage(arm, recording)
+    if is_in_volts and _found(said, _placeholders(arm, recording)):
+        current = voltage = False
     if current:
         current = not _found(said, _wrong_current(arm, recording))
     if voltage and current:
@@ -165,6 +171,50 @@ def _current_fits(arm: Arm, recording: Recording) -> dict[int, _Fit]:
     return fits
 
 
+def _placeholders(arm: Arm, recording: Recording) -> str:
+    """Drives whose back-EMF is far from the file's torque constant: voltages and speeds tell it whatever the currents' unit."""
+    off = []
+    for drive in arm.drives:
+        constant = drive.torque_constant_Nm_A * drive.gear_ratio
+        given, columns = _electrical(recording, drive.joint - 1)
+        if len(given) < FEWEST:
+            continue
+        (resistance, back_emf, _), explained = _fitted(given, columns)
+        _, by_file = _fitted(given - constant * columns[:, 1], columns[:, ::2], given)
+        if by_file < EXPLAINED < explained and not 1.0 / WITHIN < back_emf / constant < WITHIN:
+            off.append((drive, back_emf / drive.gear_ratio, resistance))
+    if not off:
+        return ""
+    drives = ", ".join(str(drive.joint) for drive, _, _ in off)
+    worst, constant, resistance = max(
+        off, key=lambda one: abs(math.log(max(one[1], 1e-9) / one[0].torque_constant_Nm_A))
+    )
+    return (
+        f"drives {drives}: torque_constant_Nm_A and resistance_ohm in arm.toml do not fit the voltages (drive {worst.joint}:"
+        f" {worst.torque_constant_Nm_A:.3g} and {worst.resistance_ohm:.3g}; the log shows {constant:.3g} and {resistance:.3g}):"
+        " placeholders? Correct them; currents and voltages are not used"
+    )
+
+
+def _electrical(recording: Recording, j: int) -> tuple[Array, Array]:
+    """Voltages (m,) of a drive, and its currents, speeds and ones (m, 3)."""
+    driven = [~run.is_off[:, j] for run in recording.runs]
+    columns = [
+        np.stack((run.current_A[on, j], run.speed[on, j], np.ones(int(on.sum()))), axis=1)
+        for run, on in zip(recording.runs, driven, strict=True)
+    ]
+    given = [run.voltage_V[on, j] for run, on in zip(recording.runs, driven, strict=True)]
+    return np.concatenate(given), np.concatenate(columns)
+
+
+def _fitted(wanted: Array, columns: Array, of: Array | None = None) -> tuple[Array, float]:
+    """Least squares, and the share of the variance of `of` (default: what is fitted) that is explained."""
+    size, *_ = np.linalg.lstsq(columns, wanted, rcond=None)
+    whole = float(np.var(wanted if of is None else of))
+    left = float(np.var(wanted - columns @ size))
+    return np.asarray(size, dtype=float), 1.0 - left / whole if whole > 0.0 else 0.0
+
+
 def _wrong_voltage(arm: Arm, recording: Recording) -> str:
     """Voltages beside what currents and speeds need."""
     for drive in arm.drives:
@@ -187,7 +237,7 @@ def _wrong_voltage(arm: Arm, recording: Recording) -> str:
 
 def _fit(expected: list[Array], measured: list[Array]) -> _Fit:
     x, y = np.concatenate(expected), np.concatenate(measured)
-    if len(x) < 100:
+    if len(x) < FEWEST:
         return _Fit(1.0, 0.0)
     size = float(np.linalg.norm(x) * np.linalg.norm(y))
     if size == 0.0:

@@ -12,11 +12,14 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.signals.recording import Motion, Recording
+from calib.gap.signals.staircase import Windings
 from control.dynamics.dynamics import Dynamics
 from control.model.arm import Arm
 
 SLOPE_rad = 1e-4
 TORQUES_KEPT = 24
+INERTIA_EVERY = 25  # samples: how heavy an arm is, on the whole
+SAME_kg = 1e-6  # payloads
 LIGHTEST_kg_m2 = (
     1e-7  # of a link: one that the file gives no inertia follows at once, and nothing is divided by nought
 )
@@ -59,6 +62,29 @@ class Body:
     def own_inertia(self, load: Load, joint: int) -> list[Array]:
         """What joint `joint` (0-based) turns: the mass matrix's diagonal without the rotor, (m,) of each run."""
         return [self._push(load, run, joint) for run in self._recording.runs]
+
+    def windings(self) -> list[Windings]:
+        """The motors and what they turn, of each run; runs of one payload share theirs, in the middle of all their poses."""
+        drives, runs = self._arm.drives, self._recording.runs
+        K = np.array([d.torque_constant_Nm_A * d.gear_ratio for d in drives])
+        R = np.array([d.resistance_ohm for d in drives])
+        lag = np.array([d.inductance_H / d.resistance_ohm for d in drives])
+        carried = [round(float(np.median(run.payload_kg)) / SAME_kg) for run in runs]
+        found = {}
+        for load in dict.fromkeys(carried):
+            q = np.concatenate(
+                [run.q[::INERTIA_EVERY] for run, own in zip(runs, carried, strict=True) if own == load]
+            )
+            found[load] = Windings(self._inertia(q, load * SAME_kg), K, R, lag)
+        return [found[load] for load in carried]
+
+    def _inertia(self, q: Array, payload_kg: float) -> Array:
+        """The mass matrix with rotors (n, n) in the middle of poses (m, n)."""
+        still, dynamics = np.zeros_like(q), self.dynamics(Load())
+        payload = np.full(len(q), payload_kg)
+        held = dynamics.torques(q, still, still, payload)
+        columns = [dynamics.torques(q, still, still + axis, payload) - held for axis in np.eye(q.shape[1])]
+        return np.asarray(np.linalg.inv(np.linalg.inv(np.stack(columns, axis=2)).mean(axis=0)))
 
     def gravity_slope(self, load: Load, joint: int) -> list[Array]:
         """How the joint's torque grows with its own angle [N m/rad], (m,) of each run."""

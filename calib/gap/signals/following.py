@@ -67,7 +67,7 @@ class Following:
         parts = sorted_terms(model)
         found = {}
         for term in parts.elastic:
-            if term.form == "backlash":
+            if term.form.acts == "play":
                 moving = np.abs(self._followed(parts, term).speed_rad_s) > RESTING_rad_s
                 found[term.index] = [moving[: len(run), k] for k, run in enumerate(self._recording.runs)]
         return found
@@ -99,7 +99,7 @@ class Following:
             viscous_Nm_s_rad=link_friction[1],
         )
         values = [t.values for t in missing]
-        if missing[0].form == "backlash":
+        if missing[0].form.acts == "play":
             found = looses(of, [(max(w, 0.0), share) for w, share in values])
         else:
             springs = [(1.0 / max(c, SHORTEST_SPRING_rad_Nm), max(d, 0.0), share) for c, d, share in values]

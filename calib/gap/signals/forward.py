@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.signals.laws import friction_Nm
+from calib.gap.signals.friction import friction_Nm
 from calib.gap.signals.parts import sorted_terms
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import Flags
@@ -116,7 +116,7 @@ class Forward:
             rate = state.motor_speed[:, j] - state.speed[:, j]
             inertia = 1.0 / (1.0 / self._rotor[j] + inverse[:, j, j])
             hardest = HARDEST * inertia / self._h**2
-            if term.form == "joint_compliance":
+            if term.form.acts == "spring":
                 stiffness = np.minimum(1.0 / max(term.values[0], 1e-9), hardest)
                 result[j] = stiffness * ahead + max(term.values[1], 0.0) * rate
             else:

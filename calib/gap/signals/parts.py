@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from calib.gap.signals.angles import ANGLES, SEEN
 from calib.gap.signals.body import Load
 from calib.gap.signals.terms import Term
 
-SHARED = ("coulomb_friction", "viscous_friction")  # part of it may act behind an elastic or loose gear
-
-OF_TIP = ("link_geometry", "base_frame", "link_flexure")
+OF_TIP = ("beam", "geometry", "frame")
 
 
 def is_seen_alone(term: Term) -> bool:
     """Whether a term changes what the camera sees and nothing else."""
-    return term.form in OF_TIP or term.form.endswith(SEEN)
+    return term.form.acts in OF_TIP or term.form.where == "seen"
 
 
 @dataclass(slots=True)
@@ -26,7 +23,7 @@ class Parts:
     load: Load = field(default_factory=Load)
     scale: dict[int, float] = field(default_factory=dict)
     delay_s: float = 0.0
-    sag: list[tuple[str, float]] = field(default_factory=list)
+    sag: list[Term] = field(default_factory=list)
     friction: list[Term] = field(default_factory=list)
     elastic: list[Term] = field(default_factory=list)
     angles: list[Term] = field(default_factory=list)
@@ -34,15 +31,15 @@ class Parts:
 
     def link_friction(self, j: int) -> tuple[float, float]:
         """Coulomb and viscous friction of a joint (0-based) in all."""
-        sums = dict.fromkeys(SHARED, 0.0)
+        sums = {"coulomb": 0.0, "viscous": 0.0}
         for term in self.friction:
-            if term.index == j and term.form in sums:
-                sums[term.form] += term.values[0]
-        return max(sums["coulomb_friction"], 0.0), max(sums["viscous_friction"], 0.0)  # less than none drives
+            if term.index == j and term.form.shared:
+                sums[term.form.shared] += term.values[0]
+        return max(sums["coulomb"], 0.0), max(sums["viscous"], 0.0)  # less than none drives
 
     def behind(self, term: Term) -> float:
         """The share of a friction that acts behind its elastic or loose gear."""
-        if term.form not in SHARED:
+        if not term.form.shared:
             return 0.0
         return sum(gear.values[-1] for gear in self.elastic if gear.index == term.index)
 
@@ -52,28 +49,28 @@ def sorted_terms(model: Sequence[Term]) -> Parts:
     parts = Parts()
     payload, masses, inertias = 0.0, [], []
     for term in model:
-        match term.form:
+        match term.form.acts:
             case "payload":
                 payload += term.values[0]
-            case "mass_kg":
+            case "mass":
                 masses.append((term.index, term.values[0]))
-            case "inertia_kg_m2":
+            case "inertia":
                 inertias.append((term.index, term.values[0]))
-            case "torque_constant":
+            case "torque constant":
                 parts.scale[term.index] = parts.scale.get(term.index, 0.0) + term.values[0]
-            case "command_delay":
+            case "delay":
                 parts.delay_s += max(term.values[0], 0.0)
-            case "sampling time":  # a voltage that took effect before the sample is one that comes early
+            case "sampling":  # a voltage that took effect before the sample is one that comes early
                 parts.delay_s -= term.values[0]
-            case "supply_sag" | "supply_sag by sum":
-                parts.sag.append((term.form, term.values[0]))
-            case "joint_compliance" | "backlash":
+            case "sag":
+                parts.sag.append(term)
+            case "spring" | "play":
                 parts.elastic.append(term)
-            case form if form in ANGLES:
+            case "angle":
                 parts.angles.append(term)
-            case form if form in OF_TIP:
-                parts.tip.append(term)
-            case _:
+            case "motor":
                 parts.friction.append(term)
+            case _:
+                parts.tip.append(term)
     parts.load = Load(payload, tuple(masses), tuple(inertias))
     return parts

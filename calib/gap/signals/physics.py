@@ -16,20 +16,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.signals.angles import BEHIND, STILL, MotorAhead, angle_error
-from calib.gap.signals.body import Body, Load
+from calib.gap.signals.angles import STILL, MotorAhead, angle_error, place
+from calib.gap.signals.body import Body
 from calib.gap.signals.following import Following
-from calib.gap.signals.laws import sampled_friction_Nm
+from calib.gap.signals.friction import sampled_friction_Nm
 from calib.gap.signals.parts import Parts, is_seen_alone, sorted_terms
 from calib.gap.signals.recording import Motion, Recording
-from calib.gap.signals.staircase import Staircase, Winding, settled_shares
+from calib.gap.signals.staircase import Staircase, settled_shares
 from calib.gap.signals.terms import Term
 from calib.gap.signals.tips import Tips
 from control.model.arm import Arm
-from control.model.effects import COUPLED, COUPLED_TO
 
+LATEST_s = 0.01  # of a delay
 MOST_OF_PERIOD = 0.999  # later than that, a sample is the next one
-INERTIA_EVERY = 25  # samples: how heavy a joint is, on the whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +54,7 @@ class Physics:
         self._period = 1.0 / recording.filters.rate_Hz
         self._voltage = [recording.filters.states(run.voltage_V) for run in recording.runs]
         self._staircase = Staircase(
-            [
-                Winding(*map(float, one))
-                for one in zip(self._inertias(), self._K, self._R, self._lag, strict=True)
-            ],
-            self._period,
-            [value for value, _, _ in self._voltage],
+            self.body.windings(), self._period, [value for value, _, _ in self._voltage]
         )
         self.following = Following(recording, self.body)
         self.tips = Tips(arm, recording)
@@ -86,22 +80,21 @@ class Physics:
         """Motor turns a joint turn."""
         return tuple(float(ratio) for ratio in self._gear)
 
-    def _inertias(self) -> Array:
-        """What each motor turns while the others may give way, the middle of the recording (n,)."""
-        q = np.concatenate([run.q[::INERTIA_EVERY] for run in self.recording.runs])
-        inverses = np.linalg.inv(self.body.dynamics(Load()).mass_matrices(q))
-        return np.asarray(1.0 / np.median(np.diagonal(inverses, axis1=1, axis2=2), axis=0))
-
     def current_roughness(self, k: int, joint: int) -> float:
         """White noise of run k's current sensor [A]: the third difference takes off what is smooth.
 
-        What the commanded voltage drives through the winding is taken off first, as it is rough on purpose.
+        What the commanded voltage drives through the winding is taken off first, as it is rough on purpose; how late it acts is
+        not known, but at any other time it leaves more.
         """
         run = self.recording.runs[k]
         current = run.current_raw_A[:, joint]
-        if self.recording.has_voltage:
-            current = current - self._held(run.voltage_V, 0.0)[:, joint] / self._R[joint]
-        return float(1.4826 * np.median(np.abs(np.diff(current, 3))) / np.sqrt(20.0))
+        if not self.recording.has_voltage:
+            return _roughness(current)
+        delays = np.arange(0.0, LATEST_s, 0.5 * self._period).tolist()
+        return min(
+            _roughness(current - self._held(run.voltage_V, delay)[:, joint] / self._R[joint])
+            for delay in delays
+        )
 
     def predict(self, model: Sequence[Term]) -> list[Prediction]:
         """The model's residuals on every run."""
@@ -135,10 +128,11 @@ class Physics:
                 ahead, turns = angle_error(parts.angles, run)
                 link = link - torques[k] + self.body.moved(parts.load, run, *turns)
                 for term in parts.angles:
+                    at, by = place(term)
                     if (
-                        term.form == "belt_coupling" + BEHIND
-                    ):  # the motor pulls at the other joint through its belt
-                        link[:, COUPLED_TO - 1] += term.values[0] * link[:, COUPLED - 1]
+                        at != by and term.form.where == "behind"
+                    ):  # its motor pulls at the other joint through the belt
+                        link[:, by] += term.values[0] * link[:, at]
             mechanical = self._current(parts, run, k, link, ahead)
             result.append((mechanical, self._electrical(parts, run, k, ahead), offset))
         return result
@@ -187,12 +181,11 @@ class Physics:
 
     def sagged(self, parts: Parts, voltage: Array, current: Array) -> Array:
         """What of a commanded voltage (m, n) reaches the windings of motors that draw current (m, n)."""
-        for form, resistance in parts.sag:
-            if form == "supply_sag":  # a bridge draws duty times motor current
-                drawn = np.sum(voltage / self._supply * current, axis=1, keepdims=True)
-            else:
-                drawn = np.sum(np.abs(current), axis=1, keepdims=True)
-            voltage = voltage * (1.0 - resistance * drawn / self._supply)
+        for term in parts.sag:
+            if term.form.drawn is None:
+                raise ValueError(f"{term.form} says nothing of what a supply gives")
+            drawn = term.form.drawn(voltage, current, self._supply)
+            voltage = voltage * (1.0 - term.values[0] * drawn / self._supply)
         return voltage
 
     def scales(self, parts: Parts) -> Array:
@@ -201,6 +194,11 @@ class Physics:
         for j, value in parts.scale.items():
             scale[j] += value
         return scale
+
+
+def _roughness(values: Array) -> float:
+    """Standard deviation of what is white in values (m,)."""
+    return float(1.4826 * np.median(np.abs(np.diff(values, 3))) / np.sqrt(20.0))
 
 
 def _earlier(values: Array, samples: int) -> Array:

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
+from control.model.effect_laws import SMOOTH_rad_s
 
 SUBSTEPS = 4  # of a sample: a flank is met within 0.5 ms at 500 samples a second
 SUBSTEP_s = 0.0006  # more of them where samples are further apart
-SMOOTH_rad_s = 0.003  # of the friction on a link through rest, as of that at the motor (`laws.REST_rad_s`)
 SPRING_SUBSTEPS = 2  # the trapezoidal rule is content with fewer
 
 

@@ -84,6 +84,9 @@ def prepare(arm: Arm, log: Log) -> Recording:
     """Return the recording of this arm; UnusableLogError if it cannot be one."""
     _check(arm, log)
     kept, warnings = _long_enough(log)
+    warnings += _about_inertia(arm)
+    kept, copies = _without_copies(kept)
+    warnings += copies
     given, said, averaged_count = _as_sampled([_from_its_beginning(run) for run in kept])
     warnings += said
     repeats = Log(given).repeats()
@@ -113,6 +116,42 @@ def _long_enough(log: Log) -> tuple[list[Run], list[str]]:
         )
     short = [run.name for run in log.runs if run.t_s[-1] - run.t_s[0] < SHORTEST_s]
     return kept, [f"{_runs(short)}: shorter than {SHORTEST_s} s, not used"] if short else []
+
+
+def _about_inertia(arm: Arm) -> list[str]:
+    """A sentence about links with a mass and no inertia, which no body is."""
+    bare = [
+        str(k + 1) for k, link in enumerate(arm.links)
+        if link.mass_kg and link.inertia_kg_m2 is not None and max(link.inertia_kg_m2) <= 0.0
+    ]  # fmt: skip
+    if not bare:
+        return []
+    return [
+        f"arm {arm.name}: inertia_kg_m2 of link {', '.join(bare)} is zero, which no body has: what accelerations show of it may"
+        " be named link_inertia, or hide what is small"
+    ]
+
+
+def _without_copies(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
+    """Each recording once, and a sentence about those that are there again: copies repeat nothing."""
+    kept: list[Run] = []
+    copies = []
+    for run in runs:
+        if any(_is_copy(run, other) for other in kept):
+            copies.append(run.name)
+        else:
+            kept.append(run)
+    what = "a copy of another" if len(copies) == 1 else "copies of others"
+    return kept, [f"{_runs(copies)}: {what}, used once"] if copies else []
+
+
+def _is_copy(run: Run, other: Run) -> bool:
+    """Whether all that was measured is the same: to the last digit nothing is measured twice."""
+    if len(run) != len(other) or not np.array_equal(run.q_rad, other.q_rad):
+        return False
+    pairs = ((run.current_A, other.current_A), (run.tip_m, other.tip_m))
+    measured = [(one, two) for one, two in pairs if np.isfinite(one).any()]
+    return bool(measured) and all(np.array_equal(one, two, equal_nan=True) for one, two in measured)
 
 
 def _as_sampled(runs: Sequence[Run]) -> tuple[tuple[Run, ...], list[str], int]:

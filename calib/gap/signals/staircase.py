@@ -2,12 +2,12 @@
 
 A commanded voltage is held over a sampling period, so that current, torque and speed run up and down within it. The angles
 are sampled at its corners; derivatives of what a smooth curve through them does are not those of the joint at that moment,
-and a current sampled there is not the one that turned the joint. Both differences follow linearly from the voltages: each
-joint as winding and inertia alone (loads are smooth, friction of a joint that moves one way is constant) is the system
-    q' = v,   J v' = K i,   L i' = u - R i - K v,   u held,
+and a current sampled there is not the one that turned the joint. Both differences follow linearly from the voltages: windings
+and the arm's mass matrix M alone (loads are smooth, friction of a joint that moves one way is constant) are the system
+    q' = v,   M v' = K i,   L i' = u - R i - K v,   u held,
 whose exact response at the samples (Franklin, Powell, Workman, Digital Control of Dynamic Systems, 3rd ed., ch. 4) is
-compared with what the equations of `physics` make of its sampled q. At 500 samples a second it is hardly seen, at 250 it is
-more than a noise floor.
+compared with what the equations of `physics` make of its sampled q. Joints turn each other through M: at 100 samples a second
+that is as much as what each does alone. At 500 samples a second all of it is hardly seen.
 """
 
 from __future__ import annotations
@@ -25,55 +25,58 @@ Spectrum = npt.NDArray[np.complex128]
 SHORTEST_LAG_s = 1e-6
 
 
-@dataclass(frozen=True, slots=True)
-class Winding:
-    """One joint as its motor turns it: J with all that moves with it, K joint torque per ampere, R, L/R."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Windings:
+    """An arm as its n motors turn it: M (n, n) with the rotors, joint torque per ampere, R and L/R (n,)."""
 
-    inertia_kg_m2: float
-    torque_per_A: float
-    resistance_ohm: float
-    lag_s: float
+    inertia_kg_m2: Array
+    torque_per_A: Array
+    resistance_ohm: Array
+    lag_s: Array
 
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """Per volt, at frequencies (f,): sampled current, and sampled angle times j omega (a smooth curve's speed)."""
+    """At frequencies (f,), (f, n, n): of each joint to a volt on each: sampled current, and sampled angle times j omega (a
+    smooth curve's speed); `later` (f,) is one period.
+    """
 
     omega: Array
     current: Spectrum
     speed: Spectrum
-    later: Spectrum  # one period
+    later: Spectrum
 
 
-def response(winding: Winding, period_s: float, delay_s: float, frequencies_Hz: Array) -> Response:
+def response(windings: Windings, period_s: float, delay_s: float, frequencies_Hz: Array) -> Response:
     """The response at the end of each period to voltages that take effect `delay_s` after its beginning."""
     whole, within = divmod(delay_s, period_s)
-    lag = max(winding.lag_s, SHORTEST_LAG_s)
-    J, K, R = winding.inertia_kg_m2, winding.torque_per_A, winding.resistance_ohm
-    plant = np.zeros((4, 4))
-    plant[0, 1], plant[1, 2] = 1.0, K / J
-    plant[2] = 0.0, -K / (R * lag), -1.0 / lag, 1.0 / (R * lag)
+    lag = np.maximum(windings.lag_s, SHORTEST_LAG_s)
+    K, R, n = windings.torque_per_A, windings.resistance_ohm, len(windings.lag_s)
+    angle, speed, current, volt = (slice(k * n, (k + 1) * n) for k in range(4))
+    plant = np.zeros((4 * n, 4 * n))
+    plant[angle, speed] = np.eye(n)
+    plant[speed, current] = np.linalg.solve(windings.inertia_kg_m2, np.diag(K))
+    plant[current, speed], plant[current, current] = np.diag(-K / (R * lag)), np.diag(-1.0 / lag)
+    plant[current, volt] = np.diag(1.0 / (R * lag))
     older, newer = expm(plant * within), expm(plant * (period_s - within))
-    step = newer[:3, :3] @ older[:3, :3]
+    moved, driven = slice(0, 3 * n), newer[: 3 * n, volt]
     omega = 2.0 * np.pi * frequencies_Hz
     z: Spectrum = np.exp(1j * omega * period_s)
-    drive = (newer[:3, :3] @ older[:3, 3])[None, :] / z[:, None] + newer[:3, 3]
+    drive = (newer[moved, moved] @ older[moved, volt]) / z[:, None, None] + driven
     moving = omega > 0.0
-    states = np.zeros((len(omega), 3), dtype=np.complex128)
-    matrices = z[moving, None, None] * np.eye(3) - step
-    driven = (drive * (z**-whole)[:, None])[moving, :, None]
-    states[moving] = np.linalg.solve(matrices, driven)[..., 0].astype(np.complex128)
-    speed = np.where(
-        moving, 1j * omega * states[:, 0], 1.0 / K
-    )  # what keeps still in voltage turns without current
-    return Response(omega, states[:, 2], speed, 1.0 / z)
+    states = np.zeros((len(omega), 3 * n, n), dtype=np.complex128)
+    matrices = z[moving, None, None] * np.eye(3 * n) - newer[moved, moved] @ older[moved, moved]
+    states[moving] = np.linalg.solve(matrices, drive[moving] * (z[moving, None, None] ** -whole))
+    smooth = 1j * omega[:, None, None] * states[:, angle]
+    smooth[~moving] = np.diag(1.0 / K)  # what keeps still in voltage turns without current
+    return Response(omega, states[:, current], smooth, 1.0 / z)
 
 
 class Staircase:
     """The differences along every run, for `physics` to add."""
 
-    def __init__(self, windings: Sequence[Winding], period_s: float, voltages: Sequence[Array]) -> None:
-        """`voltages`: filtered, (m, n) of each run."""
+    def __init__(self, windings: Sequence[Windings], period_s: float, voltages: Sequence[Array]) -> None:
+        """`windings` of each run, the same object where they are the same; `voltages`: filtered, (m, n) of each run."""
         self._windings, self._period = tuple(windings), period_s
         self._lengths = [len(run) for run in voltages]
         self._spectra: list[Spectrum] = [_spectrum(run) for run in voltages]
@@ -96,36 +99,40 @@ class Staircase:
         if key not in self._kept:
             while len(self._kept) > 8:
                 self._kept.pop(next(iter(self._kept)))
-            gains = {size: self._gains(what, delay_s, size) for size in {len(s) for s in self._spectra}}
-            self._kept[key] = [
-                np.asarray(np.fft.irfft(spectrum * gains[len(spectrum)], axis=0)[:length])
-                for spectrum, length in zip(self._spectra, self._lengths, strict=True)
-            ]
+            gains: dict[tuple[int, int], Spectrum] = {}
+            self._kept[key] = []
+            for own, spectrum, length in zip(self._windings, self._spectra, self._lengths, strict=True):
+                kind = id(own), len(spectrum)
+                if kind not in gains:
+                    frequencies: Array = np.arange(kind[1]) / (2 * (kind[1] - 1) * self._period)
+                    gains[kind] = _gain(what, own, self._period, delay_s, frequencies)
+                answer = np.einsum("fij,fj->fi", gains[kind], spectrum)
+                self._kept[key].append(np.asarray(np.fft.irfft(answer, axis=0)[:length]))
         return self._kept[key]
 
-    def _gains(self, what: str, delay_s: float, size: int) -> Spectrum:
-        """Of all joints (size, n), for runs of so many frequencies."""
-        frequencies: Array = np.arange(size) / (2 * (size - 1) * self._period)
-        gains = [_gain(what, w, self._period, delay_s, frequencies) for w in self._windings]
-        return np.stack(gains, axis=1)
 
-
-def _gain(what: str, winding: Winding, period_s: float, delay_s: float, frequencies_Hz: Array) -> Spectrum:
-    found = response(winding, period_s, delay_s, frequencies_Hz)
-    J, K, R, lag = winding.inertia_kg_m2, winding.torque_per_A, winding.resistance_ohm, winding.lag_s
-    by_speed = K / R * (1.0 - 1j * found.omega * lag) * found.speed
-    wanted = J * 1j * found.omega * found.speed / K
+def _gain(what: str, windings: Windings, period_s: float, delay_s: float, frequencies_Hz: Array) -> Spectrum:
+    """(f, n, n): of each joint to a volt on each."""
+    found = response(windings, period_s, delay_s, frequencies_Hz)
+    K, R, lag = windings.torque_per_A, windings.resistance_ohm, windings.lag_s
+    turned = 1j * found.omega[:, None]
+    by_speed = (K / R * (1.0 - turned * lag))[:, :, None] * found.speed
+    wanted = turned[:, :, None] * (windings.inertia_kg_m2 @ found.speed) / K[:, None]
+    own = np.eye(len(K))  # a joint's own voltage
     match what:
         case "sampled":
-            first, second, third = settled_shares(lag, period_s, delay_s)
-            newest = found.later ** (1 + delay_s // period_s)
-            settled = newest * (first + found.later * (second + found.later * third))
-            return np.asarray(found.current - (settled / R - by_speed))
+            first, second, third = (
+                np.array(part)
+                for part in zip(*(settled_shares(float(one), period_s, delay_s) for one in lag), strict=True)
+            )
+            later = found.later[:, None]
+            settled = later ** (1 + delay_s // period_s) * (first + later * (second + later * third))
+            return np.asarray(found.current - ((settled / R)[:, :, None] * own - by_speed))
         case "mean":
             return np.asarray(wanted - found.current)
         case _:
-            shifted = 1.0 - 1j * found.omega * (0.5 * period_s + delay_s + lag)
-            return np.asarray(wanted - (shifted / R - by_speed))
+            shifted = 1.0 - turned * (0.5 * period_s + delay_s + lag)
+            return np.asarray(wanted - ((shifted / R)[:, :, None] * own - by_speed))
 
 
 def settled_shares(lag_s: float, period_s: float, delay_s: float) -> tuple[float, float, float]:

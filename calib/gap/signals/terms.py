@@ -1,44 +1,85 @@
-"""What a model of the arm is made of here: terms, each an effect in one form with its values."""
+"""Terms of a model of time series: an effect in one of its forms, with its values."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName
+from control.model.arm import Arm
+from control.model.effect_laws import Torque
 
-# Steps of finite differences, by form: what changes rows by a good part of their floor and is still linear.
-STEP = {
-    "stribeck_friction": (1e-2, 2e-3),
-    "stribeck exponential": (1e-2, 2e-3),
-    "command_delay": (2e-5,),
-    "sampling time": (2e-5,),
-    "joint_compliance": (1e-5, 2e-2, 5e-2),
-    "backlash": (5e-5, 5e-2),
-    "link_flexure": (1e-4,),
-    "thermal_drift": (1e-4, 5e-2),
-    "thermal_drift seen": (1e-4, 5e-2),
-}
-PLAIN_STEP = 1e-3
-FASTEST_STRIBECK_rad_s = 0.35  # a fall over all speeds of an arm is Coulomb friction with something else
-QUICKEST_WARMING_s = 0.6  # quicker, a drift has gone by before a run counts, and is a zero
-LATEST_s = 0.02  # of a sample after the voltage that it follows
+PLAIN_STEP = 1e-3  # of finite differences of what rows follow in a straight line
+MEANT_FOR_Nm = 30.0  # stall torque that the sizes of torques are meant for
+
+# Where a form acts: on the torque at the motor, in the gear, between encoder and joint, on what the camera sees, on what the
+# links carry, or in the electrical equations.
+Acts = Literal[
+    "motor", "spring", "play", "angle", "beam", "geometry", "frame", "payload", "mass", "inertia", "torque constant", "delay",
+    "sampling", "sag",
+]  # fmt: skip
+# An angle's error: misread by the encoder at the motor, arising between motor and link, or seen by the camera alone.
+Where = Literal["encoder", "behind", "seen"]
+Values = tuple[float, ...]
+# Of values, the angle (m,) that it follows and times (m,): the error, its first and second derivative, by the angle or by time.
+AngleLaw = Callable[[Values, Array, Array], tuple[Array, Array, Array]]
+Drawn = Callable[
+    [Array, Array, Array], Array
+]  # of voltages and currents (m, n) and supplies (n,): the supply's current (m, 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Form:
+    """One form of an effect in time series, with internal values, which may differ from the file's parameters."""
+
+    name: str
+    acts: Acts
+    smallest: float  # size worth a name: about what a careful builder would still correct
+    count: int = 1  # of values; 0: four a link
+    counted: int | None = None  # of the values, those that make the size; None: all
+    is_torque: bool = False  # the size is a share of the drive's torque
+    # of finite differences: what changes rows by a good part of their floor and is still linear; () where rows follow in a
+    # straight line anyway
+    steps: tuple[float, ...] = ()
+    lower: tuple[float, ...] = (-math.inf,)  # where the values mean something
+    upper: tuple[float, ...] = (math.inf,)
+    torque: Callable[[Values, float], Torque] | None = None  # of values and cogging's order
+    is_of_motor: bool = False  # the torque follows the motor's angle
+    shared: Literal["", "coulomb", "viscous"] = (
+        ""  # a friction part of which may act behind a soft or loose gear
+    )
+    angle: AngleLaw | None = None
+    where: Where = "encoder"
+    is_by_time: bool = False  # the angle's error follows time
+    drawn: Drawn | None = None
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether the rows follow its values in a straight line."""
+        return not self.steps
+
+    @property
+    def is_gear(self) -> bool:
+        """Whether it is a gear that is soft or loose: joint and motor are then at two angles."""
+        return self.acts in ("spring", "play")
+
+    def __str__(self) -> str:
+        """Its name."""
+        return self.name
 
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """An effect, or something that is in no list, in one of the forms that it may have.
-
-    `form` is the effect's name, or a variant of it; `values` are internal and may differ from the file's
-    parameters (sine and cosine instead of amplitude and phase, compliance instead of stiffness).
-    """
+    """An effect, or something that is in no list, in one of the forms that it may have."""
 
     name: EffectName
-    form: str
-    values: tuple[float, ...]
+    form: Form
+    values: Values
     order: float = 0.0  # of cogging, which is searched and then kept
 
     @property
@@ -46,42 +87,46 @@ class Term:
         """0-based joint or link; -1 where it has none."""
         return -1 if self.name.joint is None else self.name.joint - 1
 
-    def at(self, values: tuple[float, ...]) -> Term:
+    def at(self, values: Values) -> Term:
         """The same with other values."""
         return replace(self, values=values)
 
     def neighbours(self) -> Iterator[tuple[Term, float]]:
         """The term with one value after the other a little larger, and by how much: for slopes."""
-        steps = STEP.get(self.form, (PLAIN_STEP,) * len(self.values))
+        steps = self.form.steps or (PLAIN_STEP,) * len(self.values)
         for place, step in enumerate(steps[: len(self.values)]):
             values = list(self.values)
             values[place] += step
             yield self.at(tuple(values)), step
 
+    def bounded(self) -> Term:
+        """With values where the effect means something."""
+        count = len(self.values)
+        lower, upper = (np.resize(own, count) for own in (self.form.lower, self.form.upper))
+        return self.at(tuple(np.clip(self.values, lower, upper).tolist()))
 
-def bounded(term: Term, values: Array) -> Array:
-    """Values kept where the effect means something."""
-    result = np.array(values)
-    match term.form:
-        case "stribeck_friction" | "stribeck exponential":
-            result[0], result[1] = max(result[0], 0.0), min(max(result[1], 0.004), FASTEST_STRIBECK_rad_s)
-        case "load_friction" | "supply_sag" | "supply_sag by sum" | "command_delay":
-            result[0] = max(result[0], 0.0)
-        case "sampling time":
-            result[0] = min(max(result[0], 0.0), LATEST_s)
-        case "joint_compliance":
-            result[0] = min(max(result[0], 1e-6), 0.05)
-            result[1] = min(max(result[1], 0.0), 20.0)
-            result[2:] = np.clip(result[2:], 0.0, 1.0)
-        case "backlash":
-            result[0] = min(max(result[0], 0.0), 0.2)
-            result[1:] = np.clip(result[1:], 0.0, 1.0)
-        case "link_flexure":
-            result[0] = min(max(result[0], 1e-6), 1.0)
-        case "thermal_drift" | "thermal_drift seen":
-            result[1] = min(max(result[1], QUICKEST_WARMING_s), 1e5)
-        case "torque_constant":
-            result[0] = min(max(result[0], -0.8), 4.0)
-        case _:
-            pass
-    return result
+    def is_worth_a_name(self, arm: Arm) -> bool:
+        """Whether it is at least of the smallest size."""
+        return math.hypot(*self.values[: self.form.counted]) >= smallest(arm, self.form, self.index)
+
+
+def smallest(arm: Arm, form: Form, joint: int) -> float:
+    """The size worth a name for a joint (0-based) of this arm; small drives have small frictions."""
+    return form.smallest * min(1.0, _of_drive(arm, form, joint))
+
+
+def typical(arm: Arm, form: Form, joint: int) -> float:
+    """What `smallest` is a share of: the frictions of a large drive are larger, although as little is worth a name."""
+    return smallest(arm, form, joint) * max(1.0, _of_drive(arm, form, joint))
+
+
+def _of_drive(arm: Arm, form: Form, joint: int) -> float:
+    """A joint's torque over that of the drives that the sizes of torques are meant for; 1 for what is no torque."""
+    return stall_Nm(arm, joint) / MEANT_FOR_Nm if form.is_torque and joint >= 0 else 1.0
+
+
+def stall_Nm(arm: Arm, joint: int) -> float:
+    """Torque at the current limit, or with the whole supply on a standing motor."""
+    drive = arm.drives[joint]
+    current = min(drive.current_limit_A, drive.supply_V / drive.resistance_ohm)
+    return drive.torque_constant_Nm_A * drive.gear_ratio * current

@@ -49,9 +49,9 @@ class Tips:
         return np.asarray(expected - run.tip_m)
 
     def _shift(self, parts: Parts, term: Term, k: int, run: Motion) -> Array:
-        if term.form == "link_flexure":
+        if term.form.acts == "beam":
             return self._bent(term.name.joint or 1, parts.load.payload_kg)[k] * term.values[0]
-        if term.form == "link_geometry":
+        if term.form.acts == "geometry":
             if self._dh is None:
                 self._dh = [
                     self._kinematics.identification_jacobian(r.q_raw[r.frames]) for r in self._recording.runs

@@ -12,51 +12,76 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.link_frames import LinkFrames, link_frames
 from calib.arrays import Array
-from calib.gap.poses.nameless.shape import Shape, edges, harmonic, of_tip
+from calib.gap.effects.pose_scene import Scene
+from calib.gap.poses.nameless.of_joints import PER_TURN
+from calib.gap.poses.nameless.shape import SIZE_m, edges, harmonic, of_tip
+from calib.gap.posterior.term import Term
 from calib.points.points import Points
 from control.model.arm import Arm
 
 AXES = "xyz"
+ELSEWHERE = "elsewhere"
 RIGID_STEPS = 12  # times at which a board or camera may have moved
 RECORDING_STEPS = 3  # the same within one setup
 RIGID_POSES_LEAST = 4
 
 
-def of_the_tip(arm: Arm, points: Points) -> Iterator[Shape]:
-    """All of them, at the nominal geometry."""
+def of_the_tip(scene: Scene) -> Iterator[Term]:
+    """All of them, at the fitted geometry."""
+    arm, points = scene.arm, scene.points
     frames = link_frames(ArmModel(arm), arm.dh, points.q_rad)
     if np.isfinite(points.tip_m).all():
-        yield from _of_the_camera(points, frames.tip_m)
+        yield from _of_the_camera(frames.tip_m)
     yield from _of_setups(points, frames.tip_m)
     yield from _of_the_axes(arm, points, frames)
-    yield from _of_the_tool(arm, points, frames)
+    yield from _of_the_tool(arm, frames)
     if len(points) > 1:
         before = np.roll(frames.tip_m, 1, axis=0) - frames.tip_m
         before[0] = 0.0
-        words = "everywhere: the places lag behind, towards those of the pose before"
-        yield of_tip(points.joint_count, "time", words, before)
+        yield of_tip("time", "everywhere: the places lag behind, towards those of the pose before", before)
 
 
-def _of_the_camera(points: Points, tip: Array) -> Iterator[Shape]:
-    """Scale, skew and distortion: what the measured place itself decides."""
-    n, centred = points.joint_count, tip - tip.mean(axis=0)
-    unit = np.eye(3)
-    yield of_tip(n, "place", "everywhere: the measured places are scaled", centred)
-    for a, b in combinations_with_replacement(range(3), 2):
-        strain = centred[:, a : a + 1] * unit[b] + centred[:, b : b + 1] * unit[a]
-        words = f"stretched along {AXES[a]}" if a == b else f"skewed between {AXES[a]} and {AXES[b]}"
-        yield of_tip(n, "place", f"everywhere: the measured places are {words}", strain)
-        bent = [(centred[:, a] * centred[:, b])[:, None] * unit[c] for c in range(3)]
-        words = f"everywhere: the measured places are distorted with {AXES[a]} times {AXES[b]}"
-        yield of_tip(n, "place", words, *bent)
-    square = np.sum(centred**2, axis=1, keepdims=True)
-    yield of_tip(
-        n, "place", "everywhere: the measured places are distorted with their distance", centred * square
+def field_of_the_tip(tip: Array) -> Array:
+    """Places (m, 3) off by what is of first and second order in them, (27, m, 3).
+
+    Without its constant part: where all places are off by the same, that is `base_frame`.
+    """
+    unit = _unit_places(tip)
+    ways = [*unit.T, *(unit[:, a] * unit[:, b] for a in range(3) for b in range(a, 3))]
+    return SIZE_m * np.array([way[:, None] * axis for way in ways for axis in np.eye(3)])
+
+
+def _unit_places(tip: Array) -> Array:
+    return np.asarray((tip - tip.mean(axis=0)) / max(float(np.ptp(tip, axis=0).max()), 1e-9))
+
+
+def _of_the_camera(tip: Array) -> Iterator[Term]:
+    """Scale, skew and distortion: what the measured place itself decides. The camera's frame and centre are unknown beside it."""
+    centred, axes, unit = tip - tip.mean(axis=0), np.eye(3), _unit_places(tip)
+    rigid = SIZE_m * np.array(
+        [*(np.ones((len(unit), 1)) * a for a in axes), *(np.cross(a, unit) for a in axes)]
     )
-    flat = [centred * np.delete(centred, c, axis=1).__pow__(2).sum(axis=1, keepdims=True) for c in range(3)]
-    for c, move in enumerate(flat):
-        words = f"everywhere: the measured places are distorted about {AXES[c]}"
-        yield of_tip(n, "place", words, move * (1.0 - unit[c]))
+    lower = field_of_the_tip(tip)  # beside a distortion: its lower orders
+
+    def place(words: str, *moves: Array, manner: str, beside: Array) -> Term:
+        return of_tip(
+            "place", f"everywhere: the measured places are {words}", *moves, manner=manner, beside=beside
+        )
+
+    yield place("scaled", centred, manner="", beside=rigid)
+    for a, b in combinations_with_replacement(range(3), 2):
+        strain = centred[:, a : a + 1] * axes[b] + centred[:, b : b + 1] * axes[a]
+        words = f"stretched along {AXES[a]}" if a == b else f"skewed between {AXES[a]} and {AXES[b]}"
+        yield place(words, strain, manner=words.split()[0], beside=rigid)
+        bent = [(centred[:, a] * centred[:, b])[:, None] * axes[c] for c in range(3)]
+        yield place(f"distorted with {AXES[a]} times {AXES[b]}", *bent, manner="distorted with", beside=lower)
+    square = np.sum(centred**2, axis=1, keepdims=True)
+    yield place("distorted with their distance", centred * square, manner="distance", beside=lower)
+    for c in range(3):
+        across = centred * (np.delete(centred, c, axis=1) ** 2).sum(axis=1, keepdims=True)
+        yield place(
+            f"distorted about {AXES[c]}", across * (1.0 - axes[c]), manner="distorted about", beside=lower
+        )
 
 
 def _rigid(tip: Array, course: Array) -> list[Array]:
@@ -68,30 +93,30 @@ def _rigid(tip: Array, course: Array) -> list[Array]:
     ]
 
 
-def _of_setups(points: Points, tip: Array) -> Iterator[Shape]:
+def _of_setups(points: Points, tip: Array) -> Iterator[Term]:
     """Boards and cameras that stand elsewhere in one setup, from some time on, or more and more."""
-    n, setups = points.joint_count, np.array(points.setup)
+    setups = np.array(points.setup)
     has_time = bool(np.isfinite(points.t_s).all()) and float(np.ptp(points.t_s)) > 0.0
     names = list(dict.fromkeys(points.setup))
     for name in names if len(names) > 1 else ():
-        yield of_tip(n, "setup", f"setup {name} stands elsewhere", *_rigid(tip, (setups == name) * 1.0))
+        moves = _rigid(tip, (setups == name) * 1.0)
+        yield of_tip("setup", f"setup {name} stands elsewhere", *moves, manner=ELSEWHERE)
     if not has_time:
         return
     time = (points.t_s - points.t_s.min()) / np.ptp(points.t_s)
-    yield of_tip(n, "time", "everywhere: drifts with time as one body", *_rigid(tip, time))
+    yield of_tip("time", "everywhere: drifts with time as one body", *_rigid(tip, time))
     for edge in edges(points.t_s, RIGID_STEPS):
         words = f"everywhere: from {edge:.0f} s on all stands elsewhere"
-        yield of_tip(n, "time", words, *_rigid(tip, (points.t_s > edge) * 1.0))
+        yield of_tip("time", words, *_rigid(tip, (points.t_s > edge) * 1.0), manner=ELSEWHERE)
     for name in names:
         for edge in edges(points.t_s[setups == name], RECORDING_STEPS):
             course = ((setups == name) & (points.t_s > edge)) * 1.0
             if RIGID_POSES_LEAST <= course.sum() <= (setups == name).sum() - RIGID_POSES_LEAST:
-                yield of_tip(
-                    n, "time", f"setup {name} stands elsewhere from {edge:.0f} s on", *_rigid(tip, course)
-                )
+                words = f"setup {name} stands elsewhere from {edge:.0f} s on"
+                yield of_tip("time", words, *_rigid(tip, course), manner=ELSEWHERE)
 
 
-def _of_the_axes(arm: Arm, points: Points, frames: LinkFrames) -> Iterator[Shape]:
+def _of_the_axes(arm: Arm, points: Points, frames: LinkFrames) -> Iterator[Term]:
     """Joints whose axis wobbles or whose bearing runs out of round, once and twice per turn."""
     turning = [k for k, link in enumerate(arm.links) if link.joint == "revolute"]
     is_modified = arm.dh_convention == "modified"
@@ -104,21 +129,21 @@ def _of_the_axes(arm: Arm, points: Points, frames: LinkFrames) -> Iterator[Shape
             courses = harmonic(points.q_rad[:, j], order)
             tilts = [course[:, None] * np.cross(a, beyond) for a in across for course in courses]
             words = f"joint {j + 1}: its axis wobbles {order} times per turn"
-            yield of_tip(points.joint_count, f"q{j + 1}", words, *tilts)
+            yield of_tip(f"q{j + 1}", words, *tilts, manner=PER_TURN)
             shifts = [course[:, None] * a for a in across for course in courses]
             words = f"joint {j + 1}: its axis runs out of round {order} times per turn"
-            yield of_tip(points.joint_count, f"q{j + 1}", words, *shifts)
+            yield of_tip(f"q{j + 1}", words, *shifts, manner=PER_TURN)
 
 
-def _of_the_tool(arm: Arm, points: Points, frames: LinkFrames) -> Iterator[Shape]:
+def _of_the_tool(arm: Arm, frames: LinkFrames) -> Iterator[Term]:
     """A tool that is loose: it falls to one side or the other as gravity turns round."""
     axes, down = frames.axes[:, -1], np.asarray(arm.gravity_m_s2)
     for k in range(3):
         side = np.sign(axes[:, :, k] @ down)[:, None]
         words = f"the tool: slides from side to side with gravity along its {AXES[k]}"
-        yield of_tip(points.joint_count, "tool", words, side * axes[:, :, k])
+        yield of_tip("tool", words, side * axes[:, :, k])
         moves = [side * axes[:, :, c] for c in range(3)]
         words = f"the tool: falls from side to side with gravity along its {AXES[k]}"
-        yield of_tip(points.joint_count, "tool", words, *moves)
+        yield of_tip("tool", words, *moves)
     hang = [(axes[:, :, k] @ down)[:, None] * axes[:, :, c] for k in range(3) for c in range(3)]
-    yield of_tip(points.joint_count, "tool", "the tool: gives way to gravity", *hang)
+    yield of_tip("tool", "the tool: gives way to gravity", *hang)

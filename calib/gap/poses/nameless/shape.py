@@ -1,52 +1,47 @@
 """Shapes without a name: what a residual is tested against, so that an effect that is not in the list is noticed.
 
-They are never reported as effects. Where one of them explains what is left, its words say where the gap is.
+They are never reported as effects. Where one of them explains what is left, its words say where the gap is. All shapes of one
+thing that moves, one variable and one manner are variants of one block: a joint may do more than one of them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from calib.arrays import Array, frozen
+from calib.arrays import Array
+from calib.gap.posterior.term import Block, Term, on_joint
 
 SIZE_rad = 0.003  # typical, at the shape's own scale
 SIZE_m = 0.001
 STEPS_COUNT = 24  # of times and of angles where something may have changed
-WHOLE_ARM = 0  # in place of a joint: the tip moves, whatever the joints do
 
 
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """Columns that move joint `joint` (1-based, or WHOLE_ARM) with `variable`; `words` say so."""
-
-    joint: int
-    variable: str
-    words: str
-    slope_rad: Array
-    slope_m: Array | None = None
-
-    @property
-    def is_still(self) -> bool:
-        """Whether it is constant at these poses."""
-        moved = float(np.ptp(self.slope_rad, axis=1).max())
-        return moved == 0.0 and (self.slope_m is None or float(np.ptp(self.slope_m, axis=1).max()) == 0.0)
-
-
-def of_joint(n: int, j: int, variable: str, words: str, *courses: Array) -> Shape:
+def of_joint(n: int, j: int, variable: str, words: str, *courses: Array, manner: str = "") -> Term:
     """`courses` (m,) scaled to SIZE_rad, acting on joint j (0-based) of n."""
-    own = np.eye(n)[j]
     scaled = [SIZE_rad * course / max(1e-12, float(np.abs(course).max())) for course in courses]
-    columns = frozen(np.stack([course[:, None] * own for course in scaled]))
-    return Shape(j + 1, variable, f"joint {j + 1}: {words}", columns)
+    key, slope = Block(j + 1, f"{variable} {manner}".strip()), on_joint(np.stack(scaled), j, n)
+    return Term(key, f"joint {j + 1}: {words}", len(courses), 0, 1.0, slope_rad=slope)
 
 
-def of_tip(n: int, variable: str, words: str, *moves: Array) -> Shape:
-    """`moves` (m, 3) of the tip, scaled to SIZE_m; an arm of n joints."""
-    scaled = [SIZE_m * move / max(1e-12, float(np.abs(move).max())) for move in moves]
-    still = np.zeros((len(moves), len(moves[0]), n))
-    return Shape(WHOLE_ARM, variable, words, frozen(still), frozen(np.stack(scaled)))
+def smooth_of_joint(n: int, j: int, variable: str, words: str, courses: Array) -> Term:
+    """Functions (c, m) of a variable, of one unknown scale, acting on joint j (0-based) of n."""
+    slope = SIZE_rad * on_joint(courses, j, n)
+    return Term(Block(j + 1, variable), f"joint {j + 1}: {words}", len(courses), 0, 1.0, slope_rad=slope)
+
+
+def of_tip(variable: str, words: str, *moves: Array, manner: str = "", beside: Array | None = None) -> Term:
+    """`moves` (m, 3) of the tip, whatever the joints do, scaled to SIZE_m; `beside` (c, m, 3): columns that come along."""
+    slope = np.stack([SIZE_m * move / max(1e-12, float(np.abs(move).max())) for move in moves])
+    slope = slope if beside is None else np.concatenate((slope, beside))
+    return Term(Block(0, f"{variable} {manner}".strip()), words, len(slope), 0, 1.0, slope_m=slope)
+
+
+def is_still(one: Term) -> bool:
+    """Whether a shape is constant at these poses."""
+    moved = [
+        float(np.ptp(slope, axis=1).max()) for slope in (one.slope_rad, one.slope_m) if slope is not None
+    ]
+    return not any(moved)
 
 
 def edges(values: Array, count: int = STEPS_COUNT) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.drawn_law import law_picture
+from calib.gap.effects.catalogue import comes_round
 from calib.gap.finding import EffectName, NamedEffect
 from calib.gap.residuals.rows import Cell
 from calib.gap.series.outcome import DynamicOutcome
@@ -83,7 +84,7 @@ def along_picture(outcome: DynamicOutcome, effect: NamedEffect) -> str:
 
 
 def _along(outcome: DynamicOutcome, cell: Cell, effect: NamedEffect | None, title: str) -> str:
-    if effect is not None and effect.name.effect == "cogging":
+    if effect is not None and comes_round(effect.name.effect):
         return svg((10.4, 3.0), lambda figure: _draw_spectrum(figure, outcome, cell, effect))
     return svg((10.4, 3.0), lambda figure: _draw_clouds(figure, outcome, cell, title))
 

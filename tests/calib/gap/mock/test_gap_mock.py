@@ -27,6 +27,8 @@ from control.model.description import load_arm
 from control.model.effects import EFFECTS
 from hil_mocks.plant.effects import EffectEntry
 
+pytestmark = pytest.mark.usefixtures("without_motion")
+
 ARM = load_arm("right")
 RECORDED = Path(__file__).parent / "recorded"
 PLAY2 = EffectName("backlash", 2)

@@ -16,6 +16,8 @@ from control.model.arm import Effect
 from control.model.description import load_arm
 from tests.places import REAL
 
+pytestmark = pytest.mark.usefixtures("without_motion")
+
 COULOMB, VISCOUS = EffectName("coulomb_friction", 1), EffectName("viscous_friction", 1)
 GEOMETRY = ("link_geometry", "base_frame")
 

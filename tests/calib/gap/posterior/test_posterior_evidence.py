@@ -1,20 +1,20 @@
 """The evidence of sets: exact beside the integral, a Schur complement beside the whole, no law below nought."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from calib.gap.finding import EffectName
 from calib.gap.posterior.decide import decide
-from calib.gap.posterior.evidence import Evidence
-from calib.gap.posterior.gram import Gram
-from calib.gap.posterior.merging import MergingSearch
-from calib.gap.posterior.search import Search, Weighed
-from calib.gap.posterior.term import Block, Term
+from calib.gap.posterior.evidence import Evidence, Gram
+from calib.gap.posterior.search import MergingSearch, Search, Weighed
+from calib.gap.posterior.term import Block, Term, Traits
 
 ROWS = 240
 
 
-def _term(key, columns: int = 1, departures: int = 0, is_positive: bool = False, **more: float) -> Term:
+def _term(key, columns: int = 1, departures: int = 0, is_positive: bool = False, **more: Any) -> Term:
     slope = np.zeros((columns, 1, 1))
     return Term(
         key, str(key), columns - departures, departures, 1.0, slope_rad=slope, is_positive=is_positive, **more
@@ -118,7 +118,8 @@ def test_a_spring_and_a_play_of_one_joint_are_never_in_one_set() -> None:
     columns = rng.normal(size=(ROWS, 3))
     y = columns @ np.ones(3) + 0.1 * rng.normal(size=ROWS)
     names = [EffectName("joint_compliance", 1), EffectName("backlash", 1), EffectName("backlash", 2)]
-    evidence = _evidence([_term(name, is_positive=True) for name in names], columns, y)
+    gear = Traits(alternative="gear")
+    evidence = _evidence([_term(name, is_positive=True, traits=gear) for name in names], columns, y)
     assert {evidence.terms[k].key for k, _ in Search(evidence).run()[0].members} == set(names)
     for one in MergingSearch(evidence).run():
         assert not {names[0], names[1]} <= {evidence.terms[k].key for k, _ in one.members}

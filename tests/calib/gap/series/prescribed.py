@@ -6,8 +6,12 @@ that holds its voltage over a sample would need them.
 
 from __future__ import annotations
 
+import csv
+import gzip
+import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -63,20 +67,43 @@ def log_of(
     turned: Callable[[Array, Array], Array] | None = None,
 ) -> Log:
     """Seven runs: five motions, two of them twice, one with a payload. `turned`: joint angle beyond the encoder's."""
-    rng = np.random.default_rng(seed)
+    rng, model = np.random.default_rng(seed), Model(arm, Dynamics(arm), Kinematics(arm))
     seeds = [11, 12, 13, 14, 15, 13, 12]
     loads = [0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
     runs = []
     for k, (motion, load) in enumerate(zip(seeds, loads, strict=True)):
         slow = 0.15 if motion == 11 else 1.0
         runs.append(
-            _run(arm, str(k + 1), motion, slow, load, hidden, rng, delay_samples, winding_share, turned)
+            _run(model, str(k + 1), motion, slow, load, hidden, rng, delay_samples, winding_share, turned)
         )
     return Log(tuple(runs), ("prescribed",))
 
 
+def write_log(log: Log, path: Path) -> None:
+    """As log.csv.gz."""
+    kinds = (("q", "rad"), ("q", "set_rad"), ("i", "A"), ("u", "V"))
+    joints = range(1, log.runs[0].q_rad.shape[1] + 1)
+    columns = [f"{kind}{joint}_{unit}" for kind, unit in kinds for joint in joints]
+    with gzip.open(path, "wt", compresslevel=1, newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["run", "t_s", "payload_kg", *columns, "x_m", "y_m", "z_m"])
+        for run in log.runs:
+            values = (run.q_rad, run.q_set_rad, run.current_A, run.voltage_V, run.tip_m)
+            for row in np.column_stack((run.t_s, run.payload_kg, *values)).tolist():
+                writer.writerow([run.name, *("" if math.isnan(value) else f"{value:.9g}" for value in row)])
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """The arm, and its equations, which take longer to compile than to evaluate."""
+
+    arm: Arm
+    dynamics: Dynamics
+    kinematics: Kinematics
+
+
 def _run(
-    arm: Arm,
+    model: Model,
     name: str,
     motion: int,
     slow: float,
@@ -87,7 +114,7 @@ def _run(
     winding_share: float,
     turned: Callable[[Array, Array], Array] | None,
 ) -> Run:
-    count = int(SECONDS * RATE_Hz)
+    arm, count = model.arm, int(SECONDS * RATE_Hz)
     T = 1.0 / RATE_Hz
     # One sample before the run, for the voltage that its first current comes from, and `delay` after it.
     starts = T * np.arange(-1, count + delay)
@@ -97,34 +124,36 @@ def _run(
     qm, vm, am = _waves(starts + 0.5 * T, tones, slow)
     K = np.array([d.gear_ratio * d.torque_constant_Nm_A for d in arm.drives])
     R = np.array([d.resistance_ohm for d in arm.drives]) * (1.0 + winding_share)
-    level = R * _torque(arm, qm, vm, am, load, hidden) / K + K * vm  # over the sample that begins at `starts`
+    level = (
+        R * _torque(model, qm, vm, am, load, hidden) / K + K * vm
+    )  # over the sample that begins at `starts`
     q = q0[1 : count + 1]
     current = (level[:count] - K * v0[1 : count + 1]) / R
     voltage = level[1 + delay : 1 + delay + count]
     step = np.array([2 * np.pi / (d.encoder_counts_per_rev * d.gear_ratio) for d in arm.drives])
-    joints = q if turned is None else q + turned(q, Dynamics(arm).torques(q, 0 * q, 0 * q, load))
-    tip = _seen(arm, joints, rng)
+    joints = q if turned is None else q + turned(q, model.dynamics.torques(q, 0 * q, 0 * q, load))
+    tip = _seen(model, joints, rng)
     return Run(
         name, T * np.arange(count), np.round(q / step) * step, q, current + rng.normal(0.0, 0.01, current.shape),
         voltage, np.full(count, load), tip,
     )  # fmt: skip
 
 
-def _torque(arm: Arm, q: Array, v: Array, a: Array, load: float, hidden: Hidden) -> Array:
+def _torque(model: Model, q: Array, v: Array, a: Array, load: float, hidden: Hidden) -> Array:
     """What the drives give (m, 3): links, rotors, the friction of the model, and what is hidden."""
-    rotor = np.array([d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives])
-    link = Dynamics(arm).torques(q, v, a, load) - rotor * a
+    rotor = np.array([d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in model.arm.drives])
+    link = model.dynamics.torques(q, v, a, load) - rotor * a
     torque = link + rotor * a + np.array(COULOMB_Nm) * np.sign(v) + np.array(VISCOUS) * v
     for j in range(3):
         torque[:, j] += hidden(j, q[:, j], v[:, j], link[:, j])
     return torque
 
 
-def _seen(arm: Arm, joints: Array, rng: np.random.Generator) -> Array:
+def _seen(model: Model, joints: Array, rng: np.random.Generator) -> Array:
     """Tips (m, 3) as the camera measures them: in every fifth sample, the others are not a number."""
     seen = np.arange(len(joints)) % 5 == 0
     tip = np.full((len(joints), 3), np.nan)
-    tip[seen] = Kinematics(arm).tips(joints[seen]) + rng.normal(0.0, 0.00014, (int(seen.sum()), 3))
+    tip[seen] = model.kinematics.tips(joints[seen]) + rng.normal(0.0, 0.00014, (int(seen.sum()), 3))
     return tip
 
 

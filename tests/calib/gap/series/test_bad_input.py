@@ -42,6 +42,15 @@ def test_a_sound_log_keeps_every_channel_without_a_word() -> None:
     assert not recording.warnings
 
 
+def test_placeholders_of_the_drives_are_said_and_what_the_log_shows() -> None:
+    drives = tuple(replace(one, torque_constant_Nm_A=1.0, resistance_ohm=1.0) for one in ARM.drives)
+    arm = replace(ARM, drives=drives)
+    recording = plausible(arm, prepare(arm, LOG))
+    assert "drives 1, 2, 3" in said(recording)
+    assert re.search(r"the log shows 0\.0(29|30)", said(recording))
+    assert (recording.has_current, recording.has_voltage, recording.has_tip) == (False, False, True)
+
+
 def test_currents_in_milliamperes_are_said_and_not_used() -> None:
     recording = checked(lambda run: replace(run, current_A=1000.0 * run.current_A))
     assert "milliamperes" in said(recording)

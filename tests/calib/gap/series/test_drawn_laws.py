@@ -9,6 +9,8 @@ from calib.gap.finding import EffectName
 from calib.gap.series.find import examine
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
+pytestmark = pytest.mark.usefixtures("without_motion")
+
 STICKY_Nm = 0.9
 
 

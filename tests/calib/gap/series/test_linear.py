@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 
 from calib.gap.finding import EffectName
+from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.rows import Cell
-from calib.gap.series.around import Around
+from calib.gap.residuals.scene import Thin
+from calib.gap.residuals.term import SeriesTerm
 from calib.gap.series.linear import Linear
-from calib.gap.series.scene import Thin
-from calib.gap.series.term import SeriesTerm
 from calib.gap.signals.terms import Term as Law
 
 ROWS = 6
 COULOMB = EffectName("coulomb_friction", 1)
 
 
-def around(found: dict[Any, Law]) -> Around:
+def around(found: dict[Any, Law]) -> OperatingPoint:
     run, sample = np.zeros(ROWS, dtype=int), np.arange(ROWS)
     cell = Cell("current_A", 0, slice(0, ROWS), 1.0)
     scene: Any = SimpleNamespace(cells=(cell,), thinned=[Thin.each(run, sample, 1)])
     rows = np.linspace(-1.0, 1.0, ROWS)
-    return Around(scene, (), found, rows, rows)
+    return OperatingPoint(scene, (), found, rows, rows)
 
 
 def term() -> SeriesTerm:

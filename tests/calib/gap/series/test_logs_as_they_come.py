@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
+from calib.gap.effects.catalogue import known_laws
 from calib.gap.log import Log, Run
 from calib.gap.residuals.rows import Rows, without_motion
 from calib.gap.series.plausible import plausible
 from calib.gap.signals.body import Body, Load
-from calib.gap.signals.forms import known_terms
 from calib.gap.signals.motion import motion_gaps
 from calib.gap.signals.part import part_of
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import Recording, UnusableLogError, prepare
 from calib.gap.signals.sampling import period_of
 from calib.gap.signals.terms import Term
-from calib.gap.units import UNITS, amperes_per, log_in_amperes
+from calib.gap.units import UNITS, amperes_per, log_in_amperes, with_ideal_drives, without_voltages
 from control.model.description import load_arm
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
@@ -115,6 +115,27 @@ def test_a_log_at_a_rate_of_its_own_keeps_its_currents_and_not_its_voltages() ->
     assert "brought to another rate" in said(recording)
 
 
+def test_copies_of_runs_are_used_once_and_are_no_repeats() -> None:
+    twice = Log((*LOG.runs, *(replace(run, name=f"again {run.name}") for run in LOG.runs)))
+    recording = prepare(ARM, twice)
+    assert recording.repeats == prepare(ARM, LOG).repeats
+    assert "7 runs (again 1, again 2, again 3, again 4 and others): copies of others, used once" in said(
+        recording
+    )
+
+
+def test_links_without_inertia_are_said() -> None:
+    links = tuple(
+        replace(one, inertia_kg_m2=(0.0, 0.0, 0.0)) if one.inertia_kg_m2 else one for one in ARM.links
+    )
+    recording = prepare(replace(ARM, links=links), LOG)
+    assert "inertia_kg_m2 of link 1, 2, 3 is zero" in said(recording)
+
+
+def test_torques_of_joints_without_drives_leave_voltages_aside() -> None:
+    assert not prepare(with_ideal_drives(replace(ARM, drives=())), without_voltages(LOG)).has_voltage
+
+
 def irregular(run: Run) -> Run:
     rng = np.random.default_rng(int(run.name))
     steps = 0.002 * (1.0 + 0.25 * rng.uniform(-1.0, 1.0, len(run)))
@@ -181,7 +202,7 @@ def test_a_swing_with_the_driver_off_needs_no_currents_and_no_voltages() -> None
     )
     assert recording.has_voltage
     assert all(run.is_off.all() for run in recording.runs)
-    assert len(Rows(Physics(ARM, recording), known_terms(ARM)).table.run)
+    assert len(Rows(Physics(ARM, recording), known_laws(ARM)).table.run)
 
 
 def test_five_thousand_samples_a_second_are_averaged_where_no_voltage_was_held_between_them() -> None:
@@ -242,7 +263,7 @@ def slow(run: Run) -> Run:
 def test_a_log_of_motions_that_are_too_slow_is_refused_in_words() -> None:
     recording = prepare(ARM, changed(slow))
     with pytest.raises(UnusableLogError, match="faster than 8 mrad/s"):
-        without_motion(Rows(Physics(ARM, recording), known_terms(ARM)).table)
+        without_motion(Rows(Physics(ARM, recording), known_laws(ARM)).table)
 
 
 def test_a_link_without_inertia_divides_nothing_by_nought() -> None:
@@ -258,6 +279,6 @@ def test_a_model_that_runs_away_from_a_slow_log_gives_no_figure_and_no_failure()
     """Gains of a loop of 500 cycles a second, simulated at 50."""
     recording = prepare(ARM, changed(lambda run: rows(run, np.arange(0, len(run), 10))))
     physics = Physics(ARM, recording)
-    pushing: list[Term] = known_terms(ARM)
+    pushing: tuple[Term, ...] = known_laws(ARM)
     found = motion_gaps(physics, pushing, pushing, [run.name for run in recording.runs])
     assert all(np.isfinite(one.after_rad) for one in found.values())

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
+from calib.gap.effects.catalogue import RECORDS, known_laws
 from calib.gap.finding import EffectName
 from calib.gap.log import Log
 from calib.gap.series.find import find
-from calib.gap.signals.forms import known_terms
 from calib.gap.signals.forward import Forward, State
 from calib.gap.signals.motion import CLOSED, OPEN, motion_gaps
 from calib.gap.signals.physics import Physics
@@ -42,7 +42,9 @@ def run(model: list[Term], samples: int, push_V: float = 0.0) -> State:
 
 
 def gear(effect: str, *values: float) -> list[Term]:
-    return [Term(EffectName(effect, 2), effect, values)]
+    series = RECORDS[effect].series
+    assert series is not None
+    return [Term(EffectName(effect, 2), series.form, values)]
 
 
 def test_voltages_that_hold_the_arm_keep_it_where_it_is() -> None:
@@ -80,7 +82,7 @@ def test_where_a_driver_is_off_only_windows_are_compared() -> None:
     voltage[900:1000] = np.nan
     runs = (LOG.runs[0], replace(LOG.runs[1], voltage_V=voltage), *LOG.runs[2:])
     physics = Physics(ARM, prepare(ARM, Log(runs)))
-    known = known_terms(ARM)
+    known = known_laws(ARM)
     assert set(motion_gaps(physics, known, known, ("2", "7"))) == {OPEN}
     assert set(motion_gaps(physics, known, known, ("7",))) == {OPEN, CLOSED}
 

@@ -10,6 +10,8 @@ from calib.gap.finding import EffectName, GapFinding
 from calib.gap.series.find import find
 from tests.calib.gap.series.prescribed import Hidden, arm_with_friction, log_of
 
+pytestmark = pytest.mark.usefixtures("without_motion")
+
 ARM = arm_with_friction()
 
 

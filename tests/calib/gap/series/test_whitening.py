@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.series.whitening import Noise, Series, fitted
+from calib.gap.residuals.whitening import Noise, Series, fitted
 
 ROWS = 20_000
 

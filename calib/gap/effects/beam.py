@@ -11,18 +11,21 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.link_bending import beams, bending_m
 from calib.arm_problem.link_frames import link_frames
 from calib.arrays import Array
+from calib.gap.effects.columns import straight
+from calib.gap.effects.pose_columns import in_poses
+from calib.gap.effects.pose_scene import Scene, stated_kg
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries
 from calib.gap.finding import EffectName
-from calib.gap.poses.effects.record import EffectRecord
-from calib.gap.poses.effects.scene import Scene, stated_kg
-from calib.gap.posterior.coefficients import inverse
+from calib.gap.posterior.coefficients import parameters_of
 from calib.gap.posterior.term import Term
+from calib.gap.signals.terms import Form
 from control.dynamics.feedforward import own_payload_kg, with_link_inertia
 from control.model.arm import Arm
 
 
 def _flexure(record: EffectRecord, scene: Scene) -> Iterator[Term]:
     """A cantilever; its own weight in its centre of mass, or spread along it."""
-    arm = with_link_inertia(scene.arm)
+    arm, size = with_link_inertia(scene.arm), in_poses(record).size
     if not any(link.mass_kg for link in arm.links):
         return
     q, hung = scene.points.q_rad, stated_kg(scene.points) + own_payload_kg(arm)
@@ -45,9 +48,9 @@ def _flexure(record: EffectRecord, scene: Scene) -> Iterator[Term]:
                 continue
             departs = [part for part in parts if np.ptp(part, axis=0).max() > 0.0]
             yield Term(
-                EffectName(record.effect, link), "", 1, len(departs), record.size,
-                slope_m=record.size * np.array([total, *departs]), variant=float(variant), is_positive=True,
-                parameters=inverse(record.parameter), variable="load",
+                EffectName(record.effect, link), "", 1, len(departs), size, slope_m=size * np.array([total, *departs]),
+                variant=float(variant), is_positive=True, parameters=parameters_of(record.effect), variable="load",
+                traits=record.traits,
             )  # fmt: skip
 
 
@@ -73,4 +76,18 @@ def _spread_m(arm: Arm, q_rad: Array, link: int) -> Array:
     return np.asarray(across * length**3 / 8.0 + np.cross(turn, frames.tip_m - end))
 
 
-RECORDS = (EffectRecord("link_flexure", 1.0 / 400.0, _flexure, "EI_Nm2"),)
+def _links(arm: Arm) -> tuple[int, ...]:
+    """The beams of an arm whose masses are known."""
+    return beams(arm) if all(link.mass_kg for link in arm.links if link.joint == "revolute") else ()
+
+
+FORM = Form("link_flexure", "beam", 1 / 3000.0, steps=(1e-4,), lower=(1e-6,), upper=(1.0,))
+RECORDS = (
+    EffectRecord(
+        "link_flexure", role="angle",
+        poses=InPoses(
+            1.0 / 400.0, _flexure, "markers at both ends of that link, with and without a known payload"
+        ),
+        series=InSeries((FORM,), straight, "tip", places=_links, least=lambda arm, law: 0.0),
+    ),
+)  # fmt: skip

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from scipy.special import erf
 
 from calib.arrays import Array
-from calib.gap.poses.effects.record import EffectRecord, NO_TORQUE_Nm, harmonics
-from calib.gap.poses.effects.scene import Scene
-from calib.gap.posterior.coefficients import inverse
+from calib.gap.effects.departures import by_angle, by_load
+from calib.gap.effects.pose_columns import NO_TORQUE_Nm, harmonics, term_on_joint
+from calib.gap.effects.pose_scene import Scene
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries
+from calib.gap.effects.secants import Bent, secants
+from calib.gap.finding import EffectName, Parameters
+from calib.gap.posterior.coefficients import parameters_of
 from calib.gap.posterior.constants import WOUND_SHARE
-from calib.gap.posterior.term import Term, like, on_joint
-from control.dynamics.effect_laws import backlash_rad, compliance_rad
+from calib.gap.posterior.term import Term, Traits, like
+from calib.gap.residuals.operating_point import OperatingPoint
+from calib.gap.residuals.term import SeriesTerm
+from calib.gap.signals.terms import Form
+from calib.gap.signals.terms import Term as Law
 from control.dynamics.static_pose import (
     CURRENT_NOISE_A,
     GRAVITY_ERROR,
@@ -21,6 +28,7 @@ from control.dynamics.static_pose import (
     gravity_Nm,
     known_torque_per_A,
 )
+from control.model.effect_laws import backlash_rad, compliance_rad
 
 CLEAR_SHARE = 0.5  # of the poses must lie on a known flank: else a play fits anything
 TILT_rad = 0.003  # accuracy of a fitted link's direction: where gravity turns round, its sign is uncertain
@@ -32,21 +40,20 @@ def _play(record: EffectRecord, scene: Scene) -> Iterator[Term]:
     """For every share of friction behind the gear that lays it on other flanks."""
     if scene.pose is None:
         return
-    q, n = scene.points.q_rad, scene.points.joint_count
+    q = scene.points.q_rad
     is_measured = np.isfinite(scene.points.current_A).any(
         axis=0
     )  # what nobody measured has no noise, and needs no constants
     noise = np.where(is_measured, CURRENT_NOISE_A * np.nan_to_num(known_torque_per_A(scene.arm)), 0.0)
-    for j in range(n):
+    for j in range(scene.points.joint_count):
         load = np.abs(scene.pose.gravity_Nm[:, j])
         ways = [*harmonics(q[:, j], 1, 2), *([load / load.max()] if load.max() > NO_TORQUE_Nm else [])]
         for share, flank, doubt in _flanks(scene.pose, j, noise[j]):
             law = backlash_rad(flank, 1.0)
             departs = like(law, [law * way for way in ways])
-            columns = on_joint(np.array([law, *departs]), j, n)
-            yield record.term(
-                j + 1, 1, columns, len(departs), variant=share, is_positive=True, doubt=0.25 * doubt,
-                variable=f"q{j + 1} and load",
+            yield term_on_joint(
+                scene, record, j + 1, np.array([law, *departs]), departures=len(departs), variant=share, is_positive=True,
+                doubt=0.25 * doubt, variable=f"q{j + 1} and load",
             )  # fmt: skip
 
 
@@ -100,10 +107,9 @@ def _compliance(record: EffectRecord, scene: Scene) -> Iterator[Term]:
         law = compliance_rad(torque, 1.0)
         departs = like(law, [law * np.abs(torque), law * torque**2, compliance_rad(unstated[:, j], 1.0)])
         for more in _wound(held):
-            columns = on_joint(np.array([law, *departs, *more]), j, scene.points.joint_count)
-            yield record.term(
-                j + 1, 1, columns, len(departs), is_positive=True, parameters=inverse(record.parameter), variable="load",
-                variant=float(len(more)),
+            yield term_on_joint(
+                scene, record, j + 1, np.array([law, *departs, *more]), departures=len(departs), is_positive=True,
+                variable="load", variant=float(len(more)),
             )  # fmt: skip
 
 
@@ -122,7 +128,58 @@ def _wound(held_Nm: Array) -> list[list[Array]]:
     return [[], [share], [share, constant]]
 
 
-RECORDS = (
-    EffectRecord("backlash", 0.005, _play, "width_rad"),
-    EffectRecord("joint_compliance", 1.0 / 800.0, _compliance, "stiffness_Nm_rad"),
+COMPLIANCES_rad_Nm = (1 / 3000.0, 1 / 1200.0, 1 / 600.0, 1 / 300.0, 1 / 150.0)
+WIDTHS_rad = (0.001, 0.002, 0.005, 0.010, 0.018)
+DAMPING_Nm_s_rad = 0.8
+COMPLIANCE = Bent(COMPLIANCES_rad_Nm, (DAMPING_Nm_s_rad, 0.0), (0.5, 0.5), (20.0, 1.0))
+BACKLASH = Bent(WIDTHS_rad, (0.0,), (0.5,), (1.0,))
+# What the current shows of a soft or loose gear follows how its angle changes: all of these.
+GEAR_BLOCKS = ("load", "speed", "acceleration", "turned", "sensor")
+# compliance, damping, and the share of friction behind the gear; width and that share
+SPRING = Form(
+    "joint_compliance", "spring", 1e-4, count=3, counted=1, steps=(1e-5, 2e-2, 5e-2), lower=(1e-6, 0.0, 0.0),
+    upper=(0.05, 20.0, 1.0),
+)  # fmt: skip
+LOOSE = Form(
+    "backlash", "play", 5e-4, count=2, counted=1, steps=(5e-5, 5e-2), lower=(0.0, 0.0), upper=(0.2, 1.0)
 )
+DAMPED_sd = 2.0  # of a damping, from which on it is worth writing
+
+
+def _soft(around: OperatingPoint, record: EffectRecord, key: EffectName) -> Iterator[SeriesTerm]:
+    yield from secants(around, record, key, COMPLIANCE)
+
+
+def _loose(around: OperatingPoint, record: EffectRecord, key: EffectName) -> Iterator[SeriesTerm]:
+    yield from secants(around, record, key, BACKLASH)
+
+
+def _known_spring(series: InSeries, name: EffectName, given: Mapping[str, float]) -> Law:
+    return Law(name, series.form, (1.0 / given["stiffness_Nm_rad"], given.get("damping_Nm_s_rad", 0.0), 0.0))
+
+
+def _spring_parameters(law: Law, covariance: Array) -> Parameters:
+    found = parameters_of("joint_compliance")(np.array(law.values), covariance)
+    damping, sd = law.values[1], float(np.sqrt(max(covariance[1, 1], 0.0)))
+    return {**found, "damping_Nm_s_rad": (damping, sd)} if damping > DAMPED_sd * sd else found
+
+
+RECORDS = (
+    EffectRecord(
+        "backlash", role="angle", traits=Traits("direction", is_on_every_joint=True, alternative="gear"),
+        poses=InPoses(
+            0.005, _play, "the same poses from both approaches, some where gravity on that joint changes its sign"
+        ),
+        series=InSeries(
+            (LOOSE,), _loose, "angle", departs=(by_angle,), variable="angle", blocks=("tip direction", *GEAR_BLOCKS)
+        ),
+    ),
+    EffectRecord(
+        "joint_compliance", role="angle", traits=Traits("load", is_on_every_joint=True, alternative="gear"),
+        poses=InPoses(1.0 / 800.0, _compliance, "the same poses with and without a known payload"),
+        series=InSeries(
+            (SPRING,), _soft, "angle", departs=(by_load,), variable="load", blocks=("tip load", *GEAR_BLOCKS),
+            known=_known_spring, parameters=_spring_parameters,
+        ),
+    ),
+)  # fmt: skip

@@ -1,4 +1,4 @@
-"""The frame that the camera and the table call base, where it is not the arm's: base_frame.
+"""The frame that the camera and the table call base, where it is not the arm's, and links of another geometry.
 
 What the first link's d and theta do (and in the modified convention its L and alpha) is the same as a move of that frame along
 and about the first axis: no pose can tell it, and it counts as geometry. The rest is rigid in the world, and no joint's doing.
@@ -14,11 +14,14 @@ from scipy.spatial.transform import Rotation
 from calib.arm_problem.assembly import BASE_FRAME, base_frame_of
 from calib.arm_problem.frames import rotation_of
 from calib.arrays import Array
-from calib.gap.finding import EffectName, Parameters
-from calib.gap.poses.effects.record import EffectRecord
-from calib.gap.poses.effects.scene import Scene
+from calib.gap.effects.columns import straight
+from calib.gap.effects.pose_scene import Scene
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries
+from calib.gap.finding import GEOMETRY, EffectName, Parameters
 from calib.gap.posterior.coefficients import ToParameters, sized
 from calib.gap.posterior.term import Term
+from calib.gap.signals.terms import Form
+from calib.gap.signals.terms import Term as Law
 from control.model.arm import Arm
 
 FRAME = "base_frame"
@@ -40,7 +43,7 @@ def _frame(record: EffectRecord, scene: Scene) -> Iterator[Term]:
         sizes += [SHIFT_m, TURN_rad]
     yield Term(
         EffectName(record.effect), "", len(sizes), 0, 1.0, slope_m=np.stack(columns),
-        parameters=sized(np.array(sizes), _total(arm)),
+        parameters=sized(np.array(sizes), _total(arm)), traits=record.traits,
     )  # fmt: skip
 
 
@@ -82,4 +85,26 @@ def beyond_linear_m(one: Term, coefficients: Array, position_m: Array) -> Array:
     return np.asarray(moved - linear)
 
 
-RECORDS = (EffectRecord(FRAME, 1.0, _frame),)
+KEYS = ("d_m", "theta_rad", "L_m", "alpha_rad")
+
+
+def _geometry(law: Law, covariance: Array) -> Parameters:
+    """Of four deviations a link, those that are not nothing."""
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+    named = {f"link{k // 4 + 1}_{KEYS[k % 4]}": (v, sd[k]) for k, v in enumerate(law.values)}
+    return {name: value for name, value in named.items() if value[0] != 0.0}
+
+
+RECORDS = (
+    EffectRecord(
+        FRAME,
+        poses=InPoses(1.0, _frame, "markers on the arm's base, or the board seated anew", is_total=False),
+        series=InSeries((Form(FRAME, "frame", 3e-4, count=6),), straight, "tip"),
+    ),
+    EffectRecord(
+        GEOMETRY,
+        series=InSeries(
+            (Form(GEOMETRY, "geometry", 3e-4, count=0),), straight, "tip", parameters=_geometry
+        ),
+    ),
+)  # fmt: skip

@@ -8,9 +8,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.signals.terms import Term
-from control.dynamics import effect_laws as laws
 
-REST_rad_s = 0.003  # the sign of a measured speed below this is the noise's; such samples are not used
 FAST, FASTEST = 0.3, 0.4  # of a turn of cogging's phase a sample: from here on it fades, and is gone
 
 
@@ -40,7 +38,7 @@ def sampled_friction_Nm(term: Term, run: Moving, j: int, link_Nm: Array, gear_ra
     Cogging that passes faster than the samples can follow would come back as a slow torque that never was.
     """
     torque = friction_Nm(term, run, j, link_Nm, gear_ratio)
-    if term.form != "cogging":
+    if not term.form.is_of_motor:
         return torque
     period_s = float(run.t_s[1] - run.t_s[0])
     turns = np.abs(term.order * gear_ratio * run.speed[:, j]) * period_s / (2.0 * np.pi)  # a sample
@@ -49,24 +47,7 @@ def sampled_friction_Nm(term: Term, run: Moving, j: int, link_Nm: Array, gear_ra
 
 def friction_Nm(term: Term, run: Moving, j: int, link_Nm: Array, gear_ratio: float) -> Array:
     """Torque (m,) that the motor has to add for this term."""
-    speed, q = run.speed[:, j], run.q[:, j]
-    sign = np.tanh(speed / REST_rad_s)
-    first = term.values[0]
-    match term.form:
-        case "coulomb_friction":
-            return np.asarray(first * sign)
-        case "viscous_friction":
-            return np.asarray(laws.viscous_Nm(speed, first))
-        case "stribeck_friction":
-            return np.asarray(first * np.exp(-((speed / term.values[1]) ** 2)) * sign)
-        case "stribeck exponential":
-            return np.asarray(first * np.exp(-np.abs(speed) / term.values[1]) * sign)
-        case "load_friction":
-            return np.asarray(first * np.abs(link_Nm) * sign)
-        case "asymmetric_friction":
-            return np.asarray(first * np.abs(sign))
-        case "cogging":
-            angle = term.order * gear_ratio * q
-            return np.asarray(first * np.sin(angle) + term.values[1] * np.cos(angle))
-        case _:
-            raise ValueError(f"no law {term.form}")
+    if term.form.torque is None:
+        raise ValueError(f"{term.form} is no torque at a motor")
+    angle = run.q[:, j] * (gear_ratio if term.form.is_of_motor else 1.0)
+    return np.asarray(term.form.torque(term.values, term.order)(angle, run.speed[:, j], link_Nm))

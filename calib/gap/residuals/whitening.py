@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy import sparse
 
 from calib.arrays import Array
-from calib.gap.series.constants import DRAWN, NOISE_LEAST, ORDER
+from calib.gap.posterior.constants import DRAWN, NOISE_LEAST, ORDER
 
 Places = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""Fixtures of the tests on time series."""
+"""Fixtures of the tests on the gap."""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,13 +25,18 @@ def link_friction(joint: int, q: Array, speed: Array, link: Array) -> Array:
     return 0.2 * np.abs(link) * np.sign(speed) if joint == 1 else np.zeros_like(q)
 
 
+@cache
+def reporting() -> tuple[str, ...]:
+    """The runs that only report."""
+    return tuple(examine(ARM, log_of(ARM), candidates=("load_friction",)).split.report_runs)
+
+
 def with_reported(change: float) -> DynamicOutcome:
     """Load friction in all runs; in those that only report, `change` times as much."""
     plain, rubbed = log_of(ARM), log_of(ARM, link_friction)
-    reported = examine(ARM, plain, candidates=("load_friction",)).split.report_runs
 
     def mixed(run: Run, other: Run) -> Run:
-        share = change if run.name in reported else 1.0
+        share = change if run.name in reporting() else 1.0
         current = run.current_A + share * (other.current_A - run.current_A)
         voltage = run.voltage_V + share * (other.voltage_V - run.voltage_V)
         return replace(run, current_A=current, voltage_V=voltage)

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.posterior.constants import BLOCK_PRIOR, NAME_PRIOR
+from calib.gap.posterior.constants import BENDS_LEAST, BLOCK_PRIOR, COMMON_PRIOR, NAME_PRIOR
 from calib.gap.posterior.term import Term
-from calib.gap.series.constants import BENDS_LEAST, COMMON_PRIOR
-from calib.gap.series.scene import Response
+from calib.gap.residuals.scene import Response
 from calib.gap.signals.terms import Term as Law
 
 HELD_TURNS = 4

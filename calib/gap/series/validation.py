@@ -3,35 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Array
+from calib.gap.effects.catalogue import series_of
 from calib.gap.finding import EffectName
-from calib.gap.posterior.constants import LAW_MOST
+from calib.gap.posterior.constants import GROWS, LAW_MOST, REMAINS, SPEAKS, SURE_sd
 from calib.gap.posterior.parameters import is_exact
 from calib.gap.posterior.term import Block, Key
+from calib.gap.residuals.term import SeriesTerm
 from calib.gap.series.blocks import CAMERA
-from calib.gap.series.constants import GROWS, REMAINS, SPEAKS, SURE_sd
-from calib.gap.series.look import Look, left
+from calib.gap.series.fit import Fit, left
 from calib.gap.series.outcome import gap
 from calib.gap.series.split import Picked
-from calib.gap.series.term import SeriesTerm
 
 NEGLIGIBLE = 0.005  # of all weight: a size of it does not count
-# What the current shows of a soft or loose gear follows how its angle changes: all of these.
-GEAR_BLOCKS = ("load", "speed", "acceleration", "turned", "sensor")
-# Of laws, the blocks of their joint that are functions of their own variables: what these bend a little is the law's departure.
-OWN_BLOCKS: Mapping[str, tuple[str, ...]] = {
-    "joint_compliance": ("tip load", *GEAR_BLOCKS), "backlash": ("tip direction", *GEAR_BLOCKS),
-    "encoder_scale": ("tip angle", "tip ripple"),
-    "encoder_eccentricity": ("tip angle", "tip ripple"), "belt_coupling": ("tip angle of joint 2",),
-    "thermal_drift": ("tip time",), "coulomb_friction": ("friction angle", "turned"), "viscous_friction": ("speed",),
-    "stribeck_friction": ("slow", "speed"), "load_friction": ("load",), "asymmetric_friction": ("friction angle",),
-    "torque_constant": ("sensor",),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,15 +47,15 @@ class Member:
         return self.term.departed_by(self.size)
 
 
-def members(look: Look) -> Iterator[Member]:
+def members(fit: Fit) -> Iterator[Member]:
     """Each averaged over how large it and its departures may be, all others at their best.
 
     An exact law is left out of that where a law may depart: an interval holds only if it counts departures that do not show.
     """
-    evidence, best = look.evidence, look.best
-    for number in look.numbers:
+    evidence, best = fit.evidence, fit.best
+    for number in fit.numbers:
         rest = [one for one in best.members if one[0] != number]
-        term = look.linear.terms[number]
+        term = fit.linear.terms[number]
         scales = [h for h in range(len(evidence.weights[number])) if not is_exact(evidence, number, h)]
         ways = [[*rest, (number, scale)] for scale in scales]
         logs = np.array([evidence.value(way, best.kappa) for way in ways])
@@ -90,10 +79,10 @@ def members(look: Look) -> Iterator[Member]:
         departs = share @ (sd[:, term.laws] / sd[:, 0]) ** 2 if term.departures else 0.0
         if term.curve is not None:
             mean, covariance = term.curve.held(mean, np.asarray(covariance))
-        yield Member(number, term, mean, np.asarray(covariance) + departs * _alike(look, term, mean))
+        yield Member(number, term, mean, np.asarray(covariance) + departs * _alike(fit, term, mean))
 
 
-def _alike(look: Look, term: SeriesTerm, size: Array) -> Array:
+def _alike(fit: Fit, term: SeriesTerm, size: Array) -> Array:
     """Covariance that departures as large as the law give its coefficients, as far as no data tell them from the law.
 
     What the arm's file has of the same law departs with it.
@@ -102,7 +91,7 @@ def _alike(look: Look, term: SeriesTerm, size: Array) -> Array:
     if term.laws == 1 and term.law is not None:
         law = term.law(np.eye(term.count)[0])
         known = sum(
-            one.values[0] for one in look.around.known if one.name == term.key and one.form == law.form
+            one.values[0] for one in fit.around.known if one.name == term.key and one.form is law.form
         )
         whole[0] += known / law.values[0]
     result = np.zeros((term.count, term.count))
@@ -112,43 +101,43 @@ def _alike(look: Look, term: SeriesTerm, size: Array) -> Array:
     return result
 
 
-def with_only(look: Look, names: Collection[int]) -> Look:
-    """The look with the best set's blocks and these of its other terms."""
-    terms = look.linear.terms
-    some = tuple(one for one in look.best.members if one[0] in names or isinstance(terms[one[0]].key, Block))
-    best = dataclasses.replace(look.best, members=some)
-    return dataclasses.replace(look, decision=dataclasses.replace(look.decision, best=best))
+def with_only(fit: Fit, names: Collection[int]) -> Fit:
+    """The fit with the best set's blocks and these of its other terms."""
+    terms = fit.linear.terms
+    some = tuple(one for one in fit.best.members if one[0] in names or isinstance(terms[one[0]].key, Block))
+    best = dataclasses.replace(fit.best, members=some)
+    return dataclasses.replace(fit, decision=dataclasses.replace(fit.decision, best=best))
 
 
-def borne_out(look: Look, reporting: Picked) -> tuple[Look, list[Key]]:
-    """The look whose best set is estimated without blocks that do not help the runs kept apart, and the names that harm them.
+def validated(fit: Fit, reporting: Picked) -> tuple[Fit, list[Key]]:
+    """The fit whose best set is estimated without blocks that do not help the runs kept apart, and the names that harm them.
 
     Blocks are tried beside names that do no harm by themselves.
     """
-    table, terms = look.around.scene.rows.table, look.linear.terms
-    blocks = [k for k in look.numbers if isinstance(terms[k].key, Block) and terms[k].words != CAMERA]
-    names = [k for k in look.numbers if k not in blocks]
-    sound = _harmless(look, names, reporting)
+    table, terms = fit.around.scene.rows.table, fit.linear.terms
+    blocks = [k for k in fit.numbers if isinstance(terms[k].key, Block) and terms[k].words != CAMERA]
+    names = [k for k in fit.numbers if k not in blocks]
+    sound = _harmless(fit, names, reporting)
     helping: list[int] = []
     while left_over := [k for k in blocks if k not in helping]:
-        here = left(look, [*sound, *helping])
-        tried = {k: left(look, [*sound, *helping, k]) for k in left_over}
+        here = left(fit, [*sound, *helping])
+        tried = {k: left(fit, [*sound, *helping, k]) for k in left_over}
         best = min(left_over, key=lambda k: gap(tried[k], table, reporting))
-        if grown(look, here, tried[best], reporting) <= REMAINS:
+        if grown(fit, here, tried[best], reporting) <= REMAINS:
             break
         helping.append(best)
-    members = tuple(one for one in look.best.members if one[0] in (*sound, *helping))
-    best_set = dataclasses.replace(look.best, members=members)
+    members = tuple(one for one in fit.best.members if one[0] in (*sound, *helping))
+    best_set = dataclasses.replace(fit.best, members=members)
     harming = [terms[k].key for k in names if k not in sound]
-    return dataclasses.replace(look, decision=dataclasses.replace(look.decision, best=best_set)), harming
+    return dataclasses.replace(fit, decision=dataclasses.replace(fit.decision, best=best_set)), harming
 
 
-def _harmless(look: Look, numbers: Sequence[int], reporting: Picked) -> list[int]:
+def _harmless(fit: Fit, numbers: Sequence[int], reporting: Picked) -> list[int]:
     """Those without which the gap on the runs kept apart does not shrink, each time estimated again."""
-    table, sound = look.around.scene.rows.table, list(numbers)
+    table, sound = fit.around.scene.rows.table, list(numbers)
     while sound:
-        size = gap(left(look, sound), table, reporting)
-        without = {k: gap(left(look, [one for one in sound if one != k]), table, reporting) for k in sound}
+        size = gap(left(fit, sound), table, reporting)
+        without = {k: gap(left(fit, [one for one in sound if one != k]), table, reporting) for k in sound}
         worst = min(sound, key=lambda k: without[k])
         if not without[worst] ** 2 < (1.0 - GROWS) * size**2:
             break
@@ -156,26 +145,26 @@ def _harmless(look: Look, numbers: Sequence[int], reporting: Picked) -> list[int
     return sound
 
 
-def standing(look: Look, names: Sequence[int], corrected: Sequence[int], reporting: Picked) -> list[int]:
+def dominant_names(fit: Fit, names: Sequence[int], corrected: Sequence[int], reporting: Picked) -> list[int]:
     """Names that explain more than is left without a name, in the channels where they show, on the runs kept apart.
 
     What has no name casts shadows: of a dozen laws of a joint one always takes a part of it. So the largest of all is known.
     """
-    some = {one.number: one for one in members(look)}
+    some = {one.number: one for one in members(fit)}
     blocks = [k for k in some if isinstance(some[k].term.key, Block) and k not in corrected]
     # every gear has these frictions: they are no shadows
     gears = [k for k in names if some[k].term.is_common]
     stands = list(names)
     while stands:
-        nameless = [k for k in blocks if bends(look, some[k], [some[one] for one in stands])[0] is None]
-        whole = left(look, [*stands, *corrected, *blocks], nameless)
+        nameless = [k for k in blocks if bends(fit, some[k], [some[one] for one in stands])[0] is None]
+        whole = left(fit, [*stands, *corrected, *blocks], nameless)
         ratios = {}
         for k in stands:
             if k in gears:
                 ratios[k] = np.inf
                 continue
             rest = [*(one for one in stands if one != k), *corrected, *blocks]
-            ratios[k] = _outweighs(look, some[k], left(look, rest, nameless), whole, reporting)
+            ratios[k] = _explained_over_remainder(fit, some[k], left(fit, rest, nameless), whole, reporting)
         least = min(stands, key=lambda k: ratios[k])
         if ratios[least] >= 1.0:
             break
@@ -183,16 +172,18 @@ def standing(look: Look, names: Sequence[int], corrected: Sequence[int], reporti
     return stands
 
 
-def _outweighs(look: Look, one: Member, without: Array, whole: Array, reporting: Picked) -> float:
+def _explained_over_remainder(
+    fit: Fit, one: Member, without: Array, whole: Array, reporting: Picked
+) -> float:
     """What a term explains over what is left above the noise in the channels that it moves, each as it moves them.
 
     On the rows `reporting`, or on all where it hardly moves those: they do not speak of it.
     """
-    if _strongest(look, one, reporting) < SPEAKS * _strongest(look, one, ~reporting):
+    if _strongest(fit, one, reporting) < SPEAKS * _strongest(fit, one, ~reporting):
         reporting = np.ones_like(reporting)
     explained, remains, moved = [], [], []
     for cell, columns in one.term.response.items():
-        rows = look.around.scene.cells[cell].rows
+        rows = fit.around.scene.cells[cell].rows
         picked = reporting[rows]
         if picked.any():
             own = columns[picked] @ one.size
@@ -208,42 +199,43 @@ def _outweighs(look: Look, one: Member, without: Array, whole: Array, reporting:
     return sum(explained) / sum(left * signal / most for left, signal in zip(remains, moved, strict=True))
 
 
-def _strongest(look: Look, one: Member, picked: Picked) -> float:
+def _strongest(fit: Fit, one: Member, picked: Picked) -> float:
     """Mean square of what a term does to the rows picked, in the channel that it moves most there [noise variances]."""
     found = [0.0]
     for cell, columns in one.term.response.items():
-        here = columns[picked[look.around.scene.cells[cell].rows]] @ one.size
+        here = columns[picked[fit.around.scene.cells[cell].rows]] @ one.size
         if len(here):
             found.append(float(np.mean(here**2)))
     return max(found)
 
 
-def grown(look: Look, rest: Array, whole: Array, reporting: Picked) -> float:
+def grown(fit: Fit, rest: Array, whole: Array, reporting: Picked) -> float:
     """By how much the squared gap of a cell is larger with `rest` than with `whole`, on the rows kept apart, at most."""
     found = []
-    for cell in look.around.scene.cells:
+    for cell in fit.around.scene.cells:
         picked = reporting[cell.rows]
         if picked.any():
             found.append(float(np.mean(rest[cell.rows][picked] ** 2 - whole[cell.rows][picked] ** 2)))
     return max(found, key=abs, default=0.0)
 
 
-def bends(look: Look, block: Member, names: Sequence[Member]) -> tuple[EffectName | None, float]:
+def bends(fit: Fit, block: Member, names: Sequence[Member]) -> tuple[EffectName | None, float]:
     """The law that a block bends in its own variable, no more than real parts do, and by what share of it."""
     for one in names:
         key, own = one.term.key, block.term.key
         if not isinstance(key, EffectName) or not isinstance(own, Block) or own.joint != key.acts_on:
             continue
-        if own.variable not in OWN_BLOCKS.get(key.effect, ()):
+        series = series_of(key.effect)
+        if series is None or own.variable not in series.blocks:
             continue
-        law = _moved(look, one, one.term.laws, block.term.response)
-        share = _moved(look, block, block.term.count, block.term.response) / law if law > 0.0 else np.inf
+        law = _moved(fit, one, one.term.laws, block.term.response)
+        share = _moved(fit, block, block.term.count, block.term.response) / law if law > 0.0 else np.inf
         if share <= LAW_MOST:
             return key, share
     return None, 0.0
 
 
-def _moved(look: Look, one: Member, count: int, cells: Collection[int]) -> float:
+def _moved(fit: Fit, one: Member, count: int, cells: Collection[int]) -> float:
     """Root of the sum of squares of what a member's first columns do to the rows of cells."""
     parts = [
         one.term.response[cell][:, :count] @ one.size[:count] for cell in cells if cell in one.term.response

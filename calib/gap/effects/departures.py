@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.series.scene import Beside, Response, Scene
-from calib.gap.series.term import departed, size_of, stacked
+from calib.gap.residuals.scene import Beside, Response, Scene
+from calib.gap.residuals.term import departed, size_of, stacked
 
-GEARS = ("joint_compliance", "backlash")
 Shape = Callable[[Beside, int], Array]  # (c, rows), from what stands beside and the joint
 
 
@@ -54,38 +53,16 @@ def by_currents(at: Beside, j: int) -> Array:
     return _unit(np.sum(np.abs(at.current_A), axis=1))[None]
 
 
-OF_EFFECT: Mapping[str, tuple[Shape, ...]] = {
-    "coulomb_friction": (by_angle,),  # with speed it is viscous friction, with direction asymmetric
-    "viscous_friction": (by_speed, by_angle, by_direction),
-    "load_friction": (by_load, by_angle),
-    "stribeck_friction": (by_speed, by_angle),
-    "asymmetric_friction": (by_angle, by_speed),
-    "cogging": (by_angle,),
-    "torque_constant": (by_current, by_angle),
-    "joint_compliance": (by_load,),
-    "backlash": (by_angle,),
-    "encoder_eccentricity": (by_angle,),
-    "encoder_scale": (by_angle,),
-    "belt_coupling": (by_angle,),
-    "supply_sag": (by_currents,),
-}
-VARIABLE = {
-    "coulomb_friction": "angle", "viscous_friction": "speed", "load_friction": "load", "stribeck_friction": "speed",
-    "asymmetric_friction": "angle", "cogging": "angle", "torque_constant": "current", "joint_compliance": "load",
-    "backlash": "angle", "encoder_eccentricity": "angle", "encoder_scale": "angle", "belt_coupling": "angle of joint 2",
-    "supply_sag": "current",
-}  # fmt: skip
-
-
-def departures(scene: Scene, effect: str, joint: int, law: Response) -> tuple[dict[int, Array], Array]:
-    """Columns of an effect's departures on a joint (0-based), each as large as its law; every channel for itself.
+def departures(
+    scene: Scene, shapes: Sequence[Shape], joint: int, law: Response
+) -> tuple[dict[int, Array], Array]:
+    """Columns of a law's departures on a joint (0-based), each as large as the law; every channel for itself.
 
     With them what departures change that looks like the law itself, a part of each for every shape of a variable (`departed`), of
     the channel that shows the law best. A motor that saturates gives less torque, and its back-EMF is as before. What currents
     show of a gear is mostly how its angle changes, with the noise of that: where the tip shows the angle, it alone says how the
     gear departs.
     """
-    shapes = OF_EFFECT.get(effect, ())
     if not shapes or not law:
         return {}, np.zeros((0, 1, 1))
     parts, alike, largest = [], np.zeros((0, 1, 1)), 0.0

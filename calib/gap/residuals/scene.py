@@ -12,17 +12,17 @@ from scipy import sparse
 
 from calib.arrays import Array
 from calib.gap.residuals.rows import Cell, Rows
-from calib.gap.series.whitening import Series
+from calib.gap.residuals.whitening import Series
 from calib.gap.signals.body import Load
-from calib.gap.signals.laws import sampled_friction_Nm
+from calib.gap.signals.friction import sampled_friction_Nm
 from calib.gap.signals.parts import sorted_terms
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import Motion
 from calib.gap.signals.terms import Term as Law
 from calib.gap.signals.wiener import without_noise
+from control.model.effect_laws import direction
 
 Response = Mapping[int, Array]  # of each cell (number) that something changes: (its rows, columns)
-REST_rad_s = 0.003
 TIP_ROW_s = 0.03  # frames within it are one row of the evidence: joints move at up to some 7 Hz
 AXES = 3
 Places = npt.NDArray[np.intp]
@@ -48,7 +48,7 @@ class Beside:
     @property
     def direction(self) -> Array:
         """Signs of the speeds, smooth through rest, (m, n)."""
-        return np.asarray(np.tanh(self.speed / REST_rad_s))
+        return np.asarray(direction(self.speed, np))
 
 
 @dataclass(frozen=True, slots=True)

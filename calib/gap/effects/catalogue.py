@@ -1,0 +1,152 @@
+"""Every effect of the gap workflow by name, and what the records say together."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.gap.effects import beam, cogging, drift, electrical, encoder, frame, friction, gear, loads
+from calib.gap.effects.columns import known_law, unlisted
+from calib.gap.effects.pose_scene import Scene as PoseScene
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries, Role
+from calib.gap.finding import EffectName, Parameters
+from calib.gap.posterior.coefficients import parameters_of
+from calib.gap.posterior.constants import USUAL
+from calib.gap.posterior.term import Block, Key, Term
+from calib.gap.residuals.operating_point import OperatingPoint
+from calib.gap.residuals.scene import Scene
+from calib.gap.residuals.term import SeriesTerm
+from calib.gap.signals.terms import Term as Law
+from control.model.arm import Arm
+from control.model.effects import EFFECTS
+
+RECORDS: Final[dict[str, EffectRecord]] = {
+    one.effect: one
+    for one in (
+        *encoder.RECORDS, *drift.RECORDS, *gear.RECORDS, *beam.RECORDS, *frame.RECORDS, *loads.RECORDS, *friction.RECORDS,
+        *cogging.RECORDS, *electrical.RECORDS,
+    )
+}  # fmt: skip
+
+
+def poses_of(effect: str) -> InPoses | None:
+    """How an effect is looked for in poses, if it is."""
+    return RECORDS[effect].poses if effect in RECORDS else None
+
+
+def series_of(effect: str) -> InSeries | None:
+    """How an effect is looked for in time series, if it is."""
+    return RECORDS[effect].series if effect in RECORDS else None
+
+
+def pose_terms(scene: PoseScene) -> tuple[Term, ...]:
+    """Every effect on every joint or link, in every variant, that these poses could show."""
+    return tuple(
+        term for one in RECORDS.values() if one.poses is not None for term in one.poses.terms(one, scene)
+    )
+
+
+def are_total_in_poses(effect: str) -> bool:
+    """Whether poses look for what the file has of an effect as a whole."""
+    return (poses := poses_of(effect)) is not None and poses.is_total
+
+
+def is_load(effect: str) -> bool:
+    """Whether holding currents alone show an effect in poses."""
+    return (poses := poses_of(effect)) is not None and poses.is_load
+
+
+def told_apart_by(effects: Collection[str]) -> list[str]:
+    """The recordings of poses that would settle which of these effects is there."""
+    some = [poses for effect in effects if (poses := poses_of(effect)) is not None]
+    return list(dict.fromkeys(one.told_apart_by for one in some))
+
+
+def role_of(effect: str) -> Role:
+    """Effects of one role on one joint can be mistaken for each other."""
+    return RECORDS[effect].role if effect in RECORDS else ""
+
+
+def needing_drives() -> tuple[str, ...]:
+    """The effects that need the drives' electrical values."""
+    return tuple(one.effect for one in RECORDS.values() if one.needs_drives)
+
+
+def known_laws(arm: Arm) -> tuple[Law, ...]:
+    """What the arm's file already has and what shows in time series."""
+    some = [(EffectName(one.effect, one.joint), one.parameters) for one in arm.effects]
+    laws = (known_law(RECORDS[name.effect], name, given) for name, given in some if name.effect in RECORDS)
+    return tuple(law for law in laws if law is not None)
+
+
+def parameters(law: Law, covariance: Array) -> Parameters:
+    """A law's values as the file's parameters, each with its standard deviation."""
+    series = series_of(law.name.effect)
+    if series is not None and series.parameters is not None:
+        return series.parameters(law, covariance)
+    return parameters_of(law.name.effect)(np.array(law.values), covariance)
+
+
+def usual(effect: str) -> float:
+    """The usual size of an effect, or of a block, in smallest sizes worth a name."""
+    return USUAL if (series := series_of(effect)) is None else series.usual
+
+
+def series_terms(
+    around: OperatingPoint,
+    names: Collection[str] | None = None,
+    before: Sequence[SeriesTerm] = (),
+    keys: Collection[Key] | None = None,
+) -> Iterator[SeriesTerm]:
+    """All variants of all effects that the channels could show; `names`: only these effects, by name; `keys`: only these.
+
+    `before`: the terms of the first linearisation, which stay for what was not found and shares no joint with a gear that was.
+    """
+    geared = {law.name.joint for law in around.found.values() if law.form.is_gear}
+    for record, key in _listed(around.scene):
+        if keys is not None and key not in keys:
+            continue
+        is_listed = names is None or key.effect in names or key.effect not in EFFECTS
+        own = key if is_listed else Block(key.joint or 0, key.effect)
+        if before and key not in around.found and not (is_gear(key.effect) and key.joint in geared):
+            yield from (one for one in before if one.key == own)
+        elif record.series is not None:
+            terms = record.series.terms(around, record, key)
+            yield from terms if is_listed else map(unlisted, terms)
+
+
+def is_gear(effect: str) -> bool:
+    """Whether it is a gear that is soft or loose."""
+    return (series := series_of(effect)) is not None and series.form.is_gear
+
+
+def comes_round(effect: str) -> bool:
+    """Whether it comes round with the motor's shaft, in orders that are searched."""
+    return (series := series_of(effect)) is not None and series.form.is_of_motor
+
+
+def _listed(scene: Scene) -> Iterator[tuple[EffectRecord, EffectName]]:
+    """What the channels could show: all of joint 1, all of joint 2 ..., then what is no joint's."""
+    recording = scene.recording
+    has = {
+        "motor": recording.has_current or recording.has_voltage,
+        "angle": True,
+        "tip": recording.has_tip,
+        "electrical": recording.has_current
+        and recording.has_voltage,  # of voltages alone, all that is slow looks late
+    }
+    shown = [one for one in RECORDS.values() if one.series is not None and has[one.series.needs]]
+    of_joints = [one for one in shown if _is_of_joints(one)]
+    for joint in range(1, scene.arm.joint_count + 1):
+        yield from ((one, EffectName(one.effect, joint)) for one in of_joints)
+    for one in shown:
+        if one not in of_joints and one.series is not None:
+            yield from ((one, EffectName(one.effect, place)) for place in one.series.places(scene.arm))
+
+
+def _is_of_joints(record: EffectRecord) -> bool:
+    kind = EFFECTS.get(record.effect)
+    return kind is not None and kind.place.startswith("joint")

@@ -1,0 +1,151 @@
+"""What the motors carry and give: payload, masses and torque constants. Of poses only holding currents tell them.
+
+A held joint's motor carries gravity and some of the joint's friction, anywhere in its band. Friction is therefore no name here:
+its size would be that of the band, not of the effect. Gravity is even in the direction of the last motion, friction odd: with
+both directions the former can be told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.link_frames import LinkFrames, link_frames
+from calib.arrays import Array
+from calib.gap.effects.columns import straight
+from calib.gap.effects.departures import by_angle, by_current
+from calib.gap.effects.pose_columns import NO_TORQUE_Nm, in_poses
+from calib.gap.effects.pose_scene import Scene
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries
+from calib.gap.finding import EffectName, Parameters
+from calib.gap.posterior.coefficients import inverse
+from calib.gap.posterior.constants import MISSING_MOST
+from calib.gap.posterior.term import Term, like, on_joint
+from calib.gap.signals.terms import Form
+from calib.gap.signals.terms import Term as Law
+from control.model.arm import Arm
+
+
+def _constants(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+    """A motor that gives more or less torque per ampere: current * nominal constant = (gravity + friction) / scale.
+
+    It departs from that law as it saturates.
+    """
+    gravity, size = scene.gravity_Nm, in_poses(record).size
+    if gravity is None or not _has_currents(scene):
+        return
+    for j, own in enumerate(gravity.T):
+        if np.ptp(own) > NO_TORQUE_Nm:
+            departures = like(own, [own * np.abs(own)])
+            columns = on_joint(size * np.array([own, *departures]), j, gravity.shape[1])
+            yield Term(
+                EffectName(record.effect, j + 1), "", 1, len(departures), size, slope_Nm=columns,
+                parameters=inverse("scale", beyond=1.0), variable="load", traits=record.traits,
+            )  # fmt: skip
+
+
+def _payload(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+    """A mass at the tip that nobody stated."""
+    if scene.gravity_Nm is not None and _has_currents(scene):
+        arm = scene.nominal
+        frames = link_frames(ArmModel(arm), arm.dh, scene.points.q_rad)
+        yield _mass(record, None, _torque_Nm(arm, frames, frames.tip_m, len(arm.links)))
+
+
+def _masses(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+    """Links that are heavier than nominal."""
+    if scene.gravity_Nm is None or not _has_currents(scene):
+        return
+    arm = scene.nominal
+    frames = link_frames(ArmModel(arm), arm.dh, scene.points.q_rad)
+    for k, link in enumerate(arm.links, start=1):
+        if link.mass_kg and link.com_m is not None:
+            torque = _torque_Nm(arm, frames, frames.point_m(k, np.asarray(link.com_m)), k)
+            if np.ptp(torque, axis=0).max() > NO_TORQUE_Nm:
+                yield _mass(record, k, torque)
+
+
+def _has_currents(scene: Scene) -> bool:
+    return bool(np.isfinite(scene.points.current_A).any())
+
+
+def _torque_Nm(arm: Arm, frames: LinkFrames, place_m: Array, link: int) -> Array:
+    """What a kilogram at a place (m, 3) of a link (1-based) asks of every joint, (m, n)."""
+    torque = np.zeros((len(place_m), arm.joint_count))
+    turning = [k for k, one in enumerate(arm.links, start=1) if one.joint == "revolute"]
+    before = 0 if arm.dh_convention == "modified" else 1
+    for j, k in enumerate(turning):
+        if k <= link:
+            axis, origin = frames.axes[:, k - before, :, 2], frames.origin_m[:, k - before]
+            moment = np.cross(place_m - origin, np.asarray(arm.gravity_m_s2))
+            torque[:, j] = -np.sum(axis * moment, axis=1)
+    return torque
+
+
+def _mass(record: EffectRecord, link: int | None, torque_Nm: Array) -> Term:
+    """torque_Nm (m, n) per kilogram."""
+    size = in_poses(record).size
+    return Term(
+        EffectName(record.effect, link), "", 1, 0, size, slope_Nm=size * torque_Nm[None], parameters=_kilograms,
+        variable="load", traits=record.traits,
+    )  # fmt: skip
+
+
+def _kilograms(value: Array, covariance: Array) -> Parameters:
+    return {"mass_kg": (float(value[0]), float(np.sqrt(covariance[0, 0])))}
+
+
+def _heavy_links(arm: Arm) -> tuple[int, ...]:
+    """Links with a mass and its place."""
+    return tuple(
+        k for k, link in enumerate(arm.links, 1) if link.mass_kg is not None and link.com_m is not None
+    )
+
+
+def _least(arm: Arm, law: Law) -> float:
+    """Of a link, no more than a part can be missing."""
+    link = arm.links[law.index]
+    if law.form is MASS:
+        return -MISSING_MOST * link.mass_kg if link.mass_kg else -math.inf
+    return -math.inf if link.inertia_kg_m2 is None else -MISSING_MOST * max(link.inertia_kg_m2)
+
+
+def _known_inertia(series: InSeries, name: EffectName, given: Mapping[str, float]) -> Law:
+    form = MASS if MASS.name in given else INERTIA
+    return Law(name, form, (given[form.name],))
+
+
+def _inertia_parameters(law: Law, covariance: Array) -> Parameters:
+    return {law.form.name: (law.values[0], float(np.sqrt(max(covariance[0, 0], 0.0))))}
+
+
+MASS, INERTIA = Form("mass_kg", "mass", 0.03), Form("inertia_kg_m2", "inertia", 0.003)
+CONSTANT = Form("torque_constant", "torque constant", 0.01, lower=(-0.8,), upper=(4.0,))
+BOTH_DIRECTIONS = "holding currents from both directions, with two known masses"
+
+RECORDS = (
+    EffectRecord(
+        "payload",
+        poses=InPoses(0.2, _payload, BOTH_DIRECTIONS, is_load=True),
+        series=InSeries((Form("payload", "payload", 0.01),), straight, "motor", least=lambda arm, law: 0.0),
+    ),
+    EffectRecord(
+        "link_inertia",
+        poses=InPoses(0.2, _masses, BOTH_DIRECTIONS, is_load=True),
+        series=InSeries(
+            (MASS, INERTIA), straight, "motor", places=_heavy_links, least=_least, known=_known_inertia,
+            parameters=_inertia_parameters,
+        ),
+    ),
+    EffectRecord(
+        "torque_constant", role="torque", needs_drives=True,
+        poses=InPoses(0.1, _constants, BOTH_DIRECTIONS, is_load=True),
+        series=InSeries(
+            (CONSTANT,), straight, "motor", departs=(by_current, by_angle), variable="current", blocks=("sensor",),
+            over="current",
+        ),
+    ),
+)  # fmt: skip
