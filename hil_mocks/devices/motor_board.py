@@ -1,19 +1,24 @@
-"""The DC-motor board: states, modes, position PID, watchdog, faults; written from docs/motor_board.md.
-
-A state machine without I/O: `receive` frames, `tick` once per control period with the measurements, and read `output`.
-"""
+"""The motor board's firmware in Python: states, modes, position PID, watchdog, faults; written from docs/motor_board.md."""
 
 from __future__ import annotations
 
 import math
-import random
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from hil_mocks.devices import motor_parameters as parameter
 from hil_mocks.devices.digital_pins import DigitalPinsMock
+from hil_mocks.devices.motor_inputs import (
+    BRAKE,
+    HIGHEST_SUPPLY_V,
+    LOWEST_SUPPLY_V,
+    OPEN,
+    Frame,
+    MotorBoardHardware,
+    MotorBoardSetup,
+    Output,
+)
 from hil_mocks.devices.motor_states import NEXT, State, Word, word_of
 
 HOLD = 4  # mode
@@ -24,20 +29,9 @@ WATCHDOG, ENCODER, BAD_COMMAND, EMERGENCY_STOP = 16, 32, 64, 128
 _COMMAND = struct.Struct("<BBih")
 _REPLY = struct.Struct("<BBhHbB")
 _REQUEST = struct.Struct("<BBBBi")
-_LOWEST_SUPPLY_V, _HIGHEST_SUPPLY_V = 9.0, 50.0
 _OVER_CURRENT_RATIO = 1.5
-_NOISE_VALUES = 4096  # drawn in advance: one draw per reply would double its cost
-_WARM_UP_EVERY_S = 0.05
+_TRIP_S = 1e-3 - 1e-9  # an over-current that lasts as long is a fault
 _VOLTAGE_ENABLED, _WARNING = 0x10, 0x80
-
-Frame = tuple[int, bytes]
-
-
-class Output(NamedTuple):
-    """Output of the bridge: `kind` is open, voltage (V; 0 brakes) or current (A)."""
-
-    kind: str
-    value: float
 
 
 class Stop(NamedTuple):
@@ -48,70 +42,30 @@ class Stop(NamedTuple):
     counts_s: float
 
 
-OPEN, BRAKE = Output("open", 0.0), Output("voltage", 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class MotorBoardSetup:
-    """Properties of the board: identity, ratings, measurement noise, thermal path of its power stage."""
-
-    node: int
-    serial_number: int
-    counts_per_turn: int
-    rating_mA: int = 8000
-    firmware: int = 0x0100
-    protocol: int = 1
-    current_noise_A: float = 0.0
-    current_step_A: float = 0.001
-    supply_noise_V: float = 0.0
-    ambient_degC: float = 25.0
-    thermal_K_W: float = 2.0
-    thermal_time_s: float = 60.0
-    bridge_ohm: float = 0.02
-    rated_degC: float = 90.0
-    period_us: int = 1000
-    digital_pins: int = 0  # 0: an older board, which does not know them
-    seed: int = 0
-
-
-class MotorBoardMock:
-    """The board of a joint. `read_shaft` gives the edges counted by its encoder input, without wrap."""
+class MotorBoardMock(MotorBoardHardware):
+    """A motor board whose firmware is this class."""
 
     def __init__(self, setup: MotorBoardSetup, read_shaft: Callable[[], int]) -> None:
-        self.setup = setup
-        self._read_shaft = read_shaft
         self._rows = parameter.writable(setup.rating_mA, setup.digital_pins)
-        self.pins = DigitalPinsMock(setup.digital_pins)
-        source = random.Random(f"motor board {setup.node} {setup.seed}")
-        self._noise = [source.gauss(0.0, 1.0) for _ in range(_NOISE_VALUES)]
-        self._replies = 0
-        self.forced_faults = 0  # persistent causes, set by a fault of the scenario
-        self.says: dict[str, float | None] = {}  # values that replies have instead of the measured ones
-        self.power_up()
+        self.pins: DigitalPinsMock = DigitalPinsMock(setup.digital_pins)
+        super().__init__(setup, read_shaft)
 
-    def power_up(self) -> None:
-        """State after power-up or reset: outputs open, parameters at their defaults, count 0."""
+    def _boot(self) -> None:
         self.state = State.NOT_READY
         self.pins.reset()
-        self.output = OPEN
         self.faults = 0
         self.values = {index: row.at_power_up for index, row in self._rows.items()}
         self._take_values()
-        self._current_A = self._mean_A = 0.0
-        self._supply_V = 24.0
-        self._is_limited = False  # the bridge was at a limit
         self._count_offset = self._count_before = self._read_shaft()
         self._before = 0x80
         self._mode = self._setpoint = self._feedforward_mV = 0
         self._integral_mV = self._speed = 0.0
-        self._holds = False  # the position, since the watchdog expired
+        self._holds = False  # the PID runs, whatever the mode is
         self._stop: Stop | None = None  # without the host
         self._last_command_s = 0.0
-        self._over_current_ticks = 0
-        self._above_ambient_K = self._heat_A2s = self._heated_s = 0.0
-        self._temperature_degC = round(self.setup.ambient_degC)
+        self._over_current_since_s: float | None = None
+        self._now_s = 0.0
         self._is_cut = False  # the set-point was beyond a limit
-        self._last_tick_s: float | None = None
 
     @property
     def position_count(self) -> int:
@@ -120,30 +74,27 @@ class MotorBoardMock:
 
     def receive(self, can_id: int, payload: bytes, now_s: float) -> list[Frame]:
         """Process a frame from the bus; return the immediate replies."""
+        self._now_s = now_s
         if can_id == 0:
             self._fault(EMERGENCY_STOP)
+            self.pins.follow(False)
             return []
         if len(payload) != 8:
             return []
         if can_id == COMMAND + self.setup.node:
-            return [(REPLY + self.setup.node, self._command(payload, now_s))]
+            reply = self._command(payload, now_s)
+            self.pins.follow(self.state is State.ENABLED)
+            return [(REPLY + self.setup.node, reply)]
         if can_id == REQUEST + self.setup.node:
             return [(ANSWER + self.setup.node, self._parameter(payload))]
         if can_id == DIGITAL_COMMAND + self.setup.node and self.setup.digital_pins:
-            self.pins.follow(self.state is State.ENABLED)
             return [(DIGITAL_REPLY + self.setup.node, self.pins.command(payload))]
         return []
 
-    def tick(self, now_s: float, current_A: float, supply_V: float, is_limited: bool) -> list[Frame]:
-        """Run one control period: measure, monitor, control. Returns unsolicited frames."""
-        self._mean_A = 0.5 * (self._current_A + current_A)
-        self._current_A, self._supply_V, self._is_limited = current_A, supply_V, is_limited
-        step_s = self.setup.period_us * 1e-6 if self._last_tick_s is None else now_s - self._last_tick_s
-        self._last_tick_s = now_s
-        self._heat_A2s += current_A * current_A * step_s
-        self._heated_s += step_s
-        if self._heated_s > _WARM_UP_EVERY_S:
-            self._warm_up()
+    def _period(self, now_s: float, step_s: float) -> list[Frame]:
+        self._now_s = now_s
+        self._watch_current(now_s)
+        self._measure_speed(step_s)
         state = self.state
         if state is State.NOT_READY:
             self.state = State.SWITCH_ON_DISABLED
@@ -156,52 +107,42 @@ class MotorBoardMock:
                 self._expire()
             elif self._stop is None and self._mode in (1, 2):
                 self._begin_stop(now_s)
-        if (
-            self.forced_faults
-            or not -self._trip_A <= current_A <= self._trip_A
-            or not _LOWEST_SUPPLY_V <= supply_V <= _HIGHEST_SUPPLY_V
-            or self._above_ambient_K > self.setup.rated_degC - self.setup.ambient_degC
-        ):
-            causes = self._causes()
-            if causes & ~self.faults:
-                self._fault(causes)
-        else:
-            self._over_current_ticks = 0
+        if causes := self._causes() & ~self.faults:
+            self._fault(causes)
         if (self._mode == 3 and self.state is State.ENABLED) or self._holds:
             self._control(step_s)
-        elif self._is_measuring_speed:
-            self._measure_speed(step_s)
         if self.setup.digital_pins:
             self.pins.follow(self.state is State.ENABLED)
         return []
 
+    def _watch_current(self, now_s: float) -> None:
+        if -self._trip_A <= self._current_A <= self._trip_A:
+            self._over_current_since_s = None
+        elif self._over_current_since_s is None:
+            self._over_current_since_s = now_s
+
     def _causes(self) -> int:
-        """Faults with a present cause; an over-current must last a period."""
-        causes = self.forced_faults
-        if abs(self._current_A) > self._trip_A:
-            self._over_current_ticks += 1
-            if self._over_current_ticks > 1:
-                causes |= OVER_CURRENT
+        """Faults with a present cause; an over-current must last."""
+        causes, since_s, supply_V = self.forced_faults, self._over_current_since_s, self._supply_V
+        if since_s is not None and self._now_s - since_s > _TRIP_S:
+            causes |= OVER_CURRENT
         if self._above_ambient_K > self.setup.rated_degC - self.setup.ambient_degC:
             causes |= OVER_TEMPERATURE
-        if self._supply_V < _LOWEST_SUPPLY_V and self.state is State.ENABLED:
+        if supply_V < LOWEST_SUPPLY_V and self.state is State.ENABLED:
             causes |= UNDER_VOLTAGE
-        if self._supply_V > _HIGHEST_SUPPLY_V:
+        if supply_V > HIGHEST_SUPPLY_V:
             causes |= OVER_VOLTAGE
         return causes
 
     def _take_values(self) -> None:
         """Update the values of each period from the parameters."""
         values = self.values
-        self.current_limit_A = (
-            values[parameter.CURRENT_LIMIT_MA] * 1e-3
-        )  # enforced by the bridge in every mode
+        self.current_limit_A = values[parameter.CURRENT_LIMIT_MA] * 1e-3
         self._trip_A = _OVER_CURRENT_RATIO * self.current_limit_A
         self._voltage_limit_mV = float(values[parameter.VOLTAGE_LIMIT_MV])
         watchdog_ms = values[parameter.WATCHDOG_MS]
         self._watchdog_s = watchdog_ms * 1e-3 - 1e-9 if watchdog_ms else math.inf
         stop_ms = values[parameter.STOP_AFTER_MS]
-        self._is_measuring_speed = stop_ms > 0
         self._soonest_s = min(self._watchdog_s, stop_ms * 1e-3 - 1e-9 if stop_ms else math.inf)
 
     def _fault(self, bits: int) -> None:
@@ -210,9 +151,12 @@ class MotorBoardMock:
         if first or bits & EMERGENCY_STOP:
             self.state = State.FAULT_REACTION
         if bits & OVER_CURRENT:
-            self._holds, self._stop, self.output = False, None, OPEN
+            self._put(OPEN)
         elif (bits & EMERGENCY_STOP and not self.faults & OVER_CURRENT) or first:
-            self._holds, self._stop, self.output = False, None, BRAKE
+            self._put(BRAKE)
+
+    def _put(self, output: Output) -> None:
+        self._holds, self._stop, self._is_cut, self.output = False, None, False, output
 
     def _expire(self) -> None:
         """The watchdog expired: its action, then FAULT, which keeps that output."""
@@ -225,13 +169,12 @@ class MotorBoardMock:
         elif action == 2 and self.values[parameter.KP] > 0:
             self._holds = True
             self._setpoint, self._feedforward_mV, self._integral_mV = self.position_count, 0, 0.0
-            self._count_before, self._speed = self._read_shaft(), 0.0
         # else: brake, as for every fault
 
     def _begin_stop(self, now_s: float) -> None:
         """Come to rest and hold: no COMMAND for `stop_after_ms`, or one of mode 4."""
         if self.values[parameter.KP] == 0:
-            self.output = BRAKE
+            self.output, self._is_cut = BRAKE, False
         else:
             kind, voltage_V = self.output
             self._stop = Stop(now_s, self.position_count, self._speed)
@@ -244,7 +187,7 @@ class MotorBoardMock:
             self._stop, self._holds, self._integral_mV = None, False, 0.0
 
     def _measure_speed(self, step_s: float) -> None:
-        """Filtered speed [counts/s], for a stop that may begin at any time."""
+        """Filtered speed [counts/s], whatever the state is."""
         shaft_count = self._read_shaft()
         if step_s > 0.0:
             rate = (shaft_count - self._count_before) / step_s
@@ -280,8 +223,7 @@ class MotorBoardMock:
         elif self.state is State.ENABLED:
             self._end_stop()
             if mode != self._mode:
-                self._integral_mV = self._speed = 0.0
-                self._count_before = self._read_shaft()
+                self._integral_mV = 0.0
             self._mode, self._setpoint, self._feedforward_mV = mode, setpoint, feedforward_mV
             self._apply()
         return self._reply(mode_and_sequence)
@@ -297,12 +239,9 @@ class MotorBoardMock:
             self.faults = lasting
             if lasting:
                 return
-            self._holds, self._stop = False, None
-        if new is State.ENABLED:
-            self._integral_mV, self._speed = 0.0, 0.0
-            self._count_before = self._read_shaft()
+        self._holds, self._stop = False, None
         self.state = new
-        self._mode = 0
+        self._mode, self._integral_mV = 0, 0.0
         self._apply()
 
     def _apply(self) -> None:
@@ -330,11 +269,6 @@ class MotorBoardMock:
         shaft_count = self._read_shaft()
         setpoint, set_speed = self._stopping_point()
         error = _wrapped(setpoint - shaft_count + self._count_offset)
-        if step_s > 0.0:
-            rate = (shaft_count - self._count_before) / step_s
-            self._count_before = shaft_count
-            filter_s = values[parameter.DERIVATIVE_FILTER_US] * 1e-6
-            self._speed += (rate - self._speed) * step_s / (step_s + filter_s)
         wanted_mV = (
             values[parameter.KP] * 1e-3 * error
             + self._integral_mV
@@ -358,39 +292,13 @@ class MotorBoardMock:
             return limit_mV if wanted_mV > 0.0 else -limit_mV
         return wanted_mV
 
-    def _warm_up(self) -> None:
-        """First-order power stage with the steady temperature rise R_th (R_bridge mean(i^2))."""
-        setup = self.setup
-        final_K = setup.thermal_K_W * setup.bridge_ohm * self._heat_A2s / self._heated_s
-        self._above_ambient_K += (final_K - self._above_ambient_K) * min(
-            1.0, self._heated_s / setup.thermal_time_s
-        )
-        self._heat_A2s = self._heated_s = 0.0
-        self._temperature_degC = min(round(setup.ambient_degC + self._above_ambient_K), 127)
-
     def _reply(self, mode_and_sequence: int) -> bytes:
-        setup, noise, at = self.setup, self._noise, self._replies
-        self._replies = (at + 2) % _NOISE_VALUES
-        status, supply_V = self.state.value, self._supply_V
-        if _LOWEST_SUPPLY_V <= supply_V <= _HIGHEST_SUPPLY_V:
+        status = self.state.value
+        if LOWEST_SUPPLY_V <= self._supply_V <= HIGHEST_SUPPLY_V:
             status |= _VOLTAGE_ENABLED
         if self._is_limited or self._is_cut:
             status |= _WARNING
-        steps = round((self._mean_A + setup.current_noise_A * noise[at]) / setup.current_step_A)
-        current_mA = round(steps * setup.current_step_A * 1e3)
-        supply_mV = round((supply_V + setup.supply_noise_V * noise[at + 1]) * 1e3)
-        temperature_degC = self._temperature_degC
-        if self.says:
-            said = (self.says.get(f"says_{name}") for name in ("current", "supply", "temperature"))
-            said_A, said_V, said_degC = said
-            current_mA = current_mA if said_A is None else round(said_A * 1e3)
-            supply_mV = supply_mV if said_V is None else round(said_V * 1e3)
-            temperature_degC = temperature_degC if said_degC is None else round(said_degC)
-        if not -32767 <= current_mA <= 32767:
-            current_mA = 32767 if current_mA > 0 else -32767
-        return _REPLY.pack(
-            status, mode_and_sequence, current_mA, max(supply_mV, 0), temperature_degC, self.faults
-        )
+        return _REPLY.pack(status, mode_and_sequence, *self._readings(), self.faults)
 
     def _parameter(self, payload: bytes) -> bytes:
         operation, index, sequence, _, value = _REQUEST.unpack(payload)

@@ -1,4 +1,4 @@
-"""The encoder board mock against docs/encoder_board.md, read through the product's own decoder."""
+"""The encoder board against docs/encoder_board.md, read through the product's own decoder: the mock's firmware and that in C."""
 
 from __future__ import annotations
 
@@ -8,20 +8,38 @@ import pytest
 
 from firmware_iface.encoder.wire import Decoder, IndexLatch, Report
 from hil_mocks.devices import encoder_board as eb
-from hil_mocks.devices.encoder_board import EncoderBoardMock, EncoderBoardSetup
+from hil_mocks.devices.encoder_board import EncoderBoardMock
+from hil_mocks.devices.encoder_inputs import (
+    INDEX_LATCHED,
+    INDEX_LEVEL,
+    SIGNAL_LOST,
+    ZERO_SET,
+    EncoderBoardSetup,
+)
 from hil_mocks.devices.framing import Gatherer, deframe, frame
+from hil_mocks.firmware.encoder_board import EncoderBoardFirmware
+from tests.firmware import needs_compiler
 
 SETUP = EncoderBoardSetup(serial_number=0xA1B2C3, counts_per_turn=(2048, 2048, 2048), firmware=0x0203)
 NOT_HOME = [False] * 3
 
 
+@pytest.fixture(
+    autouse=True, params=[EncoderBoardMock, pytest.param(EncoderBoardFirmware, marks=needs_compiler)]
+)
+def firmware(request: pytest.FixtureRequest) -> None:
+    Bench.kind = request.param
+
+
 class Bench:
     """A board on a bench: turn its shafts, ask it, read what it says."""
+
+    kind: type[EncoderBoardMock | EncoderBoardFirmware] = EncoderBoardMock
 
     def __init__(
         self, setup: EncoderBoardSetup = SETUP, index_raw: tuple[int, ...] = (100, 100, 100)
     ) -> None:
-        self.board = EncoderBoardMock(setup, index_raw)
+        self.board = self.kind(setup, index_raw)
         self.now_s = 0.0
         self.raw = [0, 0, 0]
         self.decoder = Decoder()
@@ -83,7 +101,7 @@ def test_endless_noise_is_forgotten_at_the_next_delimiter() -> None:
 
 
 def test_power_up_announces_the_board_unasked() -> None:
-    board = EncoderBoardMock(SETUP, (0, 0, 0))
+    board = Bench.kind(SETUP, (0, 0, 0))
     sent = b"".join(coded for _, coded in board.outgoing)
     (identity,) = Decoder().feed(sent)
     assert sent.startswith(b"\0")
@@ -107,7 +125,7 @@ def test_a_fast_clock_gains_by_its_parts_per_million() -> None:
 
 
 def test_bytes_leave_at_the_pace_of_the_line() -> None:
-    slow = EncoderBoardMock(EncoderBoardSetup(serial_number=1, counts_per_turn=(8,), baud=115_200), (0,))
+    slow = Bench.kind(EncoderBoardSetup(serial_number=1, counts_per_turn=(8,), baud=115_200), (0,))
     slow.outgoing.clear()
     for sequence in (1, 2):
         slow.receive(frame(bytes([eb.POLL, sequence])), 1.0)
@@ -125,8 +143,30 @@ def test_set_zero_sets_the_count_and_says_so_and_is_not_done_twice() -> None:
     report = bench.poll()
     assert (first.result, again.result) == (eb.DONE, eb.DONE)
     assert report.counts[1] == -100_000 + 7
-    assert report.flags[1] & eb.ZERO_SET
-    assert not report.flags[0] & eb.ZERO_SET
+    assert report.flags[1] & ZERO_SET
+    assert not report.flags[0] & ZERO_SET
+
+
+def test_another_request_takes_the_place_of_the_one_that_may_be_repeated() -> None:
+    bench = Bench()
+    request = struct.pack("<Bi", 1, 500)
+    bench.ask(eb.SET_ZERO, 3, request)
+    bench.turn(1, 40)
+    bench.poll()
+    bench.ask(eb.SET_ZERO, 3, request)
+    assert bench.poll().counts[1] == 500
+
+
+def test_a_zero_disarms_the_index_and_forgets_its_latch() -> None:
+    bench = Bench()
+    bench.ask(eb.ARM_INDEX, 1, b"\x00\x01")
+    bench.ask(eb.SET_ZERO, 2, struct.pack("<Bi", 0, 0))
+    assert not [one for one in bench.turn(0, 40, 10) if isinstance(one, IndexLatch)]
+    bench.ask(eb.ARM_INDEX, 3, b"\x00\x01")
+    assert [one for one in bench.turn(0, -40, 10) if isinstance(one, IndexLatch)]
+    bench.ask(eb.SET_ZERO, 4, struct.pack("<Bi", 0, 0))
+    (ack,) = bench.ask(eb.ARM_INDEX, 5, b"\x00\x02")
+    assert ack.result == eb.NOT_NOW
 
 
 @pytest.mark.parametrize(("step", "latched"), [(30, 100), (-30, -1948)])
@@ -138,7 +178,7 @@ def test_the_index_latches_its_own_count_in_both_directions(step: int, latched: 
     assert latch.count == latched
     # At 30 counts a millisecond the shaft is on its index in between two ticks.
     assert latch.board_time_us == pytest.approx(abs(latched) / 30 * 1000, abs=2)
-    assert bench.poll().flags[0] & eb.INDEX_LATCHED
+    assert bench.poll().flags[0] & INDEX_LATCHED
     again = bench.ask(eb.ARM_INDEX, 2, b"\x00\x02")
     assert [type(one).__name__ for one in again] == ["Ack", "IndexLatch"]
 
@@ -146,7 +186,7 @@ def test_the_index_latches_its_own_count_in_both_directions(step: int, latched: 
 def test_a_shaft_on_its_index_when_armed_must_leave_it_first() -> None:
     bench = Bench()
     bench.turn(0, 100)
-    assert bench.poll().flags[0] & eb.INDEX_LEVEL
+    assert bench.poll().flags[0] & INDEX_LEVEL
     bench.ask(eb.ARM_INDEX, 1, b"\x00\x01")
     assert not [one for one in bench.turn(0, 0, 5) if isinstance(one, IndexLatch)]
     assert not [one for one in bench.turn(0, 40, 5) if isinstance(one, IndexLatch)]
@@ -186,7 +226,7 @@ def test_a_broken_wire_stops_the_count_for_good_and_refuses_a_zero() -> None:
     bench.turn(0, 10)
     bench.board.lost.add(0)
     bench.turn(0, 10, 3)
-    assert (bench.poll().counts[0], bench.poll().flags[0] & eb.SIGNAL_LOST) == (10, eb.SIGNAL_LOST)
+    assert (bench.poll().counts[0], bench.poll().flags[0] & SIGNAL_LOST) == (10, SIGNAL_LOST)
     (ack,) = bench.ask(eb.SET_ZERO, 4, struct.pack("<Bi", 0, 0))
     assert ack.result == eb.NOT_NOW
     bench.board.lost.clear()

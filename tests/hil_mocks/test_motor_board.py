@@ -1,4 +1,4 @@
-"""The motor board mock against docs/motor_board.md, with the document's own frames."""
+"""The motor board against docs/motor_board.md, with the document's own frames: the mock's firmware and that in C."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ import struct
 import pytest
 
 from hil_mocks.devices import motor_parameters as parameter
-from hil_mocks.devices.motor_board import BRAKE, OPEN, MotorBoardMock, MotorBoardSetup, Output
+from hil_mocks.devices.motor_board import MotorBoardMock
+from hil_mocks.devices.motor_inputs import BRAKE, OPEN, MotorBoardSetup, Output
 from hil_mocks.devices.motor_states import NEXT, State, Word, word_of
+from hil_mocks.firmware.motor_board import MotorBoardFirmware
+from tests.firmware import needs_compiler
 
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE, QUICK_STOP, RESET = 0x06, 0x07, 0x0F, 0x00, 0x02, 0x80
 WAY_IN = {
@@ -20,13 +23,20 @@ WAY_IN = {
 }
 
 
+@pytest.fixture(autouse=True, params=[MotorBoardMock, pytest.param(MotorBoardFirmware, marks=needs_compiler)])
+def firmware(request: pytest.FixtureRequest) -> None:
+    Bench.kind = request.param
+
+
 class Bench:
     """A board with a motor whose shaft, current and supply the test sets."""
+
+    kind: type[MotorBoardMock | MotorBoardFirmware] = MotorBoardMock
 
     def __init__(self, state: State = State.SWITCH_ON_DISABLED, pins: int = 0) -> None:
         self.shaft, self.current_A, self.supply_V, self.now_s = 0, 0.0, 24.0, 0.0
         setup = MotorBoardSetup(node=2, serial_number=0xF0A1B2C3, counts_per_turn=2048, digital_pins=pins)
-        self.board = MotorBoardMock(setup, lambda: self.shaft)
+        self.board = self.kind(setup, lambda: self.shaft)
         self.announced = self.tick()
         for word in WAY_IN[state]:
             self.command(word)
@@ -65,7 +75,7 @@ def test_power_up_is_announced_by_the_frame_of_the_document() -> None:
 
 def test_a_reply_is_the_golden_frame_of_the_document() -> None:
     bench = Bench(State.ENABLED)
-    bench.board = MotorBoardMock(
+    bench.board = bench.kind(
         MotorBoardSetup(node=1, serial_number=1, counts_per_turn=8, ambient_degC=41.0), lambda: 0
     )
     bench.tick()
@@ -203,6 +213,9 @@ def test_an_emergency_stop_brakes_in_every_state_and_again_after_an_acknowledgem
 def test_over_current_needs_a_millisecond_and_opens_the_circuit_whatever_else_there_is() -> None:
     bench = positioning(CURRENT_LIMIT_MA=2000)
     bench.command(ENABLE, 1, 3000)
+    bench.current_A = -2.9
+    bench.tick(5)
+    assert bench.board.faults == 0
     bench.current_A = 3.1
     bench.tick()
     assert bench.board.faults == 0
@@ -387,6 +400,15 @@ def test_outputs_are_set_while_the_drive_is_enabled_and_inputs_follow_the_world(
     bench.board.pins.outside = 0b1101
     assert bench.digital() == (0b1101, 1, 0)
     assert bench.digital(0b1111, 0b0010) == (0b1110, 0b0010, 0)
+
+
+def test_a_pin_that_keeps_its_level_ignores_its_safe_level() -> None:
+    bench = PinBench()
+    assert bench.ask(1, 50, 3)[0] == 0
+    bench.enable()
+    bench.digital(3, 0)
+    bench.command(DISABLE)
+    assert bench.digital() == (1, 1, 1)
 
 
 @pytest.mark.parametrize("end", ["off", "quick stop", "watchdog", "emergency stop", "reset"])

@@ -1,0 +1,195 @@
+"""The hardware of an encoder board: shafts, counters, index lines, its clock and its serial line. What runs on it is a subclass.
+
+All times are those of the simulation; the board's own clock drifts against it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+INDEX_LEVEL, INDEX_LATCHED, HOME, ZERO_SET, QUADRATURE_ERROR, SIGNAL_LOST = 1, 2, 4, 8, 16, 32
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderBoardSetup:
+    """Identity of the board, and properties of its line and clock."""
+
+    serial_number: int
+    counts_per_turn: tuple[int, ...]
+    encoder_bits: int = 32
+    firmware: int = 0x0100
+    protocol: int = 1
+    baud: int = 1_000_000
+    clock_ppm: float = 0.0
+    index_spacing_counts: tuple[int, ...] = ()  # true counts of the encoders; empty: `counts_per_turn`
+
+
+class Latched(NamedTuple):
+    """Counters (without wrap) and flags of all channels at one moment."""
+
+    counters: list[int]
+    flags: list[int]
+
+
+class EncoderBoardHardware(ABC):
+    """An encoder board of up to three channels, without its firmware.
+
+    `raw` counts come from the shafts, start anywhere and never wrap; `index_raw` is one index position of each.
+    """
+
+    def __init__(self, setup: EncoderBoardSetup, index_raw: Sequence[int]) -> None:
+        self.setup = setup
+        self._rate = 1.0 + setup.clock_ppm * 1e-6
+        self._spacing = setup.index_spacing_counts or setup.counts_per_turn
+        self._index_raw = list(index_raw)
+        self.outgoing: list[tuple[float, bytes]] = []  # (when its last byte has left, frame)
+        self.stuck: set[int] = set()  # channels with a stuck counter, set by a fault
+        self.lost: set[int] = set()  # channels with a broken wire
+        self.backwards: set[int] = set()  # channels that count the wrong way
+        self.drift: dict[int, float] = {}  # counts a second by which a channel drifts
+        self.has_frozen_clock = False
+        self._drifted: dict[int, float] = {}
+        self.power_up(0.0, [0] * len(setup.counts_per_turn))
+
+    def power_up(self, now_s: float, raw: Sequence[int]) -> None:
+        """Reset everything: counts 0, no stream; send the identity."""
+        self._raw = self._before = raw
+        self._shift = [0] * len(raw)  # counter - raw, by faults
+        self._is_home: Sequence[bool] = [False] * len(raw)
+        self._started_s = self._tick_s = self._line_free_s = now_s
+        self._armed: Sequence[int] = ()  # channels whose index edge the firmware waits for
+        self._due_us: int | None = None  # of the next report of the stream
+        self._reported_us = 0
+        self.outgoing.clear()
+        self._boot(now_s)
+
+    @abstractmethod
+    def receive(self, received: bytes, now_s: float) -> None:
+        """Process bytes from the host, which take effect at once."""
+
+    @abstractmethod
+    def preset(self, counts: Sequence[int], is_zero_set: bool) -> None:
+        """Set the counters of a board that was powered, and perhaps zeroed, before the simulation started."""
+
+    def tick(self, now_s: float, raw: Sequence[int], is_home: Sequence[bool]) -> None:
+        """Move the shafts to `raw` counts; make the reports that became due since the last tick."""
+        self._before, self._raw, self._is_home = self._raw, raw, is_home
+        if self.stuck or self.lost or self.backwards:
+            self._miscount()
+        if self._armed:
+            for at in tuple(self._armed):
+                self._watch_index(at, now_s)
+        if self.drift:
+            self._drift(now_s)
+        if self._due_us is not None:
+            now_us = self._board_us(now_s)
+            while self._due_us is not None and self._due_us <= now_us:
+                self._report_due(self._due_us, now_s)
+        self._tick_s = now_s
+
+    @abstractmethod
+    def count(self, at: int) -> int:
+        """The count of a channel as reported by the board."""
+
+    def quadrature_error(self, at: int, counts: int) -> None:
+        """Inject a fault: an illegal transition that lost or gained some counts."""
+        self._shift[at] += counts
+        self._illegal_transition(at)
+
+    def freeze_clock(self, is_frozen: bool) -> None:
+        """Inject a fault: reports keep the time stamp of now."""
+        self._frozen_us = self._reported_us
+        self.has_frozen_clock = is_frozen
+
+    def slip(self, at: int, counts: int) -> None:
+        """Inject a fault: the encoder slips on its shaft, with its index."""
+        self._shift[at] += counts
+        self._index_raw[at] -= counts
+
+    def jump(self, at: int, counts: int) -> None:
+        """Inject a fault: the counter jumps unseen; its index stays where it is."""
+        self._shift[at] += counts
+
+    @abstractmethod
+    def _boot(self, now_s: float) -> None:
+        """Start the firmware at power-up."""
+
+    @abstractmethod
+    def _index(self, at: int, time_us: int, counter: int, now_s: float) -> None:
+        """The firmware learns of the index edge of an armed channel."""
+
+    @abstractmethod
+    def _report(self, due_us: int, latched: Latched, start_s: float) -> None:
+        """The firmware reports what was latched at `due_us`, and sets `_due_us` anew."""
+
+    @abstractmethod
+    def _illegal_transition(self, at: int) -> None:
+        """The firmware learns of an illegal transition."""
+
+    def _latched(self, part: float = 1.0) -> Latched:
+        """What the inputs have at `part` of the time from the last tick to this one."""
+        counters, flags = [], []
+        for at, raw in enumerate(self._raw):
+            if part < 1.0:
+                raw = self._before[at] + round((raw - self._before[at]) * part)
+            level = INDEX_LEVEL if (raw - self._index_raw[at]) % self._spacing[at] == 0 else 0
+            if self._is_home[at]:
+                level |= HOME
+            if at in self.lost:
+                level |= SIGNAL_LOST
+            counters.append(raw + self._shift[at])
+            flags.append(level)
+        return Latched(counters, flags)
+
+    def _board_us(self, now_s: float) -> int:
+        return int((now_s - self._started_s) * self._rate * 1e6 + 1e-3)
+
+    def _put(self, coded: bytes, start_s: float) -> None:
+        """Queue a frame: the line carries one at a time, 10 bits per byte."""
+        begin_s = start_s if start_s > self._line_free_s else self._line_free_s
+        self._line_free_s = begin_s + 10.0 * len(coded) / self.setup.baud
+        self.outgoing.append((self._line_free_s, coded))
+
+    def _report_due(self, due_us: int, now_s: float) -> None:
+        due_s = due_us / (1e6 * self._rate) + self._started_s
+        span_s = now_s - self._tick_s
+        part = 1.0 if span_s <= 0.0 else min(1.0, max(0.0, (due_s - self._tick_s) / span_s))
+        self._reported_us = due_us
+        self._report(due_us, self._latched(part), due_s)
+
+    def _miscount(self) -> None:
+        for at, (before, raw) in enumerate(zip(self._before, self._raw, strict=True)):
+            if at in self.stuck or at in self.lost:
+                self._shift[at] -= raw - before  # motion of the shaft meanwhile is lost
+            elif at in self.backwards:
+                self._shift[at] -= 2 * (raw - before)
+
+    def _drift(self, now_s: float) -> None:
+        for at, counts_s in self.drift.items():
+            whole, self._drifted[at] = divmod(
+                self._drifted.get(at, 0.0) + counts_s * (now_s - self._tick_s), 1.0
+            )
+            self._shift[at] += int(whole)
+
+    def _watch_index(self, at: int, now_s: float) -> None:
+        """Latch the counter where the shaft passed the index, at the interpolated time."""
+        before, raw = self._before[at], self._raw[at]
+        here = self._index_between(at, before, raw)
+        if here is None or at in self.stuck or at in self.lost:
+            return
+        moment_s = self._tick_s + (now_s - self._tick_s) * (here - before) / (raw - before)
+        self._index(at, self._board_us(moment_s), here + self._shift[at], now_s)
+
+    def _index_between(self, at: int, before: int, raw: int) -> int | None:
+        """The index position that the shaft came upon, in either direction: one that it stood on must be left first."""
+        index_raw, spacing = self._index_raw[at], self._spacing[at]
+        if raw > before:
+            first = before + 1 + (index_raw - before - 1) % spacing
+            return first if first <= raw else None
+        if raw < before:
+            first = before - 1 - (before - 1 - index_raw) % spacing
+            return first if first >= raw else None
+        return None

@@ -1,0 +1,164 @@
+"""The hardware of a motor board: its measurements and their noise, the heat of its power stage. What runs on it is a subclass."""
+
+from __future__ import annotations
+
+import functools
+import random
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+_NOISE_VALUES = 4096  # drawn in advance: one draw per reply would double its cost
+_WARM_UP_EVERY_S = 0.05
+LOWEST_SUPPLY_V, HIGHEST_SUPPLY_V = 9.0, 50.0
+
+Frame = tuple[int, bytes]
+
+
+class Output(NamedTuple):
+    """Output of the bridge: `kind` is open, voltage (V; 0 brakes) or current (A)."""
+
+    kind: str
+    value: float
+
+
+OPEN, BRAKE = Output("open", 0.0), Output("voltage", 0.0)
+
+
+class Pins(Protocol):
+    """Digital pins. `outside` has the levels that the world puts on inputs."""
+
+    outside: int
+
+    @property
+    def levels(self) -> int:
+        """Levels at the pins."""
+        ...
+
+
+class Readings(NamedTuple):
+    """What a REPLY has: mA, mV, degrees Celsius."""
+
+    current_mA: int
+    supply_mV: int
+    temperature_degC: int
+
+
+@dataclass(frozen=True, slots=True)
+class MotorBoardSetup:
+    """Properties of the board: identity, ratings, measurement noise, thermal path of its power stage."""
+
+    node: int
+    serial_number: int
+    counts_per_turn: int
+    rating_mA: int = 8000
+    firmware: int = 0x0100
+    protocol: int = 1
+    current_noise_A: float = 0.0
+    current_step_A: float = 0.001
+    supply_noise_V: float = 0.0
+    ambient_degC: float = 25.0
+    thermal_K_W: float = 2.0
+    thermal_time_s: float = 60.0
+    bridge_ohm: float = 0.02
+    rated_degC: float = 90.0
+    period_us: int = 1000
+    digital_pins: int = 0  # 0: an older board, which does not know them
+    seed: int = 0
+
+
+@functools.cache
+def _noise_of(node: int, seed: int) -> tuple[float, ...]:
+    """Standard normal draws of a board."""
+    source = random.Random(f"motor board {node} {seed}")
+    return tuple(source.gauss(0.0, 1.0) for _ in range(_NOISE_VALUES))
+
+
+class MotorBoardHardware(ABC):
+    """The board of a joint, without its firmware. `read_shaft` gives the edges counted by its encoder input, without wrap."""
+
+    pins: Pins
+
+    def __init__(self, setup: MotorBoardSetup, read_shaft: Callable[[], int]) -> None:
+        self.setup = setup
+        self._read_shaft = read_shaft
+        self._noise = _noise_of(setup.node, setup.seed)
+        self._replies = 0
+        self.forced_faults = 0  # persistent causes, set by a fault of the scenario
+        self.says: dict[str, float | None] = {}  # values that replies have instead of the measured ones
+        self.current_limit_A = setup.rating_mA * 1e-3  # enforced by the bridge in every mode
+        self.output = OPEN
+        self.power_up()
+
+    def power_up(self) -> None:
+        """State after power-up or reset: outputs open, parameters at their defaults, count 0."""
+        self._current_A = self._mean_A = 0.0
+        self._supply_V = 24.0
+        self._is_limited = False  # the bridge was at a limit
+        self._above_ambient_K = self._heat_A2s = self._heated_s = 0.0
+        self._last_tick_s: float | None = None
+        self.output = OPEN
+        self._boot()
+
+    def tick(self, now_s: float, current_A: float, supply_V: float, is_limited: bool) -> list[Frame]:
+        """Run one control period: measure, monitor, control. Returns unsolicited frames."""
+        self._mean_A = 0.5 * (self._current_A + current_A)
+        self._current_A, self._supply_V, self._is_limited = current_A, supply_V, is_limited
+        step_s = self.setup.period_us * 1e-6 if self._last_tick_s is None else now_s - self._last_tick_s
+        self._last_tick_s = now_s
+        self._heat_A2s += current_A * current_A * step_s
+        self._heated_s += step_s
+        if self._heated_s > _WARM_UP_EVERY_S:
+            self._warm_up()
+        return self._period(now_s, step_s)
+
+    @property
+    @abstractmethod
+    def position_count(self) -> int:
+        """The board's own count of the motor's encoder, 32 bits, wrapping."""
+
+    @abstractmethod
+    def receive(self, can_id: int, payload: bytes, now_s: float) -> list[Frame]:
+        """Process a frame from the bus; return the immediate replies."""
+
+    @abstractmethod
+    def _boot(self) -> None:
+        """Start the firmware at power-up."""
+
+    @abstractmethod
+    def _period(self, now_s: float, step_s: float) -> list[Frame]:
+        """The firmware's control period."""
+
+    @property
+    def _temperature_degC(self) -> float:
+        return self.setup.ambient_degC + self._above_ambient_K
+
+    def _warm_up(self) -> None:
+        """First-order power stage with the steady temperature rise R_th (R_bridge mean(i^2))."""
+        setup = self.setup
+        final_K = setup.thermal_K_W * setup.bridge_ohm * self._heat_A2s / self._heated_s
+        self._above_ambient_K += (final_K - self._above_ambient_K) * min(
+            1.0, self._heated_s / setup.thermal_time_s
+        )
+        self._heat_A2s = self._heated_s = 0.0
+
+    def _readings(self) -> Readings:
+        """What the next REPLY has, with noise, or with what a fault makes the board say."""
+        setup, noise, at = self.setup, self._noise, self._replies
+        self._replies = (at + 2) % _NOISE_VALUES
+        steps = round((self._mean_A + setup.current_noise_A * noise[at]) / setup.current_step_A)
+        current_mA = round(steps * setup.current_step_A * 1e3)
+        supply_mV = round((self._supply_V + setup.supply_noise_V * noise[at + 1]) * 1e3)
+        temperature_degC = round(self._temperature_degC)
+        if self.says:
+            said = (self.says.get(f"says_{name}") for name in ("current", "supply", "temperature"))
+            said_A, said_V, said_degC = said
+            current_mA = current_mA if said_A is None else round(said_A * 1e3)
+            supply_mV = supply_mV if said_V is None else round(said_V * 1e3)
+            temperature_degC = temperature_degC if said_degC is None else round(said_degC)
+        return Readings(
+            min(max(current_mA, -32767), 32767),
+            min(max(supply_mV, 0), 65535),
+            min(max(temperature_degC, -128), 127),
+        )
