@@ -1,20 +1,22 @@
 """The bought boards of a mock arm, behind its plant: which joints they drive, and what their faults do.
 
-RoboClaws on serial lines, CiA 402 drives on the CAN bus.
+RoboClaws and servos on serial lines, CiA 402 drives and VESCs on the CAN bus.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from control.model.description import Arm
-from hil_mocks.devices import cia402_drive, dynamixel
+from hil_mocks.devices import cia402_drive, dynamixel, vesc
 from hil_mocks.devices.cia402_drive import Cia402Mock, Cia402Setup
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
-from hil_mocks.devices.motor_board import BRAKE, Output
+from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
+from hil_mocks.devices.motor_inputs import BRAKE, Output
 from hil_mocks.devices.roboclaw import DRIVER_FAULT, E_STOP, FULL, OVER_HEATED, RoboClawLineMock, RoboClawMock
+from hil_mocks.devices.vesc import VescMock, VescSetup
 from hil_mocks.scenario import FaultTable
 from hil_mocks.wiring import JointWiring
 
@@ -90,24 +92,97 @@ class CanDrives:
         return lambda: self._wiring[j].motor_count(encoder_rad(j))
 
 
-class Servos:
-    """The smart servos of an arm, by joint (0-based), on their lines."""
+class Vescs:
+    """The VESCs of an arm, by joint (0-based)."""
 
     def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
-        described = {board.name: board for board in arm.boards if board.kind == "dynamixel"}
+        self._wiring = wiring
+        numbers = {board.name: board.address for board in arm.boards if board.kind == "vesc"}
+        self.joints = [j for j, drive in enumerate(arm.drives) if drive.board in numbers]
+        self.names = [f"vesc{numbers[arm.drives[j].board]}" for j in self.joints]
+        self.mocks = [
+            VescMock(
+                VescSetup(
+                    numbers[(drive := arm.drives[j]).board],
+                    2.0 * math.pi * drive.torque_constant_Nm_A,
+                    drive.current_limit_A,
+                    drive.resistance_ohm,
+                ),
+                self._reader(j, encoder_rad),
+            )
+            for j in self.joints
+        ]
+
+    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+        """Advance the controllers."""
+        outputs: list[Driven] = []
+        for j, mock in zip(self.joints, self.mocks, strict=True):
+            mock.is_home = self._wiring[j].is_at_switch(seen.joint_rad[j])
+            mock.tick(now_s, seen.currents_A[j], seen.supply_V[j])
+            outputs.append((j, mock.output, mock.limit_A))
+        return outputs
+
+    def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:
+        """Begin or end a fault of a controller itself."""
+        mock = self.mocks[self.names.index(fault.board)]
+        causes = {"over_temperature": vesc.OVER_HEATED, "over_current": vesc.OVER_CURRENT}
+        if fault.kind in causes:
+            mock.forced_fault = causes[fault.kind] if is_on else 0
+        elif fault.kind == "board_reset" and is_on:
+            mock.power_up(now_s)
+
+    def joint(self, fault: FaultTable) -> int:
+        """The joint of a fault's controller."""
+        return self.joints[self.names.index(fault.board)]
+
+    def _reader(self, j: int, encoder_rad: Callable[[int], float]) -> Callable[[], float]:
+        return lambda: self._wiring[j].raw_count(encoder_rad(j)) / vesc.TURN
+
+
+def _dynamixel(number: int, volts_per_rad_s: float, read_turns: Callable[[], float]) -> DynamixelMock:
+    return DynamixelMock(ServoSetup(number, volts_per_rad_s), read_turns)
+
+
+def _sts(number: int, volts_per_rad_s: float, read_turns: Callable[[], float]) -> FeetechMock:
+    return FeetechMock(StsSetup(number, volts_per_rad_s), read_turns)
+
+
+class ServoKind(NamedTuple):
+    """How faults call a kind of smart servos, and its mocks. Both kinds have the same bits for heat and overload."""
+
+    prefix: str
+    mock: Callable[[int, float, Callable[[], float]], Any]
+    line: Callable[[list[Any], int], PacketLine]
+
+
+SERVO_KINDS = {
+    "dynamixel": ServoKind("servo", _dynamixel, DynamixelLineMock),
+    "feetech": ServoKind("feetech", _sts, FeetechLineMock),
+}
+
+
+class Servos:
+    """The smart servos of one kind of an arm, by joint (0-based), on their lines."""
+
+    def __init__(
+        self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float], kind: str
+    ) -> None:
+        made = SERVO_KINDS[kind]
+        described = {board.name: board for board in arm.boards if board.kind == kind}
         self.joints = [j for j, drive in enumerate(arm.drives) if drive.board in described]
         boards = [described[arm.drives[j].board] for j in self.joints]
-        self.names = [f"servo{board.address}" for board in boards]
+        self.names = [f"{made.prefix}{board.address}" for board in boards]
         self.ports = list(dict.fromkeys(board.port for board in boards))
         self.mocks = [
-            DynamixelMock(
-                ServoSetup(board.address, arm.drives[j].gear_ratio * arm.drives[j].torque_constant_Nm_A),
+            made.mock(
+                board.address,
+                arm.drives[j].gear_ratio * arm.drives[j].torque_constant_Nm_A,
                 self._reader(wiring[j], j, encoder_rad),
             )
             for j, board in zip(self.joints, boards, strict=True)
         ]
         self.lines = [
-            DynamixelLineMock(
+            made.line(
                 [mock for mock, board in zip(self.mocks, boards, strict=True) if board.port == port],
                 next(board.baud for board in boards if board.port == port),
             )
@@ -221,21 +296,27 @@ class RoboClaws:
         return read
 
 
+Owner = RoboClaws | Servos | CanDrives | Vescs
+
+
 class Bought:
     """All bought boards of an arm: serial lines in the order of `ports`, with the name of the first board on each."""
 
     def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
-        claws, servos = RoboClaws(arm, wiring, encoder_rad), Servos(arm, wiring, encoder_rad)
-        self.can_drives = CanDrives(arm, wiring, encoder_rad)
-        self._owners = (claws, servos, self.can_drives)
+        claws = RoboClaws(arm, wiring, encoder_rad)
+        servos = [Servos(arm, wiring, encoder_rad, kind) for kind in SERVO_KINDS]
+        self.can_drives, self.vescs = CanDrives(arm, wiring, encoder_rad), Vescs(arm, wiring, encoder_rad)
+        self._owners: tuple[Owner, ...] = (claws, *servos, self.can_drives, self.vescs)
+        self.has_extended = bool(self.vescs.joints)
         self.joints = [joint for owner in self._owners for joint in owner.joints]
         self.names = [name for owner in self._owners for name in owner.names]
-        self.lines: list[PacketLine] = [*claws.lines, *servos.lines]
-        self.ports = [*claws.ports, *servos.ports]
+        on_lines: tuple[RoboClaws | Servos, ...] = (claws, *servos)
+        self.lines: list[PacketLine] = [line for owner in on_lines for line in owner.lines]
+        self.ports = [port for owner in on_lines for port in owner.ports]
         self.line_names = [
-            names[line_of.index(line)]
-            for names, line_of in ((claws.names, claws.line_of), (servos.names, servos.line_of))
-            for line in dict.fromkeys(line_of)
+            owner.names[owner.line_of.index(line)]
+            for owner in on_lines
+            for line in dict.fromkeys(owner.line_of)
         ]
 
     def tick(self, now_s: float, seen: Seen) -> list[Driven]:
@@ -250,5 +331,5 @@ class Bought:
         """Begin or end a fault of a board itself."""
         self._owner(fault).switch(fault, is_on, now_s)
 
-    def _owner(self, fault: FaultTable) -> RoboClaws | Servos | CanDrives:
+    def _owner(self, fault: FaultTable) -> Owner:
         return next(owner for owner in self._owners if fault.board in owner.names)

@@ -1,12 +1,21 @@
-"""The loop's clock: while it waits for the next cycle, the hardware is attended to."""
+"""The loop's clock: while it waits for the next cycle, boards that speak only when they are asked are served."""
 
-from control.hardware.interface import Hardware
+from typing import Protocol
+
 from firmware_iface.clock import Clock
 
 
-class AttendedClock:
-    """A `firmware_iface.clock.Clock` whose waiting serves boards that speak only when they are asked."""
+class Attendant(Protocol):
+    """Waits, and serves boards meanwhile: the hardware of an arm, or all arms of a loop."""
 
-    def __init__(self, clock: Clock, hardware: Hardware) -> None:
+    def attend(self, until_s: float) -> None:
+        """Wait until then."""
+        ...
+
+
+class AttendedClock:
+    """A `firmware_iface.clock.Clock` whose waiting is done by an attendant."""
+
+    def __init__(self, clock: Clock, attendant: Attendant) -> None:
         self.now_s = clock.now_s
-        self.wait_until_s = hardware.attend
+        self.wait_until_s = attendant.attend

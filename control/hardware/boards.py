@@ -45,6 +45,11 @@ class BoardHardware:
 
     # ---- every cycle
 
+    @property
+    def is_polled(self) -> bool:
+        """Whether some of its boards speak only when they are asked."""
+        return bool(self._polled)
+
     def attend(self, until_s: float) -> None:
         """Wait until then, and serve the polled lines meanwhile."""
         clock = self._clock
@@ -80,10 +85,12 @@ class BoardHardware:
         if problem is not None:
             raise problem
 
-    def write(self, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float]) -> None:
+    def write(
+        self, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
+    ) -> None:
         """Command every drive, or take it one step closer to the wanted state."""
         for drive in self._drives:
-            drive.write(self._wants_enabled, mode, output, feedforward_V, self.feedback)
+            drive.write(self._wants_enabled, modes, output, feedforward_V, self.feedback)
         for line in self._lines:
             line.flush()
 

@@ -48,6 +48,7 @@ class Connection:
     encoders: tuple[EncoderBoard, ...]
     motors: tuple[MotorBoard, ...]
     others: tuple[tuple[str, str], ...]  # boards of other kinds: where each is, and what it says of itself
+    attempted: int  # how many devices were to be connected
     _closers: list[Callable[[], None]] = field(default_factory=list)
 
     def close(self) -> None:
@@ -92,8 +93,16 @@ def with_links(arm: Arm, options: LinkOptions) -> Arm:
     return replace(arm, encoder_boards=boards, can=can)
 
 
-def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = None) -> Connection:
+def connect(
+    arm: Arm,
+    clock: Clock,
+    period_s: float,
+    camera_port: int | None = None,
+    shared_bus: Callable[[CanBus], MotorBus] | None = None,
+) -> Connection:
     """Open the links, check the boards, and start the encoder streams for a cycle of `period_s`.
+
+    `shared_bus`: opens the bus of the motor boards, or finds it open (control.hardware.shared_bus).
 
     Raises:
         ConnectionFailed: names every missing port and every board that is silent or wrong.
@@ -104,7 +113,8 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
     encoders = [
         board for port in arm.encoder_boards if (board := _encoder(port, arm, clock, opened)) is not None
     ]
-    motors = _motors(arm, clock, opened)
+    problems: list[LinkError] | None = None if shared_bus is None else []
+    motors = _motors(arm, clock, opened, shared_bus, problems)
     end = _end_boards(arm, motors, period_s, opened.failures) if motors else EndBoards()
     open_boards(arm, clock, period_s, opened)
     motor_boards = max(len(motors), any(not drive.board for drive in arm.drives))
@@ -122,11 +132,10 @@ def connect(arm: Arm, clock: Clock, period_s: float, camera_port: int | None = N
         for close in opened.closers:
             close()
         raise ConnectionFailed(opened.failures, attempted)
-    _add_reference(arm, clock, encoders, motors, period_s, opened)
+    _add_reference(arm, clock, encoders, motors, period_s, opened, problems)
     boards, others = tuple(motor for _, motor in motors), tuple(opened.identities)
-    return Connection(
-        _composed(arm, clock, opened, end), camera, tuple(encoders), boards, others, opened.closers
-    )
+    hardware = _composed(arm, clock, opened, end)
+    return Connection(hardware, camera, tuple(encoders), boards, others, attempted, opened.closers)
 
 
 def reference_hardware(
@@ -151,6 +160,7 @@ def _add_reference(
     motors: Sequence[tuple[MotorBus, MotorBoard]],
     period_s: float,
     opened: Opened,
+    problems: list[LinkError] | None = None,
 ) -> None:
     """Put the reference boards before the others: what they have received waits in the kernel, and is read first."""
     counters = [
@@ -166,7 +176,7 @@ def _add_reference(
             DriveWiring(joint, motor, drive, volt_gains_of(arm, drive.joint))
             for (joint, drive), (_, motor) in zip(driven, motors, strict=True)
         ]
-        drives = ReferenceDrives(arm, motors[0][0], wiring, clock, period_s)
+        drives = ReferenceDrives(arm, motors[0][0], wiring, clock, period_s, problems)
         opened.drives.insert(0, drives)
         lines.append(drives)
     opened.lines[:0] = lines
@@ -179,11 +189,9 @@ def _composed(arm: Arm, clock: Clock, opened: Opened, end: EndBoards) -> BoardHa
 
 
 def _offers(arm: Arm) -> frozenset[OutputMode]:
-    """What every drive of the arm can be commanded to do; a board that cannot hold brakes instead."""
+    """What every drive of the arm can be commanded to do; a board that cannot hold, or open its circuit, brakes instead."""
     kinds = [arm.kind_of(drive) for drive in arm.drives]
-    offers = {OutputMode.HOLD}
-    if all(kind.can_free for kind in kinds):
-        offers.add(OutputMode.OFF)
+    offers = {OutputMode.HOLD, OutputMode.OFF}
     for mode in (OutputMode.VOLTAGE, OutputMode.CURRENT, OutputMode.POSITION):
         if all(mode.name.lower() in kind.modes for kind in kinds):
             offers.add(mode)
@@ -236,19 +244,23 @@ def _encoder(port: EncoderBoardPort, arm: Arm, clock: Clock, opened: Opened) -> 
     return board
 
 
-def _motors(arm: Arm, clock: Clock, opened: Opened) -> list[tuple[MotorBus, MotorBoard]]:
-    """The reference motor boards, in the order of their drives."""
+def _motors(
+    arm: Arm,
+    clock: Clock,
+    opened: Opened,
+    shared_bus: Callable[[CanBus], MotorBus] | None,
+    problems: list[LinkError] | None,
+) -> list[tuple[MotorBus, MotorBoard]]:
+    """The reference motor boards, in the order of their drives; on a shared bus with a list of `problems` of their own."""
     drives = [drive for drive in arm.drives if not drive.board]
     if arm.can is None or not drives:
         return []
     motors: list[tuple[MotorBus, MotorBoard]] = []
     with collect(opened.failures):
-        link = open_can(arm.can.interface, arm.can.channel, arm.can.bitrate, **arm.can.options)
-        opened.closers.append(link.close)
-        bus = MotorBus(link, clock)
+        bus = _own_bus(arm.can, clock, opened) if shared_bus is None else shared_bus(arm.can)
         for drive in drives:
             with collect(opened.failures):
-                board = MotorBoard(bus, drive.motor_node, f"joint {drive.joint}")
+                board = MotorBoard(bus, drive.motor_node, f"joint {drive.joint}", problems)
                 identity = board.identify(drive.motor_serial_number)
                 counts = identity.encoder_counts_per_turn
                 _compare(
@@ -256,6 +268,12 @@ def _motors(arm: Arm, clock: Clock, opened: Opened) -> list[tuple[MotorBus, Moto
                 )
                 motors.append((bus, board))
     return motors
+
+
+def _own_bus(can: CanBus, clock: Clock, opened: Opened) -> MotorBus:
+    link = open_can(can.interface, can.channel, can.bitrate, **can.options)
+    opened.closers.append(link.close)
+    return MotorBus(link, clock)
 
 
 def _end_boards(

@@ -15,8 +15,8 @@ from control.hardware.pins import NamedPins
 
 
 class OutputMode(Enum):
-    """Meaning of the numbers passed to `write`. `OFF` opens the motor circuit: the joint is free and a loaded arm drops. `HOLD`:
-    each board brings its joint to rest and holds it by its own encoder.
+    """Meaning of a number passed to `write`. `OFF` opens the motor circuit: the joint is free and a loaded arm drops; a board
+    that cannot do so shorts the windings. `HOLD`: the board brings its joint to rest and holds it by its own encoder.
     """
 
     OFF = 0
@@ -93,6 +93,11 @@ class Hardware(Protocol):
     offers: frozenset[OutputMode]
     """The modes in which every drive of the arm can be commanded."""
 
+    @property
+    def is_polled(self) -> bool:
+        """Whether some of its boards speak only when they are asked."""
+        ...
+
     def attend(self, until_s: float) -> None:
         """Wait until then; lines whose boards speak only when asked are served meanwhile."""
         ...
@@ -101,8 +106,10 @@ class Hardware(Protocol):
         """Drain the links into `feedback`. Raises LinkLost when a link is gone, ProtocolViolation when a board misbehaves."""
         ...
 
-    def write(self, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float]) -> None:
-        """Command every joint in V, A or counts, depending on `mode`; in POSITION mode the board adds `feedforward_V`."""
+    def write(
+        self, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
+    ) -> None:
+        """Command every joint in V, A or rad, as its entry of `modes` says; in POSITION mode the board adds `feedforward_V`."""
         ...
 
     @property

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
-from control.hardware import cia402, dynamixel, roboclaw
+from control.hardware.bought import cia402, dynamixel, feetech, roboclaw, vesc
 from control.hardware.opened import Opened
 from control.model.arm import Arm, Board
 from firmware_iface.clock import Clock
@@ -15,6 +15,8 @@ OPENERS: Final[Mapping[str, Opener]] = {
     "roboclaw": roboclaw.open_boards,
     "cia402": cia402.open_boards,
     "dynamixel": dynamixel.open_boards,
+    "feetech": feetech.open_boards,
+    "vesc": vesc.open_boards,
 }
 
 

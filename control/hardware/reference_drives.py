@@ -11,7 +11,7 @@ from control.hardware.interface import Feedback, OutputMode
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardFaulted
+from firmware_iface.errors import BoardFaulted, LinkError
 from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.cia402 import State
 from firmware_iface.motor.wire import Mode, Output, Parameter
@@ -36,10 +36,12 @@ class ReferenceDrives:
     """The motor boards of one bus; meets `control.hardware.roles.Drives` and `Line`."""
 
     def __init__(
-        self, arm: Arm, bus: MotorBus, wiring: Sequence[DriveWiring], clock: Clock, period_s: float
-    ) -> None:
+        self, arm: Arm, bus: MotorBus, wiring: Sequence[DriveWiring], clock: Clock, period_s: float,
+        problems: list[LinkError] | None = None,
+    ) -> None:  # fmt: skip
+        """`problems`: those of these boards alone, if others on the bus belong to another arm."""
         self.joints = tuple(wired.joint for wired in wiring)
-        self._bus = bus
+        self._bus, self._problems = bus, problems
         self._wiring = tuple(wiring)
         self._pairs = tuple(
             (wired.joint, wired.motor, float(wired.drive.motor_direction)) for wired in wiring
@@ -63,8 +65,10 @@ class ReferenceDrives:
     # ---- every cycle
 
     def update(self) -> None:
-        """Drain the bus."""
+        """Drain the bus. Raises LinkLost, and once per event BoardReset or ProtocolViolation."""
         self._bus.update()
+        if self._problems:
+            raise self._problems.pop(0)
 
     def flush(self) -> None:
         """Each COMMAND is sent as it is written."""
@@ -86,14 +90,15 @@ class ReferenceDrives:
             self._take_motor_count(*self._asked, feedback)
 
     def write(
-        self, wants_enabled: bool, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float],
-        feedback: Feedback,
+        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Send one COMMAND to each board; a board not in its target state gets the next state command instead."""
         wanted = State.OPERATION_ENABLED if wants_enabled else State.SWITCH_ON_DISABLED
-        is_voltage, sent_V = mode is OutputMode.VOLTAGE, feedback.sent_V
+        sent_V = feedback.sent_V
         for joint, motor, sign in self._pairs:
-            is_driven = is_voltage and motor.state is State.OPERATION_ENABLED
+            mode = modes[joint]
+            is_driven = mode is OutputMode.VOLTAGE and motor.state is State.OPERATION_ENABLED
             sent_V[joint] = output[joint] if is_driven else math.nan
             if motor.state is wanted or motor.state is State.FAULT:
                 self._command(joint, motor, sign, mode, output[joint], feedforward_V[joint])

@@ -21,6 +21,8 @@ def start_stream(encoder: EncoderBoard, period_s: float) -> None:
 class ReferenceEncoders:
     """One encoder board; meets `control.hardware.roles.Encoders` and `Line`."""
 
+    is_asked = False
+
     def __init__(
         self, board: EncoderBoard, channels: Mapping[int, int], clock: Clock, period_s: float
     ) -> None:

@@ -35,6 +35,7 @@ class AskedEncoders:
     """What encoders have in common whose board sends nothing by itself: there is no phase to follow, and no stream to count."""
 
     reports_a_cycle = 0
+    is_asked = True
 
     def frames(self) -> tuple[int, int]:
         """No stream of reports."""
@@ -56,6 +57,11 @@ class Encoders(Protocol):
     @property
     def reports_a_cycle(self) -> int:
         """How many reports the board sends in a cycle; 0 if none."""
+        ...
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether a count is made when it is asked for; else at the board's own rate."""
         ...
 
     def frames(self) -> tuple[int, int]:
@@ -104,8 +110,8 @@ class Drives(Protocol):
         ...
 
     def write(
-        self, wants_enabled: bool, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float],
-        feedback: Feedback,
+        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Command every joint, or take its drive one step closer to the wanted state; notes `feedback.sent_V`."""
         ...

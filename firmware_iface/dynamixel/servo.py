@@ -3,7 +3,6 @@
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 from firmware_iface.clock import Clock
@@ -11,9 +10,8 @@ from firmware_iface.dynamixel import wire
 from firmware_iface.dynamixel.wire import Instruction
 from firmware_iface.errors import BoardReset, LinkError, MisuseError, WrongIdentity
 from firmware_iface.link import ByteLink
-from firmware_iface.polled_line import WRONG, PolledLine, Unfinished
+from firmware_iface.servo_line import ServoLine, ServoQuestion
 
-ANSWER_TIMEOUT_s = 0.01  # return delay 0.5 ms by default, and the latency of a USB adapter
 REBOOT_s = 0.5
 MODEL, OPERATING_MODE, TORQUE_ENABLE, GOAL_POSITION, PROFILE = 0, 11, 64, 116, 108
 STATE_SPAN, VALUES_SPAN = (
@@ -32,84 +30,29 @@ CURRENT_UNIT_A: Final = {
 _VALUES = struct.Struct("<hiiiiHB")  # current, velocity, position, two of a trajectory, voltage, temperature
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ServoQuestion:
-    """An instruction to one servo and its status packet; meets `firmware_iface.polled_line.Question`."""
+class DynamixelLine(ServoLine):
+    """A half-duplex line with Dynamixel servos, which add themselves."""
 
-    servo: int
-    made: Callable[[], bytes]
-    parameter_bytes: int
-    taken: Callable[[bytes, float], None]
+    def __init__(self, link: ByteLink, clock: Clock) -> None:
+        self.servos: list[DynamixelServo] = []
+        super().__init__(link, clock, self.servos, self._goal_positions)
 
-    @property
-    def answer_bytes(self) -> int:
-        """The bytes of the status packet."""
-        return wire.STATUS_OVERHEAD + self.parameter_bytes
-
-    def packet(self) -> bytes:
-        """The bytes to send."""
-        return self.made()
-
-    def answered(self, received: bytes) -> bytes | None:
-        """Error byte and parameters. Raises Unfinished. An adapter's echo of the instruction is passed over."""
-        echo = self.made()
-        received = received.removeprefix(echo)
-        try:
-            status = wire.status_in(received)
-        except ValueError:
-            return WRONG
-        if status is None:
-            raise Unfinished
-        if status.servo != self.servo or len(status.parameters) != self.parameter_bytes:
-            return WRONG
-        return bytes((status.error,)) + status.parameters
-
-    def take(self, data: bytes, sent_at_s: float) -> None:
-        """Use the answer."""
-        self.taken(data, sent_at_s)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GoalPositions:
-    """One sync write of all goal positions of a line; it has no answer."""
-
-    servos: list["DynamixelServo"]
-    answer_bytes: int = 0
-
-    def packet(self) -> bytes:
-        """The bytes to send."""
+    def _goal_positions(self) -> bytes:
         return wire.sync_write(
             GOAL_POSITION, {servo.number: struct.pack("<i", servo.goal) for servo in self.servos}
         )
 
-    def answered(self, received: bytes) -> bytes | None:
-        """There is no answer."""
-        return b""
 
-    def take(self, data: bytes, sent_at_s: float) -> None:
-        """There is no answer."""
-
-
-class ServoLine(PolledLine):
-    """A half-duplex line with servos."""
-
-    def __init__(self, link: ByteLink, clock: Clock) -> None:
-        super().__init__(link, clock, ANSWER_TIMEOUT_s)
-        self.servos: list[DynamixelServo] = []
-        self._goals = GoalPositions(self.servos)
-        self._turn = 0
-
-    def post_cycle(self) -> None:
-        """Queue the goal positions, and one servo's state in turn; the values are asked for in the rest of the cycle."""
-        self.post(self._goals)
-        self.post(self.servos[self._turn].state_question)
-        self._turn = (self._turn + 1) % len(self.servos)
+def _question(
+    servo: int, made: Callable[[], bytes], parameter_bytes: int, taken: Callable[[bytes, float], None]
+) -> ServoQuestion:
+    return ServoQuestion(servo, made, parameter_bytes, taken, wire.status_in, wire.STATUS_OVERHEAD)
 
 
 class DynamixelServo:
     """Keeps the latest values of a servo and its goal; times are the host's, when the request was sent."""
 
-    def __init__(self, line: ServoLine, number: int, name: str) -> None:
+    def __init__(self, line: DynamixelLine, number: int, name: str) -> None:
         if number not in wire.IDS:
             raise MisuseError(f'Dynamixel "{name}": ids are 0 to 252, got {number}')
         self.number = number
@@ -129,14 +72,14 @@ class DynamixelServo:
         self._line = line
         self._current_unit_A = math.nan
         self._watchdog = 0
-        self.values_question = ServoQuestion(
+        self.values_question = _question(
             number, lambda: wire.read(number, *VALUES_SPAN), VALUES_SPAN[1], self._take_values
         )
-        self.state_question = ServoQuestion(
+        self.state_question = _question(
             number, lambda: wire.read(number, *STATE_SPAN), STATE_SPAN[1], self._take_state
         )
         self._torque = {
-            is_on: ServoQuestion(number, self._torque_packet(is_on), 0, lambda data, at_s: None)
+            is_on: _question(number, self._torque_packet(is_on), 0, lambda data, at_s: None)
             for is_on in (False, True)
         }
         line.servos.append(self)
@@ -202,10 +145,9 @@ class DynamixelServo:
 
     def _converse(self, made: Callable[[], bytes], count: int, what: str) -> bytes:
         answers: list[bytes] = []
-        question = ServoQuestion(self.number, made, count, lambda data, _: answers.append(data))
+        question = _question(self.number, made, count, lambda data, _: answers.append(data))
         remedy = f"check its supply, id {self.number}, protocol 2.0"
-        self._line.converse(question, lambda: bool(answers), f"{self.where}: no answer to {what}", remedy)
-        return answers[0][1:]
+        return self._line.ask(question, answers, self.where, what, remedy)
 
     def _torque_packet(self, is_on: bool) -> Callable[[], bytes]:
         return lambda: wire.write(self.number, TORQUE_ENABLE, bytes((is_on,)))

@@ -8,7 +8,9 @@ from 0) of all bytes before it.
 """
 
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final
+
+from firmware_iface.servo_line import Status as StatusPacket
 
 HEADER: Final = b"\xff\xff\xfd\x00"
 BROADCAST: Final = 0xFE
@@ -26,15 +28,6 @@ class Instruction(IntEnum):
     WRITE = 0x03
     REBOOT = 0x08
     SYNC_WRITE = 0x83
-
-
-class Status(NamedTuple):
-    """A status packet: who, the error byte, and the parameters; and how many bytes it took."""
-
-    servo: int
-    error: int
-    parameters: bytes
-    length: int
 
 
 def _crc_table() -> tuple[int, ...]:
@@ -83,7 +76,7 @@ def sync_write(address: int, values: dict[int, bytes]) -> bytes:
     return packet(BROADCAST, Instruction.SYNC_WRITE, parameters)
 
 
-def status_in(received: bytes) -> Status | None:
+def status_in(received: bytes) -> StatusPacket | None:
     """The first status packet in what was received; None if it is not complete. ValueError if its CRC is wrong."""
     begin = received.find(HEADER)
     if begin < 0 or len(received) < begin + 7:
@@ -97,4 +90,4 @@ def status_in(received: bytes) -> Status | None:
     inside = whole[7:-2].replace(HEADER[:3] + b"\xfd", HEADER[:3])
     if len(inside) < 2 or inside[0] != STATUS:
         raise ValueError("not a status packet")
-    return Status(whole[4], inside[1], inside[2:], end)
+    return StatusPacket(whole[4], inside[1], inside[2:], end)

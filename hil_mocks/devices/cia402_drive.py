@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from hil_mocks.devices.motor_board import OPEN, Frame, Output
+from hil_mocks.devices.motor_inputs import OPEN, Frame, Output
 from hil_mocks.devices.motor_states import NEXT, State, word_of
 
 INITIALISING, STOPPED, PRE_OPERATIONAL, OPERATIONAL = 0x00, 0x04, 0x7F, 0x05

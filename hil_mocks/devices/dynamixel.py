@@ -9,7 +9,8 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from hil_mocks.devices.motor_board import OPEN, Output
+from hil_mocks.devices.motor_inputs import OPEN
+from hil_mocks.devices.servo_motor import ServoMotor
 
 COUNTS_PER_TURN = 4096
 PING, READ, WRITE, REBOOT, SYNC_WRITE, BROADCAST = 0x01, 0x02, 0x03, 0x08, 0x83, 0xFE
@@ -18,7 +19,6 @@ OVER_HEATED, OVERLOAD, LOW_VOLTAGE = 0x04, 0x20, 0x01
 TORQUE, ERROR_STATUS, WATCHDOG, GOALS, GOAL, VALUES, TABLE_BYTES = 64, 70, 98, (100, 120), 116, 126, 147
 REBOOT_S = 0.2
 LATENCY_S = 0.0001
-POSITION_RATE, SPEED_GAIN, SPEED_INTEGRAL, SPEED_FILTER_S = 15.0, 0.5, 15.0, 0.003
 _EEPROM_END = 64  # below, only while the torque is off
 
 
@@ -60,9 +60,7 @@ class DynamixelMock:
         self.output = OPEN
         self._deaf_until_s = now_s
         self._heard_s = now_s
-        self._ticked_s: float | None = None
-        self._before_turns, self._speed, self._integral_V = self._read_turns(), 0.0, 0.0
-        self._goal_turns = self._before_turns
+        self._motor = ServoMotor(self.setup.volts_per_rad_s, self._read_turns)
 
     @property
     def position(self) -> int:
@@ -104,11 +102,11 @@ class DynamixelMock:
             return 0  # stays off until it is restarted
         if address == TORQUE and data[0] and not self.table[TORQUE]:
             struct.pack_into("<i", self.table, GOAL, self.position)
-            self._integral_V = 0.0
+            self._motor.engage()
         self.table[address : address + len(data)] = data
         if address <= GOAL < address + len(data) or address == TORQUE:
             (goal,) = struct.unpack_from("<i", self.table, GOAL)
-            self._goal_turns = goal / COUNTS_PER_TURN
+            self._motor.goal_turns = goal / COUNTS_PER_TURN
         return 0
 
     def _status(self, error: int, parameters: bytes = b"") -> bytes:
@@ -123,14 +121,11 @@ class DynamixelMock:
 
     def tick(self, now_s: float, current_A: float, supply_V: float) -> None:
         """Run one control period: measure, watch the bus, and control the position."""
-        step_s = 0.001 if self._ticked_s is None else now_s - self._ticked_s
-        self._ticked_s = now_s
-        turns = self._read_turns()
-        rate, self._before_turns = (turns - self._before_turns) / step_s, turns
-        self._speed += (rate - self._speed) * step_s / (step_s + SPEED_FILTER_S)
+        motor = self._motor
+        motor.measure(now_s)
         struct.pack_into(
             "<hiiiiHB", self.table, VALUES, round(current_A / self.setup.current_unit_A),
-            round(self._speed * 60.0 / 0.229), self.position, 0, 0, round(supply_V * 10), 35,
+            round(motor.speed_turns_s * 60.0 / 0.229), self.position, 0, 0, round(supply_V * 10), 35,
         )  # fmt: skip
         if self.forced_error:
             self.table[ERROR_STATUS] |= self.forced_error
@@ -139,18 +134,8 @@ class DynamixelMock:
         watchdog = self.table[WATCHDOG]
         if self.table[TORQUE] and 0 < watchdog < 0x80 and now_s - self._heard_s > 0.02 * watchdog:
             self.table[WATCHDOG] = 0xFF
-            self._goal_turns = turns
-        self.output = self._controlled(turns, supply_V, step_s) if self.table[TORQUE] else OPEN
-
-    def _controlled(self, turns: float, supply_V: float, step_s: float) -> Output:
-        constant_V = self.setup.volts_per_rad_s * 6.283185307179586
-        wanted = POSITION_RATE * (self._goal_turns - turns)
-        error_V = constant_V * (wanted - self._speed)
-        wanted_V = constant_V * wanted + SPEED_GAIN * error_V + self._integral_V
-        limited_V = min(max(wanted_V, -supply_V), supply_V)
-        if wanted_V == limited_V:
-            self._integral_V += SPEED_INTEGRAL * error_V * step_s
-        return Output("voltage", limited_V)
+            motor.goal_turns = motor.turns
+        self.output = motor.controlled(supply_V) if self.table[TORQUE] else OPEN
 
 
 class DynamixelLineMock:

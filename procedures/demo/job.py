@@ -86,6 +86,7 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     advance("verification, after", 0.8)
     client = bench.start(calibrated.arm)
     client.enable()
+    client.home()  # at once where the boards still have their zeros
     after = _survey(calibrated.arm, programme, out / "verification_after.csv")
     _drive(after, bench, client)
     recording_after = _shut_down(calibrated.arm, bench, client)
@@ -185,7 +186,7 @@ def _identify(arm: Arm, table: Table, file: Path) -> tuple[Points, Identificatio
 
 def _steps(points_count: int, verified_count: int) -> tuple[str, ...]:
     return (
-        "Connected to the mock boards over serial and CAN, checked their identities, homed every joint.",
+        "Connected to the mock boards, checked their identities, homed every joint.",
         f"Moved to {verified_count} verification points and ran circle and line with the nominal model; the camera"
         " measured.",
         (
@@ -193,7 +194,7 @@ def _steps(points_count: int, verified_count: int) -> tuple[str, ...]:
             " encoders."
         ),
         "Identified DH deviations within 5 mm and 2 degrees: sum of Euclidean distances (SpringerPlus 5:1771, eq. 4).",
-        "Restarted with the calibrated arm, without homing: the boards still had their zeros.",
+        "Restarted with the calibrated arm; only boards that had lost their zeros homed again.",
         "Moved to the same verification points and ran the same paths with the calibrated model; the camera measured.",
     )
 

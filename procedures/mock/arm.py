@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from control.model.arm import Arm, Camera, CanBus, EncoderBoardPort
-from hil_mocks.rig import MockArm
+from hil_mocks.rig import MockPorts
 
 # The mock's boards and the loop share this machine with other programs, and a virtual machine may stall either for some
 # tenths of a second. Real boards are not stalled, so 20 ms of silence matter there; a mock arm is harmless.
@@ -12,7 +12,7 @@ SHARED_MACHINE_WATCHDOG_S = 0.5
 SHARED_MACHINE_LAG_S = 0.5
 
 
-def wired_to(arm: Arm, rig: MockArm) -> Arm:
+def wired_to(arm: Arm, rig: MockPorts) -> Arm:
     """The arm with the mock's serial port, CAN bus and camera port, and with longer timeouts for boards on a shared machine."""
     boards = tuple(
         replace(arm.encoder_boards[i], port=url)

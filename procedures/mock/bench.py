@@ -23,7 +23,6 @@ from hil_mocks.rig import MockArm, SteppedRig
 from procedures.child_process import ends_with_parent
 from procedures.mock.arm import wired_to
 
-PERIOD_S = 0.002
 START_LIMIT_S = 60.0  # on a busy machine; a runtime that ends is detected at once
 
 
@@ -63,6 +62,7 @@ class SteppedBench:
     def __init__(self, arm: Arm, scenario: Path, log_folder: Path, through_kernel: bool = False) -> None:
         self.rig: MockArm = SteppedRig(arm, scenario, through_kernel)
         self._log_folder = log_folder
+        self._period_s = 1.0 / arm.usual_rate_Hz
         self._connection: Connection | None = None
         self._channel: InProcessChannel | None = None
         self._sink: FileSink | None = None
@@ -71,17 +71,19 @@ class SteppedBench:
 
     def start(self, arm: Arm) -> ArmClient:
         """Connect and make a runtime in this process."""
-        self._connection = connect(wired_to(arm, self.rig), self.rig.clock, PERIOD_S, self.rig.camera_port)
+        self._connection = connect(
+            wired_to(arm, self.rig), self.rig.clock, self._period_s, self.rig.camera_port
+        )
         self._log_folder.mkdir(parents=True, exist_ok=True)
         path = self._log_folder / f"run-{len(self._recordings) + 1}.armlog"
         header = layout_of(arm).header(
-            {"arm": arm.name, "arm_toml": arm_text(arm), "period_s": PERIOD_S, **about_columns(arm)}
+            {"arm": arm.name, "arm_toml": arm_text(arm), "period_s": self._period_s, **about_columns(arm)}
         )
         self._sink = FileSink(path, header)
         assembly = assemble(
             arm,
             self._connection.hardware,
-            PERIOD_S,
+            self._period_s,
             self._connection.camera,
             self._sink,
             self.rig.clock.now_s,
@@ -104,7 +106,7 @@ class SteppedBench:
             raise ArmError("the bench has no runtime to stop")
         self._client.off(quit_runtime=True)
         while self._channel is not None and self._channel.is_running:
-            self._channel.wait(PERIOD_S)
+            self._channel.wait(self._period_s)
         self._connection.close()
         self._sink.close()
         return self._recordings[-1]

@@ -21,8 +21,7 @@ def saved_mock(
 
     scenario.toml and the recordings in log are saved in `out`. CalibrationError if it holds another scenario.
     """
-    can_home = all(drive.home is not None for drive in arm.drives)
-    drawn = seeded_scenario(scenario, seed, was_homed=not can_home)
+    drawn = seeded_scenario(scenario, seed, was_homed=not arm.can_home)
     out.mkdir(parents=True, exist_ok=True)
     file = out / "scenario.toml"
     if file.exists() and file.read_bytes() != drawn:

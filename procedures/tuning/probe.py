@@ -46,6 +46,11 @@ class Probe:
         self._joint = None
         return self.trace
 
+    @property
+    def is_polled(self) -> bool:
+        """Whether some of its boards speak only when they are asked."""
+        return self._hardware.is_polled
+
     def attend(self, until_s: float) -> None:
         """As the hardware."""
         self._hardware.attend(until_s)
@@ -54,22 +59,26 @@ class Probe:
         """As the hardware."""
         return self._hardware.read()
 
-    def write(self, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float]) -> None:
+    def write(
+        self, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
+    ) -> None:
         """As the hardware, with the signal added to one joint while the loop controls it."""
         joint = self._joint
         if joint is None:
-            self._hardware.write(mode, output, feedforward_V)
+            self._hardware.write(modes, output, feedforward_V)
             return
         trace = self.trace
         cycle = len(trace.t_s)
-        added = self._signal[cycle] if cycle < len(self._signal) and mode is not OutputMode.OFF else 0.0
+        added = (
+            self._signal[cycle] if cycle < len(self._signal) and modes[joint] is not OutputMode.OFF else 0.0
+        )
         outputs = list(output)
         outputs[joint] = min(max(outputs[joint] + added, -self._limit), self._limit)
         trace.t_s.append(self._clock.now_s())
         trace.count.append(self.feedback.count[joint])
         trace.output.append(outputs[joint])
         trace.added.append(outputs[joint] - output[joint])
-        self._hardware.write(mode, outputs, feedforward_V)
+        self._hardware.write(modes, outputs, feedforward_V)
         self._on_cycle(cycle)
 
     def enable(self) -> None:

@@ -14,7 +14,7 @@ from control.progress import Advance
 from control.server.client import ArmFaulted
 from firmware_iface.clock import Clock
 from procedures.tuning.multisine import PERIOD_S, Measured, PoorResponse, multisine, usable
-from procedures.tuning.session import CYCLE_S, MoveResponse, PASS_SPEED_rad_s, Session, StepResponse
+from procedures.tuning.session import MoveResponse, PASS_SPEED_rad_s, Session, StepResponse
 
 LEAST_GAIN_dB, LEAST_PHASE_deg = 6.0, 45.0
 RESERVE_dB, RESERVE_deg = 2.0, 10.0  # margin if no bandwidth is requested: an arm ages
@@ -79,6 +79,7 @@ def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
 
     Gains are set only in the runtimes started here; the arm's own file never changes.
     """
+    _require_loop(arm, options.joints)
     pose = _pose(arm, options)
     measuring = in_voltage_mode(arm)
     advance("homing", 0.0)
@@ -107,12 +108,34 @@ def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
 
 
 def in_voltage_mode(arm: Arm) -> Arm:
-    """Move the PID from the board to the loop: same gains and units, and its output is recorded."""
+    """Move the PID from the board to the loop where the board allows it: same gains and units, and its output is recorded."""
     drives = tuple(
-        replace(drive, pid=replace(drive.pid, mode="voltage")) if drive.pid.mode == "position" else drive
+        replace(drive, pid=replace(drive.pid, mode="voltage"))
+        if drive.pid.mode == "position" and "voltage" in arm.kind_of(drive).modes
+        else drive
         for drive in arm.drives
     )
     return replace(arm, drives=drives)
+
+
+def tunable(arm: Arm) -> tuple[int, ...]:
+    """The joints whose controller is in this loop, or can be; the others' boards close the loop by gains of their own."""
+    return tuple(
+        drive.joint
+        for drive in arm.drives
+        if drive.pid.mode != "position" or "voltage" in arm.kind_of(drive).modes
+    )
+
+
+def _require_loop(arm: Arm, joints: tuple[int, ...]) -> None:
+    can = tunable(arm)
+    beyond = [str(joint) for joint in joints if joint not in can]
+    if beyond or not joints:
+        which = f"joint {', '.join(beyond)}" if beyond else "every joint"
+        raise NotTuned(
+            f"arm {arm.name}: the board of {which} closes the position loop by its own gains, which armwright does not set:"
+            " tune it with the vendor's tool (docs/boards.md)"
+        )
 
 
 def _pose(arm: Arm, options: Options) -> tuple[float, ...]:
@@ -144,7 +167,7 @@ def _try(session: Session, arm: Arm, joint: int, options: Options) -> tuple[Tria
     amplitude = options.amplitude * current_A * unit
     home = session.angles_rad()
     try:
-        measured = session.excite(joint, multisine(PERIOD_S, 1.0 / CYCLE_S), amplitude)
+        measured = session.excite(joint, multisine(PERIOD_S, 1.0 / session.period_s), amplitude)
         session.client.move_joints(home, CENTRE_SPEED)
         step = session.step(joint, STEP_RAD)
         move = session.move(joint, MOVE_RAD)
@@ -155,7 +178,7 @@ def _try(session: Session, arm: Arm, joint: int, options: Options) -> tuple[Tria
     except PoorResponse as poor:
         raise NotTuned(f"joint {joint}: {poor}") from None
     found = margins(good.response.omega_rad_s, good.loop)
-    return Trial(gains_of(arm, joint), found, good, step, move), good
+    return Trial(gains_of(arm, joint, session.period_s), found, good, step, move), good
 
 
 def _designed(
@@ -163,20 +186,28 @@ def _designed(
 ) -> tuple[MotorFit, Design, tuple[float, ...], tuple[str, ...]]:
     fit = fit_motor(measured.response)
     ratios = inertia_ratios(arm, joint, pose)
-    tuner = Tuner(measured.response, fit, CYCLE_S, before.gains.derivative_filter_s, ratios)
+    tuner = Tuner(measured.response, fit, 1.0 / arm.usual_rate_Hz, before.gains.derivative_filter_s, ratios)
     cautions = _cautions(joint, fit, measured)
     try:
         if options.bandwidth_Hz is not None:
             wanted = 2.0 * math.pi * options.bandwidth_Hz
             design = tuner.at_bandwidth(wanted, LEAST_GAIN_dB, LEAST_PHASE_deg)
         else:
-            design = tuner.fastest(LEAST_GAIN_dB + RESERVE_dB, LEAST_PHASE_deg + RESERVE_deg)
+            design = _fastest(tuner)
             slower = tuner.design_at(SHYNESS * design.pole_rad_s)
             if cautions and slower.worst.meet(LEAST_GAIN_dB, LEAST_PHASE_deg):
                 design = slower
     except MarginsUnmet as unmet:
         raise NotTuned(f"joint {joint}: {unmet}") from None
     return fit, _rounded(tuner, design), ratios, cautions
+
+
+def _fastest(tuner: Tuner) -> Design:
+    """The fastest with a reserve, or without where the delay of a slow loop leaves none. Raises MarginsUnmet."""
+    try:
+        return tuner.fastest(LEAST_GAIN_dB + RESERVE_dB, LEAST_PHASE_deg + RESERVE_deg)
+    except MarginsUnmet:
+        return tuner.fastest(LEAST_GAIN_dB, LEAST_PHASE_deg)
 
 
 def _rounded(tuner: Tuner, design: Design) -> Design:

@@ -10,8 +10,10 @@ import numpy as np
 
 from calib.report.drawing import AFTER, BEFORE, svg
 from calib.report.page import Section, bullets, page, pair, paragraph, table
+from control.dynamics.tuning import Margins
 from control.files import write_whole
 from control.model.arm import Arm
+from procedures.tuning.multisine import LOWEST_Hz
 from procedures.tuning.procedure import LEAST_GAIN_dB, LEAST_PHASE_deg, Result, Trial, Tuned
 
 if TYPE_CHECKING:
@@ -23,8 +25,8 @@ TICKS_Hz = (2, 5, 10, 20, 50)
 
 
 def header(arm: Arm) -> tuple[str, ...]:
-    """Heads of the columns; the gains' units are those of the drives' mode."""
-    unit = "A" if arm.drives[0].pid.mode == "current" else "V"
+    """Heads of the columns; the gains' units are those of the drives' modes."""
+    unit = "/".join(sorted({"A" if drive.pid.mode == "current" else "V" for drive in arm.drives}))
     return (
         "joint", "gains", f"kp [{unit}/rad]", f"ki [{unit}/(rad s)]", f"kd [{unit} s/rad]", "gain margin", "phase margin",
         "crossover", "overshoot", "settling", "following error",
@@ -56,9 +58,20 @@ def _row(joint: int, name: str, trial: Trial) -> tuple[str, ...]:
     return (
         str(joint) if name == "before" else "", name,
         f"{trial.gains.kp:.1f}", f"{trial.gains.ki:.0f}", f"{trial.gains.kd:.3f}",
-        _dB(found.gain_dB), f"{found.phase_deg:.0f} deg", f"{found.crossover_rad_s / (2 * math.pi):.1f} Hz",
+        *_measured(found),
         f"{trial.step.overshoot:.0%}", f"{1e3 * trial.step.settling_s:.0f} ms", f"{1e3 * trial.move.peak_error_rad:.2f} mrad",
     )  # fmt: skip
+
+
+def _measured(found: Margins) -> tuple[str, str, str]:
+    """Margins and crossover, if that is among the measured frequencies."""
+    if math.isnan(found.phase_deg):
+        return "", "", f"below {LOWEST_Hz:g} Hz"
+    return (
+        _dB(found.gain_dB),
+        f"{found.phase_deg:.0f} deg",
+        f"{found.crossover_rad_s / (2 * math.pi):.1f} Hz",
+    )
 
 
 def _dB(value: float) -> str:

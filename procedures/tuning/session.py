@@ -22,12 +22,11 @@ from firmware_iface.errors import LinkError
 from procedures.tuning.multisine import BEYOND, PASSES, PERIOD_S, Measured, Multisine, evaluate
 from procedures.tuning.probe import Probe, Trace
 
-CYCLE_S = 0.002
 PASS_SPEED_rad_s = 0.22  # faster than the signal's motion, so that the joint never reverses
 RAMP_S = 0.3
 LEAD_S = 0.5  # from the start of a pass until transients have decayed
 REST_S = 0.4
-STEP_S = 0.6
+STEP_CYCLES = 300  # a slower loop answers a step more slowly by as much
 LATE = 0.5  # of a cycle: a pass with a missed cycle is not evaluated
 
 
@@ -62,9 +61,10 @@ class Session:
 
     def __init__(self, arm: Arm, clock: Clock) -> None:
         self.arm, self.clock = arm, clock
-        self._connection = connect(arm, clock, CYCLE_S)
+        self.period_s = 1.0 / arm.usual_rate_Hz
+        self._connection = connect(arm, clock, self.period_s)
         self.probe = Probe(self._connection.hardware, clock)
-        self._assembly = assemble(arm, self.probe, CYCLE_S)
+        self._assembly = assemble(arm, self.probe, self.period_s)
         self._channel = InProcessChannel(self._assembly, clock)
         self.client = ArmClient(self._channel)
 
@@ -111,7 +111,7 @@ class Session:
 
         self.probe.watch(joint - 1, signal, limit, follow)
         try:
-            self.client.wait((len(points) + 1) * CYCLE_S)
+            self.client.wait((len(points) + 1) * self.period_s)
         finally:
             trace = self.probe.rest()
         self.client.until(["HOLDING"], 0.1)
@@ -120,20 +120,21 @@ class Session:
     def excite(self, joint: int, wave: Multisine, amplitude: float) -> Measured:
         """Passes back and forth around the present pose, with the signal on the joint."""
         centre = at_rest(self.angles_rad())
-        forth = _pass(centre, joint - 1)
+        cycle_s = self.period_s
+        forth = _pass(centre, joint - 1, cycle_s)
         self.client.move_joints(forth[0].q_rad, 0.3)
         mapped = JointMap(self.arm.drive(joint))
-        lead, count = round(LEAD_S / CYCLE_S), len(wave.samples)
+        lead, count = round(LEAD_S / cycle_s), len(wave.samples)
         signal = [0.0] * lead + (amplitude * np.append(wave.samples, wave.samples[:BEYOND])).tolist()
         # The signal starts before the evaluated period, so that the response is periodic by then.
-        early = round((LEAD_S - RAMP_S) / CYCLE_S)
+        early = round((LEAD_S - RAMP_S) / cycle_s)
         signal[lead - early : lead] = (amplitude * wave.samples[-early:]).tolist()
         rows: list[tuple[list[float], list[float], list[float]]] = []
         for number in range(PASSES):
-            points = forth if number % 2 == 0 else _reversed(forth)
+            points = forth if number % 2 == 0 else _reversed(forth, cycle_s)
             trace = self._run(joint, points, signal)
             inside = slice(lead, lead + count + BEYOND)
-            if _is_punctual(trace.t_s[inside]):
+            if _is_punctual(trace.t_s[inside], cycle_s):
                 angle = [mapped.radians(k) for k in trace.count[inside]]
                 rows.append((angle, trace.output[inside], trace.added[inside]))
         if len(rows) < 2:
@@ -147,7 +148,7 @@ class Session:
         """A step forward and one back, averaged."""
         here = at_rest(self.angles_rad())
         there = SetPoint(_with(here.q_rad, joint - 1, height_rad), here.speed_rad_s, here.acceleration_rad_s2)
-        hold, steps = round(REST_S / CYCLE_S), round(STEP_S / CYCLE_S)
+        hold, steps = round(REST_S / self.period_s), STEP_CYCLES
         mapped = JointMap(self.arm.drive(joint))
         shares = []
         for begin, end, sign in ((here, there, 1.0), (there, here, -1.0)):
@@ -156,7 +157,7 @@ class Session:
             before = angle[hold - 20 : hold].mean()
             shares.append(sign * (angle[hold + 1 : hold + steps] - before) / height_rad)
         share = np.mean(shares, axis=0)
-        return _judged_step(share, abs(2.0 * mapped.radians_per_count / height_rad))
+        return _judged_step(share, abs(2.0 * mapped.radians_per_count / height_rad), self.period_s)
 
     def move(self, joint: int, distance_rad: float) -> MoveResponse:
         """A move forward; then the arm returns."""
@@ -175,19 +176,19 @@ class Session:
             trace = self.probe.rest()
         self.client.move_joints(home, 0.3)
         angle = np.array([mapped.radians(k) for k in trace.count])
-        return _judged_move(np.array(wanted), angle)
+        return _judged_move(np.array(wanted), angle, self.period_s)
 
 
-def _pass(centre: SetPoint, j: int) -> list[SetPoint]:
+def _pass(centre: SetPoint, j: int, cycle_s: float) -> list[SetPoint]:
     """Set-points of a pass around a pose: speed up, steady, slow down, rest."""
-    ramp, steady = round(RAMP_S / CYCLE_S), round((LEAD_S - RAMP_S + PERIOD_S) / CYCLE_S) + BEYOND
+    ramp, steady = round(RAMP_S / cycle_s), round((LEAD_S - RAMP_S + PERIOD_S) / cycle_s) + BEYOND
     push = PASS_SPEED_rad_s / RAMP_S
-    accelerations = [push] * ramp + [0.0] * steady + [-push] * ramp + [0.0] * round(REST_S / CYCLE_S)
+    accelerations = [push] * ramp + [0.0] * steady + [-push] * ramp + [0.0] * round(REST_S / cycle_s)
     speed, way = 0.0, 0.0
     rows = []
     for acceleration in accelerations:
-        way += (speed + 0.5 * acceleration * CYCLE_S) * CYCLE_S
-        speed += acceleration * CYCLE_S
+        way += (speed + 0.5 * acceleration * cycle_s) * cycle_s
+        speed += acceleration * cycle_s
         rows.append((way, speed, acceleration))
     begin_rad = -0.5 * way
     points = [
@@ -201,9 +202,9 @@ def _pass(centre: SetPoint, j: int) -> list[SetPoint]:
     return [at_rest(_with(centre.q_rad, j, begin_rad)), *points[:-1], at_rest(points[-1].q_rad)]
 
 
-def _reversed(points: Sequence[SetPoint]) -> list[SetPoint]:
+def _reversed(points: Sequence[SetPoint], cycle_s: float) -> list[SetPoint]:
     """The same pass in reverse; the rest comes last again."""
-    rest = round(REST_S / CYCLE_S)
+    rest = round(REST_S / cycle_s)
     moving = list(reversed(points[: len(points) - rest]))
     back = [SetPoint(p.q_rad, tuple(-v for v in p.speed_rad_s), p.acceleration_rad_s2) for p in moving]
     return [at_rest(points[-1].q_rad), *back[1:], *[at_rest(points[0].q_rad)] * rest]
@@ -213,15 +214,15 @@ def _with(values: Sequence[float], j: int, more: float) -> tuple[float, ...]:
     return tuple(value + more if k == j else value for k, value in enumerate(values))
 
 
-def _is_punctual(t_s: Sequence[float]) -> bool:
+def _is_punctual(t_s: Sequence[float], cycle_s: float) -> bool:
     steps = np.diff(t_s)
-    return bool(steps.size and np.all(np.abs(steps - CYCLE_S) < LATE * CYCLE_S))
+    return bool(steps.size and np.all(np.abs(steps - cycle_s) < LATE * cycle_s))
 
 
 def _judged_step(
-    share: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]", two_counts: float
+    share: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]", two_counts: float, cycle_s: float
 ) -> StepResponse:
-    t_s = CYCLE_S * (1 + np.arange(len(share)))
+    t_s = cycle_s * (1 + np.arange(len(share)))
     final = float(share[-50:].mean())
     band = max(0.05, two_counts)
     outside = np.flatnonzero(np.abs(share - final) > band)
@@ -235,6 +236,7 @@ def _judged_step(
 def _judged_move(
     wanted: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]",
     angle: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]",
+    cycle_s: float,
 ) -> MoveResponse:
     n = min(len(wanted), len(angle))
     wanted, angle = wanted[:n], angle[:n]
@@ -242,9 +244,9 @@ def _judged_move(
     moving = np.flatnonzero(np.diff(wanted))
     end = int(moving[-1]) + 1 if moving.size else 0
     unsettled = np.flatnonzero(np.abs(error[end:]) > 5e-4)
-    t_s = CYCLE_S * np.arange(n)
+    t_s = cycle_s * np.arange(n)
     return MoveResponse(
         tuple(t_s.tolist()), tuple(wanted.tolist()), tuple(angle.tolist()),
         float(np.abs(error).max()), float(np.sqrt(np.mean(error[: end + 1] ** 2))),
-        float(CYCLE_S * (unsettled[-1] + 1)) if unsettled.size else 0.0,
+        float(cycle_s * (unsettled[-1] + 1)) if unsettled.size else 0.0,
     )  # fmt: skip

@@ -6,18 +6,27 @@ import pytest
 
 from control.hardware.interface import OutputMode
 from control.safety.table import Mode
+from hil_mocks.firmware.library import compiler
+from hil_mocks.scenario import Scenario
 from tests.cell import Cell, holding_cell, open_cell, scenario
 from tests.kinds import ON_BOARDS, OnBoards
 
 
 @pytest.fixture(params=list(ON_BOARDS))
 def on_boards(request: pytest.FixtureRequest) -> OnBoards:
-    return ON_BOARDS[request.param]
+    kind = ON_BOARDS[request.param]
+    if kind.firmware == "c" and compiler() is None:
+        pytest.skip("no C compiler: apt-get install gcc")
+    return kind
+
+
+def mock_of(on_boards: OnBoards) -> Scenario:
+    return scenario(q_rad=None, homed=True, firmware=on_boards.firmware)
 
 
 @pytest.fixture
 def holding(on_boards: OnBoards) -> Iterator[Cell]:
-    with holding_cell(scenario(q_rad=None, homed=True), on_boards.arm, period_s=on_boards.period_s) as cell:
+    with holding_cell(mock_of(on_boards), on_boards.arm, period_s=on_boards.period_s) as cell:
         yield cell
 
 
@@ -26,8 +35,9 @@ def volts(cell: Cell) -> list[float]:
     return [abs(value) if kind == "voltage" else 0.0 for kind, value in cell.rig.robot.outputs]
 
 
+@pytest.mark.usefixtures("nobody_below")
 def test_nothing_is_driven_before_enable_nor_after_off(on_boards: OnBoards) -> None:
-    with open_cell(scenario(q_rad=None), on_boards.arm, period_s=on_boards.period_s) as cell:
+    with open_cell(mock_of(on_boards), on_boards.arm, period_s=on_boards.period_s) as cell:
         assert max(volts(cell)) == 0.0
         cell.client.enable()
         assert cell.connection.hardware.is_any_enabled()
@@ -114,10 +124,21 @@ def test_a_shifted_counter_reads_the_shifted_count(holding: Cell) -> None:
     assert feedback.shift_count[0] == 1000
 
 
-def test_the_loop_knows_what_all_of_its_boards_offer(on_boards: OnBoards) -> None:
-    with open_cell(scenario(q_rad=None), on_boards.arm, period_s=on_boards.period_s) as cell:
-        offers = cell.connection.hardware.offers
-        assert OutputMode.HOLD in offers
-        if OutputMode.OFF not in offers:
+def test_a_guided_joint_is_not_driven_and_is_held_again_where_it_was_left(holding: Cell) -> None:
+    holding.client.guide()
+    holding.run(0.1)
+    assert max(volts(holding)) == 0.0
+    holding.client.hold()
+    holding.run(0.3)
+    assert (holding.mode, holding.faults) == (Mode.HOLDING, [])
+    q_rad = holding.rig.joint_rad()
+    holding.run(0.1)
+    assert holding.rig.joint_rad() == pytest.approx(q_rad, abs=5e-3)
+
+
+def test_weightless_guiding_needs_boards_that_take_a_current(on_boards: OnBoards) -> None:
+    with open_cell(mock_of(on_boards), on_boards.arm, period_s=on_boards.period_s) as cell:
+        if OutputMode.CURRENT not in cell.connection.hardware.offers:
             cell.client.enable()
-            assert "docs/boards.md" in cell.refusal(do="guide", weightless=False)
+            cell.run(0.1)
+            assert "docs/boards.md" in cell.refusal(do="guide", weightless=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from firmware_iface.dynamixel import wire
-from firmware_iface.dynamixel.servo import DynamixelServo, ServoLine
+from firmware_iface.dynamixel.servo import DynamixelLine, DynamixelServo
 from firmware_iface.errors import BoardSilent, MisuseError, WrongIdentity
 from firmware_iface.memory_link import byte_pair
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
@@ -56,7 +56,7 @@ class Cable:
 @pytest.mark.parametrize("echoes", [False, True])
 def test_a_servo_says_who_and_where_it_is(echoes: bool) -> None:
     cable = Cable(echoes=echoes)
-    servo = DynamixelServo(ServoLine(cable.link, cable), 3, "elbow")
+    servo = DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow")
     assert servo.identify() == "model 1020, position mode"
     servo.set_up(0.2)
     assert (servo.position, servo.supply_V, servo.is_torque_on) == (1024, 12.0, False)
@@ -66,13 +66,13 @@ def test_a_servo_says_who_and_where_it_is(echoes: bool) -> None:
 def test_models_without_a_current_other_modes_and_bad_ids_are_refused() -> None:
     cable = Cable(model=1060)
     with pytest.raises(WrongIdentity, match="measures its current"):
-        DynamixelServo(ServoLine(cable.link, cable), 3, "elbow").identify()
+        DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
     cable = Cable()
     cable.servo.table[11] = 1
     with pytest.raises(WrongIdentity, match="operating mode 3 or 4"):
-        DynamixelServo(ServoLine(cable.link, cable), 3, "elbow").identify()
+        DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
     with pytest.raises(MisuseError, match="0 to 252"):
-        DynamixelServo(ServoLine(cable.link, cable), 254, "elbow")
+        DynamixelServo(DynamixelLine(cable.link, cable), 254, "elbow")
 
 
 def test_a_silent_servo_is_an_error_that_says_what_to_check() -> None:
@@ -81,12 +81,12 @@ def test_a_silent_servo_is_an_error_that_says_what_to_check() -> None:
     with pytest.raises(
         BoardSilent, match=r'Dynamixel "elbow" \(id 3\) on /dev/ttyU2D2.*protocol 2.0.*1000000'
     ):
-        DynamixelServo(ServoLine(cable.link, cable), 3, "elbow").identify()
+        DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
 
 
 def test_the_bus_watchdog_stops_a_servo_whose_host_is_gone_until_it_is_cleared() -> None:
     cable = Cable()
-    servo = DynamixelServo(ServoLine(cable.link, cable), 3, "elbow")
+    servo = DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow")
     servo.identify()
     servo.set_up(0.1)
     cable.servo.write(64, b"\x01")

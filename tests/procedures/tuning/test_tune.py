@@ -15,12 +15,15 @@ from control.errors import ArmError
 from control.model.arm import DrivePid
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
+from procedures.mock.on_boards import on_boards
 from procedures.tuning import multisine as signal
 from procedures.tuning import procedure, session
 from procedures.tuning.multisine import Measured, PoorResponse, evaluate, multisine, usable
 from procedures.tuning.procedure import NotTuned, Options, inertia_ratios, tune
 from procedures.tuning.report import write_report
 from tests.cell import RIGHT, scenario, wired_to, with_drive, with_drives
+
+pytestmark = pytest.mark.usefixtures("nobody_below")
 
 WAVE = multisine(2.0, 500.0)
 MOTOR = MotorFit(40.0, 120.0, 0.003, 0.0)
@@ -38,6 +41,16 @@ def answered(noise_rad: float = 0.0, bend: float = 0.0, passes: int = 4) -> Meas
     rows = angle + noise_rad * random.normal(size=(passes, len(angle))) + 0.4e-3 * np.arange(len(angle))
     outputs = np.tile(wave, (passes, 1))
     return evaluate(WAVE, rows, outputs, outputs)
+
+
+def test_a_board_that_closes_the_position_loop_itself_is_not_tuned() -> None:
+    arm = on_boards(RIGHT, "mixed")
+    assert procedure.tunable(arm) == (1, 2)
+    with (
+        SteppedRig(arm, scenario()) as rig,
+        pytest.raises(NotTuned, match="joint 3 closes the position loop"),
+    ):
+        tune(wired_to(arm, rig), rig.clock, Options((1, 3)), lambda what, share: None)
 
 
 def test_the_signal_is_of_odd_harmonics_with_some_left_out_and_no_high_peak() -> None:

@@ -1,11 +1,12 @@
-"""Dynamixel X servos as encoders and drives of an arm: the position loop is in the servo (docs/dynamixel.md).
+"""Smart servos as encoders and drives of an arm: the position loop is in the servo (docs/dynamixel.md, docs/feetech.md).
 
 The encoder is absolute and at the joint, so the arm knows its pose without homing: `zero_count` is the position at joint angle 0.
 Where the loop controls nothing, a servo holds its position.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeVar
 
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened, collect
@@ -14,10 +15,6 @@ from control.hardware.words import (
     EMERGENCY_STOP,
     FAULT,
     OPERATION_ENABLED,
-    OVER_CURRENT,
-    OVER_TEMPERATURE,
-    OWN_ENCODER,
-    SUPPLY_LOW,
     SWITCH_ON_DISABLED,
     WATCHDOG,
     ZERO_SET,
@@ -25,34 +22,59 @@ from control.hardware.words import (
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
-from firmware_iface.dynamixel.servo import DynamixelServo, ServoLine
-from firmware_iface.errors import BoardFaulted, MisuseError
-from firmware_iface.link import open_serial
+from firmware_iface.errors import BoardFaulted, LinkError, MisuseError
+from firmware_iface.link import ByteLink, open_serial
+from firmware_iface.servo_line import ServoLine, ServoQuestion
 
-# Bits of the hardware error status (e-Manual), as the loop's faults.
-_FAULT_OF = ((0x01, SUPPLY_LOW), (0x04, OVER_TEMPERATURE), (0x08, OWN_ENCODER), (0x30, OVER_CURRENT))
-# A cycle: a sync write (14 bytes and 5 a servo), one state (14 + 46), and for each servo its values (14 + 32).
-STATE_BYTES, VALUE_BYTES, GOAL_BYTES, SYNC_BYTES = 60, 46, 5, 14
+L = TypeVar("L", bound=ServoLine)
+FaultMap = Sequence[tuple[int, int]]
+"""Bits of a servo's hardware error, and the loop's fault for each."""
+
 TURN_AROUND_S = 0.0005
 LOOKS_BEFORE_A_READ = 40  # as on a RoboClaw's line
+TORQUE_CYCLES = (
+    20  # until a servo that was told to switch its torque on says that it did: asked in turn, some times
+)
 
 
-def cycle_s(servos: int, baud: int) -> float:
-    """How long the questions of one cycle take on a line: the shortest period of the loop."""
-    line_bytes = SYNC_BYTES + STATE_BYTES + servos * (GOAL_BYTES + VALUE_BYTES)
-    return line_bytes * 10 / baud + (servos + 1) * TURN_AROUND_S
+class Servo(Protocol):
+    """What the drivers of servos have in common (firmware_iface.dynamixel.servo, firmware_iface.feetech.servo)."""
+
+    number: int
+    goal: int
+    position: int
+    current_A: float
+    supply_V: float
+    temperature_degC: float
+    at_s: float
+    is_torque_on: bool | None
+    hardware_error: int
+    resets: int
+    problems: list[LinkError]
+
+    values_question: ServoQuestion
+
+    @property
+    def where(self) -> str: ...
+    @property
+    def is_watchdog_expired(self) -> bool: ...
+    def post_torque(self, is_on: bool) -> None: ...
+    def identify(self) -> str: ...
+    def set_up(self, watchdog_s: float) -> None: ...
+    def read_state(self) -> None: ...
+    def reboot(self) -> None: ...
 
 
-class DynamixelLine:
+class PolledServos:
     """The line, as the loop drains it; meets `control.hardware.roles.Line` and `PolledLine`."""
 
-    def __init__(self, line: ServoLine) -> None:
-        self._line = line
+    def __init__(self, line: ServoLine, servos: Sequence[Servo]) -> None:
+        self._line, self._servos = line, servos
 
     def update(self) -> None:
         """Take what has arrived. Raises LinkLost, BoardReset."""
         self._line.update()
-        for servo in self._line.servos:
+        for servo in self._servos:
             if servo.problems:
                 raise servo.problems.pop(0)
 
@@ -66,10 +88,10 @@ class DynamixelLine:
         self._line.attend()
 
 
-class DynamixelEncoder(AskedEncoders):
+class ServoEncoder(AskedEncoders):
     """The absolute encoder of a servo; meets `control.hardware.roles.Encoders`."""
 
-    def __init__(self, servo: DynamixelServo, joint: int) -> None:
+    def __init__(self, servo: Servo, joint: int) -> None:
         self.joints = (joint,)
         self.offset = 0
         """What is added to the servo's position."""
@@ -109,26 +131,29 @@ class DynamixelEncoder(AskedEncoders):
         """Nothing is lost that is asked for all the time."""
 
 
-class DynamixelDrive:
+class ServoDrive:
     """One servo; meets `control.hardware.roles.Drives`."""
 
     def __init__(
         self,
-        servo: DynamixelServo,
-        encoder: DynamixelEncoder,
+        servo: Servo,
+        encoder: ServoEncoder,
         joint: int,
         drive: Drive,
         watchdog_s: float,
+        fault_of: FaultMap,
     ) -> None:
         self.joints = (joint,)
         self._servo, self._encoder, self._joint = servo, encoder, joint
         self._map = JointMap(drive)
         self._sign = float(drive.encoder_direction)  # a servo's current has the sense of its count
         self._watchdog_s = watchdog_s
+        self._fault_of = fault_of
         self._configured_resets = -1
         self._faults = 0
         self._held: int | None = None
         self._is_enabled = False
+        self._switching = 0  # cycles since the torque was wanted and is not on
 
     def take(self, feedback: Feedback) -> None:
         """Write current, supply, temperature and state."""
@@ -137,7 +162,7 @@ class DynamixelDrive:
         if servo.is_torque_on is None:
             feedback.statusword[joint] = 0
             return
-        self._faults |= sum(bit for mask, bit in _FAULT_OF if servo.hardware_error & mask)
+        self._faults |= sum(bit for mask, bit in self._fault_of if servo.hardware_error & mask)
         self._faults |= WATCHDOG if servo.is_watchdog_expired else 0
         feedback.current_A[joint] = self._sign * servo.current_A
         feedback.supply_V[joint] = servo.supply_V
@@ -147,18 +172,23 @@ class DynamixelDrive:
         feedback.statusword[joint] = FAULT if self._faults else state
 
     def write(
-        self, wants_enabled: bool, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float],
-        feedback: Feedback,
+        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Set the goal position, and switch the torque as it is wanted."""
         servo, joint = self._servo, self._joint
+        mode = modes[joint]
         feedback.sent_V[joint] = math.nan
         if self._configured_resets != servo.resets:
             self._is_enabled = False
             return
-        is_free = not wants_enabled or (mode is OutputMode.OFF and not self._faults)
+        # A servo with an error of its own has let its joint go, and must not take it again when the error ends.
+        has_failed = bool(self._faults & ~(EMERGENCY_STOP | WATCHDOG))
+        is_free = not wants_enabled or has_failed or (mode is OutputMode.OFF and not self._faults)
         servo.post_torque(not is_free)
-        self._is_enabled = wants_enabled and (is_free or bool(servo.is_torque_on))
+        self._switching = 0 if is_free or servo.is_torque_on else self._switching + 1
+        is_awaited = self._is_enabled and self._switching < TORQUE_CYCLES
+        self._is_enabled = wants_enabled and (is_free or bool(servo.is_torque_on) or is_awaited)
         if is_free or not servo.is_torque_on:
             self._held = None
             servo.goal = servo.position
@@ -204,39 +234,44 @@ class DynamixelDrive:
         self._servo.goal = self._held = self._servo.position
 
 
-def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
-    """Open the lines of these servos and identify every one."""
-    joints: Mapping[str, tuple[int, Drive]] = {d.board: (j, d) for j, d in enumerate(arm.drives)}
+def open_servos(
+    arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened,
+    line_of: Callable[[ByteLink, Clock], L], servo_of: Callable[[L, int, str], Servo],
+    cycle_s: Callable[[int, int], float], fault_of: FaultMap,
+) -> None:  # fmt: skip
+    """Open the lines of these servos and identify every one. `cycle_s`: of so many servos at a baud rate."""
+    joints = {drive.board: (joint, drive) for joint, drive in enumerate(arm.drives)}
     for port in dict.fromkeys(board.port for board in boards):
         on_it = [board for board in boards if board.port == port]
         with collect(opened.failures):
             link = open_serial(port, on_it[0].baud, LOOKS_BEFORE_A_READ)
             opened.closers.append(link.close)
-            _require_time(on_it, link.baud, period_s)
-            line = ServoLine(link, clock)
+            _require_time(on_it, link.baud, cycle_s(len(on_it), link.baud) if link.baud else 0.0, period_s)
+            line = line_of(link, clock)
+            servos: list[Servo] = []
             for described in on_it:
                 with collect(opened.failures):
-                    _open_servo(described, line, *joints[described.name], arm.limits.watchdog_s, opened)
-            polled = DynamixelLine(line)
+                    servos.append(servo_of(line, described.address, described.name))
+                    joint, drive = joints[described.name]
+                    _join(servos[-1], line, joint, drive, arm.limits.watchdog_s, fault_of, opened)
+            polled = PolledServos(line, servos)
             opened.lines.append(polled)
             opened.polled.append(polled)
 
 
-def _open_servo(
-    described: Board, line: ServoLine, joint: int, drive: Drive, watchdog_s: float, opened: Opened
-) -> None:
-    servo = DynamixelServo(line, described.address, described.name)
+def _join(
+    servo: Servo, line: ServoLine, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap, opened: Opened
+) -> None:  # fmt: skip
     identity = servo.identify()
     servo.read_state()
     line.keep_asking(servo.values_question)
-    encoder = DynamixelEncoder(servo, joint)
+    encoder = ServoEncoder(servo, joint)
     opened.encoders.append(encoder)
-    opened.drives.append(DynamixelDrive(servo, encoder, joint, drive, watchdog_s))
+    opened.drives.append(ServoDrive(servo, encoder, joint, drive, watchdog_s, fault_of))
     opened.identities.append((servo.where, identity))
 
 
-def _require_time(boards: Sequence[Board], baud: int, period_s: float) -> None:
-    needed_s = cycle_s(len(boards), baud) if baud else 0.0
+def _require_time(boards: Sequence[Board], baud: int, needed_s: float, period_s: float) -> None:
     if needed_s > period_s:
         raise MisuseError(
             f"servo line {boards[0].port}: {len(boards)} servos at {baud} baud need {needed_s * 1e3:.1f} ms a cycle, the loop has"

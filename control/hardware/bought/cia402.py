@@ -169,11 +169,12 @@ class Cia402Joint:
         return next((bit for at, mask, bit in _FAULT_OF if codes[0] & mask == at), OWN_ENCODER)
 
     def write(
-        self, wants_enabled: bool, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float],
-        feedback: Feedback,
+        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Send the set-point, or the next step towards the wanted state."""
         drive, joint = self._drive, self._joint
+        mode = modes[joint]
         feedback.sent_V[joint] = math.nan
         wanted = (
             State.OPERATION_ENABLED if wants_enabled and not self._is_stopped else State.SWITCH_ON_DISABLED

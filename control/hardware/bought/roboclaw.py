@@ -183,15 +183,15 @@ class RoboClawDrives:
         return state | (WARNING if status & _LIMITS_CURRENT[channel] else 0)
 
     def write(
-        self, wants_enabled: bool, mode: OutputMode, output: Sequence[float], feedforward_V: Sequence[float],
-        feedback: Feedback,
+        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Set the duties; everything but a voltage is 0: the windings are shorted."""
         board = self._board
         is_well = board.supply_V is not None and self._configured_resets == board.resets
         self._is_enabled = wants_enabled and is_well and not any(self._faults)
-        is_driven = self._is_enabled and mode is OutputMode.VOLTAGE
         for joint, channel, sign in self._drives:
+            is_driven = self._is_enabled and modes[joint] is OutputMode.VOLTAGE
             volts = output[joint] if is_driven else 0.0
             board.duty[channel] = _duty(sign * volts, board.supply_V)
             feedback.sent_V[joint] = volts if is_driven else math.nan

@@ -1,0 +1,1 @@
+"""Drivers of bought boards: each opens its boards, and is listed in `control.hardware.kinds`."""

@@ -1,0 +1,144 @@
+"""One Feetech STS servo on a half-duplex line, seen from the host."""
+
+import math
+import struct
+from collections.abc import Callable
+from typing import Final
+
+from firmware_iface.clock import Clock
+from firmware_iface.errors import BoardReset, LinkError, MisuseError, WrongIdentity
+from firmware_iface.feetech import wire
+from firmware_iface.link import ByteLink
+from firmware_iface.servo_line import ServoLine, ServoQuestion
+
+MODEL, MODE, TORQUE, ACCELERATION, GOAL_POSITION, GOAL_SPEED = 3, 33, 40, 41, 42, 46
+STATE_SPAN = (40, 31)  # address and length: torque to current
+CURRENT_UNIT_A: Final = 0.0065
+MODELS: Final = {777: "STS3215", 2825: "STS3250"}
+# Torque; acceleration to lock; position, speed, load; voltage, temperature; asynchronous write; error; moving; two bytes; current
+_STATE = struct.Struct("<B15xHHHBBxBB2xH")
+
+
+class FeetechLine(ServoLine):
+    """A half-duplex line with STS servos, which add themselves."""
+
+    def __init__(self, link: ByteLink, clock: Clock) -> None:
+        self.servos: list[FeetechServo] = []
+        super().__init__(link, clock, self.servos, self._goal_positions)
+
+    def _goal_positions(self) -> bytes:
+        return wire.sync_write(GOAL_POSITION, {servo.number: wire.raw(servo.goal) for servo in self.servos})
+
+
+class FeetechServo:
+    """Keeps the latest values of a servo and its goal; times are the host's, when the request was sent.
+
+    An STS has no bus watchdog: without the host it holds its last goal.
+    """
+
+    is_watchdog_expired = False
+
+    def __init__(self, line: FeetechLine, number: int, name: str) -> None:
+        if number not in wire.IDS:
+            raise MisuseError(f'STS servo "{name}": ids are 0 to 252, got {number}')
+        self.number, self.name = number, name
+        self.goal = self.position = 0
+        self.current_A = 0.0
+        self.supply_V = math.nan
+        self.temperature_degC = 0.0
+        self.at_s = -math.inf
+        self.is_torque_on: bool | None = None
+        self.hardware_error = 0
+        self.resets = 0
+        self.problems: list[LinkError] = []
+        self._line = line
+        self._must_be_on = False
+        self.values_question = self.state_question = self._question(
+            lambda: wire.read(number, *STATE_SPAN), STATE_SPAN[1], self._take_state
+        )
+        self._torque = {
+            is_on: self._question(self._torque_packet(is_on), 0, lambda data, at_s: None)
+            for is_on in (False, True)
+        }
+        line.servos.append(self)
+
+    @property
+    def where(self) -> str:
+        """Name in messages: `STS servo "elbow" (id 3) on /dev/ttyUSB0`."""
+        return f'STS servo "{self.name}" (id {self.number}) on {self._line.name}'
+
+    def post_torque(self, is_on: bool) -> None:
+        """Queue switching the torque, if it is not so already."""
+        if not is_on:
+            self._must_be_on = False
+        if self.is_torque_on is not is_on:
+            self._line.post(self._torque[is_on])
+            self._line.post(self.state_question)
+
+    # ---- outside of the cycle
+
+    def identify(self) -> str:
+        """Ask model and mode. Raises BoardSilent, WrongIdentity."""
+        model = int.from_bytes(self._read(MODEL, 2), "little")
+        if model not in MODELS:
+            known = ", ".join(f"{number} ({name})" for number, name in MODELS.items())
+            raise WrongIdentity(f"{self.where}: expected model {known}, it is model {model}")
+        (mode,) = self._read(MODE, 1)
+        if mode != 0:
+            raise WrongIdentity(
+                f"{self.where}: expected mode 0 (position), it is {mode}: set it with Feetech's FD tool"
+            )
+        return f"model {MODELS[model]}, position mode"
+
+    def set_up(self, watchdog_s: float) -> None:
+        """Torque off, no ramp and no speed limit. Nothing is stored; there is no watchdog to set."""
+        self._must_be_on = False
+        self._write(TORQUE, b"\0")
+        self._write(ACCELERATION, b"\0")
+        self._write(GOAL_SPEED, b"\0\0")
+        self.read_state()
+
+    def read_state(self) -> None:
+        """Torque, errors, and all values as they are now."""
+        now_s = self._line.clock.now_s()
+        self._take_state(b"\0" + self._read(*STATE_SPAN), now_s)
+
+    def reboot(self) -> None:
+        """There is no restart by the bus: torque off ends an overload."""
+        self._must_be_on = False
+        self._write(TORQUE, b"\0")
+
+    def _read(self, address: int, count: int) -> bytes:
+        return self._converse(lambda: wire.read(self.number, address, count), count, f"READ {address}")
+
+    def _write(self, address: int, data: bytes) -> None:
+        self._converse(lambda: wire.write(self.number, address, data), 0, f"WRITE {address}")
+
+    def _converse(self, made: Callable[[], bytes], count: int, what: str) -> bytes:
+        answers: list[bytes] = []
+        question = self._question(made, count, lambda data, _: answers.append(data))
+        return self._line.ask(question, answers, self.where, what, f"check its supply, id {self.number}")
+
+    def _question(
+        self, made: Callable[[], bytes], parameter_bytes: int, taken: Callable[[bytes, float], None]
+    ) -> ServoQuestion:
+        return ServoQuestion(self.number, made, parameter_bytes, taken, wire.status_in, wire.STATUS_OVERHEAD)
+
+    def _torque_packet(self, is_on: bool) -> Callable[[], bytes]:
+        return lambda: wire.write(self.number, TORQUE, bytes((is_on,)))
+
+    def _take_state(self, data: bytes, sent_at_s: float) -> None:
+        torque, position, _, _, tenths_V, self.temperature_degC, error, _, current = _STATE.unpack(data[1:])
+        self.position, self.current_A = wire.signed(position), wire.signed(current) * CURRENT_UNIT_A
+        self.supply_V, self.hardware_error, self.at_s = tenths_V * 0.1, error, sent_at_s
+        self.is_torque_on = bool(torque)
+        if self.is_torque_on:
+            self._must_be_on = True
+        elif self._must_be_on:
+            self._must_be_on = False
+            self.resets += 1
+            self.problems.append(
+                BoardReset(
+                    f"{self.where}: restarted by itself; its torque is off: check its supply and cable"
+                )
+            )

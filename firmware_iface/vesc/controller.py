@@ -1,0 +1,217 @@
+"""VESCs on a CAN bus, seen from the host. They send their status unasked; commands are not answered."""
+
+import math
+import struct
+from collections.abc import Callable
+from typing import Final
+
+from firmware_iface.clock import Clock
+from firmware_iface.errors import BoardReset, BoardSilent, LinkError, MisuseError, ProtocolViolation
+from firmware_iface.link import FrameLink
+from firmware_iface.vesc import wire
+from firmware_iface.vesc.wire import COUNTS_PER_TURN, Frame, Packet
+
+ANSWER_TIMEOUT_s = 0.05
+ATTEMPTS = 3
+STATUS_WAIT_s = 0.5  # a VESC that sends its status more slowly cannot be used
+_STEP_s = 0.0005
+SWITCH_V: Final = 1.65  # half of the 3.3 V to which the analog input is pulled
+NEEDED: Final = (Packet.STATUS, Packet.STATUS_4, Packet.STATUS_5)
+
+
+class VescBus:
+    """One bus with its controllers, which add themselves; drained once a cycle."""
+
+    def __init__(self, link: FrameLink, clock: Clock) -> None:
+        """`link`: of 29-bit ids."""
+        self.link, self.clock, self.name = link, clock, link.name
+        self.controllers: dict[int, Vesc] = {}
+        self.problems: list[LinkError] = []
+        self._turn = 0
+
+    def update(self) -> None:
+        """Process everything received. Raises LinkLost, and once per event what the controllers found."""
+        frames = self.link.receive()
+        now_s = self.clock.now_s()
+        for can_id, payload in frames:
+            self._take(can_id >> 8, can_id & 0xFF, payload, now_s)
+        if self.problems:
+            raise self.problems.pop(0)
+
+    def _take(self, packet: int, number: int, payload: bytes, now_s: float) -> None:
+        if number == wire.HOST and packet in (Packet.PONG, Packet.PROCESS_SHORT_BUFFER) and payload:
+            number = payload[0]
+        if (controller := self.controllers.get(number)) is not None:
+            controller.take(packet, payload, now_s)
+
+    def flush(self) -> None:
+        """Send every controller its command, and ask one of them for its fault code. Raises LinkLost."""
+        numbers = list(self.controllers)
+        for controller in self.controllers.values():
+            self.send(controller.command())
+        self._turn = (self._turn + 1) % len(numbers)
+        self.send(wire.ask_fault(numbers[self._turn]))
+
+    def send(self, frame: Frame) -> None:
+        """Send one frame. Raises LinkLost."""
+        self.link.send(*frame)
+
+
+class Vesc:
+    """Keeps the latest values of a controller and its command; times are the host's, on arrival."""
+
+    def __init__(self, bus: VescBus, number: int, name: str) -> None:
+        if number not in wire.IDS:
+            raise MisuseError(f'VESC "{name}": controller ids are 0 to {wire.IDS.stop - 1}, got {number}')
+        self.number, self.name = number, name
+        self.wanted: Frame = wire.current(number, 0.0)
+        """The command of the next cycle."""
+        self.count = 0
+        self.current_A = 0.0
+        self.supply_V = math.nan
+        self.temperature_degC = 0.0
+        self.is_switch_on = False
+        self.counted_at_s = -math.inf
+        self.fault: int | None = None
+        self.fault_at_s = -math.inf
+        self.resets = 0
+        self._at_s = dict.fromkeys(NEEDED, -math.inf)
+        self._last_raw: int | None = None
+        self._step = 0  # of the count, between the last two status messages
+        self._counters: dict[int, tuple[int, int]] = {}
+        self._is_here = False
+        self._bus = bus
+        bus.controllers[number] = self
+
+    @property
+    def where(self) -> str:
+        """Name in messages: `VESC "elbow" (id 3) on socketcan:can0`."""
+        return f'VESC "{self.name}" (id {self.number}) on {self._bus.name}'
+
+    @property
+    def at_s(self) -> float:
+        """When the oldest of the values came."""
+        return min(self._at_s.values())
+
+    def command(self) -> Frame:
+        """What is to be sent in this cycle."""
+        return self.wanted
+
+    # ---- outside of the cycle
+
+    def identify(self) -> None:
+        """Check that it answers and sends its status. BoardSilent says what is missing."""
+        self._is_here = False
+        for _ in range(ATTEMPTS):
+            self._bus.send(wire.ping(self.number))
+            if self._waits(lambda: self._is_here, ANSWER_TIMEOUT_s):
+                break
+        else:
+            raise BoardSilent(
+                f"{self.where}: no PONG, asked {ATTEMPTS} times: check its supply, id {self.number}, CAN mode VESC and bit rate"
+            )
+        self.await_status()
+
+    def await_status(self) -> None:
+        """Wait for values that are sent from now on, and the fault code. BoardSilent."""
+        asked_s = self._bus.clock.now_s()
+        self._bus.send(wire.ask_fault(self.number))
+        if not self._waits(lambda: min(self.at_s, self.fault_at_s) > asked_s, STATUS_WAIT_s):
+            missing = [
+                packet.name.replace("_", " ") for packet, at_s in self._at_s.items() if at_s <= asked_s
+            ]
+            missing += ["answer to COMM_GET_VALUES_SELECTIVE"] if self.fault_at_s <= asked_s else []
+            raise BoardSilent(
+                f"{self.where}: no {', '.join(missing)} within {STATUS_WAIT_s} s: switch on status messages 1, 4 and 5"
+                " in VESC Tool (App Settings, General, CAN)"
+            )
+
+    def is_well_within(self, limit_s: float) -> bool:
+        """Ask for the fault code until there is no fault; False if there still is one then. BoardSilent."""
+        clock = self._bus.clock
+        end_s = clock.now_s() + limit_s
+        self.await_status()
+        while self.fault and clock.now_s() < end_s:
+            self.await_status()
+        return not self.fault
+
+    def limit_current(self, amperes: float) -> None:
+        """Limit the motor's current; nothing is stored. Raises LinkLost."""
+        self._bus.send(wire.current_limits(self.number, amperes))
+
+    def _waits(self, is_so: Callable[[], bool], limit_s: float) -> bool:
+        clock = self._bus.clock
+        end_s = clock.now_s() + limit_s
+        while not is_so() and clock.now_s() < end_s:
+            clock.wait_until_s(clock.now_s() + _STEP_s)
+            self._bus.update()
+        return is_so()
+
+    # ---- frames
+
+    def take(self, packet: int, payload: bytes, now_s: float) -> None:
+        """Process a frame of this controller."""
+        try:
+            self._take(packet, payload, now_s)
+        except struct.error:
+            self._bus.problems.append(
+                ProtocolViolation(
+                    f"{self.where}: packet {packet} with {len(payload)} bytes: check its firmware"
+                )
+            )
+
+    def _take(self, packet: int, payload: bytes, now_s: float) -> None:
+        match packet:
+            case Packet.STATUS:
+                _, current_A, duty = wire.status(payload)
+                self.current_A = self._directed(current_A, duty)
+            case Packet.STATUS_4:
+                fets_degC, motor_degC, _, raw = wire.status_4(payload)
+                self.temperature_degC = max(fets_degC, motor_degC)
+                self._follow(raw)
+                self.counted_at_s = now_s
+            case Packet.STATUS_5:
+                self.supply_V = wire.status_5(payload).supply_V
+            case Packet.STATUS_6:
+                self.is_switch_on = wire.adc_1_V(payload) > SWITCH_V
+            case Packet.STATUS_2 | Packet.STATUS_3:
+                self._watch_counters(packet, wire.counters(payload))
+            case Packet.PONG:
+                self._is_here = True
+            case Packet.PROCESS_SHORT_BUFFER if (answer := wire.fault_in(payload)) is not None:
+                self.fault, self.fault_at_s = answer[1], now_s
+            case Packet.NOTIFY_BOOT:
+                self._restarted()
+        if packet in self._at_s:
+            self._at_s[Packet(packet)] = now_s
+
+    def _directed(self, current_A: float, duty: float) -> float:
+        """The current with its direction: a driving one has the duty's; where that rounds to 0, the motor brakes its motion."""
+        if duty:
+            return math.copysign(1.0, duty) * current_A
+        return -math.copysign(abs(current_A), self._step)
+
+    def _follow(self, raw: int) -> None:
+        """Count turns: the angle is within one."""
+        if self._last_raw is not None:
+            half = COUNTS_PER_TURN // 2
+            self._step = (raw - self._last_raw + half) % COUNTS_PER_TURN - half
+            self.count += self._step
+        else:
+            self.count = raw
+        self._last_raw = raw
+
+    def _watch_counters(self, packet: int, now: tuple[int, int]) -> None:
+        """Charge and energy only grow: older firmware shows a restart by them alone."""
+        before = self._counters.get(packet, now)
+        self._counters[packet] = now
+        if any(new < old for new, old in zip(now, before, strict=True)):
+            self._restarted()
+
+    def _restarted(self) -> None:
+        self.resets += 1
+        self._last_raw = None
+        self._counters.clear()
+        self._bus.problems.append(
+            BoardReset(f"{self.where}: restarted by itself; its motor is free: check its supply and cable")
+        )

@@ -1,0 +1,44 @@
+"""Motor and position loop of a smart servo: what its control table stands before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hil_mocks.devices.motor_inputs import Output
+
+POSITION_RATE, SPEED_GAIN, SPEED_INTEGRAL, SPEED_FILTER_S = 15.0, 0.5, 15.0, 0.003
+
+
+class ServoMotor:
+    """`read_turns` gives the angle of the output shaft in turns; `goal_turns` is where the loop goes."""
+
+    def __init__(self, volts_per_rad_s: float, read_turns: Callable[[], float]) -> None:
+        self._volts_per_turn_s = volts_per_rad_s * 6.283185307179586
+        self._read_turns = read_turns
+        self.turns = self.goal_turns = read_turns()
+        self.speed_turns_s = 0.0
+        self._step_s = 0.001
+        self._ticked_s: float | None = None
+        self._integral_V = 0.0
+
+    def measure(self, now_s: float) -> None:
+        """Take the angle, and follow the speed."""
+        self._step_s = 0.001 if self._ticked_s is None else now_s - self._ticked_s
+        self._ticked_s = now_s
+        before, self.turns = self.turns, self._read_turns()
+        rate = (self.turns - before) / self._step_s
+        self.speed_turns_s += (rate - self.speed_turns_s) * self._step_s / (self._step_s + SPEED_FILTER_S)
+
+    def engage(self) -> None:
+        """The torque was switched on: the loop begins anew."""
+        self._integral_V = 0.0
+
+    def controlled(self, supply_V: float) -> Output:
+        """The output of a control period."""
+        wanted = POSITION_RATE * (self.goal_turns - self.turns)
+        error_V = self._volts_per_turn_s * (wanted - self.speed_turns_s)
+        wanted_V = self._volts_per_turn_s * wanted + SPEED_GAIN * error_V + self._integral_V
+        limited_V = min(max(wanted_V, -supply_V), supply_V)
+        if wanted_V == limited_V:
+            self._integral_V += SPEED_INTEGRAL * error_V * self._step_s
+        return Output("voltage", limited_V)

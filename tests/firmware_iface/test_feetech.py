@@ -1,0 +1,97 @@
+"""Feetech STS: the packets of the vendor's manual, and a line that echoes, is silent, or has another servo on it."""
+
+from pathlib import Path
+
+import pytest
+
+from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, WrongIdentity
+from firmware_iface.feetech import wire
+from firmware_iface.feetech.servo import CURRENT_UNIT_A, FeetechLine, FeetechServo
+from firmware_iface.memory_link import byte_pair
+from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
+
+GOLDEN = {
+    line.split(" | ")[0]: bytes.fromhex(line.split(" | ")[1])
+    for line in (Path(__file__).parent.parent / "golden" / "feetech.txt").read_text().splitlines()
+    if not line.startswith("#")
+}
+
+
+def test_packets_are_those_of_the_manual() -> None:
+    assert wire.packet(1, wire.Instruction.PING) == GOLDEN["PING id 1"]
+    assert wire.read(1, 56, 2) == GOLDEN["READ id 1 position"]
+    assert wire.write(1, 40, b"\x01") == GOLDEN["WRITE id 1 torque on"]
+    goals = {1: wire.raw(2048), 2: wire.raw(-2)}
+    assert wire.sync_write(42, goals) == GOLDEN["SYNC WRITE positions 2048 and -2"]
+    assert wire.status_in(GOLDEN["STATUS id 1"]) == (1, 0, b"", 6)
+    assert wire.status_in(GOLDEN["STATUS id 1 position 2048"]) == (1, 0, wire.raw(2048), 8)
+
+
+@pytest.mark.parametrize("value", [0, 1, -1, 4095, -32767])
+def test_signed_numbers_have_their_sign_in_bit_15(value: int) -> None:
+    assert wire.signed(int.from_bytes(wire.raw(value), "little")) == value
+
+
+class Cable:
+    """A line with a mock servo; its clock is that of the servo. `echoes`: the adapter hears itself."""
+
+    def __init__(self, model: int = 777, echoes: bool = False) -> None:
+        self.link, self._far = byte_pair("/dev/ttyACM0", 1_000_000)
+        self.servo = FeetechMock(StsSetup(3, 1.0, model), lambda: 0.25)
+        self.mock = FeetechLineMock([self.servo], 1_000_000)
+        self.is_cut = False
+        self._echoes, self._now_s = echoes, 1.0
+
+    def now_s(self) -> float:
+        return self._now_s
+
+    def wait_until_s(self, t: float) -> None:
+        received = self._far.read()
+        if self._echoes:
+            self._far.write(received)
+        if not self.is_cut:
+            self.mock.receive(received, self._now_s)
+        while self._now_s < t:
+            self._now_s += 0.0005
+            self.servo.tick(self._now_s, -0.65, 12.0)
+        for _, status in self.mock.outgoing:
+            self._far.write(status)
+        self.mock.outgoing.clear()
+
+
+@pytest.mark.parametrize("echoes", [False, True], ids=["clean", "echoing adapter"])
+def test_a_servo_is_identified_set_up_and_read(echoes: bool) -> None:
+    cable = Cable(echoes=echoes)
+    servo = FeetechServo(FeetechLine(cable.link, cable), 3, "elbow")
+    assert servo.identify() == "model STS3215, position mode"
+    servo.set_up(0.2)
+    assert (servo.position, servo.is_torque_on, servo.hardware_error) == (1024, False, 0)
+    assert servo.current_A == pytest.approx(-100 * CURRENT_UNIT_A)
+    assert (servo.supply_V, servo.temperature_degC) == (pytest.approx(12.0), 35)
+
+
+def test_another_model_or_mode_and_a_silent_line_say_what_to_do() -> None:
+    cable = Cable(model=1029)
+    with pytest.raises(WrongIdentity, match=r"expected model 777 \(STS3215\), 2825 .*, it is model 1029"):
+        FeetechServo(FeetechLine(cable.link, cable), 3, "elbow").identify()
+    wheel = Cable()
+    wheel.servo.table[33] = 1
+    with pytest.raises(WrongIdentity, match=r"mode 0 .*, it is 1: set it with Feetech's FD tool"):
+        FeetechServo(FeetechLine(wheel.link, wheel), 3, "elbow").identify()
+    wheel.is_cut = True
+    with pytest.raises(BoardSilent, match=r"no answer to READ 3 .*asked 3 times.*check its supply, id 3"):
+        FeetechServo(FeetechLine(wheel.link, wheel), 3, "elbow").identify()
+    with pytest.raises(MisuseError, match="0 to 252, got 253"):
+        FeetechServo(FeetechLine(cable.link, cable), 253, "elbow")
+
+
+def test_a_torque_that_goes_off_by_itself_is_a_restart() -> None:
+    cable = Cable()
+    servo = FeetechServo(FeetechLine(cable.link, cable), 3, "elbow")
+    cable.servo.table[40] = 1
+    servo.read_state()
+    assert servo.problems == []
+    cable.servo.table[40] = 0
+    servo.read_state()
+    assert servo.resets == 1
+    assert isinstance(servo.problems[0], BoardReset)

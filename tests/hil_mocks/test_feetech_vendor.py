@@ -1,0 +1,119 @@
+"""The vendor's SDK (ftservo-python-sdk, from PyPI) drives the mock STS servos, and its bytes are ours."""
+
+from typing import Any
+
+import pytest
+
+from firmware_iface.feetech import wire
+from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
+
+sdk = pytest.importorskip("scservo_sdk")
+
+
+class Port:
+    """The SDK's port handler: the mock's answers are there at once, its control period passes with every packet."""
+
+    is_using = False
+
+    def __init__(self, line: FeetechLineMock) -> None:
+        self.written = b""
+        self.line, self._received, self._now_s, self._looks = line, b"", 1.0, 0
+
+    def clearPort(self) -> None:
+        self._received = b""
+
+    def writePort(self, packet: list[int]) -> int:
+        self._now_s += 0.001
+        self.written += bytes(packet)
+        self.line.receive(bytes(packet), self._now_s)
+        for servo in self.line.servos.values():
+            servo.tick(self._now_s, -0.65, 12.0)
+        self._received += b"".join(status for _, status in self.line.outgoing)
+        self.line.outgoing.clear()
+        return len(packet)
+
+    def readPort(self, length: int) -> bytes:
+        self._looks += 1
+        got, self._received = self._received[:length], self._received[length:]
+        return got
+
+    def setPacketTimeout(self, length: int) -> None:
+        self._looks = 0
+
+    def isPacketTimeout(self) -> bool:
+        self._looks += 1
+        return self._looks > 50
+
+
+@pytest.fixture
+def port() -> Port:
+    servos = [FeetechMock(StsSetup(number, 1.0), lambda: -0.25) for number in (1, 2)]
+    return Port(FeetechLineMock(servos, 1_000_000))
+
+
+@pytest.fixture
+def handler(port: Port) -> Any:
+    return sdk.sms_sts(port)
+
+
+def test_the_sdk_pings_reads_and_writes_the_mock(port: Port, handler: Any) -> None:
+    assert handler.ping(1) == (777, sdk.COMM_SUCCESS, 0)
+    assert handler.ReadPos(2) == (-1024, sdk.COMM_SUCCESS, 0)
+    assert handler.write1ByteTxRx(1, sdk.SMS_STS_TORQUE_ENABLE, 1) == (sdk.COMM_SUCCESS, 0)
+    assert port.line.servos[1].table[40] == 1
+    assert handler.read2ByteTxRx(1, sdk.SMS_STS_PRESENT_CURRENT_L)[0] == 0x8000 | 100
+    assert handler.ping(9)[1] == sdk.COMM_RX_TIMEOUT
+
+
+def test_the_lock_keeps_what_is_stored(port: Port, handler: Any) -> None:
+    handler.write1ByteTxRx(1, sdk.SMS_STS_MODE, 1)
+    assert port.line.servos[1].table[33] == 0
+    handler.unLockEprom(1)
+    handler.WheelMode(1)
+    assert port.line.servos[1].table[33] == 1
+
+
+def test_the_sdks_sync_write_is_ours_and_sets_the_goals(port: Port, handler: Any) -> None:
+    write = sdk.GroupSyncWrite(handler, sdk.SMS_STS_GOAL_POSITION_L, 2)
+    for number, goal in ((1, 2048), (2, -2)):
+        write.addParam(number, list(wire.raw(goal)))
+    assert write.txPacket() == sdk.COMM_SUCCESS
+    assert port.written == wire.sync_write(42, {1: wire.raw(2048), 2: wire.raw(-2)})
+    assert [servo.table[42:44] for servo in port.line.servos.values()] == [b"\x00\x08", b"\x02\x80"]
+
+
+def test_our_packets_are_the_sdks_byte_for_byte(port: Port, handler: Any) -> None:
+    handler.ReadPos(2)
+    handler.write1ByteTxRx(1, sdk.SMS_STS_TORQUE_ENABLE, 1)
+    handler.WritePosEx(1, 1000, 0, 0)
+    assert port.written == (
+        wire.read(2, 56, 2)
+        + wire.write(1, 40, b"\x01")
+        + wire.write(1, 41, b"\x00" + wire.raw(1000) + bytes(4))
+    )
+
+
+def test_an_error_is_in_every_status_until_its_cause_is_gone(port: Port, handler: Any) -> None:
+    port.line.servos[1].forced_error = 0x20
+    handler.ping(1)
+    assert handler.ping(1)[2] == 0x20
+    port.line.servos[1].forced_error = 0
+    handler.ping(1)
+    assert handler.ping(1)[2] == 0
+
+
+def test_any_single_flipped_bit_of_a_status_packet_is_noticed(port: Port) -> None:
+    port.line.servos[1].tick(1.0, 0.0, 12.0)
+    status = port.line.servos[1].answer(0x02, bytes((56, 2)), 1.1)
+    assert status is not None
+    read = wire.status_in(status)
+    assert read is not None
+    assert wire.signed(int.from_bytes(read.parameters, "little")) == -1024
+    for bit in range(8 * len(status)):
+        flipped = bytearray(status)
+        flipped[bit // 8] ^= 1 << bit % 8
+        try:
+            found = wire.status_in(bytes(flipped))
+        except ValueError:
+            continue
+        assert found is None
