@@ -63,7 +63,7 @@ class ConnectionFailed(LinkError):
     """One error for all devices that failed to connect, with a message for each in `failures`."""
 
     def __init__(self, failures: Sequence[LinkError], attempted: int) -> None:
-        self.failures = tuple(failures)
+        self.failures, self.attempted = tuple(failures), attempted
         lines = "".join(f"\n  - {failure}" for failure in self.failures)
         super().__init__(f"{len(self.failures)} of {attempted} devices failed to connect:{lines}")
 

@@ -11,7 +11,7 @@ import os
 import select
 import termios
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
@@ -21,9 +21,12 @@ import can
 import serial
 from serial.tools import list_ports
 
+from firmware_iface import slcan
+from firmware_iface.can_adapters import INTERFACES, channel_of
 from firmware_iface.errors import LinkLost, MisuseError, PortMissing
 
 BY_ID = Path("/dev/serial/by-id")  # of udev: names that stay when devices are plugged in another order
+LATENCY_ms = "1"  # of an FTDI adapter's latency timer
 _PATIENT_READS = 4  # looks at an empty tty before the kernel is asked to hand over what it holds
 _READ_BYTES = 65536  # more than a serial driver buffers
 _INT = Struct("i")
@@ -31,6 +34,7 @@ _NO_BYTES = _INT.pack(0)
 WRITE_TIMEOUT_ms = 200  # requests are about 12 bytes: a line that does not accept them in this time is dead
 _SOCKETCAN_BUS_OFF = 0x40  # CAN_ERR_BUSOFF of linux/can/error.h, in the id of an error frame
 _ADAPTERS = ("socketcan", "pcan")  # python-can detects these without waiting
+_SLCAN_BAUD = 115_200
 _ECHO_MEMORY = 64  # our own frames that may be echoed at once
 
 
@@ -61,7 +65,7 @@ class ByteLink(Protocol):
 
 
 class FrameLink(Protocol):
-    """A CAN bus: classic data frames with 11-bit ids. Own frames are not received."""
+    """A CAN bus: classic data frames with 11-bit ids, or with 29-bit ids. Own frames are not received."""
 
     @property
     def name(self) -> str:
@@ -98,7 +102,8 @@ def open_serial(url: str, baud: int, patience: int = _PATIENT_READS) -> ByteLink
     if type(port) is serial.Serial and os.name == "posix":
         # Only real UARTs on USB have this mode; a pty answers with an error, and needs none.
         with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):
-            port.set_low_latency_mode(True)
+            port.set_low_latency_mode(True)  # ASYNC_LOW_LATENCY, where the kernel lets this user
+        lower_latency(url)
         return _PosixByteLink(port, url, baud, patience)
     if url.startswith("socket:") and os.name == "posix":
         return _SocketByteLink(port, url, 0, patience)
@@ -126,6 +131,20 @@ def serial_ports(by_id: Path = BY_ID) -> list[PortHere]:
         )
         for port in ports
     ]
+
+
+def latency_file(path: str, root: Path = Path("/")) -> Path | None:
+    """The file of an FTDI adapter's latency timer [ms]; None for a port that has none. `path` may be a stable name."""
+    file = root / "sys/bus/usb-serial/devices" / Path(path).resolve().name / "latency_timer"
+    return file if file.is_file() else None
+
+
+def lower_latency(path: str, root: Path = Path("/")) -> None:
+    """Set an FTDI adapter's latency timer to 1 ms, where this user may; it holds short answers for 16 ms by default."""
+    file = latency_file(path, root)
+    with contextlib.suppress(OSError):
+        if file is not None and file.read_text().strip() != LATENCY_ms:
+            file.write_text(LATENCY_ms)
 
 
 def can_buses() -> list[tuple[str, str]]:
@@ -237,38 +256,60 @@ class _PyserialByteLink:
 
 
 def open_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: object) -> FrameLink:
-    """Open a CAN bus by any interface of python-can: socketcan, slcan, pcan, udp_multicast, virtual ...
+    """Open a CAN bus by any interface of python-can: socketcan, slcan, gs_usb, pcan, udp_multicast, virtual ...
 
-    `options` are passed to python-can unchanged. Raises PortMissing with the remedy.
+    `options` are passed to python-can unchanged. slcan is our own (slcan.py). Raises PortMissing with the remedy.
     """
+    return _open_can(interface, channel, bitrate, False, options)
+
+
+def open_extended_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: object) -> FrameLink:
+    """As `open_can`, for frames with 29-bit ids instead of 11-bit ones."""
+    return _open_can(interface, channel, bitrate, True, options)
+
+
+def _open_can(
+    interface: str, channel: str, bitrate: int, is_extended: bool, options: Mapping[str, object]
+) -> FrameLink:
     name = f"{interface}:{channel}"
+    if interface == "slcan":
+        return _open_slcan(name, channel, bitrate, **options)
     arguments: dict[str, object] = {"bitrate": bitrate, "receive_own_messages": False, **options}
     if interface == "udp_multicast":
         arguments.setdefault("fd", False)
     with _can_log() as log_messages:
         try:
-            bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **arguments)  # type: ignore[arg-type]
+            arguments["channel"] = channel_of(interface, channel)
+            bus = can.Bus(interface=interface, ignore_config=True, **arguments)  # type: ignore[arg-type]
         except Exception as problem:  # drivers raise anything: OSError, NameError, their own errors
             reason = "; ".join(dict.fromkeys([str(problem) or type(problem).__name__, *log_messages]))
             remedy = _can_remedy(interface, channel, bitrate)
             raise PortMissing(f"CAN bus {name}: cannot open it: {reason}; {remedy}") from None
-    return _CanFrameLink(bus, name, hears_itself=interface == "udp_multicast")
+    return _CanFrameLink(bus, name, is_extended, hears_itself=interface == "udp_multicast")
+
+
+def _open_slcan(name: str, channel: str, bitrate: int, **options: object) -> FrameLink:
+    """An slcan adapter by its serial port. Most are on USB, where the line's own rate does not matter."""
+    if strange := sorted(set(options) - set(slcan.OPTIONS)):
+        raise PortMissing(
+            f"CAN bus {name}: unknown option {strange[0]}; slcan takes {', '.join(slcan.OPTIONS)}"
+        )
+    if bitrate not in slcan.BITRATE_CODES:
+        raise PortMissing(
+            f"CAN bus {name}: bitrate {bitrate}: slcan knows {', '.join(map(str, slcan.BITRATE_CODES))}"
+        )
+    port = open_serial(channel, int(str(options.get("tty_baudrate", _SLCAN_BAUD))))
+    return slcan.SlcanLink(port, name, bitrate)
 
 
 def _can_remedy(interface: str, channel: str, bitrate: int) -> str:
-    match interface:
-        case "socketcan":
-            return f"try: ip link set {channel} up type can bitrate {bitrate} restart-ms 100"
-        case "slcan":
-            return _ports_here()
-        case "udp_multicast":
-            return "the channel is a multicast address such as 239.74.163.2, and msgpack must be installed"
-        case "virtual":
-            return "any name is valid for a virtual bus"
-        case known if known in can.VALID_INTERFACES:
-            return "check that the adapter is plugged in and its driver installed"
-        case _:
-            return f"interfaces: {', '.join(sorted(can.VALID_INTERFACES))}"
+    known = INTERFACES.get(interface)
+    if known is not None:
+        remedy = known.remedy.format(channel=channel, bitrate=bitrate)
+        return "; ".join(part for part in (known.missing(), remedy) if part)
+    if interface in can.VALID_INTERFACES:
+        return "check that the adapter is plugged in and its driver installed"
+    return f"interfaces: {', '.join(sorted(can.VALID_INTERFACES))}"
 
 
 @contextlib.contextmanager
@@ -312,19 +353,22 @@ def _now(bus: can.BusABC) -> Callable[[], can.Message | None]:
 
 
 class _CanFrameLink:
-    """Any python-can bus. Frames other than classic data frames with an 11-bit id are counted in `rejected`."""
+    """Any python-can bus. Frames other than classic data frames with an id of the wanted length are counted in `rejected`."""
 
-    def __init__(self, bus: can.BusABC, name: str, hears_itself: bool) -> None:
+    def __init__(self, bus: can.BusABC, name: str, is_extended: bool, hears_itself: bool) -> None:
         self.name = name
         self.rejected = 0
         self._bus = bus
+        self._is_extended = is_extended
         # Multicast echoes our own frames; each is dropped once.
         self._echoes: deque[tuple[int, bytes]] | None = deque(maxlen=_ECHO_MEMORY) if hears_itself else None
         self._is_open = True
         self._receive = _now(bus)
 
     def send(self, can_id: int, payload: bytes) -> None:
-        message = _OwnMessage(arbitration_id=can_id, data=payload, is_extended_id=False, check=False)
+        message = _OwnMessage(
+            arbitration_id=can_id, data=payload, is_extended_id=self._is_extended, check=False
+        )
         try:
             self._bus.send(message)
         except (can.CanError, OSError, ValueError) as problem:
@@ -338,7 +382,7 @@ class _CanFrameLink:
             if message.is_error_frame:
                 self._check_bus_off(message)
                 self.rejected += 1
-            elif message.is_extended_id or message.is_remote_frame or message.is_fd:
+            elif message.is_extended_id is not self._is_extended or message.is_remote_frame or message.is_fd:
                 self.rejected += 1
             else:
                 frames.append((message.arbitration_id, bytes(message.data)))

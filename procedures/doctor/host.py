@@ -12,7 +12,6 @@ from control.recording.rotation import stored_row_bytes
 from control.server.process import PIPE_bytes
 from control.server.scheduling import punctuality_remedy, strain
 from firmware_iface.clock import Clock, MonotonicClock
-from firmware_iface.link import can_buses, serial_ports
 from procedures.doctor.finding import Finding, Level, graded, percentile
 
 TICK_S = 0.001
@@ -180,16 +179,3 @@ def _written(folder: Path, now_s: Callable[[], float]) -> tuple[float, float]:
         os.fsync(file.fileno())
         longest_s = max(longest_s, now_s() - before_s)
         return DISK_TEST_bytes / max(now_s() - begun_s, 1e-9), longest_s
-
-
-def look_at_ports() -> list[Finding]:
-    """List ports and buses of this host; nothing is opened."""
-    ports = []
-    for port in serial_ports():
-        known = [said for said in (port.description, port.stable) if said]
-        ports.append(f"{port.path} ({', '.join(known)})" if known else port.path)
-    buses = [f"{interface}:{channel}" for interface, channel in can_buses()]
-    return [
-        Finding(Level.OK, "ports", "serial ports here", ", ".join(ports) or "none"),
-        Finding(Level.OK, "ports", "CAN adapters here", ", ".join(buses) or "none known to the system"),
-    ]

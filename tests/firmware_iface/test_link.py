@@ -10,8 +10,17 @@ import can
 import pytest
 from serial.tools.list_ports_common import ListPortInfo
 
+from firmware_iface.can_adapters import channel_of
 from firmware_iface.errors import LinkLost
-from firmware_iface.link import FrameLink, PortHere, open_can, open_serial, serial_ports
+from firmware_iface.link import (
+    FrameLink,
+    PortHere,
+    latency_file,
+    lower_latency,
+    open_can,
+    open_serial,
+    serial_ports,
+)
 
 ERROR_PASSIVE, BUS_OFF = 0x04, 0x40
 
@@ -61,6 +70,26 @@ def test_a_port_that_takes_no_more_bytes_is_lost(monkeypatch: pytest.MonkeyPatch
     link.close()
     os.close(master)
     os.close(slave)
+
+
+def test_an_adapter_that_counts_its_channels_gets_a_number() -> None:
+    assert channel_of("gs_usb", "0") == 0
+    assert channel_of("kvaser", "1") == 1
+    assert channel_of("socketcan", "can0") == "can0"
+    assert channel_of("virtual", "7") == "7"
+
+
+def test_a_latency_timer_is_found_by_any_name_of_its_port_and_lowered(tmp_path: Path) -> None:
+    file = tmp_path / "sys/bus/usb-serial/devices/ttyUSB3/latency_timer"
+    file.parent.mkdir(parents=True)
+    file.write_text("16\n")
+    named = tmp_path / "by-id"
+    named.symlink_to(tmp_path / "ttyUSB3")
+    assert latency_file(str(named), tmp_path) == file
+    assert latency_file("/dev/ttyACM0", tmp_path) is None
+    lower_latency("/dev/ttyACM0", tmp_path)
+    lower_latency(str(named), tmp_path)
+    assert file.read_text() == "1"
 
 
 def test_ports_have_the_stable_names_that_the_system_links_to_them(

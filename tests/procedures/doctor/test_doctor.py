@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 
 from console.main import main
-from control.model.arm import Arm
+from control.model.arm import Arm, CanBus
 from firmware_iface.clock import MonotonicClock
+from firmware_iface.link import PortHere
 from firmware_iface.motor.cia402 import State
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
@@ -22,6 +23,7 @@ from procedures.doctor.boards import Boards, open_boards
 from procedures.doctor.finding import Finding, Level, as_text, graded, percentile, verdict, worst
 from procedures.doctor.host import judge_lateness, judge_strain, lateness, look_at_disk, look_at_kernel
 from procedures.doctor.judging import clock_drift, judge
+from procedures.doctor.links import judge_can, judge_serial
 from procedures.doctor.sampling import sample
 from tests.cell import RIGHT, scenario, wired_to, with_drive
 
@@ -154,6 +156,59 @@ def test_an_arm_without_boards_says_what_to_add() -> None:
         "add [[encoder_board]] to arm.toml, or give --encoder",
         "add [can] to arm.toml, or give --can-interface and --can-channel",
     ]
+
+
+UP = {"flags": ["NOARP", "UP", "LOWER_UP"], "txqlen": 100, "linkinfo": {"info_kind": "can", "info_data": {
+    "state": "ERROR-ACTIVE", "restart_ms": 100, "bittiming": {"bitrate": 1_000_000},
+}}}  # fmt: skip
+CAN0 = CanBus("socketcan", "can0")
+
+
+def about_can(can: CanBus, details: Mapping[str, Any] | None, **data: object) -> list[str]:
+    """What is not well, with `data` in place of what the kernel says of a good interface."""
+    if details is not None and data:
+        info = {**details["linkinfo"]["info_data"], **data}
+        details = {**details, "linkinfo": {"info_kind": "can", "info_data": info}}
+    found = list(judge_can(can, lambda channel: details))
+    assert all(finding.remedy for finding in found if finding.level is not Level.OK)
+    return [f"{f.level.name} {f.what}: {f.measured}" for f in found if f.level is not Level.OK]
+
+
+def test_the_state_of_a_can_interface_is_read_from_the_kernel() -> None:
+    name = "CAN interface socketcan:can0"
+    assert about_can(CAN0, UP) == []
+    assert about_can(CAN0, {}) == []  # no `ip` on this machine
+    assert about_can(CAN0, None) == [f"BAD {name}: there is no such interface"]
+    assert about_can(CAN0, {**UP, "flags": ["NOARP"]}, state="STOPPED") == [f"BAD {name}: down, stopped"]
+    assert about_can(CAN0, UP, state="BUS-OFF") == [f"BAD {name}: up, bus-off"]
+    assert about_can(CAN0, UP, state="ERROR-PASSIVE") == [f"WARN {name}: up, error-passive"]
+    assert about_can(CAN0, UP, bittiming={"bitrate": 500_000}) == [f"BAD {name}: bit rate: 500000"]
+    assert about_can(CAN0, UP, restart_ms=0) == [f"WARN {name}: restart after bus-off: never"]
+    assert about_can(CAN0, {**UP, "txqlen": 10}) == [f"WARN {name}: transmit queue: 10 frames"]
+    assert about_can(CanBus("socketcan", "can1", 500_000), UP)[0].endswith("bit rate: 1000000")
+
+
+def test_a_missing_package_or_a_slow_driver_of_an_adapter_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("firmware_iface.can_adapters.find_spec", lambda name: None)
+    (found,) = judge_can(CanBus("gs_usb", "0"), lambda channel: None)
+    assert (found.level, found.remedy) == (Level.BAD, "pip install gs_usb pyusb")
+    monkeypatch.setattr("firmware_iface.can_adapters.find_spec", lambda name: name)
+    (found,) = judge_can(CanBus("gs_usb", "0"), lambda channel: None)
+    assert found.level is Level.WARN
+    assert "socketcan" in found.remedy
+    assert list(judge_can(CanBus("udp_multicast", "239.74.163.2"), lambda channel: None)) == []
+
+
+def test_ports_get_names_that_stay_and_short_latencies(tmp_path: Path) -> None:
+    timer = tmp_path / "sys/bus/usb-serial/devices/ttyUSB7/latency_timer"
+    timer.parent.mkdir(parents=True)
+    timer.write_text("16\n")
+    here = [PortHere("/dev/ttyUSB7", "", "/dev/serial/by-id/usb-FTDI-if00")]
+    found = list(judge_serial("board", "/dev/ttyUSB7", here, tmp_path))
+    assert [finding.level for finding in found] == [Level.WARN, Level.OK]
+    assert "/dev/serial/by-id/usb-FTDI-if00" in found[0].remedy
+    assert timer.read_text() == "1"  # set, because this user may
+    assert list(judge_serial("board", "/dev/serial/by-id/usb-other", here, tmp_path)) == []
 
 
 def test_drift_and_jitter_come_out_of_arrivals() -> None:
