@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
@@ -21,7 +22,7 @@ from hil_mocks.in_process.line import Line
 from hil_mocks.plant.hand import Point
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable, Scenario, load_scenario
-from hil_mocks.wires import Pty, SerialWire, Wires
+from hil_mocks.wires import OnWires, Pty, SerialWire, Wires
 
 _channels = itertools.count(1)  # a virtual bus is shared by all users of its channel in the process
 _SLACK_S = 1e-9  # rounding of sums of ticks
@@ -48,15 +49,11 @@ class MockHand(Protocol):
         ...
 
 
-class MockArm(Protocol):
-    """Interface of a mock arm for host and operator. Times in s, lengths in m, angles in rad, base frame."""
+class MockPorts(Protocol):
+    """Where the host finds the boards and the camera of a mock arm."""
 
     @property
-    def clock(self) -> Clock: ...
-    @property
     def encoder_urls(self) -> list[str]: ...
-    @property
-    def encoder_url(self) -> str: ...
     @property
     def board_urls(self) -> dict[str, str]: ...
     @property
@@ -67,6 +64,27 @@ class MockArm(Protocol):
     def can_options(self) -> dict[str, int]: ...
     @property
     def camera_port(self) -> int: ...
+
+
+@dataclass(frozen=True, slots=True)
+class ArmPorts:
+    """Meets MockPorts: one arm of a mock cell."""
+
+    encoder_urls: list[str]
+    board_urls: dict[str, str]
+    can_interface: str
+    can_channel: str
+    can_options: dict[str, int]
+    camera_port: int
+
+
+class MockArm(MockPorts, Protocol):
+    """Interface of a mock arm for host and operator. Times in s, lengths in m, angles in rad, base frame."""
+
+    @property
+    def clock(self) -> Clock: ...
+    @property
+    def encoder_url(self) -> str: ...
     @property
     def hand(self) -> MockHand: ...
     def tip_m(self) -> Point: ...
@@ -82,10 +100,20 @@ class MockArm(Protocol):
     def close(self) -> None: ...
 
 
+class Ticking(OnWires, Protocol):
+    """What the stepped clock advances: an arm, or a cell of arms."""
+
+    tick_s: float
+
+    @property
+    def now_s(self) -> float: ...
+    def tick(self) -> None: ...
+
+
 class SteppedClock:
     """The simulation's time, which passes only by waiting. Exact in ticks: a wait ends at the first tick at or after `t`."""
 
-    def __init__(self, robot: MockRobot, wires: Wires) -> None:
+    def __init__(self, robot: Ticking, wires: Wires) -> None:
         self._robot, self._wires = robot, wires
 
     def now_s(self) -> float:
@@ -133,9 +161,11 @@ class SteppedRig:
             register()
             serial_wires, self.can_interface = [Line(f"{name}-{k}") for k in lines], CAN_INTERFACE
         self.can_channel = name
-        self.wires = Wires(serial_wires, self.can_interface, name)
+        self.wires = Wires(
+            serial_wires, self.can_interface, name, has_extended=self.robot.bought.has_extended
+        )
         self.can_options = self.wires.can_options
-        self.camera_port = self.wires.camera_port
+        (self.camera_port,) = self.wires.camera_ports
         paths = [wire.path for wire in self.wires.serial]
         self.encoder_urls = paths[: len(self.robot.encoder_boards)]
         self.board_urls = dict(zip(self.robot.bought.ports, paths[len(self.encoder_urls) :], strict=True))

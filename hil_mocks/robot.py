@@ -8,32 +8,33 @@ file descriptor.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 from control.model.description import Arm
 from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
 from hil_mocks.bought import Bought, Seen
-from hil_mocks.devices.motor_board import BRAKE, OPEN, Frame, Output
+from hil_mocks.devices.board_faults import switch_encoder_board, switch_motor_board
+from hil_mocks.devices.motor_inputs import BRAKE, OPEN, Frame, Output
 from hil_mocks.errors import RigError, ScenarioError
-from hil_mocks.faults import FaultPlan, Frames, Line, check_fault
+from hil_mocks.faults import CanOut, FaultPlan, Frames, Line, check_fault
 from hil_mocks.gripper import PinWires, build_gripper, build_gripper_board
 from hil_mocks.miswiring import LOOSE_PART, LooseCoupling, as_built
 from hil_mocks.plant.gripper import GripperPlant
 from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.plant.parts import tool_parts
+from hil_mocks.plant.plant import Plant
 from hil_mocks.scenario import FaultTable, Scenario
+from hil_mocks.wires import Picture
 from hil_mocks.wiring import Channels, wiring_of
 
-_FORCED = {"over_current": 1, "over_temperature": 2, "encoder_fault": 32}
 _SLACK_S = 1e-9  # rounding of sums of ticks
 
 
 class MockRobot:
     """An arm as built (`arm` and the scenario's hidden errors) with its boards. Joints 0-based; time from power-up."""
 
-    def __init__(self, arm: Arm, scenario: Scenario) -> None:
+    def __init__(self, arm: Arm, scenario: Scenario, plant: Plant | None = None) -> None:
+        """`plant`: of an arm in a world with others (hil_mocks.cell); else its own is built."""
         self.scenario, self.tick_s = scenario, scenario.tick_s
         self._ticks, self._steps = 0, _steps_per_tick(scenario)
         arm = as_built(arm, scenario)
@@ -41,7 +42,7 @@ class MockRobot:
         self._dead: set[int] = set()  # joints whose motor has a broken wire
         self._loose: dict[int, LooseCoupling] = {}
         self._turn_rad = [2.0 * math.pi / drive.gear_ratio for drive in arm.drives]
-        self.plant = build_plant(arm, scenario)
+        self.plant = plant or build_plant(arm, scenario)
         self._wiring = wiring_of(arm, scenario)
         self.encoder_boards = build_encoder_boards(arm, scenario, self._wiring)
         self.bought = Bought(arm, self._wiring, lambda j: self._encoder_rad()[j])
@@ -85,9 +86,9 @@ class MockRobot:
         self._applied: list[Output] = [OPEN for _ in self._directions]
         self._limits_A = [math.inf for _ in self._directions]
         self._serial: list[Frames] = [[] for _ in (*self.encoder_boards, *self.bought.lines)]
-        self._can_on_its_way: list[tuple[float, Frame]] = []
-        self.can_outgoing: list[Frame] = []
-        self.camera_outgoing: list[bytes] = []
+        self._can, self._extended = CanOut(), CanOut()
+        self.can_outgoing, self.extended_outgoing = self._can.outgoing, self._extended.outgoing
+        self.camera_outgoing: list[Picture] = []
 
     @property
     def outputs(self) -> tuple[Output, ...]:
@@ -158,9 +159,26 @@ class MockRobot:
         if addressed is not None:
             self._to_motor_board(addressed, can_id, payload)
 
+    def from_host_extended(self, can_id: int, payload: bytes) -> None:
+        """Process a frame with a 29-bit id from the host now."""
+        vescs = self.bought.vescs
+        for name, mock in zip(vescs.names, vescs.mocks, strict=True):
+            if not self._lines[name].is_silent:
+                mock.receive(can_id, payload, self.now_s)
+        self._gather_vescs()
+
     def tick(self) -> None:
         """Advance everything by one tick."""
         self.plant.step(self._steps)
+        self.after_physics()
+
+    @property
+    def steps_per_tick(self) -> int:
+        """Steps of the physics in a tick."""
+        return self._steps
+
+    def after_physics(self) -> None:
+        """The rest of a tick, once the physics has run: boards, camera and faults."""
         self._ticks += 1
         now_s = self._ticks * self.tick_s
         if now_s >= self._plan.next_change_s:
@@ -178,14 +196,15 @@ class MockRobot:
             if board.output is not self._applied[j]:
                 self._apply(j, board.output, board.current_limit_A)
         self.pins.tick()
-        if self._can_on_its_way:
-            self._release_can(now_s)
+        self._can.release(now_s)
+        self._extended.release(now_s)
         encoder_rad, joint_rad = self._encoder_rad(), self.plant.joint_rad()
         if self.bought.joints:
             signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
             for driven in self.bought.tick(now_s, Seen(signed_A, supply_V, is_clamped, joint_rad)):
                 self._apply(*driven)
             self._gather_can_drives()
+            self._gather_vescs()
         for i, encoder in enumerate(self.encoder_boards):
             encoder.tick(now_s, *self._channels[i].seen(encoder_rad, joint_rad))
             if encoder.outgoing:
@@ -302,20 +321,15 @@ class MockRobot:
                 self._send_can(name, list(drive.outgoing))
                 drive.outgoing.clear()
 
-    def _send_can(self, name: str, frames: list[Frame]) -> None:
-        line = self._lines[name]
-        if not line.faults:
-            self.can_outgoing += frames
-            return
-        for can_id, payload in frames:
-            for when_s, arrived in line.passed([(self.now_s, payload)]):
-                self._can_on_its_way.append((when_s, (can_id, arrived)))
-        self._release_can(self.now_s)
+    def _gather_vescs(self) -> None:
+        vescs = self.bought.vescs
+        for name, mock in zip(vescs.names, vescs.mocks, strict=True):
+            if mock.outgoing:
+                self._extended.send(self._lines[name], list(mock.outgoing), self.now_s)
+                mock.outgoing.clear()
 
-    def _release_can(self, now_s: float) -> None:
-        moment_s = now_s + _SLACK_S
-        self.can_outgoing += [frame for when_s, frame in self._can_on_its_way if when_s <= moment_s]
-        self._can_on_its_way = [sent for sent in self._can_on_its_way if sent[0] > moment_s]
+    def _send_can(self, name: str, frames: list[Frame]) -> None:
+        self._can.send(self._lines[name], frames, self.now_s)
 
     def _gather_serial(self, board: int) -> None:
         outgoing = self.encoder_boards[board].outgoing
@@ -337,7 +351,7 @@ class MockRobot:
         line = self._lines["camera"]
         if line.faults:
             datagrams = [arrived for _, arrived in line.passed([(now_s, datagram) for datagram in datagrams])]
-        self.camera_outgoing += datagrams
+        self.camera_outgoing += [(0, datagram) for datagram in datagrams]
 
     def _change_faults(self, now_s: float) -> None:
         begun, ended = self._plan.update(now_s)
@@ -375,22 +389,8 @@ class MockRobot:
         return True
 
     def _switch_motor(self, fault: FaultTable, at: int, is_on: bool) -> None:
-        board = self.motor_boards[at]
-        if self._switch_wiring(fault, self._motor_joints[at], is_on):
-            return
-        if fault.kind.startswith("says_"):
-            board.says[fault.kind] = fault.value if is_on else None
-        elif fault.kind in _FORCED:
-            bit = _FORCED[fault.kind]
-            board.forced_faults = board.forced_faults | bit if is_on else board.forced_faults & ~bit
-        elif fault.kind == "board_reset" and is_on:
-            board.power_up()
-        elif fault.kind == "wrong_identity" and is_on:
-            board.setup = replace(board.setup, serial_number=int(fault.value or 0))
-        elif fault.kind == "wrong_protocol" and is_on:
-            board.setup = replace(board.setup, protocol=int(fault.value or 0))
-        elif fault.kind == "wrong_counts" and is_on:
-            board.setup = replace(board.setup, counts_per_turn=int(fault.value or 0))
+        if not self._switch_wiring(fault, self._motor_joints[at], is_on):
+            switch_motor_board(self.motor_boards[at], fault, is_on)
 
     def _jam(self, j: int, is_on: bool) -> None:
         if j == self.plant.joints and self.gripper is not None:
@@ -405,33 +405,10 @@ class MockRobot:
             self.plant.bridges.set_supply(j, supply_V)
 
     def _switch_encoder(self, fault: FaultTable, i: int, is_on: bool) -> None:
-        board = self.encoder_boards[i]
-        sets = {
-            "stuck_encoder": board.stuck, "lost_wire": board.lost, "backwards_encoder": board.backwards
-        }  # fmt: skip
-        if fault.kind in sets:
-            change: Callable[[int], None] = sets[fault.kind].add if is_on else sets[fault.kind].discard
-            change(fault.channel)
-        elif fault.kind == "loose_encoder":
+        if fault.kind == "loose_encoder":
             self._loosen(i, fault, is_on)
-        elif fault.kind == "quadrature_error" and is_on:
-            board.quadrature_error(fault.channel, round(fault.value or 1))
-        elif fault.kind == "slipped_encoder" and is_on:
-            board.slip(fault.channel, round(fault.value or 0))
-        elif fault.kind == "jumping_encoder" and is_on:
-            board.jump(fault.channel, round(fault.value or 0))
-        elif fault.kind == "drifting_encoder":
-            board.drift.pop(fault.channel, None)
-            if is_on:
-                board.drift[fault.channel] = fault.value or 0.0
-        elif fault.kind == "frozen_clock":
-            board.freeze_clock(is_on)
-        elif fault.kind == "board_reset" and is_on:
-            board.power_up(self.now_s, self._shafts(i)[0])
-        elif fault.kind == "wrong_identity" and is_on:
-            board.setup = replace(board.setup, serial_number=int(fault.value or 0))
-        elif fault.kind == "wrong_protocol" and is_on:
-            board.setup = replace(board.setup, protocol=int(fault.value or 0))
+        else:
+            switch_encoder_board(self.encoder_boards[i], fault, is_on, self.now_s, lambda: self._shafts(i)[0])
 
     def _loosen(self, i: int, fault: FaultTable, is_on: bool) -> None:
         """Start or end the loose coupling; a tightened coupling keeps its slip."""

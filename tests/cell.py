@@ -22,7 +22,7 @@ from control.server.assemble import Assembly, assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from control.server.messages import asked
-from hil_mocks.rig import SteppedRig
+from hil_mocks.rig import MockPorts, SteppedRig
 from hil_mocks.scenario import EffectTable, FaultTable, Scenario, Start, load_scenario
 
 PERIOD_S = 0.002
@@ -112,7 +112,7 @@ class Cell:
         return speeds
 
 
-def wired_to(arm: Arm, rig: SteppedRig) -> Arm:
+def wired_to(arm: Arm, rig: MockPorts) -> Arm:
     """The arm on the rig's wires, with the limits of a real one (procedures.mock.arm has more patience with its boards)."""
     boards = tuple(
         replace(board, port=url) for board, url in zip(arm.encoder_boards, rig.encoder_urls, strict=True)

@@ -30,9 +30,8 @@ class ArmState:
         # the cycle
         self.punctuality = Punctuality(parts.period_s, parts.stopwatch_s, parts.strain)
         self.now_s = 0.0
-        self.elapsed_s = (
-            parts.period_s
-        )  # since the last cycle, by the cycle timer; of a pause, what `bridge` leaves
+        # since the last cycle, by the cycle timer; of a pause, what `bridge` leaves
+        self.elapsed_s = parts.period_s
         self.has_missed = False  # deadlines, before this cycle
         self.bridge: Bridge | None = None  # what the pause before this cycle meant, if the boards had to stop
         self.cycles = 0
@@ -55,6 +54,7 @@ class ArmState:
         self.jogging: Jogging | None = None
         self.homing: HomingSequence | None = None
         self.was_stopped = False  # the last motion, before its end
+        self.stop_reason = ""  # of the last stop that no client of this arm asked for
         self.is_weightless = False  # gravity compensation during hand guiding
         self.unrecorded = ""  # why cycles are not recorded now; empty while they are
         self.stated_payload_kg = 0.0  # by a client; the model's payload follows it

@@ -29,7 +29,7 @@ def take_known_zeros(state: ArmState) -> bool:
 def _become_homed(state: ArmState) -> None:
     """The pose is known: the feed-forward takes over the weight from the integrals."""
     was_homed = state.monitor.is_homed
-    state.parts.indices.forget()
+    state.parts.checks.indices.forget()
     state.on(Event.HOMED)
     if not was_homed:
         state.parts.servo.learn_pose()
@@ -42,7 +42,7 @@ def start(state: ArmState) -> None:
     state.on(Event.HOME)
     state.set_point = at_rest(state.aim.q_rad)
     state.run_number += 1
-    state.was_stopped = False
+    state.was_stopped, state.stop_reason = False, ""
     state.homing = sequence
 
 

@@ -1,6 +1,6 @@
 """Motions, pauses, jogs and stops: how they start, and how they change the set-point each cycle.
 
-Writes `paced`, `jogging`, `run_number` and `was_stopped`; the set-point through control.loop.set_points.
+Writes `paced`, `jogging`, `run_number`, `was_stopped` and `stop_reason`; the set-point through control.loop.set_points.
 """
 
 from control.errors import ArmError
@@ -15,7 +15,8 @@ from control.safety.fault import Fault, Reaction
 from control.safety.table import TRAVELLING_MODES, Event, Mode
 
 WORKSPACE_REMEDY = (
-    "move or jog the arm away; [limits] and [table] of arm.toml say where floor, table and base are"
+    "move or jog the arm away; [limits] and [table] of arm.toml say where floor, table and base are, cell.toml where other"
+    " arms are"
 )
 
 
@@ -96,7 +97,7 @@ def start(state: ArmState, motion: Motion, as_encoders: bool) -> None:
     state.on(Event.MOVE)
     state.set_point, state.is_of_encoders = set_points.seen(state, as_encoders), as_encoders
     state.run_number += 1
-    state.was_stopped = False
+    state.was_stopped, state.stop_reason = False, ""
     begin(state, motion, state.override)
 
 
@@ -110,7 +111,7 @@ def jog(state: ArmState, request: JogRequest) -> None:
     jogging.ask(state.now_s, request, state.set_point)
     state.on(Event.JOG)
     state.run_number += 1
-    state.was_stopped = False
+    state.was_stopped, state.stop_reason = False, ""
     state.jogging = jogging
 
 
@@ -121,11 +122,13 @@ def renew_jog(state: ArmState) -> None:
     state.jogging.renew(state.now_s)
 
 
-def stop(state: ArmState) -> None:
+def stop(state: ArmState, why: str = "") -> None:
     """Controlled stop, of a motion on its path where that is soon enough; legal in every mode."""
     before = state.monitor.mode
     state.on(Event.STOP)
     state.is_hold_pending = False
+    if state.monitor.mode is not before:
+        state.stop_reason = why
     if state.monitor.mode is Mode.STOPPING and before is not Mode.STOPPING:
         state.was_stopped = True
         state.homing = state.jogging = None

@@ -14,11 +14,11 @@ from control.hardware.interface import Hardware
 from control.hardware.measurement import Measurement
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
+from control.loop.cross_checks import CrossChecks, IndexWatch, MotorCountWatch, SwitchWatch
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.punctuality import Strain
 from control.loop.watch import Watch
-from control.loop.witnesses import IndexWatch, MotorCountWatch, SwitchWatch, Witnesses
 from control.model.arm import Tool
 from control.motion.guard import Guard
 from control.motion.setpoint import Motion, SetPoint
@@ -51,6 +51,17 @@ class ToolParts:
 
 
 @dataclass(frozen=True, slots=True)
+class Checks:
+    """What is checked in each cycle: measured values against limits, and sensors against each other."""
+
+    watch: Watch
+    motors: CrossChecks
+    indices: IndexWatch
+    switches: SwitchWatch
+    motor_counts: MotorCountWatch
+
+
+@dataclass(frozen=True, slots=True)
 class Parts:
     """The parts of a runtime; see control.server.assemble."""
 
@@ -58,11 +69,7 @@ class Parts:
     recorder: Recorder
     measurement: Measurement
     servo: Servo
-    watch: Watch
-    witnesses: Witnesses
-    indices: IndexWatch
-    switches: SwitchWatch
-    motor_counts: MotorCountWatch
+    checks: Checks
     set_point_limits: tuple[SetPointLimits, ...]
     homing: Callable[[], HomingSequence]
     gravity_compensation: GravityCompensation

@@ -15,10 +15,11 @@ modes are in control.loop.set_points, motion_modes, homing, shutdown and fault_r
 """
 
 import contextlib
+from collections.abc import Sequence
 
 from control.end_effector.gripper import State as GripperState
 from control.errors import ArmError
-from control.hardware.interface import OutputMode
+from control.hardware.interface import Hardware, OutputMode
 from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown
 from control.loop.arm_state import ArmState
 from control.loop.jogging import JogRequest
@@ -48,6 +49,20 @@ class Runtime(ArmState):
 
     # ---- the cycle
 
+    @property
+    def period_s(self) -> float:
+        """Period of the loop."""
+        return self.parts.period_s
+
+    @property
+    def hardware(self) -> Hardware:
+        """The arm's boards."""
+        return self.parts.hardware
+
+    def attend(self, until_s: float) -> None:
+        """Wait until then, and serve boards that must be asked."""
+        self.parts.hardware.attend(until_s)
+
     def cycle(self, now_s: float, late_s: float, missed: int, missed_in_row: int) -> bool:
         """Run one control cycle that began at `now_s`; False once a requested shutdown is complete."""
         self.now_s = now_s
@@ -59,7 +74,7 @@ class Runtime(ArmState):
         self.punctuality.begin(late_s, missed)
         self.has_missed = missed > 0
         if missed:
-            self.parts.watch.note_pause(now_s, missed * self.parts.period_s)
+            self.parts.checks.watch.note_pause(now_s, missed * self.parts.period_s)
         try:
             self._read()
             if self.bridge is not None:
@@ -93,7 +108,7 @@ class Runtime(ArmState):
         if self.monitor.mode is Mode.OFF:
             return
         measured = self.parts.measurement
-        found = self.parts.watch.look(
+        found = self.parts.checks.watch.look(
             self.now_s, self.parts.hardware.feedback, measured.q_rad, measured.speed_rad_s,
             self.aim.q_rad, self.aim.speed_rad_s, missed_in_row,
             # The arm is where its boards' stop brought it: following is expected from the next cycle on.
@@ -104,24 +119,24 @@ class Runtime(ArmState):
 
     def _contradictions(self) -> list[Fault]:
         """What the boards' values say against each other, while they are fresh and the drives are on."""
-        parts, feedback = self.parts, self.parts.hardware.feedback
+        parts, feedback, checks = self.parts, self.parts.hardware.feedback, self.parts.checks
         if not self.drives.is_ready or self.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE):
-            parts.witnesses.forget()
-            parts.motor_counts.forget()
+            checks.motors.forget()
+            checks.motor_counts.forget()
             return []
         if self.has_missed:
-            parts.witnesses.forget_speeds()
+            checks.motors.forget_speeds()
         model_A = parts.servo.model_A
-        faults = parts.witnesses.look(
+        faults = checks.motors.look(
             self.now_s, self.elapsed_s, feedback, parts.measurement.speed_rad_s, model_A
         )
-        faults += parts.motor_counts.look(feedback.motor_counts, parts.measurement.speed_rad_s)
+        faults += checks.motor_counts.look(feedback.motor_counts, parts.measurement.speed_rad_s)
         is_homed = self.monitor.is_homed
         parts.hardware.watch_indices(is_homed)
         passed = parts.hardware.passed_indices()
         if is_homed:
-            faults += parts.watch.leaps(parts.measurement.leap_rad) + parts.indices.look(passed)
-            faults += parts.switches.look(self.elapsed_s, parts.measurement.q_rad, feedback.channel_flags)
+            faults += checks.watch.leaps(parts.measurement.leap_rad) + checks.indices.look(passed)
+            faults += checks.switches.look(self.elapsed_s, parts.measurement.q_rad, feedback.channel_flags)
         return faults
 
     def _advance(self) -> None:
@@ -161,8 +176,7 @@ class Runtime(ArmState):
             self._carry()
             return
         is_free = self.monitor.mode is Mode.GUIDING
-        output_mode = OutputMode.OFF if is_free else self._mode_without_control()
-        self.parts.hardware.write(output_mode, servo.output, servo.feedforward_V)
+        self._write_all(OutputMode.OFF if is_free else self._mode_without_control(), servo.output)
 
     def _drive_end(self) -> None:
         """Gripper and outputs: they follow the drives on and off, and a fault of the arm."""
@@ -185,7 +199,11 @@ class Runtime(ArmState):
         fraction = HOMING_CURRENT_FRACTION if self.is_searching() else 1.0
         joints = None if self.aim is set_point else set_point
         servo.update(self.aim, measured.q_rad, measured.speed_rad_s, self.monitor.is_homed, fraction, joints)
-        self.parts.hardware.write(servo.mode, servo.output, servo.feedforward_V)
+        self.parts.hardware.write(servo.modes, servo.output, servo.feedforward_V)
+
+    def _write_all(self, mode: OutputMode, output: Sequence[float]) -> None:
+        """Command all joints in one mode, whatever their own is."""
+        self.parts.hardware.write((mode,) * len(output), output, self.parts.servo.feedforward_V)
 
     def _watch_the_hand(self) -> None:
         """An arm that moves faster than a hand guides it falls, or is carried away: a fault."""
@@ -195,11 +213,11 @@ class Runtime(ArmState):
 
     def _carry(self) -> None:
         """Apply gravity compensation."""
-        measured, servo = self.parts.measurement, self.parts.servo
+        measured = self.parts.measurement
         amperes = self.parts.gravity_compensation.update(
             set_points.joints_standing(self, measured.q_rad), measured.speed_rad_s
         )
-        self.parts.hardware.write(OutputMode.CURRENT, amperes, servo.feedforward_V)
+        self._write_all(OutputMode.CURRENT, amperes)
 
     def _record(self, late_s: float) -> None:
         self.parts.recorder.write(row_of(self, late_s))
@@ -226,15 +244,19 @@ class Runtime(ArmState):
         servo = self.parts.servo
         servo.silence()
         with contextlib.suppress(LinkError):
-            self.parts.hardware.write(self._mode_without_control(), servo.output, servo.feedforward_V)
+            self._write_all(self._mode_without_control(), servo.output)
 
     def ended_wait(self, now_s: float) -> bool:
         """Whether the loop has waited for boards since its last cycle; what was not read meanwhile has not aged."""
         if not self.has_waited:
             return False
         self.has_waited = False
-        self.parts.watch.note_pause(now_s, now_s - self.now_s)
+        self.note_wait(now_s)
         return True
+
+    def note_wait(self, now_s: float) -> None:
+        """The loop has waited for boards since its last cycle, of this arm or of another one."""
+        self.parts.checks.watch.note_pause(now_s, now_s - self.now_s)
 
     # ---- requests
 
@@ -327,11 +349,11 @@ class Runtime(ArmState):
         self.require_recording()
         self.on(Event.RESUME)
 
-    def stop(self) -> None:
-        """Controlled stop, of the gripper, too; legal in every mode."""
+    def stop(self, why: str = "") -> None:
+        """Controlled stop, of the gripper, too; legal in every mode. `why`: for the client of the motion, if not by request."""
         if self.parts.gripper is not None:
             self.parts.gripper.stop()
-        motion_modes.stop(self)
+        motion_modes.stop(self, why)
 
     def brake(self) -> None:
         """Short the windings now, without a controlled stop (see `stop`); the gripper stops and holds."""
@@ -362,16 +384,17 @@ class Runtime(ArmState):
     def guide(self, weightless: bool) -> None:
         """Start hand guiding: circuits open, so somebody must hold the arm; or `weightless`, with gravity compensation.
 
-        `weightless` needs a homed arm: ArmError if it is not, and if its boards cannot do either.
+        A board that cannot open its circuit shorts the windings: its joint resists the hand. `weightless` needs a homed arm,
+        and boards that take a current: ArmError if not.
         """
         self.monitor.require(Event.GUIDE)
+        if weightless and OutputMode.CURRENT not in self.parts.hardware.offers:
+            raise ArmError(
+                "weightless hand guiding is not possible: not all of this arm's boards take a current as command"
+                " (docs/boards.md): guide without it"
+            )
         if weightless and not self.monitor.is_homed:
             raise ArmError("gravity compensation needs a homed arm: home it first (`armwright home`)")
-        if (OutputMode.CURRENT if weightless else OutputMode.OFF) not in self.parts.hardware.offers:
-            wanted = "take a current as command" if weightless else "open their motors' circuits"
-            raise ArmError(
-                f"hand guiding is not possible: not all of this arm's boards can {wanted} (docs/boards.md)"
-            )
         self.is_weightless = weightless
         self.on(Event.GUIDE)
         self.run_number += 1

@@ -44,12 +44,12 @@ def to_csv(
     empty where nothing was measured. `report` is called every thousand rows.
     """
     names = _csv_columns(recording.layout)
-    with _open_text(path) as file:
+    with open_text(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(names)
         written = 0
         for row in _run_rows(recording, every, report):
-            writer.writerow([_cell(row[name]) for name in names])
+            writer.writerow([csv_cell(row[name]) for name in names])
             written += 1
     return written
 
@@ -81,14 +81,16 @@ def _csv_columns(layout: Layout) -> list[str]:
     ]
 
 
-def _open_text(path: Path) -> TextIO:
+def open_text(path: Path) -> TextIO:
+    """A text file to write; compressed if its name ends in .gz."""
     if path.suffix == ".gz":
         # mtime 0: the same recording gives the same bytes
         return io.TextIOWrapper(gzip.GzipFile(path, "wb", mtime=0), encoding="utf-8", newline="")
     return path.open("w", encoding="utf-8", newline="")
 
 
-def _cell(value: float) -> str:
+def csv_cell(value: float) -> str:
+    """A number of a recording; empty for NaN."""
     if isinstance(value, int):
         return str(value)
     return "" if math.isnan(value) else f"{value:.9g}"

@@ -80,11 +80,11 @@ class FrameEncoder:
     def _coded(self, values: Sequence[Sequence[float]]) -> bytes:
         """All columns; ValueError or OverflowError if a value has no integer, and then nothing is remembered."""
         integers: list[list[int]] = [[] for _ in values]
-        told, last = [b""] * len(values), [list(before) for before in self._last]
+        coded, last = [b""] * len(values), [list(before) for before in self._last]
         for k in self._turn:
-            told[k], integers[k] = self._column(k, values[k], integers, last[k])
+            coded[k], integers[k] = self._column(k, values[k], integers, last[k])
         self._last = last
-        return b"".join(told)
+        return b"".join(coded)
 
     def _column(
         self, k: int, values: Sequence[float], integers: Sequence[Sequence[int]], last: list[int]
@@ -124,10 +124,10 @@ def _integers(column: StoredColumn, values: Sequence[float], beside: Sequence[in
     if column.has_holes and any(value != value for value in values):
         whole = []
         for row, value in enumerate(values):
-            told = beside[row] if beside else 0
+            reference = beside[row] if beside else 0
             if value == value:
-                last = round(value * per_unit) - told
-            whole.append(last + told)
+                last = round(value * per_unit) - reference
+            whole.append(last + reference)
     else:
         whole = [round(value * per_unit) for value in values]
     if max(whole) > LARGEST or min(whole) < -LARGEST:

@@ -5,6 +5,7 @@ from typing import Any
 from control.dynamics.joint_side import has_joint_side
 from control.end_effector.gripper import State
 from control.model.arm import Arm
+from control.model.cell import Cell
 from control.recording.record import Layout
 
 TOOL_FIELD = ("tool", "B")  # index into the header's `tools`
@@ -31,3 +32,13 @@ def about_columns(arm: Arm) -> dict[str, Any]:
     if arm.digital:
         about["digital"] = [pin.name for pin in arm.digital]
     return about
+
+
+def about_cell(cell: Cell, arm: str) -> dict[str, Any]:
+    """What the header of an arm's recording says of the cell that it is in: all bases; nothing of an arm alone."""
+    if len(cell.arms) == 1:
+        return {}
+    bases = {
+        placed.name: {"origin_m": placed.origin_m, "orientation": placed.orientation} for placed in cell.arms
+    }
+    return {"cell": {"name": cell.name, "arm": arm, "bases": bases}}

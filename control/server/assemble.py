@@ -17,22 +17,24 @@ from control.hardware.interface import Hardware, OutputMode
 from control.hardware.measurement import Measurement
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
-from control.loop.homing_sequence import TURN_TOLERANCE, HomingSequence, JointHome
-from control.loop.jogging import Jogging
-from control.loop.parts import Camera, Parts, ToolParts
-from control.loop.punctuality import Strain
-from control.loop.runtime import Runtime
-from control.loop.watch import JointLimits as MeasuredLimits
-from control.loop.watch import Watch, WatchLimits
-from control.loop.witnesses import (
+from control.loop.cell import CellRuntime
+from control.loop.cross_checks import (
+    CrossCheckLimits,
+    CrossChecks,
     IndexWatch,
     MotorCountWatch,
     SwitchPlace,
     SwitchWatch,
-    Witnesses,
-    WitnessLimits,
 )
+from control.loop.homing_sequence import TURN_TOLERANCE, HomingSequence, JointHome
+from control.loop.jogging import Jogging
+from control.loop.parts import Camera, Checks, Parts, ToolParts
+from control.loop.punctuality import Strain
+from control.loop.runtime import Runtime
+from control.loop.watch import JointLimits as MeasuredLimits
+from control.loop.watch import Watch, WatchLimits
 from control.model.arm import Arm, Drive
+from control.model.cell import Cell
 from control.model.joint_map import JointMap
 from control.motion.guard import Guard
 from control.motion.jog_limits import JogLimits
@@ -41,6 +43,7 @@ from control.motion.joint_move import Stop
 from control.recording.layout import layout_of
 from control.recording.record import NoSink, Recorder, RowSink
 from control.safety.limits import SetPointLimits
+from control.server.cell_requests import CellRequests
 from control.server.requests import Requests
 from control.servo.gravity_compensation import GravityCompensation
 from control.servo.pid import Pid
@@ -80,47 +83,75 @@ def assemble(
 
     `stopwatch_s` and `strain` (control.loop.punctuality) are what the recording says about the process.
     """
-    limits = JointLimits.of(arm)
+    limits, loads = JointLimits.of(arm), Loads(arm)
     tools = {tool.name: _tool_parts(arm.with_tool(tool.name), limits) for tool in arm.tools}
-    tool, loads = tools[arm.tool.name], Loads(arm)
     names = tuple(f"joint {drive.joint}" for drive in arm.drives)
-    servo = _servo(arm, loads, period_s)
-    measurement = _measurement(arm)
+    servo, measurement = _servo(arm, loads, period_s), _measurement(arm)
     parts = Parts(
         hardware=hardware,
         recorder=Recorder(layout_of(arm), sink or NoSink()),
         measurement=measurement,
         servo=servo,
-        watch=Watch(_watch_limits(arm, period_s), names),
-        witnesses=Witnesses(_motors(arm), _witness_limits(arm), names),
-        indices=_indices(arm, measurement, names),
-        motor_counts=_motor_counts(arm, names),
-        switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
+        checks=_checks(arm, measurement, names, period_s),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),
-        gravity_compensation=GravityCompensation(
-            _motors(arm), servo.torque_model, names, [OVERSPEED * limit for limit in limits.speed_rad_s]
-        ),
+        gravity_compensation=_gravity_compensation(arm, servo, names, limits),
         stop_from=lambda state: Stop(state, limits),
         tools=tools,
-        tool=tool,
+        tool=tools[arm.tool.name],
         loads=loads,
-        camera=camera,
-        joint_names=names,
+        camera=camera, joint_names=names, period_s=period_s, stopwatch_s=stopwatch_s, strain=strain,
         do_counters_span=all(_does_counter_span(drive) for drive in arm.drives),
-        period_s=period_s,
         board_stop=board_stop(arm, period_s),
-        stopwatch_s=stopwatch_s,
-        strain=strain,
         allows_unrecorded=arm.recording.unrecorded == "allow",
         payload_limit_kg=arm.limits.payload_limit_kg,
         aim_limits=tuple(_aim_limits(drive) for drive in arm.drives),
         gripper=_gripper(arm, hardware),
-        outputs=Outputs(arm.digital, hardware.end.pins) if hardware.end.pins is not None else None,
+        outputs=_outputs(arm, hardware),
         joint_side=JointSide.of(without_tool_mass(arm), loads.torques),
-    )
+    )  # fmt: skip
     runtime = Runtime(parts)
     return Assembly(runtime, Requests(runtime, limits, {"arm": arm.name, **(about or {})}))
+
+
+def _checks(arm: Arm, measurement: Measurement, names: Sequence[str], period_s: float) -> Checks:
+    return Checks(
+        watch=Watch(_watch_limits(arm, period_s), names),
+        motors=CrossChecks(_motors(arm), _cross_check_limits(arm), names),
+        indices=_indices(arm, measurement, names),
+        switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
+        motor_counts=_motor_counts(arm, names),
+    )
+
+
+def _gravity_compensation(
+    arm: Arm, servo: Servo, names: Sequence[str], limits: JointLimits
+) -> GravityCompensation:
+    fastest_rad_s = [OVERSPEED * limit for limit in limits.speed_rad_s]
+    return GravityCompensation(_motors(arm), servo.torque_model, names, fastest_rad_s)
+
+
+def _outputs(arm: Arm, hardware: Hardware) -> Outputs | None:
+    pins = hardware.end.pins
+    return None if pins is None else Outputs(arm.digital, pins)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class CellAssembly:
+    """The runtime of several arms, the server of its requests, and each arm's own by name."""
+
+    runtime: CellRuntime
+    requests: CellRequests
+    of_arms: Mapping[str, Assembly]
+
+
+def assemble_cell(cell: Cell, of_arms: Mapping[str, Assembly]) -> CellAssembly:
+    """Put the assembled arms of a cell together."""
+    runtime = CellRuntime(cell, {name: one.runtime for name, one in of_arms.items()})
+    for name, one in of_arms.items():
+        one.requests.beside = runtime.collisions.of_arms[name]
+    requests = CellRequests(cell.name, runtime, {name: one.requests for name, one in of_arms.items()})
+    return CellAssembly(runtime, requests, of_arms)
 
 
 def _gripper(arm: Arm, hardware: Hardware) -> GripperControl | None:
@@ -181,9 +212,9 @@ def _switch_place(drive: Drive) -> SwitchPlace | None:
     return SwitchPlace(f"joint {drive.joint}", home.switch_rad, sense, tolerance_rad)
 
 
-def _witness_limits(arm: Arm) -> WitnessLimits:
+def _cross_check_limits(arm: Arm) -> CrossCheckLimits:
     limits = arm.limits
-    return WitnessLimits(
+    return CrossCheckLimits(
         limits.speed_contradiction_rad_s,
         limits.unexplained_torque,
         limits.supply_low,
@@ -193,19 +224,14 @@ def _witness_limits(arm: Arm) -> WitnessLimits:
 
 
 def _servo(arm: Arm, loads: Loads, period_s: float) -> Servo:
-    modes = {drive.pid.mode for drive in arm.drives}
-    if len(modes) != 1:
-        raise MissingModel(
-            f"arm {arm.name}: all drives must have the same [drive.pid] mode, got {', '.join(sorted(modes))}"
-        )
-    mode = OutputMode[modes.pop().upper()]
+    modes = [OutputMode[drive.pid.mode.upper()] for drive in arm.drives]
     pids = []
-    for drive in arm.drives:
+    for drive, mode in zip(arm.drives, modes, strict=True):
         gains = gains_of(arm, drive.joint, period_s)
         limit = drive.current_limit_A if mode is OutputMode.CURRENT else drive.supply_V
         pids.append(Pid(gains.kp, gains.ki, gains.kd, gains.derivative_filter_s, limit, period_s))
-    shares = InertiaScale(arm) if mode is OutputMode.CURRENT else None
-    return Servo(mode, _motors(arm), pids, MotionTorque(arm, loads), period_s, shares)
+    shares = InertiaScale(arm) if OutputMode.CURRENT in modes else None
+    return Servo(modes, _motors(arm), pids, MotionTorque(arm, loads), period_s, shares)
 
 
 def _motors(arm: Arm) -> list[Motor]:
@@ -256,9 +282,11 @@ def _aim_limits(drive: Drive) -> SetPointLimits:
 
 
 def _homes(arm: Arm) -> list[tuple[int, JointHome]]:
-    """Homing parameters in the order of the drives. MissingModel names a drive without [drive.home]."""
+    """Homing parameters of the joints that must home, in the order of the drives. MissingModel names one without them."""
     homes = []
     for joint, drive in enumerate(arm.drives):
+        if arm.has_absolute_encoder(drive):
+            continue
         if drive.home is None:
             raise MissingModel(
                 f"arm {arm.name}: joint {drive.joint} cannot be homed: add [drive.home] with switch_rad and index_rad"

@@ -205,8 +205,10 @@ class ArmClient:
 
     def arrive(self, timeout_s: float, modes: Sequence[str] = ("HOLDING",)) -> None:
         """Wait for the end of the motion. MotionStopped if it ended early."""
-        if self.until(modes, timeout_s)["was_stopped"]:
-            raise MotionStopped("the motion was stopped before its end; the arm holds its position")
+        status = self.until(modes, timeout_s)
+        if status["was_stopped"]:
+            why = f" ({reason})" if (reason := status.get("stop_reason")) else ""
+            raise MotionStopped(f"the motion was stopped before its end{why}; the arm holds its position")
 
     def run_joints(self, path: Message, as_encoders: bool = False) -> None:
         """Run a joint path (JointPath.to_message()) from the present position. `as_encoders`: as move_joints."""

@@ -31,12 +31,14 @@ _IN_WORDS = {
 }  # fmt: skip
 
 Id = Annotated[int, Meta(ge=-LARGEST_ID, le=LARGEST_ID)] | Annotated[str, Meta(max_length=LONGEST_ID)] | None
+Name = Annotated[str, Meta(max_length=LONGEST_ID)]
 Share = Annotated[float, Meta(ge=1e-3, le=1.0)]
 Numbers = tuple[float, ...]
 
 
 class _Message(msgspec.Struct, kw_only=True, forbid_unknown_fields=True, tag_field="do"):
     id: Id = None
+    arm: Name = ""
 
 
 class Plain(_Message, kw_only=True, tag=False):
@@ -79,6 +81,30 @@ class RunJoints(Owned, tag="run_joints", kw_only=True):
     path: dict[str, Any]
     tool: Annotated[str, Meta(max_length=LONGEST_ID)] | None = None
     as_encoders: bool = False
+
+
+class OfOneArm(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """What one arm does in a motion of several: a joint move, or a path of its tip or joints."""
+
+    q_rad: Numbers | msgspec.UnsetType = msgspec.UNSET
+    speed: Share = 1.0
+    path: dict[str, Any] | msgspec.UnsetType = msgspec.UNSET
+    tool: Name | None = None
+
+    def request(self, detached: bool) -> MoveJoints | RunPath | RunJoints:
+        """The same for this arm alone. ArmError unless one of `q_rad` and `path` is given."""
+        if isinstance(self.path, dict) and self.q_rad is msgspec.UNSET:
+            kind = RunJoints if "q_rad" in self.path else RunPath
+            return kind(path=self.path, tool=self.tool, detached=detached)
+        if isinstance(self.q_rad, tuple) and self.path is msgspec.UNSET:
+            return MoveJoints(q_rad=self.q_rad, speed=self.speed, detached=detached)
+        raise ArmError("move_together: expected either q_rad or path for each arm")
+
+
+class MoveTogether(Owned, tag="move_together", kw_only=True):
+    """Motions of several arms that begin and end together."""
+
+    moves: dict[str, OfOneArm]
 
 
 class Jog(_Message, tag="jog", kw_only=True):
@@ -158,16 +184,18 @@ class Control(_Message, tag="control", kw_only=True):
 
 
 class Asked(NamedTuple):
-    """One request as it came: its name, its number for the answer, and the whole line."""
+    """One request as it came: its name, its number for the answer, the whole line, and the arm; empty: the only one."""
 
     do: str
     id: int | str | None
     line: bytes
+    arm: str = ""
 
 
 class _Envelope(msgspec.Struct):
     do: str
     id: Id = None
+    arm: Name = ""
 
 
 _ENVELOPE = msgspec.json.Decoder(_Envelope)
@@ -178,6 +206,7 @@ _KINDS: Mapping[str, type[_Message]] = {
         MoveJoints,
         RunPath,
         RunJoints,
+        MoveTogether,
         Jog,
         Override,
         Guide,
@@ -203,7 +232,7 @@ def asked(line: bytes) -> Asked:
             f"request: expected one JSON object a line with the name of the request as `do`, got {line[:SHOWN]!r}"
             f" ({_reason(error)})"
         ) from None
-    return Asked(envelope.do, envelope.id, line)
+    return Asked(envelope.do, envelope.id, line, envelope.arm)
 
 
 def is_at_once(line: bytes) -> bool:

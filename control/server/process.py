@@ -4,26 +4,32 @@ SIGINT and SIGTERM start the shutdown: controlled stop, hold, windings shorted u
 signal during that changes nothing; the emergency stop is a switch, not a signal.
 """
 
+import contextlib
 import os
 import signal
 import socket
 import subprocess
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
 from control.hardware.attended_clock import AttendedClock
-from control.hardware.connect import Connection, connect
+from control.hardware.connect import Connection
+from control.hardware.shared_bus import connect_cell
 from control.model.arm import Arm
+from control.model.cell import Cell
 from control.model.description import arm_text
 from control.model.joint_map import JointMap
-from control.recording.layout import about_columns, layout_of
+from control.recording.layout import about_cell, about_columns, layout_of
 from control.recording.record import PipeSink
 from control.recording.recorder_state import RecorderState, hours_left
 from control.recording.rotation import begin, stored_row_bytes
-from control.server.assemble import Assembly, assemble
+from control.server.assemble import assemble, assemble_cell
 from control.server.events import Events, with_time
+from control.server.in_process import Served
 from control.server.periodic import PeriodicTimer
 from control.server.phase import PhaseFollower
 from control.server.printer import Printer
@@ -38,94 +44,126 @@ PIPE_bytes = 1 << 20  # some seconds of rows, in case the disk stalls
 
 @dataclass(frozen=True, slots=True)
 class ServeOptions:
-    """Options of the runtime's server."""
+    """Options of the runtime's server; sockets and UDP ports of cameras by the arms' names."""
 
-    socket_path: Path
+    sockets: Mapping[str, Path]
     log_folder: Path
     period_s: float
-    camera_port: int | None
+    camera_ports: Mapping[str, int | None]
 
 
-def serve(arm: Arm, options: ServeOptions) -> None:
+def serve(cell: Cell, options: ServeOptions) -> None:
     """Connect, then run the loop until it is told to end. Raises what connecting raises, before anything moves.
 
     Events are printed as lines with local times.
     """
-    require_free(options.socket_path)  # before a second host sends anything to the boards
+    for path in options.sockets.values():
+        require_free(path)  # before a second host sends anything to the boards
     clock = MonotonicClock()
-    connection = connect(arm, clock, options.period_s, options.camera_port)
-    recording = _begun_recording(arm, options)
-    writer, sink = _start_writer(arm, recording)
+    connection = connect_cell(cell, clock, options.period_s, options.camera_ports)
+    arms = {
+        placed.name: _begun(cell, placed.arm, connection.of_arms[placed.name], options)
+        for placed in cell.arms
+    }
     printer = Printer()
     remedy = request_punctuality()
-    about = {"rights": remedy or "granted"}
     try:
-        assembly = assemble(
-            arm, connection.hardware, options.period_s, connection.camera, sink, about=about, strain=strain
-        )
-        server = Server(options.socket_path, assembly.requests.handle, assembly.requests.on_gone)
-        usage = _usage(arm, options)
-        printer.say(
-            with_time(
-                f"serving arm {arm.name!r} at {options.socket_path}, recording to {recording} ({usage})"
-            )
-        )
+        served = _served(cell, arms, options.period_s, {"rights": remedy or "granted"}, printer)
+        paths = options.sockets if len(arms) > 1 else options.sockets[cell.names[0]]
+        server = Server(paths, served.requests.handle, served.requests.on_gone)
+        for name, begun in arms.items():
+            text = f"serving arm {name!r} at {options.sockets[name]}, recording to {begun.recording}"
+            printer.say(with_time(f"{text} ({_usage(begun.arm, options)})"))
         if remedy:
             printer.say(with_time(remedy))
         try:
-            with linked(options.socket_path, arm.name):
-                run(
-                    assembly,
-                    server,
-                    clock,
-                    options.period_s,
-                    Events(assembly.runtime, lambda text: printer.say(with_time(text))),
-                )
+            with contextlib.ExitStack() as links:
+                for name, path in options.sockets.items():
+                    links.enter_context(linked(path, name))
+                run(served, server, clock, options.period_s, [begun.events for begun in arms.values()])
         finally:
             server.close()
             printer.say(with_time("the runtime has ended"))
     finally:
-        _leave_safely(connection)
-        sink.close()
-        writer.wait()
+        connection.leave_safely()
+        for begun in arms.values():
+            begun.end_recording()
         printer.close()
 
 
-def run(assembly: Assembly, server: Server, clock: Clock, period_s: float, events: Events) -> None:
+@dataclass(slots=True)
+class _Begun:
+    """An arm that is connected and recorded; `events` once it is assembled."""
+
+    arm: Arm
+    connection: Connection
+    recording: Path
+    writer: "subprocess.Popen[bytes]"
+    sink: PipeSink
+    events: Events | None = None
+
+    def end_recording(self) -> None:
+        """Let the writer drain the pipe, and end it."""
+        self.sink.close()
+        self.writer.wait()
+
+
+def _begun(cell: Cell, arm: Arm, connection: Connection, options: ServeOptions) -> _Begun:
+    recording = _begun_recording(cell, arm, options)
+    return _Begun(arm, connection, recording, *_start_writer(arm, recording))
+
+
+def _served(
+    cell: Cell, arms: Mapping[str, _Begun], period_s: float, about: Mapping[str, object], printer: Printer
+) -> Served:
+    """The runtime: of the only arm, or of all arms of a cell."""
+    assemblies = {}
+    for name, begun in arms.items():
+        opened = begun.connection
+        one = assemble(
+            begun.arm, opened.hardware, period_s, opened.camera, begun.sink, about=about, strain=strain
+        )
+        prefix = f"{name}: " if len(arms) > 1 else ""
+        begun.events = one.requests.events = Events(one.runtime, partial(_say, printer, prefix))
+        assemblies[name] = one
+    return assemble_cell(cell, assemblies) if len(arms) > 1 else assemblies[cell.names[0]]
+
+
+def _say(printer: Printer, prefix: str, text: str) -> None:
+    printer.say(with_time(f"{prefix}{text}"))
+
+
+def run(
+    served: Served, server: Server, clock: Clock, period_s: float, events: Sequence[Events | None]
+) -> None:
     """Cycle after cycle, requests in between, until the runtime ends."""
-    runtime = assembly.runtime
-    assembly.requests.events = events
+    runtime = served.runtime
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: runtime.go_off(quits=True))
-    beat = PeriodicTimer(AttendedClock(clock, runtime.parts.hardware), period_s)
-    follower = PhaseFollower(runtime.parts.hardware.reports_a_cycle, period_s)
+    beat = PeriodicTimer(AttendedClock(clock, runtime), period_s)
+    follower = PhaseFollower(runtime.hardware.reports_a_cycle, period_s)
     is_running = True
     failure: Exception | None = None
     while is_running:
         late_s = beat.wait()
         is_running = runtime.cycle(clock.now_s(), late_s, beat.skipped, beat.missed_in_row)
-        feedback = runtime.parts.hardware.feedback
+        feedback = runtime.hardware.feedback
         beat.trim_s = follower.trim_s(feedback.reports, feedback.lost, beat.skipped > 0)
         try:
             server.poll()
         except Exception as error:  # bring the arm to rest first, then report the error
             failure = failure or error
             runtime.go_off(quits=True)
-        events.look()
+        for one in events:
+            if one is not None:
+                one.look()
         if runtime.ended_wait(clock.now_s()):
             beat.restart()
     if failure is not None:
         raise failure
 
 
-def _leave_safely(connection: Connection) -> None:
-    """Brake if drives are still on, however the loop ended; their watchdogs would do it a little later."""
-    if connection.hardware.is_any_enabled():
-        connection.hardware.emergency_stop()
-    connection.close()
-
-
-def _begun_recording(arm: Arm, options: ServeOptions) -> Path:
+def _begun_recording(cell: Cell, arm: Arm, options: ServeOptions) -> Path:
     """Create a recording with its header. OSError if there is no room, before anything moves."""
     options.log_folder.mkdir(parents=True, exist_ok=True)
     started_s = time.time()
@@ -141,6 +179,7 @@ def _begun_recording(arm: Arm, options: ServeOptions) -> Path:
             program=f"armwright {version('armwright')}",
             started_unix_s=started_s,
             period_s=options.period_s,
+            **about_cell(cell, arm.name),
             **about_columns(arm),
             **layout.framed([JointMap(drive).radians_per_count for drive in arm.drives]),
         ),
@@ -180,7 +219,6 @@ def _free(folder: Path, stem: str) -> Path:
 
 
 def _enlarge(fd: int) -> None:
-    import contextlib
     import fcntl
 
     with contextlib.suppress(OSError, AttributeError):

@@ -47,12 +47,23 @@ ADVICE = {
 }
 
 
+Planned = messages.MoveJoints | messages.RunPath | messages.RunJoints
+
+
 class Listener(Protocol):
     """Receives events of clients."""
 
     def requested(self, do: str, client: int) -> None: ...
 
     def hung_up(self, client: int) -> None: ...
+
+
+class Beside(Protocol):
+    """The other arms of a cell."""
+
+    def require_clear(self, motion: Motion) -> None:
+        """MotionError if a motion that begins now meets one of them."""
+        ...
 
 
 class Requests:
@@ -65,15 +76,16 @@ class Requests:
         self._right = ControlRight()
         self._grips: int | None = None  # the client that moved the gripper last
         self.events: Listener | None = None
+        self.beside: Beside | None = None
         self._serve: Mapping[str, Callable[[Any, int], Message]] = {
             "status": self._status,
             "mode": self._mode,
             "control": self._control,
             "enable": self._enable,
             "home": self._home,
-            "move_joints": self._move_joints,
-            "run_path": self._run_path,
-            "run_joints": self._run_joints,
+            "move_joints": self._move,
+            "run_path": self._move,
+            "run_joints": self._move,
             "jog": self._jog,
             "jog_on": self._jog_on,
             "pause": self._pause,
@@ -105,8 +117,9 @@ class Requests:
         serve = self._serve.get(do)
         if serve is None:
             known = ", ".join(self.names)
-            return _refused(f"unknown request {do[: messages.SHOWN]!r}: expected `do` to be one of {known}")
+            return refused(f"unknown request {do[: messages.SHOWN]!r}: expected `do` to be one of {known}")
         try:
+            self._require_this_arm(request.arm)
             mode = self._runtime.monitor.mode
             self._right.require(client, do, mode)
             if (event := BEGINS.get(do)) is not None:
@@ -116,14 +129,18 @@ class Requests:
                 self.events.requested(do, client)
             return answer
         except IllegalTransition as error:
-            return _refused(
-                f"the arm is {error.mode.name}, so it cannot {do.replace('_', ' ')}:"
-                f" {error.why or ADVICE[error.mode]}"
-            )
+            return refused(_advised(error, do))
         except (ArmError, LinkError) as error:
-            return _refused(str(error))
+            return refused(str(error))
         except Exception as error:  # no request may stop the loop
-            return _refused(f"request {do!r}: {type(error).__name__}: {error}")
+            return refused(f"request {do!r}: {type(error).__name__}: {error}")
+
+    def _require_this_arm(self, name: str) -> None:
+        """ArmError if a request names another arm than the one that is served."""
+        if name not in ("", self._about["arm"]):
+            raise ArmError(
+                f"arm: expected {self._about['arm']!r}, which is served here, got {name[: messages.SHOWN]!r}"
+            )
 
     def on_gone(self, client: int) -> None:
         """A client disconnected: what it began and what still goes on is stopped, a gripper on its way, too."""
@@ -150,6 +167,7 @@ class Requests:
             "progress": runtime.progress(),
             "pace": runtime.pace(),
             "was_stopped": runtime.was_stopped,
+            "stop_reason": runtime.stop_reason,
             "step": step_of(runtime),
             "is_settled": not runtime.drives.is_awaited,
         }
@@ -181,29 +199,63 @@ class Requests:
         self._own(request, client)
         return {"homing": True}
 
-    def _move_joints(self, request: messages.MoveJoints, client: int) -> Message:
+    def prepared(self, request: Planned, client: int) -> Motion:
+        """The motion of a request, checked against this arm's right, mode and workspace; nothing has begun. ArmError."""
+        do = str(request.__struct_config__.tag)
+        self._right.require(client, do, self._runtime.monitor.mode)
+        try:
+            self._runtime.monitor.require(Event.MOVE)
+        except IllegalTransition as error:
+            raise ArmError(_advised(error, do)) from None
+        self._runtime.require_recording()
+        return self._prepare(request)
+
+    def begin(self, motion: Motion, request: Planned, client: int) -> None:
+        """Start a prepared motion."""
+        self._runtime.start(motion, request.as_encoders)
+        self._own(request, client)
+        if self.events is not None:
+            self.events.requested(str(request.__struct_config__.tag), client)
+
+    def _prepare(self, request: Planned) -> Motion:
+        match request:
+            case messages.MoveJoints():
+                return self._joint_move(request)
+            case messages.RunPath():
+                return self._path(request)
+            case _:
+                return self._joint_path(request)
+
+    def _move(self, request: Planned, client: int) -> Message:
+        motion = self._prepare(request)
+        if self.beside is not None:
+            self.beside.require_clear(motion)
+        self._runtime.start(motion, request.as_encoders)
+        self._own(request, client)
+        return {"duration_s": motion.duration_s, "run": self._runtime.run_number}
+
+    def _joint_move(self, request: messages.MoveJoints) -> Motion:
         target = numbers("q_rad", request.q_rad, len(self._runtime.parts.joint_names))
         start = self._runtime.seen(request.as_encoders)
         move = JointMove(start, target, self._limits.scaled(request.speed))
         self._runtime.parts.tool.guard.require_move(move, start, target)
-        return self._start(move, request.as_encoders, request, client)
+        return move
 
-    def _run_path(self, request: messages.RunPath, client: int) -> Message:
+    def _path(self, request: messages.RunPath) -> Motion:
         path = PlannedPath.from_message(request.path)
         tool = self._runtime.parts.tool
         self._require_tool(request.tool)
         self._require_at(path.q_start_rad, request.as_encoders)
         tool.guard.require_path(path)
-        motion = path.motion(tool.inverse, tool.kinematics)
-        return self._start(motion, request.as_encoders, request, client)
+        return path.motion(tool.inverse, tool.kinematics)
 
-    def _run_joints(self, request: messages.RunJoints, client: int) -> Message:
+    def _joint_path(self, request: messages.RunJoints) -> Motion:
         path = JointPath.from_message(request.path)
         self._require_tool(request.tool)
         path.require_within(self._limits)
         self._require_at(path.knots[0].q_rad, request.as_encoders)
         self._runtime.parts.tool.guard.require_joint_path(path)
-        return self._start(path, request.as_encoders, request, client)
+        return path
 
     def _require_tool(self, planned: str | None) -> None:
         """Check that a path is for the tip of the tool that is on, if it says for which."""
@@ -220,11 +272,6 @@ class Requests:
                 f"the arm is {off_rad:.4f} rad away from the path's first point (tolerance {START_TOLERANCE_rad} rad):"
                 f" move there first, to {', '.join(f'{q:.4f}' for q in first_rad)} rad"
             )
-
-    def _start(self, motion: Motion, as_encoders: bool, request: messages.Owned, client: int) -> Message:
-        self._runtime.start(motion, as_encoders)
-        self._own(request, client)
-        return {"duration_s": motion.duration_s, "run": self._runtime.run_number}
 
     def _jog(self, request: messages.Jog, client: int) -> Message:
         self._runtime.jog(jog_request(request, len(self._runtime.parts.joint_names)))
@@ -311,5 +358,12 @@ class Requests:
         return {}
 
 
-def _refused(error: str) -> Message:
+def _advised(error: IllegalTransition, do: str) -> str:
+    """Why the mode does not allow a request, and what to do."""
+    reason = error.why or ADVICE[error.mode]
+    return f"the arm is {error.mode.name}, so it cannot {do.replace('_', ' ')}: {reason}"
+
+
+def refused(error: str) -> Message:
+    """The answer to a request that changed nothing."""
     return {"ok": False, "error": error}

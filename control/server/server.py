@@ -14,7 +14,7 @@ import os
 import selectors
 import socket
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,12 +56,23 @@ class Line(NamedTuple):
     stops: int
 
 
-class Client:
-    """One connection: received bytes, and pending requests. `may_command`: not in a place for stops only."""
+class Listener(NamedTuple):
+    """A socket that accepts connections, and the arm that they are for; empty where one arm is served."""
 
-    def __init__(self, connection: socket.socket, number: int, may_command: bool) -> None:
+    arm: str
+    path: Path
+    socket: socket.socket
+
+
+class Client:
+    """One connection: received bytes, and pending requests. `may_command`: not in a place for stops only. `arm`: to whose
+    socket it came; empty where one arm is served.
+    """
+
+    def __init__(self, connection: socket.socket, number: int, may_command: bool, arm: str) -> None:
         self.connection = connection
         self.number = number
+        self.arm = arm
         self.may_command = may_command
         self.partial = b""
         self.lines: list[Line] = []
@@ -90,27 +101,36 @@ class Client:
 
 
 class Server:
-    """Serves `handle(request, client_number) -> answer`; `on_gone(client_number)` is called when a client disconnects."""
+    """Serves `handle(request, client_number) -> answer`; `on_gone(client_number)` is called when a client disconnects.
 
-    def __init__(self, path: Path, handle: Handle, on_gone: Callable[[int], None]) -> None:
-        self.path = path
+    `path`: of the socket; or one for each arm of a cell, by its name, which requests are about unless they say otherwise.
+    """
+
+    def __init__(
+        self, path: Path | Mapping[str, Path], handle: Handle, on_gone: Callable[[int], None]
+    ) -> None:
+        paths = {"": path} if isinstance(path, Path) else dict(path)
+        self.path = next(iter(paths.values()))
         self._handle = handle
         self._on_gone = on_gone
         self._clients: list[Client] = []
         self._turn = 0
         self._numbers = 0
         self._stops = 0
-        self._listener = listen(path)
+        for one in paths.values():
+            require_free(one)
+        self._listeners = [Listener(arm, one, listen(one)) for arm, one in paths.items()]
         self._selector = selectors.DefaultSelector()
-        self._selector.register(self._listener, selectors.EVENT_READ, None)
+        for listener in self._listeners:
+            self._selector.register(listener.socket, selectors.EVENT_READ, listener)
 
     def poll(self) -> None:
         """Accept, receive and serve all stops, or else at most one request; returns at once."""
         stopped = False
         for key, _ in self._selector.select(0):
             client = key.data
-            if client is None:
-                self._accept()
+            if isinstance(client, Listener):
+                self._accept(client)
                 continue
             if (line := client.receive(self._stops)) is not None:
                 self._stops += 1
@@ -131,12 +151,13 @@ class Server:
         for client in list(self._clients):
             self._drop(client)
         self._selector.close()
-        self._listener.close()
-        self.path.unlink(missing_ok=True)
+        for listener in self._listeners:
+            listener.socket.close()
+            listener.path.unlink(missing_ok=True)
 
-    def _accept(self) -> None:
+    def _accept(self, listener: Listener) -> None:
         try:
-            connection, _ = self._listener.accept()
+            connection, _ = listener.socket.accept()
         except OSError:  # the client has disconnected, or no file descriptors are left
             return
         if peer_uid(connection) not in (os.getuid(), 0):
@@ -149,7 +170,7 @@ class Server:
                 self._drop(others[0])
         connection.setblocking(False)
         self._numbers += 1
-        client = Client(connection, self._numbers, may_command)
+        client = Client(connection, self._numbers, may_command, listener.arm)
         self._clients.append(client)
         self._selector.register(connection, selectors.EVENT_READ, client)
 
@@ -174,6 +195,8 @@ class Server:
             request = asked(line)
         except ArmError as error:
             return {"ok": False, "error": str(error)}
+        if not request.arm:
+            request = request._replace(arm=client.arm)
         is_command = request.do not in STOPPING | WATCHING
         if is_command and is_overtaken:
             answer: Message = {

@@ -40,6 +40,7 @@ def status_of(runtime: Runtime) -> dict[str, Any]:
         "progress": runtime.progress(),
         "pace": runtime.pace(),
         "was_stopped": runtime.was_stopped,
+        "stop_reason": runtime.stop_reason,
         "step": step_of(runtime),
         "is_weightless": runtime.is_weightless and monitor.mode is Mode.GUIDING,
         "override": runtime.override,
@@ -127,7 +128,7 @@ def _boards(runtime: Runtime) -> dict[str, Any]:
         "supply_V": feedback.supply_V,
         "temperature_C": feedback.temperature_C,
         "output": parts.servo.output,
-        "output_mode": parts.servo.mode.name,
+        "output_mode": [mode.name for mode in parts.servo.modes],
         "drive_state": [_state_name(word) for word in feedback.statusword],
         "encoder_stale_s": _stale_s(runtime, feedback.reported_at_s),
         "drive_stale_s": _stale_s(runtime, feedback.reply_at_s),
@@ -136,7 +137,7 @@ def _boards(runtime: Runtime) -> dict[str, Any]:
 
 def _stale_s(runtime: Runtime, heard_at_s: Sequence[float]) -> list[float | None]:
     """Per joint, age [s] of its last values if its board is silent, else None."""
-    now_s, watch = runtime.now_s, runtime.parts.watch
+    now_s, watch = runtime.now_s, runtime.parts.checks.watch
     return [min(now_s - at_s, NEVER_HEARD_S) if watch.is_stale(now_s, at_s) else None for at_s in heard_at_s]
 
 

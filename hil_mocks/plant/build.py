@@ -32,10 +32,40 @@ _ROTOR_BODY_KG = 1e-9  # MuJoCo requires a mass; the effective inertia is the hi
 
 
 @dataclass(frozen=True, slots=True)
+class Standing:
+    """An arm in a world: its name there, and the pose of its base frame (quaternion w, x, y, z)."""
+
+    name: str = ""
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    @property
+    def prefix(self) -> str:
+        """What the names of the arm's elements begin with; one arm alone has its names to itself."""
+        return f"{self.name}/" if self.name else ""
+
+    def in_world(self, base_m: Sequence[float]) -> tuple[float, float, float]:
+        """Convert a point of the base frame to the world."""
+        turned = np.zeros(3)
+        mujoco.mju_rotVecQuat(turned, np.asarray(base_m, dtype=float), np.array(self.orientation))
+        x, y, z = (turned + self.origin_m).tolist()
+        return x, y, z
+
+    def in_base(self, world_m: Sequence[float]) -> tuple[float, float, float]:
+        """Convert a point of the world to the base frame."""
+        w, x, y, z = self.orientation
+        turned = np.zeros(3)
+        mujoco.mju_rotVecQuat(turned, np.subtract(world_m, self.origin_m), np.array((w, -x, -y, -z)))
+        a, b, c = turned.tolist()
+        return a, b, c
+
+
+@dataclass(frozen=True, slots=True)
 class PlantModel:
     """The compiled model and its indices. Per joint: index of the motor's and the link's hinge, its bridge."""
 
     model: Any
+    standing: Standing
     motor_hinge: tuple[int, ...]
     link_hinge: tuple[int, ...]
     bridge: tuple[int, ...]  # actuator, control and current of a joint all have this index
@@ -47,36 +77,89 @@ class PlantModel:
     payload_body: int
     tool_body: int
     end_shift_m: Matrix  # of the frame that tip, payload and tool are in, from that of the last link
+    grip: int  # the constraint between the operator's hand and the tip
+    mocap: int  # the hand's place in the list of bodies that are moved from outside
     bends: tuple[int, ...] = ()  # indices of the joints in the middle of bending links
 
 
-def build(
-    arm: ArmParts, effects: PlantEffects, timestep_s: float, link_share: float, end_stop_margin_rad: float
-) -> PlantModel:
-    """Compile the arm. Raises MockError if a moving joint has no drive."""
-    return _Builder(arm, effects, timestep_s, link_share, end_stop_margin_rad).run()
+@dataclass(frozen=True, slots=True)
+class ArmToBuild:
+    """What the plant of one arm is built from."""
+
+    arm: ArmParts
+    effects: PlantEffects
+    timestep_s: float
+    link_share: float
+    end_stop_margin_rad: float
+    standing: Standing = Standing()
+
+
+def build(arms: Sequence[ArmToBuild]) -> list[PlantModel]:
+    """Compile one world with all arms; one entry an arm. Raises MockError if a moving joint has no drive.
+
+    Gravity and time step are those of the first arm; gravity of an arm.toml is in the arm's own base frame.
+    """
+    builders = [_Builder(one) for one in arms]
+    is_alone = len(builders) == 1 and arms[0].standing == Standing()
+    spec = builders[0].specified() if is_alone else _world(builders)
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        names = ", ".join(f'"{one.arm.name}"' for one in arms)
+        raise MockError(f"arm {names}: MuJoCo cannot build it: {error}") from error
+    return [builder.located(model) for builder in builders]
+
+
+def _world(builders: Sequence[_Builder]) -> Any:
+    """One specification with every arm at the pose of its base."""
+    world, first = mujoco.MjSpec(), builders[0].standing
+    upright, weight = np.zeros(3), np.array(builders[0].gravity_m_s2)
+    mujoco.mju_rotVecQuat(upright, weight, np.array(first.orientation))
+    for builder in builders:
+        spec, at = builder.specified(), builder.standing
+        _set_options(world, builders[0].timestep_s, upright)
+        _set_options(spec, builders[0].timestep_s, upright)
+        world.attach(
+            spec, prefix=at.prefix, frame=world.worldbody.add_frame(pos=at.origin_m, quat=at.orientation)
+        )
+    return world
+
+
+def _set_options(spec: Any, timestep_s: float, gravity_m_s2: Any) -> None:
+    spec.compiler.degree = False
+    option = spec.option
+    option.timestep = timestep_s
+    # Joint damping is implicit here, too. The implicit integrators also predict back-EMF, so a step's torque is not that
+    # of the current read: K^2 h / R, a tenth of a joint's inertia at 1 ms.
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.gravity = gravity_m_s2
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    off = mujoco.mjtDisableBit
+    option.disableflags = int(
+        off.mjDSBL_CONTACT | off.mjDSBL_AUTORESET | off.mjDSBL_SENSOR | off.mjDSBL_ISLAND
+    )
 
 
 class _Builder:
     """Collects the elements of a specification and their indices; for a single use."""
 
-    def __init__(
-        self,
-        arm: ArmParts,
-        effects: PlantEffects,
-        timestep_s: float,
-        link_share: float,
-        end_stop_margin_rad: float,
-    ) -> None:
-        self._arm, self._effects = arm, effects
-        self._step_s, self._link_share, self._margin_rad = timestep_s, link_share, end_stop_margin_rad
+    def __init__(self, one: ArmToBuild) -> None:
+        self._arm, self._effects, self.standing = one.arm, one.effects, one.standing
+        self.timestep_s, self._link_share = one.timestep_s, one.link_share
+        self._margin_rad = one.end_stop_margin_rad
         self._spec = mujoco.MjSpec()
-        self._bristles: list[list[tuple[str, float]]] = [[] for _ in arm.drives]
+        self._bristles: list[list[tuple[str, float]]] = [[] for _ in one.arm.drives]
         self._bends: list[str] = []
         self._end_shift_m: Matrix = np.zeros(3)
 
-    def run(self) -> PlantModel:
-        self._options()
+    @property
+    def gravity_m_s2(self) -> tuple[float, float, float]:
+        """Gravity in the arm's base frame."""
+        return self._arm.gravity_m_s2
+
+    def specified(self) -> Any:
+        """The arm alone, at the origin."""
+        _set_options(self._spec, self.timestep_s, self._arm.gravity_m_s2)
         self._links()
         for j, drive in enumerate(self._arm.drives):
             self._transmission(j, drive, self._effects.joints[j])
@@ -85,25 +168,7 @@ class _Builder:
         for j in range(len(self._arm.drives)):
             self._friction(j, self._effects.joints[j])
         self._hand()
-        try:
-            model = self._spec.compile()
-        except ValueError as error:
-            raise MockError(f'arm "{self._arm.name}": MuJoCo cannot build it: {error}') from error
-        return self._located(model)
-
-    def _options(self) -> None:
-        self._spec.compiler.degree = False
-        option = self._spec.option
-        option.timestep = self._step_s
-        # Joint damping is implicit here, too. The implicit integrators also predict back-EMF, so a step's torque is not that
-        # of the current read: K^2 h / R, a tenth of a joint's inertia at 1 ms.
-        option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-        option.gravity = self._arm.gravity_m_s2
-        option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-        off = mujoco.mjtDisableBit
-        option.disableflags = int(
-            off.mjDSBL_CONTACT | off.mjDSBL_AUTORESET | off.mjDSBL_SENSOR | off.mjDSBL_ISLAND
-        )
+        return self._spec
 
     def _links(self) -> None:
         parent, joint = self._spec.worldbody, 0
@@ -178,7 +243,7 @@ class _Builder:
                 joint = far.add_joint(name=name, type=kind, axis=axis)
                 joint.stiffness, joint.damping = [stiffness, 0.0, 0.0], [LOSS_S * stiffness, 0.0, 0.0]
                 # Added inertia of the far half, so that the step can follow its vibration; without weight.
-                joint.armature = stiffness * (_FASTEST * self._step_s) ** 2
+                joint.armature = stiffness * (_FASTEST * self.timestep_s) ** 2
                 self._bends.append(name)
         return far
 
@@ -189,7 +254,7 @@ class _Builder:
         )
         hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         hinge.range = [drive.joint_lower_rad - self._margin_rad, drive.joint_upper_rad + self._margin_rad]
-        hinge.solref_limit, hinge.solimp_limit = [4.0 * self._step_s, 1.0], _HARD
+        hinge.solref_limit, hinge.solimp_limit = [4.0 * self.timestep_s, 1.0], _HARD
 
     def _is_rigid(self, j: int, effect: JointEffects) -> bool:
         coupled = j == 2 and self._effects.belt_ratio != 0.0
@@ -223,12 +288,12 @@ class _Builder:
         elif half > 0.0:
             tendon.limited = mujoco.mjtLimited.mjLIMITED_TRUE
             tendon.range = [-half, half]
-            tendon.solref_limit, tendon.solimp_limit = [2.0 * self._step_s, 1.0], _HARD
+            tendon.solref_limit, tendon.solimp_limit = [2.0 * self.timestep_s, 1.0], _HARD
         else:
             row = self._spec.add_equality(
                 type=mujoco.mjtEq.mjEQ_TENDON, objtype=mujoco.mjtObj.mjOBJ_TENDON, name1=tendon.name
             )
-            row.solref, row.solimp = [2.0 * self._step_s, 1.0], _HARD
+            row.solref, row.solimp = [2.0 * self.timestep_s, 1.0], _HARD
 
     def _motor_hinge(self, j: int) -> str:
         return f"q{j + 1}" if self._is_rigid(j, self._effects.joints[j]) else f"m{j + 1}"
@@ -261,7 +326,7 @@ class _Builder:
                 # The row must exist so that load can raise it later.
                 if effect.load_fraction > 0.0 and effect.coulomb_Nm == 0.0:
                     joint.frictionloss = 1e-6
-                joint.solref_friction, joint.solimp_friction = [2.0 * self._step_s, 1.0], _HARD
+                joint.solref_friction, joint.solimp_friction = [2.0 * self.timestep_s, 1.0], _HARD
 
     def _friction_shares(self, j: int) -> tuple[tuple[str, float], ...]:
         motor, link = self._motor_hinge(j), f"q{j + 1}"
@@ -278,7 +343,7 @@ class _Builder:
         if hinge.startswith("q") and hinge != self._motor_hinge(j):
             inertia *= _LIGHT_LINK
         # An explicit bristle is stable while omega h stays below about 1; half of that keeps its response clean.
-        stiffness = min(static_Nm / _BRISTLE_RAD, inertia * (0.5 / self._step_s) ** 2)
+        stiffness = min(static_Nm / _BRISTLE_RAD, inertia * (0.5 / self.timestep_s) ** 2)
         damping = 2.0 * _BRISTLE_DAMPING_RATIO * math.sqrt(stiffness * inertia)
         name = f"bristle_{hinge}"
         actuator = self._add_actuator(name, hinge)
@@ -303,28 +368,35 @@ class _Builder:
         )
         grip.solref, grip.solimp = [2e-3, 1.0], _HARD
 
-    def _located(self, model: Any) -> PlantModel:
-        joints = range(len(self._arm.drives))
-        motor = tuple(int(model.joint(self._motor_hinge(j)).qposadr[0]) for j in joints)
+    def located(self, model: Any) -> PlantModel:
+        """Where the arm's elements are in the compiled world."""
+        joints, prefix = range(len(self._arm.drives)), self.standing.prefix
+        motor = tuple(int(model.joint(prefix + self._motor_hinge(j)).qposadr[0]) for j in joints)
         rows = tuple(
-            tuple((int(model.joint(name).dofadr[0]), share) for name, share in self._friction_shares(j))
+            tuple(
+                (int(model.joint(prefix + name).dofadr[0]), share) for name, share in self._friction_shares(j)
+            )
             for j in joints
         )
         bristles = tuple(
-            tuple((int(model.actuator(name).id), share) for name, share in self._bristles[j]) for j in joints
+            tuple((int(model.actuator(prefix + name).id), share) for name, share in self._bristles[j])
+            for j in joints
         )
         return PlantModel(
             model=model,
+            standing=self.standing,
             motor_hinge=motor,
-            link_hinge=tuple(int(model.joint(f"q{j + 1}").qposadr[0]) for j in joints),
-            bridge=tuple(int(model.actuator(f"bridge{j + 1}").id) for j in joints),
+            link_hinge=tuple(int(model.joint(f"{prefix}q{j + 1}").qposadr[0]) for j in joints),
+            bridge=tuple(int(model.actuator(f"{prefix}bridge{j + 1}").id) for j in joints),
             friction_dofs=rows,
             bristles=bristles,
-            tip_site=int(model.site("tip").id),
-            payload_body=int(model.body("payload").id),
-            tool_body=int(model.body("tool").id),
+            tip_site=int(model.site(f"{prefix}tip").id),
+            payload_body=int(model.body(f"{prefix}payload").id),
+            tool_body=int(model.body(f"{prefix}tool").id),
             end_shift_m=self._end_shift_m,
-            bends=tuple(int(model.joint(name).qposadr[0]) for name in self._bends),
+            grip=int(model.equality(f"{prefix}grip").id),
+            mocap=int(model.body(f"{prefix}hand").mocapid[0]),
+            bends=tuple(int(model.joint(prefix + name).qposadr[0]) for name in self._bends),
         )
 
 

@@ -12,7 +12,7 @@ import mujoco
 
 from hil_mocks.errors import MockError
 from hil_mocks.plant.bridge import CURRENT, OPEN, VOLTAGE, Bridges, Winding
-from hil_mocks.plant.build import PlantModel, build
+from hil_mocks.plant.build import ArmToBuild, PlantModel, Standing, build
 from hil_mocks.plant.effects import PlantEffects
 from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.plant.parts import ArmParts, ToolParts
@@ -47,17 +47,19 @@ class Plant:
         effects: PlantEffects,
         start_rad: Sequence[float],
         options: PlantOptions | None = None,
+        world: tuple[PlantModel, Any] | None = None,
     ) -> None:
+        """`world`: the model and the state of a world that has other arms, too (`plants_of`); else one of its own."""
         options = options or PlantOptions()
         self.joints = len(arm.drives)
         self.timestep_s = options.timestep_s
         self.effects = effects
         self._is_base_nominal = effects.base_pose.is_nominal
-        self._at: PlantModel = build(
-            arm, effects, options.timestep_s, options.link_share, options.end_stop_margin_rad
-        )
+        if world is None:
+            (at,) = build([_to_build(arm, effects, options, Standing())])
+            world = at, mujoco.MjData(at.model)
+        self._at, self._data = world
         self._model: Any = self._at.model
-        self._data: Any = mujoco.MjData(self._model)
         self._shafts = tuple(Shaft(effect) for effect in effects.joints)
         self._shafts_are_true = all(shaft.is_true for shaft in self._shafts)
         self._pose(arm, start_rad)
@@ -81,9 +83,8 @@ class Plant:
 
     def _free_hand(self, options: PlantOptions) -> Hand:
         return Hand(
-            self._model,
+            self._at,
             self._data,
-            self._at.tip_site,
             options.hand_speed_m_s,
             options.seating_noise_m,
             options.seed,
@@ -91,22 +92,34 @@ class Plant:
         )
 
     @property
+    def steps(self) -> int:
+        """Time steps since the start."""
+        return self._steps
+
+    @property
     def time_s(self) -> float:
         """Simulated time since the start."""
         return self._steps * self.timestep_s
 
     def step(self, steps: int) -> None:
-        """Advance by a number of time steps: one call of MuJoCo, more only if a delayed command becomes due."""
+        """Advance by a number of time steps, alone in its world."""
+        step_together((self,), steps)
+
+    def next_due(self) -> float:
+        """Time step at which the next delayed command reaches its bridge."""
+        return self._pending[0][0] if self._pending else math.inf
+
+    def take_due(self, step: float) -> None:
+        """Apply the delayed commands of a time step."""
+        while self._pending and self._pending[0][0] <= step:
+            _, j, mode, value = self._pending.popleft()
+            self.bridges.command(j, mode, value)
+
+    def move_hand(self) -> None:
+        """What the operator does before a tick."""
         self.hand.move()
         if self.hand.is_gripping != self._is_steadied:
             self._steady()
-        end = self._steps + steps
-        while self._pending and self._pending[0][0] < end:
-            due, j, mode, value = self._pending.popleft()
-            if due > self._steps:
-                self._run(due - self._steps)
-            self.bridges.command(j, mode, value)
-        self._run(end - self._steps)
 
     def drive_voltage(self, j: int, voltage_V: float) -> None:
         """Mean terminal voltage of motor j; 0 shorts its windings."""
@@ -158,7 +171,7 @@ class Plant:
         self._data.qpos[:] = self._q
         mujoco.mj_kinematics(self._model, self._data)
         self._data.qpos[:] = ahead
-        x, y, z = self._data.site_xpos[self._at.tip_site].tolist()
+        x, y, z = self._at.standing.in_base(self._data.site_xpos[self._at.tip_site])
         return (x, y, z) if self._is_base_nominal else self.effects.base_pose.in_world((x, y, z))
 
     def set_payload(self, mass_kg: float) -> None:
@@ -227,11 +240,18 @@ class Plant:
         else:
             self._pending.append((self._steps + self._delay_steps, j, mode, value))
 
-    def _run(self, steps: int) -> None:
+    def load(self) -> None:
+        """Set what acts on the arm during the next steps: outputs of the bridges, friction under load."""
         self.bridges.settle([self._v[k] for k in self._at.motor_hinge])
         for j in self._load_friction:
             self._raise_friction(j)
+
+    def advance(self, steps: int) -> None:
+        """Let time pass in the world; all arms in it must have been loaded."""
         mujoco.mj_step(self._model, self._data, steps)
+
+    def passed(self, steps: int) -> None:
+        """Read the state after these steps."""
         self._steps += steps
         self._read()
 
@@ -283,7 +303,7 @@ class Plant:
         )
 
     def _apply_asymmetry(self) -> None:
-        for dof in range(self._model.nv):
+        for dof in {row for rows in self._at.friction_dofs for row, _ in rows}:
             self._data.qfrc_applied[dof] = -self._offset_Nm(dof)
 
     def _raise_friction(self, j: int) -> None:
@@ -306,6 +326,50 @@ class Plant:
             return
         for dof, share in self._at.friction_dofs[j]:
             self._model.dof_frictionloss[dof] = level * share
+
+
+def step_together(plants: Sequence[Plant], steps: int) -> None:
+    """Advance arms of one world: one call of MuJoCo, more only if a delayed command becomes due."""
+    for plant in plants:
+        plant.move_hand()
+    done = plants[0].steps
+    end = done + steps
+    while done < end:
+        for plant in plants:
+            plant.take_due(done)
+            plant.load()
+        until = min(end, *(plant.next_due() for plant in plants))
+        plants[0].advance(int(until) - done)
+        for plant in plants:
+            plant.passed(int(until) - done)
+        done = int(until)
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedPlant:
+    """What `plants_of` builds the plant of one arm from."""
+
+    arm: ArmParts
+    effects: PlantEffects
+    start_rad: Sequence[float]
+    options: PlantOptions
+    standing: Standing
+
+
+def plants_of(placed: Sequence[PlacedPlant]) -> list[Plant]:
+    """Plants of several arms in one world; `step_together` advances them."""
+    models = build([_to_build(one.arm, one.effects, one.options, one.standing) for one in placed])
+    state = mujoco.MjData(models[0].model)
+    return [
+        Plant(one.arm, one.effects, one.start_rad, one.options, (at, state))
+        for one, at in zip(placed, models, strict=True)
+    ]
+
+
+def _to_build(arm: ArmParts, effects: PlantEffects, options: PlantOptions, standing: Standing) -> ArmToBuild:
+    return ArmToBuild(
+        arm, effects, options.timestep_s, options.link_share, options.end_stop_margin_rad, standing
+    )
 
 
 def _windings(arm: ArmParts, effects: PlantEffects) -> list[Winding]:

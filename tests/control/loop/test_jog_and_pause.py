@@ -199,6 +199,7 @@ def test_a_silent_drive_brakes_a_jog_and_a_pause_like_everything_else(cell: Cell
     assert cell.runtime.jogging is None
 
 
+@pytest.mark.usefixtures("nobody_below")
 def test_the_way_off_leads_through_a_stop_from_jogging_and_from_a_pause(cell: Cell) -> None:
     jog(cell, 0.3, joint_speed_rad_s=[0.2, 0.0, 0.0])
     cell.client.off()
@@ -300,9 +301,9 @@ def test_an_override_slows_a_motion_down_and_up_again(cell: Cell) -> None:
 
 
 def test_a_client_waits_for_its_motion_through_a_pause_however_long_it_is(cell: Cell) -> None:
-    """`move_joints` gives up on an arm that does not arrive; a pause is no such thing."""
+    """`move_joints` gives up on an arm that has not arrived 5 s after its motion's time; a pause is no such thing."""
     begun_s = cell.rig.clock.now_s()
-    phases = iter([("pause", 0.3), ("resume", 30.0)])
+    phases = iter([("pause", 0.3), ("resume", 10.0)])
     phase = [next(phases)]
 
     def operate() -> None:
@@ -313,7 +314,7 @@ def test_a_client_waits_for_its_motion_through_a_pause_however_long_it_is(cell: 
 
     cell.watchers.append(operate)
     cell.client.move_joints(FAR)
-    assert cell.rig.clock.now_s() - begun_s > 30.0
+    assert cell.rig.clock.now_s() - begun_s > 10.0
     assert cell.rig.joint_rad() == pytest.approx(FAR, abs=3e-3)
 
 

@@ -8,22 +8,22 @@ from collections.abc import Callable
 import pytest
 
 from control.hardware.interface import Feedback
-from control.loop.watch import Expectation, JointLimits, Watch, WatchLimits
-from control.loop.witnesses import (
+from control.loop.cross_checks import (
+    CrossCheckLimits,
+    CrossChecks,
     IndexWatch,
     MotorCountWatch,
     SwitchPlace,
     SwitchWatch,
-    Witnesses,
-    WitnessLimits,
 )
+from control.loop.watch import Expectation, JointLimits, Watch, WatchLimits
 from control.safety.fault import LOSES_ZERO, Fault, Reaction
 from control.servo.servo import Motor
 
 CYCLE_s = 0.002
 NAMES = ("joint 1", "joint 2")
 MOTOR = Motor(amperes_per_Nm=0.5, resistance_ohm=2.0, volts_per_rad_s=4.0, supply_V=24.0, current_limit_A=8.0)
-LIMITS = WitnessLimits(0.5, 0.25, 0.75, 1.25, 80.0)
+LIMITS = CrossCheckLimits(0.5, 0.25, 0.75, 1.25, 80.0)
 # Numbers of docs/encoder_board.md and docs/motor_board.md, not of the code.
 HOME, ZERO_SET, QUADRATURE_ERROR, SIGNAL_LOST = 0x04, 0x08, 0x10, 0x20
 OPERATION_ENABLED, LIMITING = 0x27, 0x80
@@ -174,11 +174,11 @@ def test_faults_that_are_not_the_zeros_leave_it() -> None:
     assert set(REACTIONS) >= LOSES_ZERO
 
 
-class Witnessed:
-    """Two joints' witnesses, cycle by cycle."""
+class Checked:
+    """Two joints' checks, cycle by cycle."""
 
     def __init__(self) -> None:
-        self.witnesses, self.feedback = Witnesses([MOTOR, MOTOR], LIMITS, NAMES), good(0.0)
+        self.cross_checks, self.feedback = CrossChecks([MOTOR, MOTOR], LIMITS, NAMES), good(0.0)
         self.now_s = 0.0
         self.speed_rad_s = [0.0, 0.0]
         self.model_A: list[float] | None = [0.0, 0.0]
@@ -190,7 +190,7 @@ class Witnessed:
             assert not found, f"found early: {found}"
             self.now_s += CYCLE_s
             self.feedback.reply_at_s, self.feedback.reported_at_s = [self.now_s] * 2, [self.now_s] * 2
-            found = self.witnesses.look(self.now_s, CYCLE_s, self.feedback, self.speed_rad_s, self.model_A)
+            found = self.cross_checks.look(self.now_s, CYCLE_s, self.feedback, self.speed_rad_s, self.model_A)
         self.last = found
         return said(found)
 
@@ -213,7 +213,7 @@ class Witnessed:
 def test_a_value_outside_of_its_limits_for_ten_cycles_is_found_on_its_joint(
     code: str, name: str, inside: float, outside: float
 ) -> None:
-    arm = Witnessed()
+    arm = Checked()
     arm.model_A = None
     arm.feedback.sent_V = [math.nan] * 2
     values = getattr(arm.feedback, name)
@@ -228,18 +228,18 @@ def test_a_value_outside_of_its_limits_for_ten_cycles_is_found_on_its_joint(
 
 
 def test_a_motor_that_turns_while_its_encoder_stands_is_found_on_its_joint() -> None:
-    arm = Witnessed()
+    arm = Checked()
     arm.feedback.sent_V[1] = 4.0  # 1 rad/s by voltage; 0.5 is allowed
     cycle, found = arm.until_found()
     assert found == [("encoder_contradicted", "joint 2")]
     assert 8 <= cycle <= 25
-    arm.witnesses.forget()
+    arm.cross_checks.forget()
     arm.speed_rad_s[1] = 1.0
     assert arm.after(200) == []
 
 
 def test_a_board_that_limits_its_output_says_nothing_of_its_voltage() -> None:
-    arm = Witnessed()
+    arm = Checked()
     arm.feedback.sent_V[1] = 4.0
     arm.feedback.statusword[1] |= LIMITING
     assert arm.after(200) == []
@@ -251,7 +251,7 @@ def test_a_board_that_limits_its_output_says_nothing_of_its_voltage() -> None:
 def test_values_of_different_moments_are_not_compared(
     age_of_reply: float, age_of_count: float, is_used: bool
 ) -> None:
-    witnesses, feedback = Witnesses([MOTOR], LIMITS, NAMES[:1]), good(0.0)
+    cross_checks, feedback = CrossChecks([MOTOR], LIMITS, NAMES[:1]), good(0.0)
     feedback.sent_V = [4.0, 0.0]
     found: list[Fault] = []
     for k in range(300):
@@ -260,12 +260,12 @@ def test_values_of_different_moments_are_not_compared(
             [now_s - age_of_reply * CYCLE_s],
             [now_s - age_of_count * CYCLE_s],
         )
-        found += witnesses.look(now_s, CYCLE_s, feedback, [0.0], [0.0])
+        found += cross_checks.look(now_s, CYCLE_s, feedback, [0.0], [0.0])
     assert bool(found) == is_used
 
 
 def test_a_supply_that_is_off_excuses_a_speed_that_is_off_by_as_much() -> None:
-    arm = Witnessed()
+    arm = Checked()
     arm.feedback.sent_V, arm.speed_rad_s = [20.0, 20.0], [5.0, 5.0]
     assert arm.after(200) == []
     arm.feedback.supply_V = [28.8, 28.8]  # a duty cycle of it turns the motor a fifth faster
@@ -274,7 +274,7 @@ def test_a_supply_that_is_off_excuses_a_speed_that_is_off_by_as_much() -> None:
 
 
 def test_a_supply_that_is_low_excuses_as_much_as_one_that_is_high() -> None:
-    arm = Witnessed()
+    arm = Checked()
     arm.feedback.sent_V, arm.feedback.supply_V = [20.0, 20.0], [19.2, 19.2]  # a fifth below 24 V
     arm.speed_rad_s = [4.0, 4.0]
     assert arm.after(200) == []
@@ -286,7 +286,7 @@ def test_a_supply_that_is_low_excuses_as_much_as_one_that_is_high() -> None:
 
 
 def test_after_old_values_both_equations_wait_for_new_ones() -> None:
-    arm = Witnessed()
+    arm = Checked()
     arm.feedback.sent_V[0], arm.feedback.current_A[1], arm.feedback.sent_V[1] = 4.0, 9.0, math.nan
     arm.model_A = None
     before, found = arm.until_found()
@@ -294,14 +294,14 @@ def test_after_old_values_both_equations_wait_for_new_ones() -> None:
     arm.model_A = [0.0, 0.0]
     old = arm.now_s - 0.1
     arm.feedback.reply_at_s = [old, old]
-    look = arm.witnesses.look
+    look = arm.cross_checks.look
     assert not [look(arm.now_s, CYCLE_s, arm.feedback, [0.0, 0.0], arm.model_A) for _ in range(300)][-1]
     arm.model_A = None
     assert arm.until_found() == (before, found)
 
 
 def test_a_torque_that_the_model_does_not_explain_is_found_on_its_joint() -> None:
-    arm = Witnessed()
+    arm = Checked()
     arm.feedback.sent_V = [math.nan] * 2
     arm.feedback.current_A[1] = 2.0  # a quarter of 8 A is allowed
     assert arm.after(600) == []
@@ -311,7 +311,7 @@ def test_a_torque_that_the_model_does_not_explain_is_found_on_its_joint() -> Non
     assert "gives 4." in text  # 2 A at 2 N m an ampere
     assert "limit 4.0 N m" in text
     arm.model_A = [0.0, 0.5]
-    arm.witnesses.forget()
+    arm.cross_checks.forget()
     assert arm.after(600) == []
     arm.model_A = [0.0, 0.0]
     again = arm.until_found()
@@ -319,41 +319,41 @@ def test_a_torque_that_the_model_does_not_explain_is_found_on_its_joint() -> Non
     arm.feedback.current_A[1] = 9.0
     assert arm.after(600) == []
     arm.feedback.current_A[1], arm.model_A = 2.2, [0.0, 0.0]
-    fresh = Witnessed()
+    fresh = Checked()
     fresh.feedback.sent_V, fresh.feedback.current_A[1] = [math.nan] * 2, 2.2
     assert arm.until_found() == fresh.until_found()
     assert again[1] == [("unexplained_torque", "joint 2")]
 
 
-def test_witnesses_that_start_anew_forget_what_they_saw() -> None:
-    arm = Witnessed()
+def test_checks_that_start_anew_forget_what_they_saw() -> None:
+    arm = Checked()
     arm.feedback.sent_V = [4.0, math.nan]
     before, found = arm.until_found()
     assert found == [("encoder_contradicted", "joint 1")]
-    for forget in (arm.witnesses.forget, arm.witnesses.forget_speeds):
+    for forget in (arm.cross_checks.forget, arm.cross_checks.forget_speeds):
         assert arm.until_found() == (1, found)
         forget()
         assert arm.until_found() == (before, found)
 
 
 def test_what_is_forgotten_of_speeds_is_not_forgotten_of_torques() -> None:
-    arm = Witnessed()
+    arm = Checked()
     arm.feedback.sent_V, arm.feedback.current_A[1] = [math.nan] * 2, 2.2
     before, found = arm.until_found()
-    arm.witnesses.forget_speeds()
+    arm.cross_checks.forget_speeds()
     assert arm.until_found() == (1, found)
-    arm.witnesses.forget()
+    arm.cross_checks.forget()
     assert arm.until_found() == (before, found)
 
 
 def test_a_contradiction_says_both_speeds_and_a_torque_its_size() -> None:
-    arm = Witnessed()
+    arm = Checked()
     arm.feedback.sent_V[1] = 8.0
     found: list[Fault] = []
     while not found:
         arm.now_s += CYCLE_s
         arm.feedback.reply_at_s, arm.feedback.reported_at_s = [arm.now_s] * 2, [arm.now_s] * 2
-        found = arm.witnesses.look(arm.now_s, CYCLE_s, arm.feedback, [0.0, 0.0], None)
+        found = arm.cross_checks.look(arm.now_s, CYCLE_s, arm.feedback, [0.0, 0.0], None)
     assert "its encoder says 0.000 rad/s" in found[0].message
     assert "say 0." in found[0].message
 

@@ -8,6 +8,8 @@ import subprocess
 import sys
 import time
 
+import pytest
+
 from control.server.events import Events
 from control.server.printer import Printer
 from tests.cell import Cell, holding_cell
@@ -22,6 +24,7 @@ def heard_by(cell: Cell) -> list[str]:
     return said
 
 
+@pytest.mark.usefixtures("nobody_below")
 def test_a_move_that_is_stopped_and_a_shutdown_are_told_in_order(cell: Cell) -> None:
     said = heard_by(cell)
     cell.start_move((0.2, -0.4, 0.3))

@@ -1,4 +1,4 @@
-"""Second opinions on a joint: its motor's voltage and current against its encoder, and against the torque of the model.
+"""A motor's voltage and current as a check of its encoder, and of the torque that the model expects.
 
 A brushed DC motor obeys u = R i + K w, whatever the gear, the load or the friction: voltage and current tell its speed a
 second time, without its encoder. And the current is a torque: what weight and acceleration do not explain is friction, a
@@ -17,10 +17,10 @@ SPEED_SMOOTHING_S: Final = 0.03  # a frozen encoder at full speed is told after 
 TORQUE_SMOOTHING_S: Final = 0.1  # an impact ends before this
 
 
-class SpeedWitness:
+class SpeedCheck:
     """One motor's equation, from volts and amperes at the joint's sign and rad/s of the joint.
 
-    The current of a report belongs to the voltage of two commands ago (docs/mock_robot.md); the witness keeps them.
+    The current of a report belongs to the voltage of two commands ago (docs/mock_robot.md); the check keeps them.
     """
 
     __slots__ = ("_K", "_R", "_allowed_V", "_base_V", "_before_V", "_last_V", "_left_V")
@@ -68,7 +68,7 @@ class SpeedWitness:
         return (self._allowed_V + self._base_V) / self._K
 
 
-class TorqueWitness:
+class TorqueCheck:
     """One joint's balance of torques, as motor current: measured against the model of the set-point's motion."""
 
     __slots__ = ("_base_A", "_left_A", "_model_A")

@@ -1,4 +1,4 @@
-"""What each cycle says a second time: motors against encoders, torques against the model, supply, current, temperature.
+"""Cross-checks of each cycle: motors against encoders, torques against the model, supply, current, temperature.
 
 `control.loop.watch` compares measured values with what was wanted. Here they are compared with each other, so that an encoder
 or a board that is wrong and plausible is found.
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from control.hardware.interface import Feedback
 from control.hardware.words import HOME_SWITCH, WARNING
 from control.safety.fault import Fault, Reaction
-from control.safety.witness import Lasting, SpeedWitness, TorqueWitness
+from control.safety.motor_checks import Lasting, SpeedCheck, TorqueCheck
 from control.servo.servo import Motor
 
 LASTS_S = 0.02  # of a value outside of its limits: ten cycles at 500 Hz
@@ -23,7 +23,7 @@ OPEN_CURRENT = 1.5  # of the current limit, where boards trip
 
 
 @dataclass(frozen=True, slots=True)
-class WitnessLimits:
+class CrossCheckLimits:
     """Limits of an arm, from [limits]: see docs/safety.md."""
 
     speed_contradiction_rad_s: float
@@ -34,16 +34,14 @@ class WitnessLimits:
 
 
 class Joint:
-    """The witnesses of one joint."""
+    """The checks of one joint."""
 
     __slots__ = ("current", "motor", "name", "speed", "supply", "temperature", "torque", "was_outside")
 
-    def __init__(self, name: str, motor: Motor, limits: WitnessLimits) -> None:
+    def __init__(self, name: str, motor: Motor, limits: CrossCheckLimits) -> None:
         self.name, self.motor = name, motor
-        self.speed = SpeedWitness(
-            motor.resistance_ohm, motor.volts_per_rad_s, limits.speed_contradiction_rad_s
-        )
-        self.torque = TorqueWitness(limits.unexplained_torque * motor.current_limit_A)
+        self.speed = SpeedCheck(motor.resistance_ohm, motor.volts_per_rad_s, limits.speed_contradiction_rad_s)
+        self.torque = TorqueCheck(limits.unexplained_torque * motor.current_limit_A)
         most_A = OPEN_CURRENT * motor.current_limit_A
         self.current = Lasting(-most_A, most_A, LASTS_S)
         self.supply = Lasting(
@@ -67,10 +65,10 @@ class Joint:
         return faults
 
 
-class Witnesses:
-    """The witnesses of all joints; `look` costs some microseconds a cycle and builds texts for faults only."""
+class CrossChecks:
+    """The checks of all joints; `look` costs some microseconds a cycle and builds texts for faults only."""
 
-    def __init__(self, motors: Sequence[Motor], limits: WitnessLimits, names: Sequence[str]) -> None:
+    def __init__(self, motors: Sequence[Motor], limits: CrossCheckLimits, names: Sequence[str]) -> None:
         self._joints = tuple(Joint(name, motor, limits) for name, motor in zip(names, motors, strict=True))
 
     def forget(self) -> None:
@@ -123,12 +121,12 @@ class Witnesses:
 
 
 def _of_speed(joint: Joint, speed_rad_s: float) -> Fault:
-    witness = joint.speed
+    check = joint.speed
     return Fault(
         "encoder_contradicted",
         joint.name,
         f"its encoder says {speed_rad_s:.3f} rad/s, its motor's voltage and current say"
-        f" {speed_rad_s + witness.excess_rad_s:.3f} rad/s (difference allowed {witness.allowed_rad_s:.3f} rad/s)",
+        f" {speed_rad_s + check.excess_rad_s:.3f} rad/s (difference allowed {check.allowed_rad_s:.3f} rad/s)",
         "check the encoder's cable and coupling and the motor's wires, then home again; at the first start also"
         " resistance_ohm, torque_constant_Nm_A and the signs in arm.toml",
         Reaction.BRAKE,
@@ -136,12 +134,12 @@ def _of_speed(joint: Joint, speed_rad_s: float) -> Fault:
 
 
 def _of_torque(joint: Joint) -> Fault:
-    witness, newton_metres = joint.torque, 1.0 / joint.motor.amperes_per_Nm
+    check, newton_metres = joint.torque, 1.0 / joint.motor.amperes_per_Nm
     return Fault(
         "unexplained_torque",
         joint.name,
-        f"its motor gives {abs(witness.excess_A) * newton_metres:.1f} N m that weight and motion do not explain"
-        f" (limit {witness.allowed_A * newton_metres:.1f} N m)",
+        f"its motor gives {abs(check.excess_A) * newton_metres:.1f} N m that weight and motion do not explain"
+        f" (limit {check.allowed_A * newton_metres:.1f} N m)",
         "check for a collision, the payload that is stated, gear_ratio and the masses in arm.toml",
         Reaction.CONTROLLED,
     )

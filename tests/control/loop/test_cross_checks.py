@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from control.loop.witnesses import IndexWatch, MotorCountWatch, SwitchPlace, SwitchWatch
+from control.loop.cross_checks import IndexWatch, MotorCountWatch, SwitchPlace, SwitchWatch
 from control.safety.table import Mode
 from tests.cell import RIGHT, STRETCHED, Cell, holding_cell, scenario, with_drive
 

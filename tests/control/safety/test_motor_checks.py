@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from control.safety.witness import SHARE, SHARE_OF_TORQUE, Lasting, SpeedWitness, TorqueWitness
+from control.safety.motor_checks import SHARE, SHARE_OF_TORQUE, Lasting, SpeedCheck, TorqueCheck
 
 R, K, T = 0.3, 3.0, 0.002
 BASE_rad_s = 0.02
@@ -21,10 +21,10 @@ def first_doubt_s(
     off_K: float = 1.0,
 ) -> float:
     """When a motor of R off_R and K off_K that turns at one speed while its encoder says another is doubted; inf: never."""
-    witness = SpeedWitness(R, K, BASE_rad_s)
+    check = SpeedCheck(R, K, BASE_rad_s)
     volts = R * off_R * current_A + K * off_K * speed_rad_s
     for cycle in range(500):
-        if not witness.update(T, volts, current_A, said_rad_s, 0.0):
+        if not check.update(T, volts, current_A, said_rad_s, 0.0):
             return cycle * T
     return math.inf
 
@@ -65,42 +65,42 @@ def test_a_difference_below_the_limit_is_none() -> None:
 
 def test_voltage_steps_of_a_busy_controller_are_not_doubted() -> None:
     source = random.Random(1)
-    witness = SpeedWitness(R, K, BASE_rad_s)
+    check = SpeedCheck(R, K, BASE_rad_s)
     sent = [0.0, 0.0, 0.0]
     for _ in range(2000):
         sent = [*sent[1:], source.gauss(0.0, 2.0)]
         acted_V = source.choice(sent[:2])  # one cycle early or late
-        assert witness.update(T, sent[-1], acted_V / R, 0.0, 0.0)
+        assert check.update(T, sent[-1], acted_V / R, 0.0, 0.0)
 
 
 def test_a_voltage_that_is_not_known_says_nothing_and_starts_anew() -> None:
-    witness = SpeedWitness(R, K, BASE_rad_s)
+    check = SpeedCheck(R, K, BASE_rad_s)
     for _ in range(100):
-        assert witness.update(T, math.nan, 5.0, 3.0, 0.0)
-    answers = [witness.update(T, 0.0, 0.0, 3.0, 0.0) for _ in range(10)]
+        assert check.update(T, math.nan, 5.0, 3.0, 0.0)
+    answers = [check.update(T, 0.0, 0.0, 3.0, 0.0) for _ in range(10)]
     assert answers[:2] == [True, True]
     assert not answers[-1]
 
 
 def test_a_board_that_sends_a_duty_cycle_is_not_doubted_when_the_supply_sags() -> None:
-    witness = SpeedWitness(R, K, BASE_rad_s)
+    check = SpeedCheck(R, K, BASE_rad_s)
     for _ in range(500):
-        assert witness.update(T, 6.0, 0.0, 0.8 * 6.0 / K, supply_off=0.2)
+        assert check.update(T, 6.0, 0.0, 0.8 * 6.0 / K, supply_off=0.2)
 
 
 def test_the_model_explains_a_torque_within_its_share_and_the_base() -> None:
     for sign in (-1.0, 1.0):
         for extra_A, is_well in ((0.99, True), (1.01, False)):
-            witness = TorqueWitness(base_A=3.0)
+            check = TorqueCheck(base_A=3.0)
             model_A = sign * 2.0
             measured_A = model_A + sign * extra_A * (3.0 + SHARE_OF_TORQUE * 2.0)
-            assert all(witness.update(T, measured_A, model_A) for _ in range(1000)) is is_well
+            assert all(check.update(T, measured_A, model_A) for _ in range(1000)) is is_well
 
 
 def test_an_impact_that_is_over_is_no_unexplained_torque() -> None:
-    witness = TorqueWitness(base_A=3.0)
-    assert all(witness.update(T, 8.0, 0.0) for _ in range(20))
-    assert all(witness.update(T, 0.0, 0.0) for _ in range(100))
+    check = TorqueCheck(base_A=3.0)
+    assert all(check.update(T, 8.0, 0.0) for _ in range(20))
+    assert all(check.update(T, 0.0, 0.0) for _ in range(100))
 
 
 @pytest.mark.parametrize("value", [-1.1, 2.1, math.nan, math.inf])

@@ -1,0 +1,1 @@
+"""Commands for the arms of a cell."""

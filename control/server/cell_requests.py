@@ -1,0 +1,147 @@
+"""Requests to a runtime with several arms: to which arm, what all arms share, and what one arm does not do beside another.
+
+A request is about the arm that it names as `arm`, else about the arm to whose socket it came. `stop` and `brake` are for all
+arms. Everything else is served as by the runtime of one arm (control.server.requests).
+"""
+
+from collections.abc import Mapping, Sequence
+
+from control.errors import ArmError
+from control.loop.cell import CellRuntime
+from control.motion.pace import Stretched
+from control.motion.setpoint import Motion
+from control.safety.table import Mode
+from control.server.messages import SHOWN, Asked, MoveTogether, decoded
+from control.server.requests import Message, Planned, Requests, refused
+
+# They wait for boards, and the loop with them: an arm in motion would be without control for some tens of milliseconds.
+WAITING = frozenset(("enable", "home", "acknowledge"))
+PACING = frozenset(("pause", "resume", "override"))
+BEGINNING = frozenset(("home", "move_joints", "run_path", "run_joints", "move_together", "jog", "guide"))
+PLANNED = BEGINNING - {
+    "jog",
+    "guide",
+}  # by jog and by hand, an arm can be brought away from one that is in FAULT
+
+
+class CellRequests:
+    """Serves the requests of all clients; `requests` of each arm by its name."""
+
+    def __init__(self, name: str, runtime: CellRuntime, requests: Mapping[str, Requests]) -> None:
+        self._name, self._runtime, self._requests = name, runtime, requests
+        self._together: dict[str, int] = {}  # arms that began a motion together, and their run then
+
+    def handle(self, request: Asked, client: int) -> Message:
+        """Serve one request of a client; never raises because of the request."""
+        try:
+            if request.do in ("stop", "brake"):
+                return self._stop(request, client)
+            if request.do == "move_together":
+                return self._move_together(request, client)
+            arm = self._named(request.arm)
+            if request.do in WAITING | BEGINNING:
+                self._require_possible(arm, request.do)
+            if request.do == "off":
+                return self._off(request, arm, client)
+            if request.do in PACING and len(partners := self._partners(arm)) > 1:
+                return self._of_all(request, partners, client)
+            answer = self._requests[arm].handle(request._replace(arm=arm), client)
+        except ArmError as error:
+            return refused(str(error))
+        if request.do == "status" and answer["ok"]:
+            answer["cell"] = {"name": self._name, "arms": self._modes()}
+        return answer
+
+    def on_gone(self, client: int) -> None:
+        """A client disconnected: what it began, with any arm, is stopped."""
+        for requests in self._requests.values():
+            requests.on_gone(client)
+
+    def _named(self, name: str) -> str:
+        """ArmError lists the arms."""
+        if name not in self._requests:
+            got = repr(name[:SHOWN]) if name else "none"
+            raise ArmError(
+                f"arm: expected one of {', '.join(self._requests)} of cell {self._name!r}, got {got}"
+            )
+        return name
+
+    def _modes(self) -> dict[str, str]:
+        return {name: runtime.monitor.mode.name for name, runtime in self._runtime.runtimes.items()}
+
+    def _stop(self, request: Asked, client: int) -> Message:
+        """All arms, whatever arm the request names."""
+        return self._of_all(request, tuple(self._requests), client)
+
+    def _of_all(self, request: Asked, arms: Sequence[str], client: int) -> Message:
+        """The same for several arms; the first refusal, if there is one."""
+        answers = [self._requests[name].handle(request._replace(arm=name), client) for name in arms]
+        return next((answer for answer in answers if not answer["ok"]), answers[0])
+
+    def _move_together(self, request: Asked, client: int) -> Message:
+        """Check the motions of all arms, against each other too; then begin all of them. They take as long as the longest."""
+        asked: MoveTogether = decoded(request)
+        if len(asked.moves) < 2:
+            raise ArmError(f"move_together: expected moves of two arms or more, got {len(asked.moves)}")
+        planned = {self._named(name): one.request(asked.detached) for name, one in asked.moves.items()}
+        for name in planned:
+            self._require_possible(name, "move_together")
+        paces = {self._runtime.runtimes[name].override for name in planned}
+        if len(paces) > 1:
+            raise ArmError("move_together: expected the same override for all arms: set one for each")
+        motions = {name: self._prepared(name, one, client) for name, one in planned.items()}
+        duration_s = max(motion.duration_s for motion in motions.values())
+        together: dict[str, Motion] = {
+            name: Stretched(motion, duration_s) for name, motion in motions.items()
+        }
+        for name, motion in together.items():
+            self._runtime.collisions.of_arms[name].require_clear(motion, together)
+        for name, motion in together.items():
+            self._requests[name].begin(motion, planned[name], client)
+        self._together = {name: self._runtime.runtimes[name].run_number for name in together}
+        return {"ok": True, "duration_s": duration_s, "runs": self._together}
+
+    def _prepared(self, name: str, planned: Planned, client: int) -> Motion:
+        """ArmError says which arm it is about."""
+        try:
+            return self._requests[name].prepared(planned, client)
+        except ArmError as error:
+            raise ArmError(f"arm {name!r}: {error}") from None
+
+    def _partners(self, arm: str) -> tuple[str, ...]:
+        """The arms that are in one motion with this one."""
+        moving = [
+            name
+            for name, run in self._together.items()
+            if self._runtime.runtimes[name].run_number == run
+            and self._runtime.runtimes[name].monitor.mode in (Mode.MOVING, Mode.PAUSED)
+        ]
+        return tuple(moving) if arm in moving else (arm,)
+
+    def _off(self, request: Asked, arm: str, client: int) -> Message:
+        """The drives of one arm; the end of the runtime is the end of all."""
+        answer = self._requests[arm].handle(request._replace(arm=arm), client)
+        if answer["ok"] and decoded(request).quit:
+            self._runtime.go_off(quits=True)
+        return answer
+
+    def _require_possible(self, arm: str, do: str) -> None:
+        """ArmError says which other arm is in the way of a request."""
+        runtimes, what = self._runtime.runtimes, do.replace("_", " ")
+        if do in WAITING and (other := self._runtime.moving_beside(arm)):
+            mode = runtimes[other].monitor.mode.name
+            raise ArmError(
+                f"arm {other!r} is {mode}, so arm {arm!r} cannot {what}: it waits for its boards, and the loop with it; try"
+                f" again when arm {other!r} is at rest"
+            )
+        if do in BEGINNING:
+            for other, runtime in runtimes.items():
+                if other != arm and runtime.monitor.mode is Mode.HOMING:
+                    raise ArmError(
+                        f"arm {other!r} is HOMING, so arm {arm!r} cannot {what}: wait until it is homed"
+                    )
+        if do in PLANNED and (other := self._runtime.in_fault_beside(arm)):
+            raise ArmError(
+                f"arm {other!r} is in FAULT, so arm {arm!r} cannot {what}: `armwright acknowledge --arm {other}` when it is"
+                " safe; jogs and hand guiding are free"
+            )

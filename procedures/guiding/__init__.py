@@ -1,0 +1,1 @@
+"""Motions that a hand has shown: another arm follows them, or the arm repeats them."""

@@ -1,0 +1,57 @@
+"""`armwright serve --cell`: rates that a shared bus carries, and options that are of one arm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from console.commands import serve
+from console.main import main
+from control.end_effector.bus_load import bus_load
+from control.model.cell import Cell
+from control.server.process import ServeOptions
+from tests.pair import PAIR
+
+
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Cell, ServeOptions]]:
+    """What would be served."""
+    asked: list[tuple[Cell, ServeOptions]] = []
+    monkeypatch.setattr(serve, "serve", lambda *given: asked.append(given))
+    return asked
+
+
+def test_six_boards_on_one_bus_are_served_at_a_rate_that_it_carries(served: list[Any]) -> None:
+    assert main(["serve", "--cell", "pair"]) == 0
+    ((cell, options),) = served
+    assert 1.0 / options.period_s == pytest.approx(400.0)
+    assert sorted(options.sockets) == ["left", "right"]
+    assert options.camera_ports == {"left": 47310, "right": 47311}
+    # 12 frames of 135 bits a cycle.
+    assert bus_load(cell, 400.0) == pytest.approx(12 * 400 * 135e-6)
+
+
+def test_with_a_bus_for_each_arm_nothing_is_slower() -> None:
+    left, right = PAIR.arms
+    assert right.arm.can is not None
+    alone = replace(right, arm=replace(right.arm, can=replace(right.arm.can, channel="can1")))
+    assert bus_load(replace(PAIR, arms=(left, alone)), 500.0) == pytest.approx(6 * 500 * 135e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--rate", "600"], "--rate: at 600 Hz the arms' boards would need 97 % of their CAN bus (at most 95 %)"),
+        (["--socket", "x.sock"], "--socket: not together with --cell"),
+        (["--can-channel", "can1"], "--can-channel: not together with --cell"),
+        (["--rate", "5"], "--rate: expected 50 to 1200 Hz, got 5"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_a_cell_is_refused(
+    served: list[Any], capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
+    assert main(["serve", "--cell", "pair", *arguments]) == 2
+    assert said in capsys.readouterr().err
+    assert served == []

@@ -1,0 +1,92 @@
+"""cell.toml: the supplied cell, and what is refused with file, line, key and remedy."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from control.errors import ArmError, ArmFileError
+from control.model.cell import cell_of_one, load_cell, save_cell
+from control.model.description import load_arm
+
+PAIR = load_cell("pair")
+TWO = """name = "two"
+[[arm]]
+file = "left"
+[[arm]]
+file = "right"
+motor_nodes = [4, 5, 6]
+encoder_ports = ["/dev/ttyACM1"]
+camera_port = 47311
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "cell.toml"
+    file.write_text(text)
+    return file
+
+
+def test_the_supplied_pair_is_the_two_supplied_arms_on_one_bus() -> None:
+    left, right = PAIR.arms
+    assert PAIR.names == ("left", "right")
+    assert [drive.motor_node for placed in PAIR.arms for drive in placed.arm.drives] == [1, 2, 3, 4, 5, 6]
+    assert left.arm.can == right.arm.can
+    assert left.arm.links == load_arm("left").links
+
+
+def test_a_base_that_is_turned_and_moved_takes_points_there_and_back(tmp_path: Path) -> None:
+    half = math.sqrt(0.5)
+    text = TWO + f"origin_m = [1.0, 2.0, 0.0]\norientation = [{half}, 0.0, 0.0, {half}]\n"
+    right = load_cell(written(tmp_path, text)).placed("right")
+    assert right.in_cell((0.5, 0.0, 0.1)) == pytest.approx((1.0, 2.5, 0.1))
+    assert right.in_base(right.in_cell((0.1, 0.2, 0.3))) == pytest.approx((0.1, 0.2, 0.3))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "said"),
+    [
+        ("[4, 5, 6]", "[3, 5, 6]", 6, "expected a motor node (here 3) that no other arm of the cell has, got that of"),
+        ("[4, 5, 6]", "[4, 5]", 6, "arm.2.motor_nodes: expected 3 nodes, one a drive, got 2"),
+        ("ttyACM1", "ttyACM0", 7, "expected a port that no other arm of the cell has, got that of arm 'left'"),
+        ("47311", "47310", 8, "expected a camera port that no other arm of the cell has"),
+        ("motor_nodes", "nodes", 6, "got an unknown key (did you mean motor_nodes?)"),
+        ('"right"', '"left"', 4, "expected a name that no other arm of the cell has, got that of arm 'left'"),
+        ('"right"', '"right"\norientation = [1.0, 1.0, 0.0, 0.0]', 6, "expected a unit quaternion"),
+        ('"right"', '"right"\norientation = [0.0, 1.0, 0.0, 0.0]', 6, "expected gravity as of arm 'left'"),
+        ('"right"', '"right"\norigin_m = [0.0, -250.0, 0.0]', 6, "this looks like millimetres: write [0, -0.25, 0]"),
+        ('"right"', '"rigth"', None, 'expected a path to an arm.toml, or "left" or "right"'),
+        ("[[arm]]", "[arm]", 2, "expected"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused_with_its_line(
+    tmp_path: Path, old: str, new: str, line: int | None, said: str
+) -> None:
+    text = (
+        TWO.replace(old, new)
+        if old != "[[arm]]"
+        else TWO.partition('[[arm]]\nfile = "right"')[0].replace(old, new)
+    )
+    with pytest.raises(ArmFileError) as refused:
+        load_cell(written(tmp_path, text))
+    assert said in str(refused.value)
+    assert refused.value.line == line
+
+
+def test_a_saved_cell_is_read_back_with_its_arms(tmp_path: Path) -> None:
+    again = load_cell(save_cell(PAIR, tmp_path))
+    assert again == PAIR
+
+
+def test_an_unknown_arm_or_cell_is_refused_with_the_names() -> None:
+    with pytest.raises(ArmError, match="no arm 'middle': expected one of left, right"):
+        PAIR.placed("middle")
+    with pytest.raises(ArmFileError, match='or "pair", got an unknown name'):
+        load_cell("trio")
+
+
+def test_an_arm_alone_stands_at_the_origin_of_its_cell() -> None:
+    cell = cell_of_one(load_arm("right"))
+    assert cell.placed("right").in_cell((0.1, 0.2, 0.3)) == (0.1, 0.2, 0.3)
