@@ -17,7 +17,8 @@ import numpy as np
 
 from calib.arrays import Array, frozen
 from calib.errors import PointsFileError
-from calib.points.points import opened_text, require_commas
+from calib.points.covariance import COVARIANCE
+from calib.points.points import ORIENTATION, opened_text, require_commas
 
 REQUIRED = ("setup", "marker", "x_m", "y_m", "z_m")
 
@@ -54,7 +55,7 @@ def read_markers(path: Path) -> Markers:
         rows = [_row(path, reader.line_num, header, places, row) for row in reader if row]
     if not rows:
         raise PointsFileError(f"{path}: a header and no markers: expected one line per measured marker")
-    strange = [name for name in header if name not in REQUIRED]
+    strange = [name for name in header if name not in (*REQUIRED, *ORIENTATION, *COVARIANCE)]
     warnings = (f"{path}: unknown columns ignored: {', '.join(strange)}",) if strange else ()
     return Markers(
         tuple(row[0] for row in rows),

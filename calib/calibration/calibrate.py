@@ -8,10 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-from calib.arm_problem.assembly import Choice, problem_of
+from calib.arm_problem.assembly import BASE, Choice, problem_of
 from calib.arm_problem.checks import require_usable
 from calib.arm_problem.joint_effects import unclear_flanks, unphysical
 from calib.arm_problem.problem import ArmProblem
+from calib.arm_problem.weighted import usual_noise_m
 from calib.arrays import Array
 from calib.calibration.outcome import calibrated_arm
 from calib.errors import CalibrationError
@@ -69,7 +70,7 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
     asked, plan = plan, replace(plan, choice=plan.choice.for_points(arm, points))
     problem = problem_of(arm, points, plan.choice)
     warnings = [
-        *([_about_frame(arm)] if plan.choice != asked.choice else []),
+        *([_about_frame(arm)] if BASE in plan.choice.freed and plan.choice != asked.choice else []),
         *require_usable(arm, points, problem, plan.choice),
         *unclear_flanks(arm, points, plan.choice.effects),
     ]
@@ -81,10 +82,10 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
         seed=plan.seed,
         accuracy_limit_m=plan.accuracy_limit_m,
     )
-    warnings += [*unphysical(found.solution.corrections), *_about_orientations(found)]
+    warnings += [*unphysical(found.solution.corrections), *_about_noise(found)]
     advance("looking for outliers", 0.4)
     floor = noise_floor(arm, points, problem, found.x)
-    suspects = find_suspects(problem, found.x, _cavities(arm), floor.axis_m if floor is not None else 0.0)
+    suspects = find_suspects(problem, found.x, _cavities(arm), _usual_noise_m(problem, floor))
     held, reasons = _held_out(arm, points, plan, advance)
     judged = verdict(found, held, floor, suspects, points.setup)
     advance("done", 1.0)
@@ -109,8 +110,22 @@ def _about_frame(arm: Arm) -> str:
     )
 
 
-def _about_orientations(found: Identification) -> list[str]:
-    """A warning if orientations scatter unlike their stated noise: weights and intervals follow from it."""
+def _usual_noise_m(problem: ArmProblem, floor: NoiseFloor | None) -> float:
+    """Noise of one axis of a usual point, 0 if unknown."""
+    if problem.observed.covariance is not None:
+        return usual_noise_m(problem.observed.covariance[:, 0])
+    return floor.axis_m if floor is not None else 0.0
+
+
+def _about_noise(found: Identification) -> list[str]:
+    """A warning if points scatter unlike their stated noise: weights and intervals follow from it."""
+    if found.weighted is not None:
+        if 1.0 / NOISE_RATIO <= found.weighted <= NOISE_RATIO:
+            return []
+        return [
+            f"the points scatter {found.weighted:.2g} times as much as their covariances say: something other than this geometry"
+            " acts (run `armwright gap`), or the covariances are wrong"
+        ]
     turned = found.orientation
     if turned is None:
         return []

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from calib.arm_problem.assembly import BASE_FRAME
+from calib.arm_problem.assembly import BASE_FRAME, CAMERA
 from calib.arm_problem.frames import Frame, rotation_vector
 from calib.arm_problem.joint_effects import with_effects
 from calib.identify.identification import Estimate, Identification, OrientationFit
@@ -52,8 +52,8 @@ def calibrated_arm(nominal: Arm, found: Identification) -> Arm:
 
 
 def with_base_frame(arm: Arm, base: Frame) -> Arm:
-    """The arm with a base frame that was identified; unchanged if it was not."""
-    if not base.is_free:
+    """The arm with a base frame that was identified; unchanged if it was not, or if the frame is a camera's."""
+    if not base.is_free or base.name == CAMERA:
         return arm
     vector = [*base.origin_m.tolist(), *rotation_vector(base.rotation).tolist()]
     effect = Effect("base_frame", None, dict(zip(BASE_FRAME, vector, strict=True)))

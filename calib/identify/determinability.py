@@ -63,12 +63,16 @@ def determinability(sensitivity: Array, parameters: tuple[Parameter, ...]) -> De
     )
 
 
-def null_space(sensitivity: Array, parameters: tuple[Parameter, ...], tolerance: float) -> Array:
+def null_space(
+    sensitivity: Array, parameters: tuple[Parameter, ...], tolerance: float, least_m: float = 0.0
+) -> Array:
     """Orthonormal combinations of unknowns (k, k - rank) that the points leave undetermined and that stay at nominal.
 
-    Separately for bounded and unbounded ones; with these combinations at zero, the points determine the rest.
+    Separately for bounded and unbounded ones; with these combinations at zero, the points determine the rest. `least_m`:
+    undetermined are also those whose bound moves all tips together by less (root of the sum of squares).
     """
-    return _Parts.of(sensitivity, parameters).held(tolerance)
+    parts = _Parts.of(sensitivity, parameters)
+    return parts.held(max(tolerance, least_m / parts.yardstick if parts.yardstick > 0.0 else 0.0))
 
 
 @dataclass(frozen=True, slots=True)

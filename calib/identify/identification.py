@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arm_problem.checks import require_sound
-from calib.arm_problem.posed import PosedProblem, whole_problem
 from calib.arm_problem.problem import ArmProblem, Problem, Solution
+from calib.arm_problem.weighted import WeightedProblem, posed_part, whole_problem
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
 from calib.identify.budget import Accuracy
@@ -60,7 +60,8 @@ class OrientationFit:
 class Identification:
     """The result. Objectives in their unit; errors are vectors measured minus modelled, (m, 3).
 
-    `x` (k,): the scaled unknowns; `noise`: the noise scale of the standard deviations.
+    `x` (k,): the scaled unknowns; `noise`: the noise scale of the standard deviations. `weighted`: scatter over what the points'
+    covariances say, 1 if they are right, None if they have none; objectives and noise_m are then of a usual point.
     """
 
     objective: str
@@ -82,6 +83,7 @@ class Identification:
     noise: NoiseScale
     accuracy: Accuracy | None = None
     orientation: OrientationFit | None = None
+    weighted: float | None = None
 
     @property
     def dh(self) -> Array:
@@ -127,9 +129,7 @@ def fit(
     problem: ArmProblem, objective: Objective | None = None, starts_count: int = 4, seed: int = 0
 ) -> tuple[Minimum, Objective]:
     """The optimum only, and the minimised objective: Huber's without a threshold derives it from the noise."""
-    best = minimise(
-        whole_problem(problem), objective or SumOfDistances(), starts_count, seed, equal="by noise"
-    )
+    _, best = _solved(problem, objective or SumOfDistances(), starts_count, seed)
     return replace(best, x=best.x[: len(problem.parameters)]), best.objective
 
 
@@ -147,26 +147,20 @@ def identify(
     UnusablePointsError if the points allow no calibration. Deterministic for the same inputs and seed.
     """
     require_sound(problem)
-    whole = whole_problem(problem)
-    if accuracy_limit_m is not None and whole is not problem:
-        raise CalibrationError(
-            "a required accuracy is one of positions: leave it out, or qw, qx, qy, qz of the points"
-        )
-    best = minimise(whole, objective or SumOfDistances(), starts_count, seed, accuracy_limit_m, "by noise")
+    _require_plain(problem, accuracy_limit_m)
+    whole, best = _solved(problem, objective or SumOfDistances(), starts_count, seed, accuracy_limit_m)
     wanted, x = best.objective, best.x[: len(problem.parameters)]
     before, after = whole.residuals(np.zeros(len(best.x))), whole.residuals(best.x)
     found = uncertainty(whole.parameters, wanted, best.x, after, whole.sensitivity(best.x))
-    m = len(problem)
-    solution = problem.solution(x)
     return Identification(
         objective=wanted.name,
-        solution=solution,
+        solution=problem.solution(x),
         nominal_dh=frozen(problem.model.nominal_dh),
         estimates=found.estimates,
         objective_before=value_of(wanted, before),
         objective_after=value_of(wanted, after),
-        error_before_m=frozen(before[:m]),
-        error_after_m=frozen(after[:m]),
+        error_before_m=frozen(problem.residuals(np.zeros(len(x)))),
+        error_after_m=frozen(problem.residuals(x)),
         noise_m=float(np.sqrt(np.sum(after**2) / max(1, after.size - found.known.rank))),
         rank=found.known.rank,
         condition_number=found.known.condition_number,
@@ -178,18 +172,53 @@ def identify(
         noise=found.noise,
         accuracy=best.accuracy,
         orientation=_orientation(whole, best.x),
+        weighted=_weighted(whole, found.noise),
     )
 
 
+def _require_plain(problem: ArmProblem, accuracy_limit_m: float | None) -> None:
+    """CalibrationError for a required accuracy of points that do not count alike."""
+    if accuracy_limit_m is not None and whole_problem(problem) is not problem:
+        raise CalibrationError(
+            "a required accuracy is one of positions that count alike: leave it out, or qw, qx, qy, qz and the covariances of the"
+            " points"
+        )
+
+
+def _solved(
+    problem: ArmProblem,
+    objective: Objective,
+    starts_count: int,
+    seed: int,
+    accuracy_limit_m: float | None = None,
+) -> tuple[Problem, Minimum]:
+    """The whole problem and its minimum. Covariances in a frame that was identified are turned to it, and all is solved again."""
+    whole = whole_problem(problem)
+    best = minimise(whole, objective, starts_count, seed, accuracy_limit_m, "by noise")
+    if isinstance(whole, WeightedProblem) and problem.free_frames:
+        frames = problem.solution(best.x[: len(problem.parameters)]).frames
+        whole = whole_problem(problem, frames)
+        best = minimise(whole, objective, starts_count, seed, equal="by noise")
+    return whole, best
+
+
+def _weighted(whole: Problem, noise: NoiseScale) -> float | None:
+    """Scatter of the residuals over what the covariances say; None if the points have none."""
+    if not isinstance(whole, WeightedProblem):
+        return None
+    return float(np.sqrt(noise.variance_m2)) / whole.unit_m
+
+
 def _orientation(whole: Problem, x: Array) -> OrientationFit | None:
-    if not isinstance(whole, PosedProblem):
+    posed = posed_part(whole)
+    if posed is None:
         return None
     return OrientationFit(
-        rows=tuple(whole.rows.tolist()),
-        error_before_rad=frozen(whole.angles_rad(np.zeros(len(x)))),
-        error_after_rad=frozen(whole.angles_rad(x)),
-        lever_m=whole.lever_m,
-        target=frozen(whole.target(x)),
+        rows=tuple(posed.rows.tolist()),
+        error_before_rad=frozen(posed.angles_rad(np.zeros(len(x)))),
+        error_after_rad=frozen(posed.angles_rad(x)),
+        lever_m=posed.lever_m,
+        target=frozen(posed.target(x)),
     )
 
 

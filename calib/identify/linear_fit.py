@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.arm_problem.problem import ArmProblem
+from calib.arm_problem.weighted import position_weights
 from calib.arrays import Array
 from calib.identify.determinability import determinability
 from calib.identify.estimates import AT_BOUND
@@ -19,22 +20,31 @@ Mask = npt.NDArray[np.bool_]
 class LinearFit:
     """Residuals r + A y of points, r (m, 3) [m], A (m, 3, rank); y are the determined combinations.
 
-    A'A over all points is the identity.
+    A'A over all points is the identity. `weights` (m, 3, 3): what r and A were multiplied by; None: nothing.
     """
 
     residuals: Array
     columns: Array
+    weights: Array | None = None
 
     @classmethod
     def around(cls, problem: ArmProblem, x: Array, extra: Array | None = None) -> LinearFit:
-        """Linearise at unknowns x (k,); parameters at their bounds stay there. `extra` (m, 3, e): columns of more unknowns."""
+        """Linearise at unknowns x (k,); parameters at their bounds stay there. `extra` (m, 3, e): columns of more unknowns.
+
+        Points with covariances are weighted by them.
+        """
         residuals, jacobian = problem.residuals_and_jacobian(x)
         limits = np.array([parameter.limit for parameter in problem.parameters])
         free = np.flatnonzero(np.abs(x) < AT_BOUND * limits)
         known = determinability(
             problem.sensitivity(x)[:, :, free], tuple(problem.parameters[k] for k in free)
         )
-        return cls.of(residuals, jacobian[:, :, free] @ known.basis, extra)
+        columns = jacobian[:, :, free] @ known.basis
+        weights = position_weights(problem, problem.solution(x).frames)
+        if weights is not None:
+            residuals, columns = np.einsum("mij,mj->mi", weights, residuals), weights @ columns
+            extra = None if extra is None else weights @ extra
+        return replace(cls.of(residuals, columns, extra), weights=weights)
 
     @classmethod
     def of(cls, residuals: Array, columns: Array, extra: Array | None = None) -> LinearFit:
@@ -46,6 +56,14 @@ class LinearFit:
         left = left[:, singular > 1e-6 * singular.max(initial=0.0)]
         independent = np.ascontiguousarray(left).reshape(*whole.shape[:2], -1)
         return cls(residuals, independent)
+
+    def weighted(self, columns: Array) -> Array:
+        """Columns (m, 3, e) multiplied as the residuals are."""
+        return columns if self.weights is None else np.asarray(self.weights @ columns)
+
+    def unweighted(self, row: int, vector: Array) -> Array:
+        """A weighted residual (3,) of a row as a length again."""
+        return vector if self.weights is None else np.asarray(np.linalg.solve(self.weights[row], vector))
 
     @property
     def rank(self) -> int:

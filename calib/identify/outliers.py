@@ -82,9 +82,13 @@ def find_outliers(
     `extra` (m, 3, e): columns of further unknowns, such as a board that is not where the table says. `noise_m`: of one axis,
     if known: the smallest noise assumed.
     """
-    found = outlier_test(LinearFit.around(problem, x, extra), noise_m)
+    fit = LinearFit.around(problem, x, extra)
+    found = outlier_test(fit, noise_m)
     rows = np.flatnonzero(~found.agrees)
-    named = [_outlier(problem, x, int(row), found, cavities or {}) for row in rows]
+    named = [
+        _outlier(problem, x, int(row), found, fit.unweighted(int(row), found.deleted_m[row]), cavities or {})
+        for row in rows
+    ]
     return tuple(sorted(named, key=lambda outlier: -outlier.score))
 
 
@@ -169,7 +173,7 @@ def _clearly_alike(fit: LinearFit, squares: Array) -> Mask:
 
 
 def _outlier(
-    problem: ArmProblem, x: Array, row: int, found: OutlierTest, cavities: Mapping[str, Array]
+    problem: ArmProblem, x: Array, row: int, found: OutlierTest, off_m: Array, cavities: Mapping[str, Array]
 ) -> Outlier:
     """The outlier of a row, with its cause."""
     observed = problem.observed
@@ -179,9 +183,9 @@ def _outlier(
         row,
         setup,
         point,
-        float(np.linalg.norm(found.deleted_m[row])),
+        float(np.linalg.norm(off_m)),
         float(found.score[row]),
         found.noise_m,
-        frozen(found.deleted_m[row]),
-        cause_of(problem, x, row, found.deleted_m[row], found.noise_m, cavities),
+        frozen(off_m),
+        cause_of(problem, x, row, off_m, found.noise_m, cavities),
     )

@@ -41,10 +41,10 @@ def shifted_setups(problem: ArmProblem, x: Array) -> tuple[ShiftedSetup, ...]:
     if len(names) < 2:
         return ()
     fixed = LinearFit.around(problem, x)
-    everything = np.concatenate([moved_columns(problem, name) for name in names], axis=2)
+    everything = np.concatenate([fixed.weighted(moved_columns(problem, name)) for name in names], axis=2)
     agrees = outlier_test(LinearFit.of(fixed.residuals, fixed.columns, everything)).agrees
     while len(found) + 1 <= LARGEST_SHARE * len(names):
-        taken = [moved_columns(problem, one.setup) for one in found]
+        taken = [fixed.weighted(moved_columns(problem, one.setup)) for one in found]
         rest = [name for name in names if name not in [one.setup for one in found]]
         best = max((_moved(problem, name, fixed, taken, agrees) for name in rest), key=lambda one: one[0])
         if best[0] < EXPLAINED_SHARE or best[1] > CHANCE:
@@ -78,7 +78,7 @@ def _moved(
     """Explained share, p-value, and the motion."""
     from scipy.special import fdtrc
 
-    own = moved_columns(problem, name)
+    own = fixed.weighted(moved_columns(problem, name))
     before_columns = np.concatenate((fixed.columns, *taken), axis=2)
     wanted = -fixed.residuals[agrees].ravel()
     before, before_rank, _ = _solved(before_columns[agrees], wanted)

@@ -2,8 +2,8 @@
 
 What the data do not determine stays at nominal. After the best search, the null space of its Jacobian is fixed at nominal
 and the rest refitted; if that costs more than COST_OF_NEARNESS, a narrower null space is fixed. An identification allows
-more (`Equal` "by noise"): the expected gain of the fixed unknowns by fitting noise, so that no undetermined combination
-ends at a bound because of noise.
+more (`Equal` "by noise"): the expected gain of the fixed unknowns by fitting noise, and it begins with all combinations of
+which a change by the bound is less than the noise, so that none of them ends at a bound because of noise.
 """
 
 from __future__ import annotations
@@ -250,9 +250,16 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, e
     stiffness = stride * _stiffness(objective, residuals, jacobian)
     nothing = objective.value(objective.distances(np.full((len(problem), 3), NOTHING_M)), 0.0)
     tried = -1
-    # Rotations of arm and board together cost nothing, unless the objective depends on axes (absolute coordinates).
-    for derivative, rank_tolerance in product((problem.sensitivity(best.x), jacobian), RANK_TOLERANCES):
-        null = null_space(derivative, problem.parameters, rank_tolerance)
+    sensitivity, noise_m = (
+        problem.sensitivity(best.x),
+        0.0 if equal == "exactly" else _noise_m(problem, best.x),
+    )
+    # First what the noise hides: a change by its bound is less than a standard deviation. Rotations of arm and board
+    # together cost nothing, unless the objective depends on axes (absolute coordinates).
+    ways = [(sensitivity, RANK_TOLERANCES[0], noise_m)] if noise_m else []
+    ways += [(way, tolerance, 0.0) for way, tolerance in product((sensitivity, jacobian), RANK_TOLERANCES)]
+    for derivative, rank_tolerance, least_m in ways:
+        null = null_space(derivative, problem.parameters, rank_tolerance, least_m)
         if null.shape[1] == tried:
             continue
         tried = null.shape[1]
@@ -262,6 +269,12 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, e
         if value <= max(best.value * (1.0 + cost), nothing):
             return Minimum(end.x, value, best.steps_count + end.steps_count, end.is_converged, objective)
     return best
+
+
+def _noise_m(problem: Problem, x: Array) -> float:
+    """Scatter of one coordinate about the fit; 0 where no coordinates are left over."""
+    freedom = 3 * len(problem) - len(problem.parameters)
+    return float(np.sqrt(np.sum(problem.residuals(x) ** 2) / freedom)) if freedom > 0 else 0.0
 
 
 def _gain_by_noise(problem: Problem, unknowns_count: int) -> float:

@@ -6,11 +6,22 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.errors import UnusablePointsError
-from calib.points.points import Points, joined, read_points
+from calib.points.points import CAMERA_FRAME, Points, joined, read_points
 from control.files import parsed_json, read_text
 from control.model.arm import Arm
 
 RECORDS = ("session.json", "plan.json", "programme.json")  # files that our recordings write beside points.csv
+
+
+def base_points_for(arm: Arm, files: Sequence[Path], what: str) -> tuple[Points, tuple[str, ...]]:
+    """As `points_for`, but UnusablePointsError for points in a camera's frame, which `what` cannot use."""
+    points, warnings = points_for(arm, files)
+    if points.in_camera_frame:
+        raise UnusablePointsError(
+            f"{what}: the points are in a camera's frame of unknown place: calibrate with them first, then give the calibrated"
+            " arm.toml and the points_base.csv that `armwright calibrate` writes beside it"
+        )
+    return points, warnings
 
 
 def points_for(arm: Arm, files: Sequence[Path]) -> tuple[Points, tuple[str, ...]]:
@@ -22,9 +33,22 @@ def points_for(arm: Arm, files: Sequence[Path]) -> tuple[Points, tuple[str, ...]
     for file in files:
         require_recorded_of(arm, file)
     read = [read_points(file, arm.joint_count) for file in files]
+    _require_one_frame(files, [part for part, _ in read])
     return joined([part for part, _ in read]), tuple(
         sentence for _, warnings in read for sentence in warnings
     )
+
+
+def _require_one_frame(files: Sequence[Path], parts: Sequence[Points]) -> None:
+    """UnusablePointsError for points of a camera's frame among others."""
+    for file, part in zip(files, parts, strict=True):
+        frames = part.extra.get("frame", ("",) * len(part))
+        whole = [one.in_camera_frame for one in parts]
+        if any(whole) and (not all(whole) or set(frames) != {CAMERA_FRAME}):
+            raise UnusablePointsError(
+                f'{file}: points in a camera\'s frame (column frame: "{CAMERA_FRAME}") and others cannot be used together: give'
+                " the files of one frame"
+            )
 
 
 def require_recorded_of(arm: Arm, file: Path) -> None:

@@ -1,7 +1,8 @@
 """points.csv: static poses in the interchange format.
 
 Required columns: setup, point, repeat, q1_rad ... qn_rad. Optional: t_s, payload_kg, dir1 ..., i1_A ..., x_m, y_m, z_m
-(empty where nothing was measured), and beside them qw, qx, qy, qz. Other columns are kept as text and warned about.
+(empty where nothing was measured), beside them qw, qx, qy, qz, and covariances of both. Other columns are kept as text and
+warned about.
 Comma-separated, .csv or .csv.gz.
 """
 
@@ -26,6 +27,7 @@ import numpy.typing as npt
 
 from calib.arrays import Array, frozen
 from calib.errors import PointsFileError
+from calib.points.covariance import COVARIANCE, POSITION, TURN, is_covariance
 from control.errors import BadTarget
 from control.files import open_file
 from control.kinematics.rotation import checked_quaternion
@@ -35,8 +37,11 @@ TIP = ("x_m", "y_m", "z_m")
 ORIENTATION = ("qw", "qx", "qy", "qz")
 SCALARS = ("t_s", "payload_kg")
 OWN_EXTRAS = re.compile(
-    r"q\d+_sd_rad|temperature\d+_C|approach|take"
+    r"q\d+_sd_rad|temperature\d+_C|approach|take|frame|distance_m"
 )  # added by our own sessions; kept like any other column, without a warning
+CAMERA_FRAME = (
+    "camera"  # in the column `frame`: positions and orientations are in a camera's frame of unknown place
+)
 POINTS_MOST = 100_000  # poses; calibrations have hundreds
 
 
@@ -47,7 +52,8 @@ class Points:
     q_rad (m, n) from the encoders; tip_m (m, 3) in the base frame, NaN where not measured; direction (m, n)
     sign of each joint's last motion, 0 unknown; current_A (m, n), t_s (m,), payload_kg (m,): NaN where
     unknown. orientation (m, 4): unit quaternion w, x, y, z of the measured target in the same frame as tip_m, NaN where not
-    measured. `extra` holds columns beyond the format, as text.
+    measured. covariance (m, 12): of the position and of the orientation, upper triangles as in calib.points.covariance, NaN where
+    unknown. `extra` holds columns beyond the format, as text.
     """
 
     setup: tuple[str, ...]
@@ -61,11 +67,13 @@ class Points:
     payload_kg: Array
     extra: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
     orientation: Array = field(default_factory=lambda: frozen(np.zeros((0, 4))))  # empty: none was measured
+    covariance: Array = field(default_factory=lambda: frozen(np.zeros((0, 12))))  # empty: none is known
 
     def __post_init__(self) -> None:
-        """Without any orientation, a row of NaN for each pose."""
-        if not len(self.orientation):
-            object.__setattr__(self, "orientation", frozen(np.full((len(self.setup), 4), np.nan)))
+        """Without any orientation or covariance, a row of NaN for each pose."""
+        for name, width in (("orientation", 4), ("covariance", 12)):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, frozen(np.full((len(self.setup), width), np.nan)))
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -75,6 +83,11 @@ class Points:
     def joint_count(self) -> int:
         """N."""
         return int(self.q_rad.shape[1])
+
+    @property
+    def in_camera_frame(self) -> bool:
+        """Whether tips and orientations are in the frame of a camera, whose place is unknown."""
+        return CAMERA_FRAME in self.extra.get("frame", ())
 
     def chosen(self, rows: Sequence[int] | npt.NDArray[np.intp]) -> Points:
         """The poses of these rows, in this order."""
@@ -91,6 +104,7 @@ class Points:
             self.payload_kg[k],
             {name: tuple(column[i] for i in k) for name, column in self.extra.items()},
             self.orientation[k],
+            self.covariance[k],
         )
 
 
@@ -106,6 +120,7 @@ def make_points(
     payload_kg: Array | None = None,
     extra: Mapping[str, tuple[str, ...]] | None = None,
     orientation: Array | None = None,
+    covariance: Array | None = None,
 ) -> Points:
     """Make points from arrays; missing values are NaN, missing directions 0."""
     m, n = np.shape(q_rad)
@@ -121,6 +136,7 @@ def make_points(
         frozen(np.full(m, np.nan) if payload_kg is None else payload_kg),
         MappingProxyType(dict(extra or {})),
         frozen(np.zeros((0, 4)) if orientation is None else orientation),
+        frozen(np.zeros((0, 12)) if covariance is None else covariance),
     )
 
 
@@ -140,6 +156,7 @@ def joined(parts: Sequence[Points]) -> Points:
         np.concatenate([part.payload_kg for part in parts]),
         {name: tuple(cell for part in parts for cell in part.extra[name]) for name in shared},
         np.concatenate([part.orientation for part in parts]),
+        np.concatenate([part.covariance for part in parts]),
     )
 
 
@@ -226,9 +243,14 @@ class _Columns:
     @property
     def extra(self) -> tuple[str, ...]:
         """Columns beyond the format."""
-        known = {*REQUIRED, *SCALARS, *TIP, *ORIENTATION}
-        known.update(*(_each(self.joint_count, form) for form in ("q{}_rad", "dir{}", "i{}_A")))
+        known = {*REQUIRED, *SCALARS, *TIP, *ORIENTATION, *COVARIANCE}
+        known.update(_joint_columns(self.joint_count))
         return tuple(name for name in self.names if name not in known)
+
+
+def _joint_columns(n: int) -> tuple[str, ...]:
+    """Columns of angles, directions and currents."""
+    return tuple(name for form in ("q{}_rad", "dir{}", "i{}_A") for name in _each(n, form))
 
 
 def _each(n: int, form: str) -> tuple[str, ...]:
@@ -246,7 +268,12 @@ def _require_whole_groups(path: Path, names: tuple[str, ...], n: int) -> None:
     """Require x, y, z together, and the quaternion; directions and currents of every joint or of none."""
     if ORIENTATION[0] in names and TIP[0] not in names:
         raise PointsFileError(f"{path}, line 1: columns {', '.join(TIP)} are missing beside {ORIENTATION[0]}")
-    for group in (TIP, ORIENTATION, _each(n, "dir{}"), _each(n, "i{}_A")):
+    for covariance, measured in ((POSITION, TIP), (TURN, ORIENTATION)):
+        if covariance[0] in names and measured[0] not in names:
+            raise PointsFileError(
+                f"{path}, line 1: columns {', '.join(measured)} are missing beside {covariance[0]}"
+            )
+    for group in (TIP, ORIENTATION, POSITION, TURN, _each(n, "dir{}"), _each(n, "i{}_A")):
         present = [name for name in group if name in names]
         if present and len(present) < len(group):
             absent = next(name for name in group if name not in present)
@@ -268,8 +295,7 @@ class _Table:
         self._numeric = {
             name: (place, array("d"), name in _each(n, "q{}_rad"))
             for place, name in enumerate(columns.names)
-            if name
-            in (*SCALARS, *TIP, *ORIENTATION, *_each(n, "q{}_rad"), *_each(n, "dir{}"), *_each(n, "i{}_A"))
+            if name in (*SCALARS, *TIP, *ORIENTATION, *COVARIANCE, *_joint_columns(n))
         }
         self._text: dict[str, list[str]] = {name: [] for name in ("setup", "point", *columns.extra)}
         self.repeat: list[int] = []
@@ -315,6 +341,9 @@ class _Table:
                 raise self._bad(line, unknown[0], "", "a number, since the other coordinates are given")
         if ORIENTATION[0] in self._numeric:
             self._require_quaternion(line)
+        for group, measured in ((POSITION, TIP), (TURN, ORIENTATION)):
+            if group[0] in self._numeric:
+                self._require_covariance(line, group, measured)
         for name in _each(self._columns.joint_count, "dir{}"):
             if name in self._numeric and self._numeric[name][1][-1] not in (-1.0, 0.0, 1.0):
                 value = self._numeric[name][1]
@@ -340,6 +369,27 @@ class _Table:
         for column, value in zip(columns, unit, strict=True):
             column[-1] = value
 
+    def _require_covariance(self, line: int, group: tuple[str, ...], measured: tuple[str, ...]) -> None:
+        """Require six numbers or none, of a positive definite matrix, beside what they are the covariance of."""
+        values = np.array([self._numeric[name][1][-1] for name in group])
+        unknown = np.isnan(values)
+        if unknown.all():
+            return
+        if unknown.any():
+            raise self._bad(
+                line,
+                group[int(np.argmax(unknown))],
+                "",
+                "a number, since the others of the covariance are given",
+            )
+        if math.isnan(self._numeric[measured[0]][1][-1]):
+            raise self._bad(line, measured[0], "", "a number, since its covariance is given")
+        if not is_covariance(values):
+            numbers = ", ".join(f"{value:.3g}" for value in values)
+            raise PointsFileError(
+                f"{self._path}, line {line}: {group[0]} to {group[-1]}: expected a positive definite covariance, got {numbers}"
+            )
+
     def _bad(self, line: int, name: str, text: str, expected: str) -> PointsFileError:
         got = f'"{text.strip()}"' if text.strip() else "an empty cell"
         return PointsFileError(f"{self._path}, line {line}, column {name}: got {got}, expected {expected}")
@@ -359,6 +409,7 @@ class _Table:
             self._stacked(("payload_kg",))[:, 0],
             {name: tuple(self._text[name]) for name in self._columns.extra},
             self._stacked(ORIENTATION),
+            self._stacked(COVARIANCE),
         )
 
     def _stacked(self, names: Sequence[str]) -> Array:

@@ -14,6 +14,7 @@ from types import TracebackType
 import numpy as np
 
 from calib.errors import SessionError
+from calib.points.covariance import COVARIANCE
 from calib.points.points import ORIENTATION, SCALARS, TIP, Points, read_points
 from control.files import append_whole, read_bytes, write_whole
 
@@ -70,6 +71,9 @@ def write_points(path: Path, points: Points) -> None:
     if np.isfinite(points.orientation).any():
         quaternion = points.orientation.T
         columns |= {name: [_text(v, 9) for v in quaternion[k]] for k, name in enumerate(ORIENTATION)}
+    for k, name in enumerate(COVARIANCE):
+        if np.isfinite(points.covariance[:, k]).any():
+            columns[name] = ["" if math.isnan(v) else f"{v:.6e}" for v in points.covariance[:, k]]
     columns |= points.extra
     lines = [_line(list(columns)), *(_line(row) for row in zip(*columns.values(), strict=True))]
     replace_file(path, "".join(lines).encode())

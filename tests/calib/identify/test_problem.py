@@ -168,5 +168,5 @@ def test_a_pose_without_a_reference_is_refused(setup, point, says) -> None:
 
 
 def test_what_can_be_freed_is_listed() -> None:
-    with pytest.raises(CalibrationError, match='expected some of base, table, tool, got "elbow"'):
+    with pytest.raises(CalibrationError, match='expected some of base, camera, table, tool, got "elbow"'):
         Choice(freed=("elbow",))

@@ -113,6 +113,19 @@ def test_an_arm_in_modified_convention_with_a_tool(name) -> None:
     assert found.value <= other.value * (1.0 + MILLIONTH)
 
 
+def test_no_combination_that_the_noise_hides_ends_at_a_bound() -> None:
+    """Seen in a small part of the workspace: a change of some combinations by their bounds is less than the noise."""
+    rng = np.random.default_rng(2)
+    true = REFERENCE_DH + 0.3 * deviations(rng, 4)
+    q = rng.uniform(-0.15, 0.15, (60, 3))
+    tips = REFERENCE.tips(true, q) + rng.normal(0.0, 3e-4, (60, 3))
+    problem = problem_of_tips(REFERENCE, REFERENCE_DH, q, tips)
+    lowest, nearest = (minimise(problem, SumOfDistances(), equal=how) for how in ("exactly", "by noise"))
+    assert np.abs(lowest.x).max() == 1.0
+    assert np.abs(nearest.x).max() < 0.8
+    assert nearest.value < 1.015 * lowest.value  # no more than as many unknowns gain by fitting noise
+
+
 @pytest.mark.parametrize("name", ["e2", "lsq"])
 def test_thousands_of_poses_are_summed_up_piece_by_piece(name) -> None:
     problem = workspace_problem(CHUNK + 300, 7)

@@ -1,0 +1,100 @@
+"""contacts.csv: joint angles of two arms whose tips are in one place, or a known distance apart.
+
+A points.csv whose q1_rad ... are the joints of the first arm, then those of the second, without measured tips. Column distance_m:
+between the tips, as of two balls that touch or a ball bar; 0 or empty: both are in one place.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.arm_problem.joint_effects import known_corrections
+from calib.arrays import Array, frozen
+from calib.errors import PointsFileError, UnusablePointsError
+from calib.points.points import Points, make_points, read_points
+from control.model.arm import Arm
+
+DISTANCE = "distance_m"
+DISTANCE_MOST_m = 5.0
+TURNS_LIMIT_rad = 6 * math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts:
+    """m contacts: joint angles (m, n1) and (m, n2) with each arm's known static effects, distances between the tips (m,)."""
+
+    name: tuple[str, ...]
+    setup: tuple[str, ...]
+    first_rad: Array
+    second_rad: Array
+    distance_m: Array
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.name)
+
+    def chosen(self, rows: npt.ArrayLike) -> Contacts:
+        """Some of them, by index."""
+        keep = np.arange(len(self))[np.asarray(rows)]
+        return Contacts(
+            tuple(self.name[k] for k in keep),
+            tuple(self.setup[k] for k in keep),
+            frozen(self.first_rad[keep]),
+            frozen(self.second_rad[keep]),
+            frozen(self.distance_m[keep]),
+        )
+
+
+def read_contacts(path: Path, arms: tuple[Arm, Arm]) -> tuple[Contacts, tuple[str, ...]]:
+    """The contacts of a file, and warnings. PointsFileError or UnusablePointsError names file, line and column."""
+    first, second = arms
+    n = first.joint_count
+    try:
+        points, warnings = read_points(path, n + second.joint_count)
+    except PointsFileError as error:
+        raise PointsFileError(
+            f"{error} (contacts: the {n} joints of {first.name}, then the {second.joint_count} of {second.name})"
+        ) from None
+    if np.isfinite(points.tip_m).any():
+        raise UnusablePointsError(
+            f"{path}: contacts have no measured tips: remove x_m, y_m, z_m, or calibrate each arm by itself"
+        )
+    if np.abs(points.q_rad).max() > TURNS_LIMIT_rad:
+        raise UnusablePointsError(f"{path}: the joint angles look like degrees: expected radians")
+    names = zip(points.setup, points.point, points.repeat, strict=True)
+    return Contacts(
+        tuple(f"{setup}:{point}:{repeat}" for setup, point, repeat in names),
+        points.setup,
+        frozen(_joint_rad(first, points, slice(0, n))),
+        frozen(_joint_rad(second, points, slice(n, None))),
+        frozen(_distances(path, points)),
+    ), warnings
+
+
+def _joint_rad(arm: Arm, points: Points, columns: slice) -> Array:
+    """Joint angles of one arm, with its known static effects."""
+    q, m = points.q_rad[:, columns], len(points)
+    own = make_points(
+        points.setup, points.point, points.repeat, q, np.full((m, 3), np.nan), points.direction[:, columns]
+    )
+    return np.asarray(q + known_corrections(arm, own))
+
+
+def _distances(path: Path, points: Points) -> Array:
+    texts = points.extra.get(DISTANCE, ("",) * len(points))
+    found = np.zeros(len(texts))
+    for row, text in enumerate(texts):
+        try:
+            found[row] = float(text) if text.strip() else 0.0
+        except ValueError:
+            found[row] = math.nan
+        if not 0.0 <= found[row] <= DISTANCE_MOST_m:
+            raise PointsFileError(
+                f"{path}, line {row + 2}, column {DISTANCE}: got {text!r}, expected a distance from 0 to {DISTANCE_MOST_m:g} m"
+            )
+    return found

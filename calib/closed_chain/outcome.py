@@ -1,0 +1,148 @@
+"""Results of two arms in contact: text for a terminal, pair.json, both arms' files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from calib.arm_problem.frames import Frame
+from calib.arrays import Array
+from calib.closed_chain.calibrate import PairFound
+from calib.closed_chain.pair_problem import names_of
+from calib.identify.estimates import Estimate
+from calib.identify.open_combinations import open_in_words
+from control.files import write_whole
+from control.kinematics.rotation import quaternions
+from control.model.arm import Arm, Calibration
+from control.model.description import save_arm
+
+FORMAT = "pair/1"
+SCALE = (
+    "Contacts in one place leave the scale of both arms open: it stays at nominal. Contacts at a known distance (distance_m)"
+    " determine it."
+)
+NO_EFFECT = 0.98  # share of a parameter that the contacts leave open, from which on its value means nothing
+
+
+def pair_text(nominal: tuple[Arm, Arm], found: PairFound) -> str:
+    """Errors of contacts left out first, then what is determined, then both arms and where they stand."""
+    lines = []
+    if len(found.held_after_m):
+        lines.append(
+            f"On contacts not used (every 5th left out in turn), the mean error went from {_mm(found.held_before_m)} to"
+            f" {_mm(found.held_after_m)} mm (largest {1e3 * float(found.held_after_m.max()):.3f})."
+        )
+    else:
+        lines.append("Too few contacts to leave some out: how good the result is elsewhere is unknown.")
+    lines += [
+        f"{len(found.after_m)} contacts: mean error {_mm(found.before_m)} mm with nominal arms, {_mm(found.after_m)} mm after, at"
+        " the contacts of the fit.",
+        f"They determine {found.known.rank} of {len(found.estimates)} parameters (condition number"
+        f" {found.known.condition_number:.0f}).",
+        *(f"{sentence}." for sentence in open_in_words(found.known.undetermined)),
+        *([] if found.has_distance else [SCALE]),
+        "",
+        f"{'parameter':<22}{'unit':<6}{'nominal':>12}{'identified':>12}{'sd':>10}",
+        *(_line(one) for one in found.estimates if one.parameter.has_bound or "_tool_" in one.parameter.name),
+        "",
+        _stand(names_of(nominal), found.base),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _mm(errors_m: Array) -> str:
+    return f"{1e3 * float(errors_m.mean()):.3f}"
+
+
+def _line(one: Estimate) -> str:
+    unit, factor, digits = ("deg", math.degrees(1.0), 4) if one.parameter.unit == "rad" else ("mm", 1e3, 3)
+    values = f"{factor * one.parameter.nominal:>12.{digits}f}{factor * one.value:>z12.{digits}f}"
+    if one.undetermined_share > NO_EFFECT:
+        return f"{one.parameter.name:<22}{unit:<6}{values}{'':>10}  no effect here"
+    spread = "" if math.isnan(one.sd) else f"{factor * one.sd:.{digits}f}"
+    remark = "at its bound" if one.is_at_bound else "" if one.is_determined else "not determined alone"
+    return f"{one.parameter.name:<22}{unit:<6}{values}{spread:>10}  {remark}".rstrip()
+
+
+def _stand(names: tuple[str, str], base: Frame) -> str:
+    w, x, y, z = quaternions(base.rotation[None])[0].tolist()
+    origin = ", ".join(f"{value:.6f}" for value in base.origin_m)
+    return (
+        f"Base of {names[1]} in the base frame of {names[0]} (as in cell.toml):\n"
+        f"origin_m = [{origin}]\norientation = [{w:.9f}, {x:.9f}, {y:.9f}, {z:.9f}]"
+    )
+
+
+def write_pair(
+    out: Path,
+    nominal: tuple[Arm, Arm],
+    found: PairFound,
+    objective: str,
+    inputs: Mapping[str, str],
+    date: str,
+    program: str,
+) -> list[Path]:
+    """Write NAME.toml of both arms and pair.json; return the files."""
+    files = []
+    for name, arm, made in zip(names_of(nominal), nominal, found.arms, strict=True):
+        source = arm.path.name if arm.path is not None else arm.name
+        provenance = Calibration(source, dict(inputs), date, objective, program)
+        files.append(out / f"{name}.toml")
+        save_arm(dataclasses.replace(made, calibration=provenance), files[-1])
+    files.append(out / "pair.json")
+    content = {
+        "format": FORMAT,
+        "date": date,
+        "program_version": program,
+        "inputs": dict(inputs),
+        **pair_json(nominal, found),
+    }
+    write_whole(files[-1], json.dumps(content, indent=2, allow_nan=False) + "\n")
+    return files
+
+
+def pair_json(nominal: tuple[Arm, Arm], found: PairFound) -> dict[str, object]:
+    """The result for other programs. SI units; missing numbers are null."""
+    held = len(found.held_after_m) > 0
+    return {
+        "arms": list(names_of(nominal)),
+        "contacts": len(found.after_m),
+        "mean_error_m": {"before": float(found.before_m.mean()), "after": float(found.after_m.mean())},
+        "held_out": {
+            "mean_before_m": float(found.held_before_m.mean()),
+            "mean_after_m": float(found.held_after_m.mean()),
+            "max_after_m": float(found.held_after_m.max()),
+        }
+        if held
+        else None,
+        "rank": found.known.rank,
+        "condition_number": _number(found.known.condition_number),
+        "parameters": {
+            one.parameter.name: {
+                "unit": one.parameter.unit,
+                "nominal": one.parameter.nominal,
+                "value": one.value,
+                "sd": _number(one.sd),
+                "is_determined": one.is_determined,
+                "is_at_bound": one.is_at_bound,
+            }
+            for one in found.estimates
+            if one.parameter.has_bound or "_tool_" in one.parameter.name
+        },
+        "second_base": {
+            "origin_m": found.base.origin_m.tolist(),
+            "orientation": quaternions(found.base.rotation[None])[0].tolist(),
+        },
+        "undetermined": [
+            {"names": list(group.names), "freedoms": group.freedoms_count}
+            for group in found.known.undetermined
+        ],
+        "in_words": list(open_in_words(found.known.undetermined)),
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

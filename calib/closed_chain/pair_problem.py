@@ -1,0 +1,231 @@
+"""Residuals of two arms in contact, with exact first derivatives, in scaled unknowns.
+
+    u = a + s + exp([w]) R (p2 - c) - p1     from the first tip to the second, in the first arm's base frame
+    contact in one place: u;   contact at a distance d: |u| - d
+
+p1, p2: tips by each arm's own DH table and tool. R, a, c: the start of where the second base stands, and the centre of its tips;
+s and w are unknown. Contacts at a distance are one number each: three of them make one row, so that all rows have three numbers.
+Second derivatives are left out (Gauss-Newton): residuals are millimetres.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.frames import Frame, cross_matrix, left_jacobian, rotation_of
+from calib.arm_problem.parameters import Bounds, Parameter, dh_parameters, require_known_names
+from calib.arm_problem.problem import REACHABLE, SEATING_STEPS, SEATING_LIMIT_rad
+from calib.arrays import Array, frozen, norms
+from calib.closed_chain.contacts import Contacts
+from control.model.arm import Arm
+
+ALL = slice(None)
+AXES = ("x", "y", "z")
+BASE = "base"
+
+
+@dataclass(frozen=True, slots=True)
+class PairExpansion:
+    """Residuals (r, 3) and their derivatives (r, 3, k)."""
+
+    residuals: Array
+    jacobian: Array
+
+    def sums(self, pull: Array, bend: Array | None) -> tuple[Array, Array]:
+        """Gradient (k,) and gram (k, k)."""
+        rows = self.jacobian.reshape(-1, self.jacobian.shape[2])
+        if bend is None:
+            bent = self.jacobian
+        elif bend.ndim == 2:
+            bent = bend.T[:, :, None] * self.jacobian
+        else:
+            bent = np.einsum("ijr,rjk->rik", bend, self.jacobian)
+        return rows.T @ pull.ravel(), rows.T @ bent.reshape(rows.shape)
+
+    def curvature(self, pull: Array) -> Array:
+        """Left out, (k, k)."""
+        k = self.jacobian.shape[2]
+        return np.zeros((k, k))
+
+
+class PairProblem:
+    """Two arms and their contacts; unknowns are DH and tool of the first, of the second, and the second's base."""
+
+    def __init__(
+        self,
+        arms: tuple[Arm, Arm],
+        contacts: Contacts,
+        base: Frame,
+        *,
+        bounds: Bounds | None = None,
+        fixed: Collection[str] = (),
+        free_tools: Collection[str] = (),
+    ) -> None:
+        """`base`: start of the second base in the first; `free_tools`: names of arms whose tip is identified too."""
+        self.arms, self.contacts, self.base = arms, contacts, base
+        self.models = (ArmModel(arms[0]), ArmModel(arms[1]))
+        self.names = names_of(arms)
+        tips = self.models[1].tips(arms[1].dh, contacts.second_rad)
+        self._centre = tips.mean(axis=0) if len(tips) else np.zeros(3)
+        everything = [
+            p
+            for name, arm in zip(self.names, arms, strict=True)
+            for p in _of_arm(name, arm, bounds or Bounds(), free_tools)
+        ]
+        everything += [
+            Parameter(f"{self.names[1]}_{BASE}_{kind}{axis}", unit, 0.0, math.inf)
+            for kind, unit in (("", "m"), ("r", "rad"))
+            for axis in AXES
+        ]
+        known = [p.name for p in everything]
+        require_known_names(fixed, known)
+        self._places = np.array([k for k, name in enumerate(known) if name not in fixed], dtype=np.intp)
+        self.parameters = tuple(everything[k] for k in self._places)
+        self._scale = np.array([p.scale for p in self.parameters])
+        self._whole = len(everything)
+        self._sizes = [
+            arm.dh.size + 3 * (name in free_tools) for name, arm in zip(self.names, arms, strict=True)
+        ]
+        self._near = np.flatnonzero(contacts.distance_m == 0.0)
+        self._far = np.flatnonzero(contacts.distance_m > 0.0)
+
+    def __len__(self) -> int:
+        """How many rows of three residuals."""
+        return len(self._near) + math.ceil(len(self._far) / 3)
+
+    def residuals(self, x: Array, rows: slice = ALL) -> Array:
+        """(rows, 3) [m]."""
+        (one, two), move = self._parts(x)
+        ours = self.models[0].tips(one[0], self.contacts.first_rad, one[1])
+        theirs = self.models[1].tips(two[0], self.contacts.second_rad, two[1])
+        gap = self.base.moved(self._centre, move).to_base(theirs) - ours
+        far = norms(gap[self._far]) - self.contacts.distance_m[self._far]
+        return np.concatenate((gap[self._near], _in_threes(far)))[rows]
+
+    def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
+        """(rows, 3) and (rows, 3, k)."""
+        gap, by_whole = self._gaps(x)
+        by_x = by_whole[:, :, self._places] * self._scale
+        length, along = _lengths(gap[self._far])
+        far = length - self.contacts.distance_m[self._far]
+        by_far = np.einsum("mi,mik->mk", along, by_x[self._far])
+        error = np.concatenate((gap[self._near], _in_threes(far)))
+        slopes = np.concatenate((by_x[self._near], _in_threes(by_far)))
+        return error[rows], slopes[rows]
+
+    def expanded(self, x: Array, rows: slice = ALL) -> PairExpansion:
+        """Around x."""
+        return PairExpansion(*self.residuals_and_jacobian(x, rows))
+
+    def sensitivity(self, x: Array) -> Array:
+        """The Jacobian (rows, 3, k) with the second arm's joints turned until the contacts close.
+
+        It shows what the contacts determine: open ones make a rotation of the first arm differ from one of the second base.
+        """
+        seated = copy.copy(self)
+        joints = self._sizes[0] + np.array(self.models[1].theta_places)
+        for _ in range(SEATING_STEPS):
+            gap, slopes = seated._gaps(x)
+            missing = seated.contacts.distance_m[:, None] * _lengths(gap)[1] - gap
+            move = np.einsum("mnk,mk->mn", np.linalg.pinv(slopes[:, :, joints], rcond=REACHABLE), missing)
+            move *= np.minimum(1.0, SEATING_LIMIT_rad / np.maximum(norms(move), 1e-300))[:, None]
+            seated.contacts = dataclasses.replace(
+                seated.contacts, second_rad=seated.contacts.second_rad + move
+            )
+        return seated.residuals_and_jacobian(x)[1]
+
+    def errors_m(self, x: Array) -> Array:
+        """How far each contact is from closing, (m,)."""
+        length = norms(self._gaps(x)[0])
+        return np.abs(length - self.contacts.distance_m)
+
+    def by_contact(self, x: Array) -> Array:
+        """Derivatives (m, 3, k) of each contact: three residuals, or one and zeros."""
+        gap, by_whole = self._gaps(x)
+        by_x = by_whole[:, :, self._places] * self._scale
+        found = np.array(by_x)
+        found[self._far] = 0.0
+        found[self._far, 0] = np.einsum("mi,mik->mk", _lengths(gap[self._far])[1], by_x[self._far])
+        return found
+
+    def solution(self, x: Array) -> tuple[tuple[Arm, Arm], Frame]:
+        """Both arms, and where the second base stands in the first."""
+        parts, move = self._parts(x)
+        arms = [with_geometry(arm, dh, tool) for arm, (dh, tool) in zip(self.arms, parts, strict=True)]
+        return (arms[0], arms[1]), self.base.moved(self._centre, move)
+
+    def _parts(self, x: Array) -> tuple[list[tuple[Array, Array]], Array]:
+        """DH table and tool of each arm, and the base's move (6,)."""
+        whole = np.zeros(self._whole)
+        whole[self._places] = x * self._scale
+        found, start = [], 0
+        for arm, model, size in zip(self.arms, self.models, self._sizes, strict=True):
+            own = whole[start : start + size]
+            tool = model.nominal_tool_m + (own[arm.dh.size :] if size > arm.dh.size else 0.0)
+            found.append((arm.dh + own[: arm.dh.size].reshape(-1, 4), tool))
+            start += size
+        return found, whole[start:]
+
+    def _gaps(self, x: Array) -> tuple[Array, Array]:
+        """From the first to the second tip (m, 3), and its derivatives (m, 3, K) by every parameter in its own unit."""
+        (one, two), move = self._parts(x)
+        ours = self.models[0].slopes(one[0], self.contacts.first_rad, one[1])
+        theirs = self.models[1].slopes(two[0], self.contacts.second_rad, two[1])
+        turn = rotation_of(move[3:]) @ self.base.rotation
+        arms = (theirs.tips - self._centre) @ turn.T
+        gap = self.base.to_base(self._centre) + move[:3] + arms - ours.tips
+        slopes = np.zeros((len(gap), 3, self._whole))
+        first, second = self._sizes
+        slopes[:, :, :first] = -np.concatenate((ours.by_dh, ours.by_tool), axis=2)[:, :, :first]
+        slopes[:, :, first : first + second] = (
+            turn @ np.concatenate((theirs.by_dh, theirs.by_tool), axis=2)
+        )[:, :, :second]
+        slopes[:, :, first + second : first + second + 3] = np.eye(3)
+        turns = left_jacobian(move[3:])
+        for axis in range(3):
+            slopes[:, :, first + second + 3 + axis] = arms @ cross_matrix(turns[:, axis]).T
+        return gap, slopes
+
+
+def names_of(arms: tuple[Arm, Arm]) -> tuple[str, str]:
+    """Names of the arms in parameters and files; first and second where they are the same."""
+    one, two = arms[0].name, arms[1].name
+    return (one, two) if one != two else ("first", "second")
+
+
+def with_geometry(arm: Arm, dh: Array, tool_m: Array) -> Arm:
+    """The arm with another DH table and tip."""
+    x, y, z = tool_m.tolist()
+    return dataclasses.replace(
+        arm.with_dh(frozen(dh)), tool=dataclasses.replace(arm.tool, position_m=(x, y, z))
+    )
+
+
+def _of_arm(name: str, arm: Arm, bounds: Bounds, free_tools: Collection[str]) -> list[Parameter]:
+    found = [dataclasses.replace(p, name=f"{name}_{p.name}") for p in dh_parameters(arm.dh, bounds)]
+    if name in free_tools:
+        found += [
+            Parameter(f"{name}_tool_{axis}", "m", value, math.inf)
+            for axis, value in zip(AXES, arm.tool.position_m, strict=True)
+        ]
+    return found
+
+
+def _lengths(vectors: Array) -> tuple[Array, Array]:
+    """Lengths (m,) and directions (m, 3)."""
+    length = norms(vectors)
+    return length, vectors / np.maximum(length, 1e-12)[:, None]
+
+
+def _in_threes(values: Array) -> Array:
+    """Numbers (f, ...) as rows of three (r, 3, ...), the last filled up with zeros."""
+    missing = -len(values) % 3
+    filled = np.concatenate((values, np.zeros((missing, *values.shape[1:]))))
+    return filled.reshape(-1, 3, *values.shape[1:])

@@ -1,0 +1,258 @@
+"""The target's pose in every picture, from one or several cameras, each with its own covariance.
+
+    C = s^2 (J'J)^-1 + G S G' + motion
+
+s is the noise of a corner in this picture, J the reprojection's Jacobian: distance, tilt and size of the target act through it.
+The second term is what the lens (and where cameras stand to each other) leaves uncertain, G = (J'J)^-1 J' J_lens. It is common to
+all pictures of a camera: it does not average out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.arrays import Array, frozen
+from calib.errors import VisionError
+from calib.vision.intrinsics import robust_noise_px
+from calib.vision.lens import Lens
+from calib.vision.placed import Misfit, Pose, View, best_poses, misfit
+from calib.vision.sightings import Sighting, Sightings
+from calib.vision.stands import Stand, stands_of
+from calib.vision.targets import Target
+
+CORNERS_LEAST = 4
+CORNERS_TO_COMPARE = 12  # from here on one wrong corner shows against the others
+POOLED_FREEDOM = 20.0  # degrees of freedom that the other pictures' noise counts for in one picture's
+AMBIGUOUS = 9.0  # (3 standard deviations)^2 by which the second of two poses must be worse
+BAD_TIMES = 5.0  # the usual residual: something else than noise
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """The target in one picture, or in pictures of several cameras at one moment: in the reference camera's frame.
+
+    covariance (6, 6): of the position [m], then of the turn about the reference camera's axes [rad]; `common`: the part that all
+    pictures share. corners: how many; cameras: their names.
+    """
+
+    name: str
+    pose: Pose
+    covariance: Array
+    common: Array
+    rms_px: float
+    corners: int
+    cameras: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A picture without a pose, and why."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A camera by name: its lens and what its pictures show."""
+
+    name: str
+    lens: Lens
+    pictures: Sightings
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSet:
+    """All pictures; `stands`: where each camera stands to the first; noise_px of a corner by camera."""
+
+    measured: tuple[Measured, ...]
+    rejected: tuple[Rejected, ...]
+    stands: Mapping[str, Stand]
+    noise_px: Mapping[str, float]
+
+
+def measure_poses(target: Target, cameras: Sequence[Camera], speed_m_s: float = 0.0) -> PoseSet:
+    """Poses of all pictures; pictures of several cameras with one name were taken at one moment.
+
+    speed_m_s: the fastest that the target may have moved while a picture was taken. VisionError if no picture can be used.
+    """
+    for camera in cameras:
+        _require_own_pictures(camera)
+    by_name = _together(cameras)
+    if not by_name:
+        raise VisionError(f"no picture shows {target.name}: check the target's options, light and sharpness")
+    stands = stands_of({c.name: c.lens for c in cameras}, by_name, target.is_flat)
+    by_name = {name: _cleared(parts, stands, target.is_flat) for name, parts in by_name.items()}
+    solved, rejected = {}, [Rejected(name, "does not show the target") for name in _unseen(cameras, by_name)]
+    for name, parts in by_name.items():
+        views = [View(camera.lens, one.corners, stands[camera.name].pose) for camera, one in parts]
+        solved[name] = (views, best_poses(views, target.is_flat))
+    noise = _noise(by_name, solved)
+    measured = []
+    for name, (views, poses) in solved.items():
+        own = [camera for camera, _ in by_name[name]]
+        scale = [noise[camera.name] for camera in own]
+        reason = _reason(views, poses, scale)
+        if reason:
+            rejected.append(Rejected(name, reason))
+        else:
+            spread = [stands[camera.name].covariance for camera in own]
+            measured.append(_measured(name, own, views, poses[0][0], scale, spread, speed_m_s))
+    if not measured:
+        raise VisionError(f"no picture gives a pose: {rejected[0].name} {rejected[0].reason}")
+    return PoseSet(tuple(measured), tuple(rejected), stands, noise)
+
+
+def _require_own_pictures(camera: Camera) -> None:
+    lens, seen = camera.lens, camera.pictures
+    if (lens.width_px, lens.height_px) != (seen.width_px, seen.height_px):
+        raise VisionError(
+            f"camera {camera.name} was calibrated with {lens.width_px} x {lens.height_px} pixels, its pictures have"
+            f" {seen.width_px} x {seen.height_px}: calibrate at the resolution, zoom and focus that you use"
+        )
+
+
+def _together(cameras: Sequence[Camera]) -> dict[str, list[tuple[Camera, Sighting]]]:
+    """What the cameras saw, by the pictures' names."""
+    found: dict[str, list[tuple[Camera, Sighting]]] = {}
+    for camera in cameras:
+        for one in camera.pictures.seen:
+            found.setdefault(one.name, []).append((camera, one))
+    return dict(sorted(found.items()))
+
+
+def _unseen(cameras: Sequence[Camera], by_name: Mapping[str, object]) -> list[str]:
+    return sorted({name for camera in cameras for name in camera.pictures.unseen if name not in by_name})
+
+
+def _cleared(
+    parts: list[tuple[Camera, Sighting]], stands: Mapping[str, Stand], is_flat: bool
+) -> list[tuple[Camera, Sighting]]:
+    """One picture's sightings without corners that were found beside their place; with few corners all are kept."""
+    if sum(len(one.corners) for _, one in parts) < CORNERS_TO_COMPARE:
+        return parts
+    views = [View(camera.lens, one.corners, stands[camera.name].pose) for camera, one in parts]
+    poses = best_poses(views, is_flat)
+    if not poses:
+        return parts
+    errors = [misfit(view, poses[0][0]).error_px.reshape(-1, 2) for view in views]
+    noise = robust_noise_px(np.concatenate(errors))
+    return [
+        (camera, replace(one, corners=one.corners.agreeing(error, noise, CORNERS_LEAST)))
+        for (camera, one), error in zip(parts, errors, strict=True)
+    ]
+
+
+Solved = tuple[list[View], list[tuple[Pose, float]]]
+
+
+def _noise(
+    by_name: Mapping[str, list[tuple[Camera, Sighting]]], solved: Mapping[str, Solved]
+) -> dict[str, float]:
+    """Noise of a corner of each camera: robust, from the residuals of its pictures.
+
+    With few corners a picture says little, and a moved one much: the median over pictures of its variance.
+    """
+    variances: dict[str, list[tuple[float, float]]] = {}
+    for name, parts in by_name.items():
+        views, poses = solved[name]
+        if not poses:
+            continue
+        freedom = sum(2 * len(one.corners) for _, one in parts) - 6
+        for (camera, one), view in zip(parts, views, strict=True):
+            share = freedom * 2 * len(one.corners) / (freedom + 6)
+            total = float(np.sum(misfit(view, poses[0][0]).error_px ** 2))
+            variances.setdefault(camera.name, []).append((total, share))
+    return {name: _pooled(parts) for name, parts in variances.items()}
+
+
+def _pooled(parts: Sequence[tuple[float, float]]) -> float:
+    """Standard deviation from sums of squares and degrees of freedom, without those far above the others."""
+    ratio = np.array([total / max(freedom, 1.0) for total, freedom in parts])
+    kept = ratio <= BAD_TIMES**2 * max(float(np.median(ratio)), 1e-12)
+    total, freedom = np.array(parts)[kept].sum(axis=0)
+    return math.sqrt(max(total / max(freedom, 1.0), 1e-12))
+
+
+def _reason(views: Sequence[View], poses: Sequence[tuple[Pose, float]], noise_px: Sequence[float]) -> str:
+    """Why a picture's pose is not used; empty if it is."""
+    if not poses:
+        return "fits no pose of the target"
+    variance = float(np.mean(np.square(noise_px)))
+    freedom = sum(2 * len(view.corners) for view in views) - 6
+    usual = math.sqrt(poses[0][1] / max(freedom, 1) / variance)
+    if usual > BAD_TIMES:
+        return f"has residuals {usual:.0f} times the usual: the target or the camera moved, or the target is bent"
+    if len(poses) > 1 and (poses[1][1] - poses[0][1]) / variance < AMBIGUOUS:
+        return (
+            "fits two poses of the target, mirrored in the view: too small, too far or seen head-on; use a larger board, or"
+            " tags on two planes"
+        )
+    return ""
+
+
+def _measured(
+    name: str,
+    cameras: Sequence[Camera],
+    views: Sequence[View],
+    pose: Pose,
+    noise_px: Sequence[float],
+    stands: Sequence[Array],
+    speed_m_s: float,
+) -> Measured:
+    parts = [misfit(view, pose) for view in views]
+    information = sum(
+        (p.by_pose.T @ p.by_pose / s**2 for p, s in zip(parts, noise_px, strict=True)), np.zeros((6, 6))
+    )
+    inverse: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    weighted = sum((p.error_px @ p.error_px / s**2 for p, s in zip(parts, noise_px, strict=True)), 0.0)
+    freedom = sum(len(p.error_px) for p in parts) - 6
+    own = (POOLED_FREEDOM + weighted) / (
+        POOLED_FREEDOM + freedom
+    )  # this picture's variance over the usual one
+    common = _common(inverse, parts, views, noise_px, stands)
+    moved = motion_covariance(views, speed_m_s)
+    corners = sum(len(view.corners) for view in views)
+    rms = math.sqrt(sum(float(p.error_px @ p.error_px) for p in parts) / corners)
+    covariance: Array = own * inverse + common + moved
+    return Measured(
+        name, pose, frozen(covariance), frozen(common), rms, corners, tuple(c.name for c in cameras)
+    )
+
+
+def _common(
+    inverse: Array,
+    parts: Sequence[Misfit],
+    views: Sequence[View],
+    noise_px: Sequence[float],
+    stands: Sequence[Array],
+) -> Array:
+    """Covariance (6, 6) of a pose by what all pictures share: lenses, and where the cameras stand."""
+    found = np.zeros((6, 6))
+    for part, view, noise, stand in zip(parts, views, noise_px, stands, strict=True):
+        gain = inverse @ part.by_pose.T / noise**2
+        by_lens, by_stand = gain @ part.by_lens, gain @ part.by_stand
+        found += by_lens @ view.lens.covariance @ by_lens.T + by_stand @ stand @ by_stand.T
+    return found
+
+
+def motion_covariance(views: Sequence[View], speed_m_s: float) -> Array:
+    """Covariance (6, 6) by a target that moves while rows are read one after the other (rolling shutter).
+
+    The rows that the target covers are read over a part of readout_s; the motion in that time spreads evenly and shears the
+    target.
+    """
+    found = np.zeros((6, 6))
+    for view in views:
+        rows = view.corners.picture_px[:, 1]
+        share = (rows.max() - rows.min()) / view.lens.height_px
+        moved = speed_m_s * view.lens.readout_s * share
+        whole = speed_m_s * view.lens.readout_s  # against the moment of the encoders
+        size = float(np.ptp(view.corners.target_m, axis=0).max())
+        here = np.diag([whole**2 / 12.0] * 3 + [(moved / max(size, 1e-6)) ** 2 / 12.0] * 3)
+        found = np.maximum(found, here)
+    return found

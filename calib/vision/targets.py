@@ -1,0 +1,293 @@
+"""Printed targets: a ChArUco board, or AprilTags at known places of one body. Their corners in the target's own frame.
+
+A board's frame has its origin at the board's centre, x along its rows to the right, y down, z into the print, as OpenCV's. The
+centre decouples the errors of position and orientation.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from calib.arrays import Array, frozen
+from calib.errors import VisionError
+from calib.points.points import opened_text, require_commas
+from calib.vision.edges import refined_square
+from calib.vision.opencv import Picture, opencv
+from control.errors import BadTarget
+from control.kinematics.rotation import checked_quaternion, matrices
+
+BOARD_DICTIONARY = "4x4_250"
+TAG_DICTIONARY = "apriltag_36h11"
+MARKER_SHARE = 0.75  # of a square, where nobody says: what common generators print
+FAR_OFF = (
+    5.0  # noises of one axis: a corner that was found beside its place, of which a board has one in fifty
+)
+SQUARES_MOST = 50
+TAG_COLUMNS = ("tag", "size_m", "x_m", "y_m", "z_m")
+TURN_COLUMNS = ("qw", "qx", "qy", "qz")
+
+
+@dataclass(frozen=True, slots=True)
+class Corners:
+    """Corners of a target that a picture shows: target_m (k, 3) in its frame, and picture_px (k, 2)."""
+
+    target_m: Array
+    picture_px: Array
+
+    def __len__(self) -> int:
+        """How many corners."""
+        return len(self.target_m)
+
+    def agreeing(self, error_px: Array, noise_px: float, least: int) -> Corners:
+        """Those whose residual (k, 2) is not far above the noise; all, if fewer than `least` are."""
+        keep = np.linalg.norm(error_px, axis=1) <= FAR_OFF * noise_px
+        return (
+            Corners(frozen(self.target_m[keep]), frozen(self.picture_px[keep]))
+            if keep.sum() >= least
+            else self
+        )
+
+
+class Target(Protocol):
+    """Anything printed whose corners are known."""
+
+    @property
+    def name(self) -> str:
+        """For messages and files."""
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether all its corners are in one plane."""
+
+    @property
+    def count(self) -> int:
+        """How many corners it has."""
+
+    def find(self, picture: Picture) -> Corners:
+        """The corners that a picture shows; none if it does not show the target."""
+
+
+@dataclass(frozen=True, slots=True)
+class Charuco:
+    """A ChArUco board of columns by rows squares; `is_legacy`: printed by OpenCV before 4.6."""
+
+    columns: int
+    rows: int
+    square_m: float
+    marker_m: float
+    dictionary: str = BOARD_DICTIONARY
+    is_legacy: bool = False
+
+    def __post_init__(self) -> None:
+        """VisionError for a board that cannot be printed."""
+        if not (3 <= self.columns <= SQUARES_MOST and 3 <= self.rows <= SQUARES_MOST):
+            raise VisionError(
+                f"--board {self.columns}x{self.rows}: expected 3 to {SQUARES_MOST} squares a side, such as 5x7"
+            )
+        if not 0.0 < self.marker_m < self.square_m:
+            raise VisionError(
+                f"--marker: expected a length between 0 and the square's {1e3 * self.square_m:g} mm, got"
+                f" {1e3 * self.marker_m:g} mm"
+            )
+        words = _dictionary(self.dictionary).bytesList.shape[0]
+        if self.columns * self.rows // 2 > words:
+            raise VisionError(
+                f"--board {self.columns}x{self.rows}: needs {self.columns * self.rows // 2} markers, dictionary {self.dictionary}"
+                f" has {words}"
+            )
+
+    @property
+    def name(self) -> str:
+        """For messages and files."""
+        return f"ChArUco {self.columns}x{self.rows}, squares {1e3 * self.square_m:g} mm"
+
+    @property
+    def is_flat(self) -> bool:
+        """Always."""
+        return True
+
+    @property
+    def count(self) -> int:
+        """Inner corners."""
+        return (self.columns - 1) * (self.rows - 1)
+
+    @property
+    def print_m(self) -> tuple[float, float]:
+        """Width and height of the print without its margin."""
+        return self.columns * self.square_m, self.rows * self.square_m
+
+    def drawn(self, dots_m: float, margin_m: float) -> Picture:
+        """The board with a white margin as a picture to print, of `dots_m` dots a metre."""
+        margin = round(margin_m * dots_m)
+        width, height = (round(size * dots_m) for size in self.print_m)
+        size = (width + 2 * margin, height + 2 * margin)
+        return np.asarray(self._board().generateImage(size, marginSize=margin), dtype=np.uint8)
+
+    def find(self, picture: Picture) -> Corners:
+        """The inner corners that a picture shows, refined below a pixel."""
+        cv2 = opencv()
+        detector = cv2.aruco.CharucoDetector(self._board())
+        detector.setDetectorParameters(_refined(cv2))
+        pixels, ids, _, _ = detector.detectBoard(picture)
+        if ids is None or len(ids) == 0:
+            return NOTHING
+        column, row = np.divmod(np.asarray(ids).ravel(), self.columns - 1)[::-1]
+        flat = np.column_stack((column + 1.0 - 0.5 * self.columns, row + 1.0 - 0.5 * self.rows, 0.0 * row))
+        return Corners(frozen(flat * self.square_m), frozen(np.asarray(pixels, float).reshape(-1, 2)))
+
+    def _board(self) -> Any:
+        board = opencv().aruco.CharucoBoard(
+            (self.columns, self.rows), self.square_m, self.marker_m, _dictionary(self.dictionary)
+        )
+        board.setLegacyPattern(self.is_legacy)
+        return board
+
+
+@dataclass(frozen=True, slots=True)
+class Tags:
+    """Tags of a rigid body: corners (4, 3) of each by its number, clockwise from the upper left, in the body's frame."""
+
+    corners_m: Mapping[int, Array]
+    dictionary: str = TAG_DICTIONARY
+
+    @classmethod
+    def single(cls, number: int, size_m: float, dictionary: str = TAG_DICTIONARY) -> Tags:
+        """One tag, whose centre is the origin; size_m: edge of its black square."""
+        if size_m <= 0.0:
+            raise VisionError(f"--size: expected the edge of the tag's black square, above 0, got {size_m} m")
+        return cls({_checked_number(number, dictionary, "--tag"): _square(size_m)}, dictionary)
+
+    @property
+    def name(self) -> str:
+        """For messages and files."""
+        return f"{self.dictionary} tag{'s' if len(self.corners_m) > 1 else ''} {', '.join(map(str, self.corners_m))}"
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether all tags are in one plane."""
+        whole = np.concatenate(list(self.corners_m.values()))
+        singular = np.linalg.svd(whole - whole.mean(axis=0), compute_uv=False)
+        return bool(singular[2] < 1e-3 * singular[1])
+
+    @property
+    def print_m(self) -> tuple[float, float]:
+        """Width and height of the print of a single tag without its margin."""
+        (corners,) = self.corners_m.values()
+        size = float(np.linalg.norm(corners[1] - corners[0]))
+        return size, size
+
+    def drawn(self, dots_m: float, margin_m: float) -> Picture:
+        """A single tag with a white margin as a picture to print, of `dots_m` dots a metre."""
+        (number,) = self.corners_m
+        size, margin = round(self.print_m[0] * dots_m), round(margin_m * dots_m)
+        image = opencv().aruco.generateImageMarker(_dictionary(self.dictionary), number, size)
+        return np.pad(np.asarray(image, dtype=np.uint8), margin, constant_values=255)
+
+    @property
+    def count(self) -> int:
+        """Four a tag."""
+        return 4 * len(self.corners_m)
+
+    def find(self, picture: Picture) -> Corners:
+        """The corners of those tags that a picture shows."""
+        cv2 = opencv()
+        detector = cv2.aruco.ArucoDetector(_dictionary(self.dictionary), _refined(cv2))
+        pixels, ids, _ = detector.detectMarkers(picture)
+        seen = [] if ids is None else np.asarray(ids).ravel().tolist()
+        ours = [k for k, number in enumerate(seen) if number in self.corners_m and seen.count(number) == 1]
+        if not ours:
+            return NOTHING
+        return Corners(
+            frozen(np.concatenate([self.corners_m[seen[k]] for k in ours])),
+            frozen(
+                np.concatenate(
+                    [refined_square(picture, np.asarray(pixels[k], float).reshape(4, 2)) for k in ours]
+                )
+            ),
+        )
+
+
+NOTHING = Corners(frozen(np.zeros((0, 3))), frozen(np.zeros((0, 2))))
+
+
+def read_tags(path: Path, dictionary: str = TAG_DICTIONARY) -> Tags:
+    """Tags of a body from tags.csv. PointsFileError or VisionError names file, line and column."""
+    found: dict[int, Array] = {}
+    with opened_text(path) as file:
+        reader = csv.reader(file)
+        header = [name.strip() for name in next(reader, [])]
+        require_commas(path, header)
+        missing = [name for name in TAG_COLUMNS if name not in header]
+        if missing:
+            raise VisionError(f"{path}, line 1: required column {missing[0]} is missing")
+        for row in (row for row in reader if row):
+            where = f"{path}, line {reader.line_num}"
+            number, corners = _tag(where, header, row)
+            if number in found:
+                raise VisionError(f"{where}: tag {number} appears twice")
+            found[_checked_number(number, dictionary, where)] = corners
+    if not found:
+        raise VisionError(f"{path}: a header and no tags: expected one line per tag")
+    return Tags(found, dictionary)
+
+
+def _tag(where: str, header: list[str], row: list[str]) -> tuple[int, Array]:
+    if len(row) != len(header):
+        raise VisionError(f"{where}: {len(row)} values, line 1 names {len(header)}")
+    cells = dict(zip(header, (cell.strip() for cell in row), strict=True))
+    values = [_number(where, name, cells[name]) for name in TAG_COLUMNS]
+    if values[0] != int(values[0]) or values[1] <= 0.0:
+        raise VisionError(f"{where}: expected a whole number as tag and a size_m above 0, got {values[:2]}")
+    turn = np.eye(3)
+    if all(cells.get(name) for name in TURN_COLUMNS):
+        try:
+            unit = checked_quaternion([_number(where, name, cells[name]) for name in TURN_COLUMNS])
+        except BadTarget as error:
+            raise VisionError(f"{where}: {error}") from None
+        turn = matrices(np.array([unit]))[0]
+    return int(values[0]), frozen(_square(values[1]) @ turn.T + np.array(values[2:]))
+
+
+def _number(where: str, name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise VisionError(f"{where}, column {name}: expected a number, got {text!r}")
+    return value
+
+
+def _square(size_m: float) -> Array:
+    """Corners (4, 3) of a tag around its centre: upper left, upper right, lower right, lower left; y down."""
+    return frozen(0.5 * size_m * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]))
+
+
+def _checked_number(number: int, dictionary: str, where: str) -> int:
+    words = _dictionary(dictionary).bytesList.shape[0]
+    if not 0 <= number < words:
+        raise VisionError(f"{where}: dictionary {dictionary} has tags 0 to {words - 1}, got {number}")
+    return number
+
+
+def _dictionary(name: str) -> Any:
+    """OpenCV's dictionary by a name such as 4x4_250 or apriltag_36h11."""
+    aruco = opencv().aruco
+    known = {one[5:].lower(): getattr(aruco, one) for one in dir(aruco) if one.startswith("DICT_")}
+    if name.lower() not in known:
+        raise VisionError(f'--dictionary: expected one of {", ".join(sorted(known))}; got "{name}"')
+    return aruco.getPredefinedDictionary(known[name.lower()])
+
+
+def _refined(cv2: Any) -> Any:
+    """Detector parameters with corners refined below a pixel."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    return parameters

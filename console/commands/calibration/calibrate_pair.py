@@ -1,0 +1,94 @@
+"""`armwright calibrate-pair`: two arms whose tips touch, from the joint angles of both."""
+
+import argparse
+import datetime
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts
+from calib.closed_chain.contacts import Contacts, read_contacts
+from calib.closed_chain.outcome import pair_text, write_pair
+from calib.closed_chain.pair_problem import names_of
+from calib.errors import CalibrationError
+from calib.identify.objective import objective_named
+from calib.inputs import input_file
+from console.commands.calibration.options import bounds_of, names_in
+from console.commands.progress import Bar
+from console.quantities import quantity
+from control.errors import ArmError
+from control.model.arm import Arm
+from control.model.description import load_arm
+from procedures.folders import require_writable
+
+NOISE_m = 2e-4  # of a contact, to compare what contacts say with what is known of the arms
+
+
+def run(given: argparse.Namespace) -> int:
+    """Read both arms and the contacts, then identify, or choose contacts."""
+    arms = (load_arm(given.arms[0]), load_arm(given.arms[1]))
+    contacts, warnings = read_contacts(Path(given.contacts), arms)
+    for warning in warnings:
+        sys.stderr.write(f"armwright: warning: {warning}\n")
+    plan = _plan(given, arms)
+    return (
+        _choose(given, arms, contacts, plan)
+        if given.choose is not None
+        else _calibrate(given, arms, contacts, plan)
+    )
+
+
+def _plan(given: argparse.Namespace, arms: tuple[Arm, Arm]) -> PairPlan:
+    tools = names_in(given.free_tool or [])
+    for name in tools:
+        if name not in names_of(arms):
+            raise CalibrationError(f'--free-tool: expected some of {", ".join(names_of(arms))}, got "{name}"')
+    bounds = bounds_of(given.bound or [])
+    if bounds.own:
+        raise CalibrationError(
+            f"--bound: expected lengths=... or angles=... of both arms, got {next(iter(bounds.own))}"
+        )
+    return PairPlan(
+        bounds=bounds,
+        fixed=names_in(given.fix or []),
+        free_tools=tools,
+        objective=objective_named(given.objective),
+    )
+
+
+def _calibrate(given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan) -> int:
+    if given.out is None:
+        raise CalibrationError("--out: expected a folder for the results")
+    out = Path(given.out)
+    for name in (*(f"{name}.toml" for name in names_of(arms)), "pair.json"):
+        if (out / name).exists():
+            raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
+    require_writable(out)
+    with Bar("calibrate-pair") as bar:
+        found = calibrate_pair(arms, contacts, plan, bar.advance)
+    inputs = {Path(given.contacts).name: input_file(Path(given.contacts), "contacts").sha256}
+    for name, arm in zip(names_of(arms), arms, strict=True):
+        if arm.path is not None:
+            inputs[f"{name}: {arm.path.name}"] = input_file(arm.path, "a nominal arm").sha256
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    out.mkdir(parents=True, exist_ok=True)
+    files = write_pair(
+        out, arms, found, plan.objective.name, inputs, date, f"armwright {version('armwright')}"
+    )
+    if given.json:
+        sys.stdout.write(files[-1].read_text(encoding="utf-8"))
+    else:
+        sys.stdout.write(pair_text(arms, found) + "\n" + "".join(f"written: {file}\n" for file in files))
+    return 0
+
+
+def _choose(given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan) -> int:
+    """Print the contacts that say most about both arms."""
+    if given.choose < 1:
+        raise CalibrationError(f"--choose: expected a number of contacts from 1 on, got {given.choose}")
+    noise_m = quantity(given.noise, "m", "--noise") if given.noise else NOISE_m
+    if noise_m <= 0.0:
+        raise CalibrationError(f"--noise: expected a length above 0, got {given.noise}")
+    rows = choose_contacts(arms, contacts, plan, given.choose, noise_m)
+    sys.stdout.write("".join(f"{contacts.name[row]}\n" for row in rows))
+    return 0

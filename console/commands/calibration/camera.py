@@ -1,0 +1,182 @@
+"""`armwright camera`: a target to print, the lens of a camera, and the target's pose in pictures of the arm."""
+
+import argparse
+import datetime
+import hashlib
+import json
+import re
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+from calib.errors import VisionError
+from calib.points.points import read_points
+from calib.points.writer import write_points
+from calib.vision.advice import advice
+from calib.vision.camera_file import read_camera, write_camera
+from calib.vision.intrinsics import CORNERS_LEAST as CORNERS_OF_A_LENS
+from calib.vision.intrinsics import fit_lens
+from calib.vision.measured_points import poses_text, with_pictures
+from calib.vision.opencv import picture_files
+from calib.vision.poses import CORNERS_LEAST, Camera, PoseSet, measure_poses
+from calib.vision.print_file import write_print
+from calib.vision.sightings import look_for
+from calib.vision.targets import BOARD_DICTIONARY, MARKER_SHARE, TAG_DICTIONARY, Charuco, Tags, read_tags
+from calib.vision.words import lens_text
+from calib.vision.words import poses_text as described
+from console.commands.progress import Bar
+from console.quantities import quantity
+from control.files import write_whole
+from procedures.folders import require_writable
+
+
+def run(given: argparse.Namespace) -> int:
+    """Read the options, then do what is asked for."""
+    out = Path(given.out)
+    return {"board": _board, "calibrate": _calibrate, "poses": _poses}[given.what](given, out)
+
+
+def _board(given: argparse.Namespace, out: Path) -> int:
+    """Write the target to print."""
+    target = _target(given)
+    if not isinstance(target, Charuco) and len(target.corners_m) > 1:
+        raise VisionError("--tags: print each tag by itself, with --tag and --size")
+    _require_new(out, "board.pdf")
+    sheet = write_print(out / "board.pdf", target)
+    width, height = (1e3 * size for size in target.print_m)
+    sys.stdout.write(
+        f"written: {sheet}\nPrint it at 100 % (no fitting to the page), glue it on something flat and stiff, and measure it: the"
+        f" pattern should be {width:.1f} x {height:.1f} mm. Give the measured --square or --size to the other commands: the arm's"
+        " lengths come from it.\n"
+    )
+    return 0
+
+
+def _calibrate(given: argparse.Namespace, out: Path) -> int:
+    """Identify the lens, write camera.json, say what the pictures lack."""
+    board = _target(given)
+    if not isinstance(board, Charuco):
+        raise VisionError("camera calibrate: expected a ChArUco board: --board 5x7 --square 30mm")
+    if given.camera or given.points:
+        raise VisionError("camera calibrate: --camera and --points are for `armwright camera poses`")
+    (folder,) = _folders(given, 1)
+    _require_new(out, "camera.json")
+    files = picture_files(folder)
+    with Bar("camera") as bar:
+        pictures = look_for(board, files, CORNERS_OF_A_LENS, bar.advance)
+        bar.advance("fitting the lens", 0.9)
+        fit = fit_lens(board, pictures, _positive(given.readout_s, "--readout-s"))
+    inputs = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    path = out / "camera.json"
+    write_camera(path, fit, board.name, advice(fit), inputs, date, f"armwright {version('armwright')}")
+    sys.stdout.write(
+        path.read_text(encoding="utf-8") if given.json else f"{lens_text(fit)}\nwritten: {path}\n"
+    )
+    return 0
+
+
+def _poses(given: argparse.Namespace, out: Path) -> int:
+    """Measure the target in every picture; write markers.csv, and points.csv if the joint angles are given."""
+    target, lenses = _target(given), [(Path(name), read_camera(Path(name))) for name in given.camera or []]
+    if not lenses:
+        raise VisionError(
+            "camera poses: expected --camera camera.json, as `armwright camera calibrate` writes it"
+        )
+    folders = _folders(given, len(lenses))
+    points = None if given.points is None else read_points(Path(given.points))[0]
+    _require_new(out, "markers.csv", "points.csv")
+    with Bar("camera") as bar:
+        cameras = [
+            Camera(
+                _name(path, folder), lens, look_for(target, picture_files(folder), CORNERS_LEAST, bar.advance)
+            )
+            for (path, lens), folder in zip(lenses, folders, strict=True)
+        ]
+        bar.advance("fitting poses", 0.9)
+        found = measure_poses(target, cameras, _positive(given.tip_speed, "--tip-speed"))
+    if points is not None:
+        measured, said = with_pictures(points, found.measured)
+        for sentence in said:
+            sys.stderr.write(f"armwright: warning: {sentence}\n")
+        write_points(out / "points.csv", measured)
+    write_whole(out / "markers.csv", poses_text(found.measured))
+    written = [out / name for name in ("markers.csv", *(["points.csv"] if points is not None else []))]
+    if given.json:
+        sys.stdout.write(json.dumps(_summary(found, written)) + "\n")
+    else:
+        sys.stdout.write(described(found) + "".join(f"written: {path}\n" for path in written))
+    return 0
+
+
+def _summary(found: PoseSet, written: list[Path]) -> dict[str, object]:
+    return {
+        "format": "camera-poses/1",
+        "measured": [one.name for one in found.measured],
+        "rejected": {one.name: one.reason for one in found.rejected},
+        "noise_px": dict(found.noise_px),
+        "files": [str(path) for path in written],
+    }
+
+
+def _target(given: argparse.Namespace) -> Charuco | Tags:
+    """The target of the options. VisionError unless exactly one is given."""
+    kinds = [name for name in ("board", "tag", "tags") if getattr(given, name) is not None]
+    if len(kinds) != 1:
+        raise VisionError(
+            "expected one target: --board 5x7 --square 30mm (ChArUco), --tag 7 --size 50mm, or --tags tags.csv; got"
+            f" {' and '.join(f'--{kind}' for kind in kinds) or 'none'}"
+        )
+    if given.board is not None:
+        return _charuco(given)
+    if given.square is not None or given.marker is not None or given.legacy:
+        raise VisionError("--square, --marker and --legacy belong to --board")
+    dictionary = given.dictionary or TAG_DICTIONARY
+    if given.tags is not None:
+        return read_tags(Path(given.tags), dictionary)
+    if given.size is None:
+        raise VisionError("--tag: give the edge of its black square with --size, e.g. --size 50mm")
+    return Tags.single(given.tag, quantity(given.size, "m", "--size"), dictionary)
+
+
+def _charuco(given: argparse.Namespace) -> Charuco:
+    found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", given.board)
+    if found is None:
+        raise VisionError(f'--board: expected columns x rows of squares, such as 5x7, got "{given.board}"')
+    if given.square is None:
+        raise VisionError(
+            "--board: give the edge of a square as measured on the print with --square, e.g. --square 30mm"
+        )
+    square_m = quantity(given.square, "m", "--square")
+    marker_m = (
+        quantity(given.marker, "m", "--marker") if given.marker is not None else MARKER_SHARE * square_m
+    )
+    columns, rows = int(found[1]), int(found[2])
+    return Charuco(columns, rows, square_m, marker_m, given.dictionary or BOARD_DICTIONARY, given.legacy)
+
+
+def _folders(given: argparse.Namespace, count: int) -> list[Path]:
+    """The folders of --images, one for each camera."""
+    folders = [Path(name) for name in given.images or []]
+    if len(folders) != count:
+        raise VisionError(f"--images: expected {count} folder(s), one for each camera, got {len(folders)}")
+    return folders
+
+
+def _name(camera: Path, folder: Path) -> str:
+    """Of a camera in messages: its pictures' folder, since files are often all called camera.json."""
+    return str(folder) if camera.stem == "camera" else camera.stem
+
+
+def _require_new(out: Path, *names: str) -> None:
+    """VisionError if a result exists; the place must be writable."""
+    for name in names:
+        if (out / name).exists():
+            raise VisionError(f"{out / name} exists already and is never overwritten: choose another --out")
+    require_writable(out)
+
+
+def _positive(value: float | None, name: str) -> float:
+    if value is not None and value < 0.0:
+        raise VisionError(f"{name}: expected a number from 0 on, got {value:g}")
+    return value or 0.0
