@@ -21,11 +21,16 @@ OUT = Path("out/bench.json")
 SECTIONS = {  # name: title, module
     "kinematics": ("Kinematics and dynamics", "benchmarks.loop.kinematics"),
     "poses": ("Six and seven joints, with orientation", "benchmarks.loop.poses"),
+    "collision": ("Two arms against each other", "benchmarks.loop.collision"),
     "control_cycle": ("One control cycle without waiting", "benchmarks.loop.control_cycle"),
     "wire": ("Frames", "benchmarks.loop.wire"),
     "identification": (
         "Identification: 16 parameters of the reference arm",
         "benchmarks.calibration.identification",
+    ),
+    "tolerances": (
+        "Tolerance study: arms made, calibrated, compared",
+        "benchmarks.calibration.tolerance_throughput",
     ),
     "tracking": ("Tip tracking: circle of 0.09 m at 0.15 m/s", "benchmarks.loop.tracking"),
     "pose_tracking": ("Tip tracking with orientation", "benchmarks.loop.pose_tracking"),

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.studies import add_options
 from calib.arm_problem.frames import Frame
 from calib.arm_problem.parameters import dh_names
 from calib.arrays import Array, frozen
@@ -23,6 +24,8 @@ from calib.identify.determinability import determinability
 from calib.identify.estimates import Estimate, uncertainty
 from calib.identify.objective import Huber, Objective, objective_named
 from calib.identify.solver import minimise
+from calib.studies.executor import Executor, InProcess, task_rng
+from calib.studies.opening import executor
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.table import board_cavities, board_origin, board_rotation, table_of
@@ -145,15 +148,23 @@ def _seated(model: ArmModel, dh: Array, tool_m: Array, tips_m: Array, start: Arr
     return q
 
 
-def studied(what: Session, sessions_count: int, seed: int = 0) -> dict[str, Tally]:
-    """Tallies by parameter name, over simulated sessions."""
-    arm, draw = load_arm("right"), np.random.default_rng(seed)
+def studied(
+    what: Session, sessions_count: int, seed: int = 0, runs: Executor | None = None
+) -> dict[str, Tally]:
+    """Tallies by parameter name, over simulated sessions, each with random numbers of its own."""
     found: dict[str, Tally] = {}
-    for _ in range(sessions_count):
-        problem, deviation = simulated(arm, what, draw)
-        for name, estimate, truth, quantile in _scored(problem, deviation, what):
+    of_each = dict((runs or InProcess()).results(scored_session, (what, seed), range(sessions_count)))
+    for number in range(sessions_count):
+        for name, estimate, truth, quantile in of_each[number]:
             found.setdefault(name, Tally()).add(estimate, truth, quantile)
     return found
+
+
+def scored_session(asked: tuple[Session, int], number: int) -> list[tuple[str, Estimate, float, float]]:
+    """A session as a task of a study: parameter, its estimate, its true value, and the quantile of its interval."""
+    what, seed = asked
+    problem, deviation = simulated(load_arm("right"), what, task_rng(seed, number))
+    return list(_scored(problem, deviation, what))
 
 
 def _scored(
@@ -196,13 +207,15 @@ def main() -> None:
     given.add_argument("--points", nargs="*", type=int, default=[33, 99, 300])
     given.add_argument("--objectives", nargs="*", default=["e2", "lsq", "huber", "e1"])
     given.add_argument("--sizes", nargs="*", type=float, default=[0.5, 1.0])
+    add_options(given)
     wanted = given.parse_args()
     print("unknown points obj.   size par. scores  sd +-t  interval    min    max  sd of score  at bound [%]")
-    for kind, count, objective, size in itertools.product(
-        wanted.kinds, wanted.points, wanted.objectives, wanted.sizes
-    ):
-        what = Session(kind, count, objective, size)
-        print(_row(what, studied(what, wanted.sessions)), flush=True)
+    with executor(wanted.sessions, wanted.workers, wanted.cluster) as runs:
+        for kind, count, objective, size in itertools.product(
+            wanted.kinds, wanted.points, wanted.objectives, wanted.sizes
+        ):
+            what = Session(kind, count, objective, size)
+            print(_row(what, studied(what, wanted.sessions, runs=runs)), flush=True)
 
 
 if __name__ == "__main__":

@@ -16,10 +16,12 @@ from benchmarks.calibration.chains import REFERENCE, TILTS, angles_for, board_po
 from benchmarks.gap.static.cases import ARM, LINK_SHARE, NOISE_A, RIGS, Design, NOISE_m, SEEDS_rad, visited
 from benchmarks.gap.static.physics import Hidden, Poses, ahead_rad, gravity_torques, shifted_m
 from benchmarks.gap.static.rough_cases import Rough, several
+from benchmarks.studies import add_options
 from calib.arrays import Array
 from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.design.candidates import workspace_poses
 from calib.points.points import Points, make_points
+from calib.studies.opening import executor
 from calib.trust.discrepancy import Conditions
 from calib.trust.held_out import ELLIPSOID_95
 from calib.trust.trust import MapRequest, trust_in
@@ -46,8 +48,10 @@ class Session:
     true_m: Array
 
 
-def session(seed: int, hidden: tuple[Hidden, ...], unseen_q: Array) -> Session:
-    """A recording of a real arm, and its true tips at joint angles `unseen_q` (t, n)."""
+def session(
+    seed: int, hidden: tuple[Hidden, ...], unseen_q: Array, unseen_direction: Array | None = None
+) -> Session:
+    """A recording of a real arm, and its true tips at joint angles `unseen_q` (t, n), approached from any side."""
     rng, rig, design = np.random.default_rng(seed), RIGS["reference"], Design(free=FREE)
     true_dh = ARM.dh + deviations(rng, len(ARM.links))
     rows = []
@@ -57,7 +61,8 @@ def session(seed: int, hidden: tuple[Hidden, ...], unseen_q: Array) -> Session:
     rows += visited(rig, "free", rng.uniform(rig.lower, rig.upper, (FREE, 3)), design)
     k = len(rows)
     q = np.vstack((np.array([row[3] for row in rows]) + rng.normal(0.0, 1e-3, (k, 3)), unseen_q))
-    last = np.vstack((np.array([row[4] for row in rows]), np.sign(rng.normal(size=unseen_q.shape))))
+    sides = np.sign(rng.normal(size=unseen_q.shape)) if unseen_direction is None else unseen_direction
+    last = np.vstack((np.array([row[4] for row in rows]), sides))
     payload = np.concatenate(([row[5] for row in rows], np.zeros(len(unseen_q))))
     gravity = gravity_torques(rig, ARM.dh, q, payload, {})
     held = gravity + rig.friction_Nm * last * rng.uniform(0.7, 1.0, q.shape)
@@ -94,24 +99,40 @@ def _rms_m(errors: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 
+@dataclass(frozen=True)
+class Cases:
+    """Arms of one sort, the first of this seed."""
+
+    sort: str
+    first_seed: int
+    unseen_q: Array
+
+
+def scored_case(cases: Cases, number: int) -> tuple[float, float, float]:
+    """`scored`, as a task of a study."""
+    return scored(cases.sort, cases.first_seed + number, cases.unseen_q)
+
+
 def main() -> None:
     """Print a line a case, and the share of each sort."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=100)
     parser.add_argument("--sorts", nargs="+", choices=("exact", "rough"), default=("exact", "rough"))
+    add_options(parser)
     given = parser.parse_args()
     unseen_q = workspace_poses(ARM, (), TESTED)
-    for sort in given.sorts:
-        shares = []
-        for seed in range(given.first_seed, given.first_seed + given.cases):
-            share, error_m, left_m = scored(sort, seed, unseen_q)
-            shares.append(share)
-            print(
-                f"{sort} {seed}: {100 * share:.1f} % inside, error {1e3 * error_m:.3f} mm, left {1e3 * left_m:.3f} mm",
-                flush=True,
-            )
-        print(f"{sort}: {100 * float(np.mean(shares)):.1f} % of true errors inside, {given.cases} arms")
+    with executor(given.cases, given.workers, given.cluster) as runs:
+        for sort in given.sorts:
+            cases, shares = Cases(sort, given.first_seed, unseen_q), []
+            for number, (share, error_m, left_m) in runs.results(scored_case, cases, range(given.cases)):
+                shares.append(share)
+                print(
+                    f"{sort} {given.first_seed + number}: {100 * share:.1f} % inside, error {1e3 * error_m:.3f} mm,"
+                    f" left {1e3 * left_m:.3f} mm",
+                    flush=True,
+                )
+            print(f"{sort}: {100 * float(np.mean(shares)):.1f} % of true errors inside, {given.cases} arms")
 
 
 if __name__ == "__main__":

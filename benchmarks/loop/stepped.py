@@ -20,7 +20,9 @@ from control.server.in_process import InProcessChannel
 from firmware_iface.clock import Clock
 from hil_mocks.rig import MockArm, SteppedRig
 from hil_mocks.scenario import load_scenario
-from procedures.mock.bench import PERIOD_S, SteppedBench
+from procedures.mock.bench import SteppedBench
+
+PERIOD_S = 0.002  # of the loop on reference boards
 
 ROUNDS = 5
 HOLDING_S = 6.0

@@ -121,7 +121,7 @@ class Predictor:
         """Covariance (m, 3, 3) of what differs from visit to visit: repeatability, loose gears, encoder steps."""
         slopes = self._model.slopes(self._arm.dh, poses.q_rad)
         by_joint = slopes.by_dh[:, :, list(self._model.theta_places)]
-        steps = by_joint * _encoder_steps_rad(self._arm) / math.sqrt(12.0)
+        steps = by_joint * encoder_steps_rad(self._arm) / math.sqrt(12.0)
         loose = loose_play_m2(self._discrepancy, poses, self._solved, self.posterior)
         return np.asarray(np.einsum("mik,mjk->mij", steps, steps) + loose + self._repeat_m**2 * np.eye(3))
 
@@ -132,7 +132,7 @@ def _is_tied(problem: ArmProblem) -> bool:
     return bool((~is_free)[problem.observed.frame].any())
 
 
-def _encoder_steps_rad(arm: Arm) -> Array:
+def encoder_steps_rad(arm: Arm) -> Array:
     """One count of each encoder at its joint (n,); 0 of a joint without a drive."""
     steps = np.zeros(arm.joint_count)
     for drive in arm.drives:

@@ -6,13 +6,13 @@ one run. The path is met if no pose of it is further off than the tolerance.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from calib.arrays import Array
+from calib.studies.figures import proportion
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import Predictor
 from control.kinematics.inverse import InverseKinematics
@@ -23,7 +23,6 @@ from control.motion.waypoints import Waypoints
 
 DRAWS: Final = 2000
 SAMPLES_MOST: Final = 200  # poses of a path; its error is smooth
-Z95: Final = 1.959964
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +47,8 @@ class Reliability:
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval of the probability for this number of draws (Wilson 1927)."""
-        n, p = self.draws, self.probability
-        centre, spread = p + Z95**2 / (2.0 * n), Z95 * math.sqrt(p * (1.0 - p) / n + Z95**2 / (4.0 * n * n))
-        low, high = (centre - spread) / (1.0 + Z95**2 / n), (centre + spread) / (1.0 + Z95**2 / n)
-        return max(0.0, min(p, low)), min(1.0, max(p, high))
+        found = proportion(self.met, self.draws)
+        return found.lower, found.upper
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arm_problem.assembly import base_frame_of
 from calib.arm_problem.frames import mean_rotation
 from calib.arm_problem.joint_effects import known_corrections
 from calib.arrays import Array, frozen, norms
 from calib.points.points import Points
+from calib.validation.verify_recorded import measuring_frame
 from control.kinematics.kinematics import Kinematics
 from control.kinematics.rotation import logarithms, matrices
 from control.model.arm import Arm
@@ -55,7 +55,7 @@ def compare_turns(nominal: Arm, calibrated: Arm, points: Points) -> TurnComparis
 def _angles_rad(arm: Arm, points: Points) -> Array:
     q = points.q_rad + known_corrections(arm, points)
     model = Kinematics(arm).link_transforms(q)[:, -1, :3, :3]
-    measured = base_frame_of(arm).rotation @ matrices(points.orientation)
+    measured = measuring_frame(arm, points).rotation @ matrices(points.orientation)
     target = mean_rotation(np.swapaxes(model, 1, 2) @ measured)
     return norms(logarithms(measured @ np.swapaxes(model @ target, 1, 2)))
 

@@ -25,6 +25,7 @@ from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.identify.identification import Identification
 from calib.identify.suspects import Suspects
+from calib.points.covariance import POSITION
 from calib.points.points import Points
 from calib.validation.holdout import HeldOut
 from control.model.arm import Arm
@@ -83,12 +84,15 @@ class NoiseFloor:
 
 
 def noise_floor(arm: Arm, points: Points, problem: ArmProblem, x: Array) -> NoiseFloor | None:
-    """The camera's noise if it measured the tips, or the scatter of repeats; the smaller if both are known.
+    """What the points' covariances or the camera's noise say, or the scatter of repeats; the smaller if both are known.
 
     Repeats are poses in one cavity and posture with the same payload, reached from the same side: their differences
     are noise; a varying effect can only increase it.
     """
-    found = [_from_repeats(points, problem.residuals(x)), _from_camera(arm, points)]
+    found = [
+        _from_repeats(points, problem.residuals(x)),
+        _from_covariances(points) or _from_camera(arm, points),
+    ]
     known = [floor for floor in found if floor is not None]
     return min(known, key=lambda floor: floor.axis_m) if known else None
 
@@ -101,6 +105,16 @@ def _from_repeats(points: Points, errors: Array) -> NoiseFloor | None:
     if freedom < REPEATS_FREEDOM or squares <= 0.0:
         return None
     return NoiseFloor(math.sqrt(squares / freedom), f"the scatter of repeats ({freedom} degrees of freedom)")
+
+
+def _from_covariances(points: Points) -> NoiseFloor | None:
+    variances = points.covariance[
+        :, [POSITION.index(name) for name in ("cov_xx_m2", "cov_yy_m2", "cov_zz_m2")]
+    ]
+    known = np.isfinite(variances).all(axis=1)
+    if not known.mean() > 0.5:
+        return None
+    return NoiseFloor(float(np.sqrt(variances[known].mean())), "the covariances of the points")
 
 
 def _from_camera(arm: Arm, points: Points) -> NoiseFloor | None:

@@ -11,8 +11,9 @@ import numpy as np
 
 from calib.arm_problem.assembly import base_frame_of
 from calib.arm_problem.checks import require_of_arm
+from calib.arm_problem.frames import Frame
 from calib.arm_problem.joint_effects import known_corrections
-from calib.arrays import Array
+from calib.arrays import Array, frozen
 from calib.boards.rigid import best_motion
 from calib.errors import CalibrationError
 from calib.points.points import Points
@@ -52,12 +53,25 @@ def predicted_tips(arm: Arm, points: Points) -> Array:
 def errors_of(arm: Arm, points: Points) -> Array:
     """Measured minus predicted tips, (m, 3) in the model's base frame; NaN without a reference."""
     tips = predicted_tips(arm, points)
-    was = base_frame_of(arm).to_base(points.tip_m)
+    was = measuring_frame(arm, points).to_base(points.tip_m)
     for setup in dict.fromkeys(points.setup):
         rows = [k for k, name in enumerate(points.setup) if name == setup and np.isnan(was[k]).any()]
         if rows:
             was[rows] = _on_fitted_board(arm, [points.point[k] for k in rows], tips[rows])
     return np.asarray(was - tips)
+
+
+def measuring_frame(arm: Arm, points: Points) -> Frame:
+    """The frame of the measured tips in the arm's base frame; a camera's is put where this model fits best."""
+    if not points.in_camera_frame:
+        return base_frame_of(arm)
+    rows = np.isfinite(points.tip_m).all(axis=1)
+    if rows.sum() < LEAST_POSES:
+        raise CalibrationError(
+            f"{int(rows.sum())} tips in a camera's frame, {LEAST_POSES} are needed to place it"
+        )
+    motion = best_motion(points.tip_m[rows], predicted_tips(arm, points)[rows])
+    return Frame("camera", frozen(motion.rotation), frozen(motion.shift_m))
 
 
 def _on_fitted_board(arm: Arm, names: list[str], tips: Array) -> Array:

@@ -1,6 +1,29 @@
 """Commands that calibrate and verify an arm from measurements."""
 
-from console.options import ARM, JSON, OUT, SOCKET, CommandSpec, finite, option
+from console.options import (
+    ARM,
+    BOARDS,
+    JSON,
+    OUT,
+    SOCKET,
+    CommandSpec,
+    finite,
+    option,
+    payload,
+    points,
+    scenario,
+)
+
+HISTORY = (
+    option(
+        "--history", metavar="FILE", help="append the result to this record, which `armwright trend` reads"
+    ),
+    option(
+        "--measured",
+        metavar="DATE",
+        help="with --history: when the data were recorded, e.g. 2026-11-23 (default: now)",
+    ),
+)
 
 CALIBRATING = (
     CommandSpec(
@@ -8,13 +31,7 @@ CALIBRATING = (
         "identify the arm's parameters from recorded points, with their uncertainty",
         (
             ARM,
-            option(
-                "--points",
-                metavar="P",
-                action="append",
-                required=True,
-                help="points.csv or .csv.gz; may be repeated",
-            ),
+            points("points.csv or .csv.gz", is_required=True),
             OUT,
             option(
                 "--objective",
@@ -57,9 +74,7 @@ CALIBRATING = (
                 action="append",
                 help="static effects to identify too: backlash:2, joint_compliance:2, encoder_scale:1, belt_coupling",
             ),
-            option(
-                "--boards", metavar="FILE", help="boards.json of `armwright register`: measured board poses"
-            ),
+            BOARDS,
             option(
                 "--accuracy",
                 metavar="LENGTH",
@@ -79,22 +94,125 @@ CALIBRATING = (
             option("--export", metavar="FORMS", action="append", help="also write urdf, mjcf or json"),
             option("--starts", type=int, default=4, metavar="N", help="number of random starts (default: 4)"),
             option("--seed", type=int, default=0, metavar="N", help="seed of the random starts (default: 0)"),
+            *HISTORY,
             JSON,
         ),
         "Writes arm.toml, calibration.json and report.html; never overwrites.",
         module="calibration.calibrate",
     ),
     CommandSpec(
+        "calibrate-pair",
+        "identify two arms whose tips touch, and where they stand to each other, without a camera",
+        (
+            option(
+                "--arms",
+                nargs=2,
+                required=True,
+                metavar=("A", "B"),
+                help="arm.toml of both, or names of supplied arms; the result is in the base frame of the first",
+            ),
+            option(
+                "--contacts",
+                required=True,
+                metavar="FILE",
+                help="contacts.csv or .csv.gz: the joints of the first arm, then of the second (docs/two_arms.md)",
+            ),
+            option("--out", metavar="DIR", help="folder for the results; created if missing"),
+            option(
+                "--objective",
+                default="huber",
+                metavar="NAME",
+                help="huber (default), e2, lsq or e1, as for `armwright calibrate`",
+            ),
+            option(
+                "--bound",
+                metavar="NAME=VALUE",
+                action="append",
+                help="largest deviations: lengths=5mm, angles=2deg (the defaults)",
+            ),
+            option(
+                "--fix",
+                metavar="NAMES",
+                action="append",
+                help="parameters to keep fixed: left_theta4,right_L2",
+            ),
+            option(
+                "--free-tool",
+                metavar="ARMS",
+                action="append",
+                help="arms whose tip is identified too: left,right",
+            ),
+            option(
+                "--choose",
+                type=int,
+                metavar="N",
+                help="write nothing: print the N contacts of the file that say most (D-optimal), the best first",
+            ),
+            option("--noise", metavar="LENGTH", help="with --choose: noise of a contact (default: 0.2mm)"),
+            JSON,
+        ),
+        "Nothing moves. Writes both arms' files and pair.json; never overwrites.",
+        module="calibration.calibrate_pair",
+    ),
+    CommandSpec(
+        "camera",
+        "measure the arm with a webcam: print a target, calibrate the lens, measure the target's pose in pictures",
+        (
+            option(
+                "what",
+                choices=("board", "calibrate", "poses"),
+                help="board: a target to print; calibrate: the lens, from pictures of a board; poses: the target, in pictures"
+                " of the arm",
+            ),
+            option(
+                "--images",
+                metavar="DIR",
+                action="append",
+                help="folder of pictures; poses: one for each --camera",
+            ),
+            option("--board", metavar="CxR", help="a ChArUco board of columns x rows squares, e.g. 5x7"),
+            option("--square", metavar="LENGTH", help="edge of a square, measured on the print, e.g. 30mm"),
+            option(
+                "--marker", metavar="LENGTH", help="edge of the markers in it (default: 0.75 of a square)"
+            ),
+            option("--tag", type=int, metavar="N", help="a single AprilTag or ArUco tag by its number"),
+            option("--size", metavar="LENGTH", help="edge of the tag's black square, e.g. 50mm"),
+            option("--tags", metavar="FILE", help="tags.csv: several tags of one body (docs/webcam.md)"),
+            option(
+                "--dictionary",
+                metavar="NAME",
+                help="OpenCV's name of the markers (default: 4x4_250 for boards, apriltag_36h11 for tags)",
+            ),
+            option("--legacy", action="store_true", help="the board was printed by OpenCV before 4.6"),
+            option(
+                "--camera", metavar="FILE", action="append", help="poses: camera.json; one for each camera"
+            ),
+            option("--points", metavar="P", help="poses: points.csv with the joint angles of each picture"),
+            option(
+                "--readout-s",
+                type=finite,
+                metavar="S",
+                help="calibrate: time from the first to the last row of a rolling shutter (default: 0)",
+            ),
+            option(
+                "--tip-speed",
+                type=finite,
+                metavar="M_S",
+                help="poses: the fastest that the target may have moved in a picture (default: 0)",
+            ),
+            OUT,
+            JSON,
+        ),
+        "Nothing moves. Needs OpenCV: pip install 'armwright[camera]'. docs/webcam.md.",
+        module="calibration.camera",
+    ),
+    CommandSpec(
         "trust",
-        "predict the tip's error over the workspace, with intervals, and whether a path keeps a tolerance",
+        "predict the tip's error over the workspace, of an arm from its points or of a design from its tolerances",
         (
             ARM,
-            option(
-                "--points",
-                metavar="P",
-                action="append",
-                required=True,
-                help="points.csv or .csv.gz of the real arm; may be repeated",
+            points(
+                "points.csv or .csv.gz of the real arm; with --design: only their poses, as those of the calibration"
             ),
             OUT,
             option("--tolerance", metavar="LENGTH", help="the accuracy that is wanted, e.g. 0.5mm"),
@@ -104,20 +222,84 @@ CALIBRATING = (
                 action="append",
                 help="way-points as for `armwright run`: the probability that the path keeps the tolerance; may be repeated",
             ),
+            payload(
+                "mass at the tip that the map is made for (default: 0); may be repeated", action="append"
+            ),
+            BOARDS,
+            option("--design", metavar="A", help="arm.toml of an arm to be built, instead of --arm"),
             option(
-                "--payload",
-                type=finite,
-                metavar="KG",
-                action="append",
-                help="mass at the tip that the map is made for (default: 0); may be repeated",
+                "--tolerances",
+                metavar="T",
+                help="with --design: how exactly parts are made; a file, or `right`",
             ),
             option(
-                "--boards", metavar="FILE", help="boards.json of `armwright register`: measured board poses"
+                "--arms", type=int, metavar="N", help="with --design: how many arms are drawn (default: 2000)"
+            ),
+            option("--seed", type=int, metavar="N", help="with --design: seed of the arms (default: 0)"),
+            option(
+                "--workers", type=int, metavar="K", help="with --design: processes (default: all processors)"
+            ),
+            option(
+                "--cluster", metavar="ADDRESS", help="with --design: a Dask scheduler, e.g. tcp://host:8786"
             ),
             JSON,
         ),
-        "Nothing moves. Writes report.html, map.npz and trust.json; docs/trust.md.",
+        "Nothing moves. Writes report.html, map.npz and trust.json or tolerances.json; docs/trust.md, docs/tolerances.md.",
         module="calibration.trust",
+    ),
+    CommandSpec(
+        "check-up",
+        "decide from a few poses whether the arm is fine, needs a calibration, or has a joint to look at",
+        (
+            ARM,
+            option(
+                "--points",
+                metavar="P",
+                action="append",
+                required=True,
+                help="points.csv of the calibration: what the arm did before; may be repeated",
+            ),
+            option("--out", metavar="DIR", required=True, help="folder for the recording and check-up.json"),
+            option("--poses", type=int, metavar="N", help="how many, each from two sides (default: 8)"),
+            option(
+                "--recorded",
+                metavar="F",
+                help="poses that were recorded already, as points.csv; nothing moves",
+            ),
+            option(
+                "--plan-only",
+                action="store_true",
+                help="print the poses and how long they take; nothing moves",
+            ),
+            option("--mock", action="store_true", help="use a mock arm in this process"),
+            option("--scenario", metavar="S", help="with --mock: a scenario file or a name (default: demo)"),
+            option("--seed", type=int, metavar="N", help="with --mock: seed of its hidden errors"),
+            SOCKET,
+            JSON,
+        ),
+        "The arm must be homed and holding, and a camera must see the tip; docs/check_up.md.",
+        module="calibration.check_up",
+    ),
+    CommandSpec(
+        "trend",
+        "say from the record of calibrations what drifts, how fast, and when the next calibration is due",
+        (
+            ARM,
+            option(
+                "--history",
+                metavar="FILE",
+                required=True,
+                help="the record that `--history` of `calibrate` and `gap` writes",
+            ),
+            option(
+                "--tolerance",
+                metavar="LENGTH",
+                help="by how much the tip may drift, e.g. 0.5mm: when the next calibration is due",
+            ),
+            JSON,
+        ),
+        "Nothing moves. docs/trend.md.",
+        module="calibration.trend",
     ),
     CommandSpec(
         "verify",
@@ -134,12 +316,7 @@ CALIBRATING = (
             JSON,
             option("--points", metavar="FILE", help="use recorded poses with measured tips; nothing moves"),
             option("--mock", action="store_true", help="use a stepped mock of the nominal arm"),
-            option(
-                "--scenario",
-                default="demo",
-                metavar="S",
-                help="with --mock: a scenario file or a shipped name",
-            ),
+            scenario(default="demo"),
             option(
                 "--setups",
                 nargs="+",
@@ -172,12 +349,7 @@ CALIBRATING = (
         "name the effects that the model lacks, add them, and show how far the gap closes",
         (
             ARM,
-            option(
-                "--points",
-                metavar="P",
-                action="append",
-                help="static poses, points.csv or .csv.gz; may be repeated",
-            ),
+            points("static poses, points.csv or .csv.gz"),
             option(
                 "--log",
                 metavar="L",
@@ -202,6 +374,7 @@ CALIBRATING = (
                 choices=("A", "mA", "percent", "Nm", "motor_Nm"),
                 help="what the columns i1_A ... hold: currents, percent of the drives' limits, torques of joints or motors",
             ),
+            *HISTORY,
             JSON,
             option(
                 "--record",
@@ -209,18 +382,11 @@ CALIBRATING = (
                 help="plan and record poses and motions first; the same --out resumes",
             ),
             option("--mock", action="store_true", help="with --record: use a mock arm in this process"),
-            option(
-                "--scenario", metavar="S", help="scenario of the mock arm: a file or a name (default: demo)"
-            ),
+            scenario(),
             option("--seed", type=int, metavar="N", help="seed of the mock arm's hidden errors"),
             option("--quick", action="store_true", help="with --record: fewer poses, shorter motions"),
             option("--minutes", type=finite, metavar="M", help="with --record: as much as fits in this time"),
-            option(
-                "--payload",
-                type=finite,
-                metavar="KG",
-                help="mass attached to the tip for part of the recording (default: none; mock: 0.5)",
-            ),
+            payload("mass attached to the tip for part of the recording (default: none; mock: 0.5)"),
             option("--only", choices=("static", "motion"), help="with --record: poses only, or motions only"),
             option(
                 "--plan-only",
@@ -265,12 +431,7 @@ CALIBRATING = (
             OUT,
             JSON,
             SOCKET,
-            option(
-                "--scenario",
-                default="demo",
-                metavar="S",
-                help="with --mock: a scenario file or a shipped name (default: demo)",
-            ),
+            scenario(default="demo"),
             option("--seed", type=int, help="with --mock: seed of the hidden errors"),
             option("--quick", action="store_true", help="fewer repeats: 5 of each pose, 3 of each path"),
             option("--repeats", type=int, metavar="N", help="visits of each pose (default: 30)"),

@@ -6,8 +6,9 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
+from calib.ageing.history import geometry_of
 from calib.arm_problem.assembly import Choice
-from calib.arm_problem.parameters import Bounds
+from calib.calibration.base_points import points_in_base
 from calib.calibration.calibrate import Calibrated, CalibrationPlan, LeaveOut, calibrate
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
 from calib.calibration.report import calibration_report
@@ -18,17 +19,21 @@ from calib.identify.objective import objective_named
 from calib.inputs import InputFile, input_file
 from calib.points.arm_points import points_for
 from calib.points.points import Points
+from calib.points.writer import write_points
 from calib.report.report import write_report
 from console.commands.calibration.boards_option import board_frames
+from console.commands.calibration.history_option import record_of
+from console.commands.calibration.options import bounds_of, names_in
 from console.commands.progress import Bar
-from console.quantities import orientation_noise_rad, quantity, unit_of
+from console.quantities import orientation_noise_rad, quantity
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_writable
 
 ENDINGS = {"urdf": "urdf", "mjcf": "xml", "json": "json"}
-RESULTS = ("arm.toml", "calibration.json", "report.html")
+BASE_POINTS = "points_base.csv"
+RESULTS = ("arm.toml", "calibration.json", "report.html", BASE_POINTS)
 
 
 def run(given: argparse.Namespace) -> int:
@@ -36,6 +41,7 @@ def run(given: argparse.Namespace) -> int:
     arm, out, forms = load_arm(given.arm), Path(given.out), _forms(given.export or [])
     _require_no_results(out, forms)
     require_writable(out)
+    record = record_of(given, "calibrate", arm.name)
     plan = _plan(given)
     points, warnings = _read(given, arm)
     with Bar("calibrate") as bar:
@@ -43,17 +49,20 @@ def run(given: argparse.Namespace) -> int:
     for warning in (*warnings, *made.warnings):
         sys.stderr.write(f"armwright: warning: {warning}\n")
     files = _write(given, made, out, forms)
+    if record is not None:
+        hashes = {one.name: one.sha256 for one in _inputs(given, arm)}
+        record.append(hashes, geometry_of(made.problem, made.found))
     if given.json:
         sys.stdout.write((out / "calibration.json").read_text(encoding="utf-8"))
     else:
         sys.stdout.write(summary_text(made))
-        sys.stdout.write("\n" + "".join(f"{what:<16}{file}\n" for what, file in files.items()))
+        sys.stdout.write("\n" + "".join(f"{what:<26}{file}\n" for what, file in files.items()))
     return 0
 
 
 def _forms(texts: list[str]) -> list[str]:
     """The requested export formats; CalibrationError for an unknown one."""
-    forms = _names(texts)
+    forms = names_in(texts)
     for form in forms:
         if form not in FORMS:
             raise CalibrationError(f'--export: expected one or more of {", ".join(FORMS)}, got "{form}"')
@@ -100,11 +109,11 @@ def _plan(given: argparse.Namespace) -> CalibrationPlan:
     if accuracy_m is not None and accuracy_m <= 0.0:
         raise CalibrationError(f"--accuracy: expected a length above 0, got {given.accuracy}")
     choice = Choice(
-        bounds=_bounds(given.bound or []),
-        fixed=_names(given.fix or []),
-        freed=_names(given.free or []),
+        bounds=bounds_of(given.bound or []),
+        fixed=names_in(given.fix or []),
+        freed=names_in(given.free or []),
         boards=board_frames(given.boards),
-        effects=tuple(_names(given.effect or [])),
+        effects=tuple(names_in(given.effect or [])),
         orientation_noise_rad=orientation_noise_rad(given.orientation_noise),
     )
     return CalibrationPlan(
@@ -115,30 +124,6 @@ def _plan(given: argparse.Namespace) -> CalibrationPlan:
         given.starts,
         given.seed,
     )
-
-
-def _names(texts: list[str]) -> list[str]:
-    return [name.strip() for text in texts for name in text.split(",") if name.strip()]
-
-
-def _bounds(texts: list[str]) -> Bounds:
-    """`lengths=5mm`, `angles=2deg`, or a parameter by name."""
-    general: dict[str, float] = {}
-    own: dict[str, float] = {}
-    for text in _names(texts):
-        name, _, value = text.partition("=")
-        if not value:
-            raise CalibrationError(
-                f'--bound: expected NAME=VALUE such as L2=8mm or angles=3deg, got "{text}"'
-            )
-        if name in ("lengths", "angles"):
-            unit = "m" if name == "lengths" else "rad"
-            general["length_m" if name == "lengths" else "angle_rad"] = quantity(
-                value, unit, f"--bound {name}"
-            )
-        else:
-            own[name] = quantity(value, unit_of(name), f"--bound {name}")
-    return Bounds(own=own, **general)
 
 
 def _leave_out(text: str | None) -> LeaveOut:
@@ -170,6 +155,10 @@ def _write(given: argparse.Namespace, made: Calibrated, out: Path, forms: list[s
         program,
         more=judgement_json(made),
     )
+    in_base = points_in_base(made)
+    if in_base is not None:
+        files["points in the base frame"] = out / BASE_POINTS
+        write_points(files["points in the base frame"], in_base)
     files["report"] = out / "report.html"
     write_report(files["report"], calibration_report(made, inputs, date, program))
     for form in forms:

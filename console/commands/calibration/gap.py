@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calib.ageing.history import quantities_of
 from calib.errors import CalibrationError
 from calib.gap.finding import gap_content
 from calib.gap.words import in_words
@@ -18,6 +19,7 @@ from calib.gap.workflow import (
     require_free,
     write_gap,
 )
+from console.commands.calibration.history_option import record_of
 from console.commands.connection import in_control_of
 from console.commands.progress import Bar
 from control.errors import ArmError
@@ -40,6 +42,7 @@ def run(given: argparse.Namespace) -> int:
     without = tuple(given.without or ())
     require_effects(without)
     require_free(out)
+    record_of(given, "gap", arm.name)
     if not given.plan_only:
         require_writable(out)
     if given.record:
@@ -68,10 +71,13 @@ def _look(
     without: tuple[str, ...],
     out: Path,
 ) -> int:
+    record = record_of(given, "gap", arm.name)
     recordings = read_recordings(arm, points, logs, given.current_unit)
     with Bar("gap") as bar:
         outcome = find_gap_in(arm, recordings, without, bar.advance, given.map)
-    write_gap(outcome, arm, recordings, out)
+    model = write_gap(outcome, arm, recordings, out)
+    if record is not None and model.calibration is not None:
+        record.append(model.calibration.inputs, quantities=quantities_of(outcome.finding))
     _say(given, outcome, out)
     return 0
 
@@ -108,7 +114,7 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
             with Bar("record") as bar:
                 record_on_mock(arm, given.scenario or "demo", given.seed, plan, out, bar.advance)
         else:
-            _record_real(given, arm, plan, out)
+            record_on_arm(given, arm, plan, out)
     except BaseException as error:
         if (out / "points.csv").exists() or (out / "runs").exists():
             sys.stderr.write(f"\narmwright: the recordings are in {out}; the same command continues\n")
@@ -138,7 +144,7 @@ def _require_recording_options(given: argparse.Namespace) -> None:
         raise CalibrationError("--scenario and --seed need --mock")
 
 
-def _record_real(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path) -> None:
+def record_on_arm(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path) -> None:
     """Record on the connected arm, which must be homed and holding."""
     from procedures.gap.recording import Bench, note_plan, record
 

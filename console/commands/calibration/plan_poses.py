@@ -10,7 +10,7 @@ from calib.design import Plan, Request, Uncertainty, View, in_words, plan_json, 
 from calib.design.observability import NAMES
 from calib.design.words import known_to
 from calib.errors import CalibrationError
-from calib.points.arm_points import points_for
+from calib.points.arm_points import base_points_for
 from calib.points.points import Points
 from console.commands.calibration.boards_option import board_frames
 from console.quantities import orientation_noise_rad
@@ -83,7 +83,7 @@ def _view(corners_m: list[float] | None) -> View | None:
 def _points(given: argparse.Namespace, arm: Arm) -> Points | None:
     if given.points is None:
         return None
-    points, warnings = points_for(arm, [Path(given.points)])
+    points, warnings = base_points_for(arm, [Path(given.points)], "plan-poses")
     for warning in warnings:
         sys.stderr.write(f"armwright: warning: {warning}\n")
     return points

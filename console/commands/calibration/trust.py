@@ -10,34 +10,34 @@ from pathlib import Path
 from calib.arm_problem.assembly import Choice
 from calib.errors import CalibrationError
 from calib.inputs import input_file
-from calib.points.arm_points import points_for
+from calib.points.arm_points import base_points_for
 from calib.points.writer import replace_file
 from calib.trust.files import trust_json, write_json, write_map
 from calib.trust.report import trust_report
 from calib.trust.task import Reliability, planned, reliability_of
 from calib.trust.trust import MapRequest, Trust, trust_in
 from calib.trust.words import as_text
+from console.commands.calibration import trust_design
 from console.commands.calibration.boards_option import board_frames
 from console.commands.progress import Bar
-from console.quantities import quantity
-from control.errors import ArmError
+from console.quantities import tolerance_m
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.motion.waypoints import read_waypoints
-from procedures.folders import require_writable
+from procedures.folders import require_new
 
 RESULTS = ("trust.json", "map.npz", "report.html")
 
 
 def run(given: argparse.Namespace) -> int:
     """Read, predict, write. Nothing is written before all input has been read and checked."""
+    if given.design is not None:
+        return trust_design.study_design(given)
+    _require_points(given)
     arm, out = load_arm(given.arm), Path(given.out)
-    for name in RESULTS:
-        if (out / name).exists():
-            raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
-    require_writable(out)
+    require_new(out, RESULTS)
     request = _request(given)
-    points, warnings = points_for(arm, [Path(name) for name in given.points])
+    points, warnings = base_points_for(arm, [Path(name) for name in given.points], "trust")
     paths = [planned(arm, read_waypoints(file), request.payloads_kg[0]) for file in given.task or []]
     with Bar("trust") as bar:
         trust = trust_in(arm, points, request, bar.advance)
@@ -53,16 +53,24 @@ def run(given: argparse.Namespace) -> int:
     return 0
 
 
+def _require_points(given: argparse.Namespace) -> None:
+    if not given.points:
+        raise CalibrationError(
+            "--points: give points.csv of the real arm; or --design and --tolerances for an arm that is not built"
+        )
+    for name in trust_design.OPTIONS:
+        if getattr(given, name) is not None:
+            raise CalibrationError(f"--{name}: belongs to --design, the arm.toml of an arm that is not built")
+
+
 def _request(given: argparse.Namespace) -> MapRequest:
-    tolerance_m = None if given.tolerance is None else quantity(given.tolerance, "m", "--tolerance")
-    if tolerance_m is not None and tolerance_m <= 0.0:
-        raise CalibrationError(f"--tolerance: expected a length above 0, got {given.tolerance}")
-    if given.task and tolerance_m is None:
+    wanted_m = tolerance_m(given.tolerance)
+    if given.task and wanted_m is None:
         raise CalibrationError("--task: give the --tolerance that the path shall keep, such as 0.5mm")
     payloads_kg = tuple(given.payload or (0.0,))
     if min(payloads_kg) < 0.0:
         raise CalibrationError(f"--payload: expected a mass not below 0, got {min(payloads_kg):g} kg")
-    return MapRequest(payloads_kg, tolerance_m, choice=Choice(boards=board_frames(given.boards)))
+    return MapRequest(payloads_kg, wanted_m, choice=Choice(boards=board_frames(given.boards)))
 
 
 def _write(

@@ -113,8 +113,7 @@ def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) ->
     from procedures.mock.scenario_file import seeded_scenario
 
     nominal = pair.nominal.arm
-    can_home = all(drive.home is not None for drive in nominal.drives)
-    text = seeded_scenario(given.scenario, None, was_homed=not can_home)
+    text = seeded_scenario(given.scenario, None, was_homed=not nominal.can_home)
     out.mkdir(parents=True)
     scenario = out / "scenario.toml"
     write_whole(scenario, text)

@@ -1,0 +1,165 @@
+"""history.jsonl: an append-only record of calibrations and gaps, a line each. Reference: docs/formats.md.
+
+Geometry is kept with its information matrix, since few DH parameters are determined by themselves: a combination that a
+calibration does not determine has no information, and later says nothing about drift.
+"""
+
+from __future__ import annotations
+
+import datetime
+import fcntl
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from calib.arm_problem.problem import ArmProblem
+from calib.arrays import Array
+from calib.errors import CalibrationError
+from calib.gap.finding import GapFinding
+from calib.identify.determinability import determinability
+from calib.identify.identification import Identification
+from control.files import append_whole, read_bytes
+
+FORMAT = "history/1"
+DIGITS = 15  # significant, of a matrix's entry: its eigenvalues differ by a factor of up to 1e8
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+
+
+class HistoryFileError(CalibrationError):
+    """An invalid history.jsonl; the message names file and line."""
+
+
+class Geometry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameters with a nominal value: names, values in their units, scales, and the information matrix of value / scale."""
+
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    scales: tuple[Annotated[float, msgspec.Meta(gt=0.0)], ...]
+    information: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        """Everything has the length of the names."""
+        count = len(self.names)
+        lengths = {len(self.values), len(self.scales), len(self.information), *map(len, self.information)}
+        if not count or lengths != {count}:
+            raise ValueError(f"expected {count} values, scales, and rows and columns of information")
+
+
+class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A number with its standard deviation, null if unknown."""
+
+    value: float
+    sd: NotNegative | None = None
+
+
+class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One line: when measured (UTC), by which command, of which arm."""
+
+    format: str
+    measured: datetime.datetime
+    by: str
+    arm: str
+    program_version: str
+    inputs: dict[str, str] = {}
+    geometry: Geometry | None = None
+    quantities: dict[str, Quantity] = {}
+
+    @property
+    def day(self) -> float:
+        """Days since 1970."""
+        return self.measured.timestamp() / 86400.0
+
+
+def geometry_of(problem: ArmProblem, found: Identification) -> Geometry:
+    """What a calibration determined; tool, boards and other unknowns without a nominal value are projected out."""
+    known = determinability(problem.sensitivity(found.x), problem.parameters)
+    inner = known.basis.T @ known.covariance(found.noise.variance_m2) @ known.basis
+    information = known.basis @ np.linalg.inv(inner) @ known.basis.T
+    bounded = [k for k, one in enumerate(problem.parameters) if one.has_bound]
+    free = [k for k, one in enumerate(problem.parameters) if not one.has_bound]
+    own = _without(information, bounded, free)
+    return Geometry(
+        tuple(problem.parameters[k].name for k in bounded),
+        tuple(found.estimates[k].value for k in bounded),
+        tuple(problem.parameters[k].scale for k in bounded),
+        tuple(tuple(float(f"{value:.{DIGITS}g}") for value in row) for row in own),
+    )
+
+
+def _without(information: Array, kept: list[int], dropped: list[int]) -> Array:
+    """The information about `kept`, whatever the `dropped` ones are (Schur complement)."""
+    own = information[np.ix_(kept, kept)]
+    if not dropped:
+        return own
+    across = information[np.ix_(kept, dropped)]
+    return np.asarray(
+        own - across @ np.linalg.pinv(information[np.ix_(dropped, dropped)], hermitian=True) @ across.T
+    )
+
+
+def quantities_of(found: GapFinding) -> dict[str, Quantity]:
+    """The parameters of the effects that a gap named, such as `backlash2.width_rad`."""
+    return {
+        f"{one.name.effect}{one.name.joint or ''}.{parameter}": Quantity(
+            value, sd if np.isfinite(sd) else None
+        )
+        for one in found.effects
+        for parameter, (value, sd) in one.parameters.items()
+    }
+
+
+def require_appendable(path: Path, arm: str) -> None:
+    """CalibrationError where `path` is a history of another arm, or cannot be written: asked before anything is computed."""
+    if path.exists():
+        read_history(path, arm)
+    elif not path.parent.is_dir():
+        raise HistoryFileError(f"--history {path}: there is no folder {path.parent}")
+
+
+def append_entry(path: Path, entry: Entry) -> None:
+    """Append a line and wait for the disk; NotWritten if the disk is full."""
+    with path.open("a+b", buffering=0) as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        append_whole(file.fileno(), path, msgspec.json.encode(entry) + b"\n")
+
+
+def read_history(path: Path, arm: str) -> tuple[Entry, ...]:
+    """All entries, by date of measurement. HistoryFileError names file and line."""
+    try:
+        lines = read_bytes(path).splitlines()
+    except OSError as error:
+        raise HistoryFileError(f"{path}: cannot be read: {error.strerror}") from None
+    entries = [_entry(line, f"{path}, line {number}") for number, line in enumerate(lines, 1)]
+    for number, entry in enumerate(entries, 1):
+        if entry.arm != arm:
+            raise HistoryFileError(f'{path}, line {number}: expected arm "{arm}", got "{entry.arm}"')
+    return tuple(sorted(entries, key=lambda one: one.measured))
+
+
+def _entry(line: bytes, where: str) -> Entry:
+    try:
+        entry = msgspec.json.decode(line, type=Entry)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise HistoryFileError(f"{where}: {error}") from None
+    if entry.format != FORMAT:
+        raise HistoryFileError(f'{where}: expected format "{FORMAT}", got "{entry.format}"')
+    if entry.measured.tzinfo is None:
+        raise HistoryFileError(
+            f"{where}: measured: expected a date with its time zone, such as 2026-11-23T09:00:00Z"
+        )
+    return entry
+
+
+def measured_at(text: str | None) -> datetime.datetime:
+    """The date of --measured (UTC if it names no zone), now if there is none. CalibrationError if it is not a date."""
+    if text is None:
+        return datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+    try:
+        found = datetime.datetime.fromisoformat(text)
+    except ValueError:
+        raise CalibrationError(
+            f'--measured: expected a date such as 2026-11-23 or 2026-11-23T09:00, got "{text}"'
+        ) from None
+    return found if found.tzinfo else found.replace(tzinfo=datetime.UTC)

@@ -1,0 +1,142 @@
+"""What drifts and how fast, with intervals: zeros of joints from calibrations, parameters of effects from gaps.
+
+The geometry's drift (`calib.ageing.line`) is explained by rates of the joints' zeros as far as it can be; the rest is tested by
+chi-squared. Scatter beyond the entries' own intervals widens all intervals (Birge's ratio). Two entries give no such check:
+their intervals are those of their standard deviations alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.ageing.history import Entry
+from calib.ageing.line import KNOWN, Line, line_of
+from calib.arrays import Array
+from calib.gap.finding import EffectName
+from control.model.arm import Arm
+
+YEAR_days: Final = 365.25
+LEVEL: Final = 0.95  # of the intervals that are shown
+SURE: Final = 0.99  # of the interval that must exclude 0, since many quantities are looked at
+UNSTEADY: Final = 0.001  # probability of the scatter under the entries' own intervals, below which it is said
+LEAST: Final = 3  # entries: a straight line through two always fits
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """A quantity's change in a year, in its unit: `half` of its 95 % interval; drifts: the 99 % interval excludes 0.
+
+    value: at the last of `count` entries. Rate and half are infinite where the entries do not tell.
+    """
+
+    name: str
+    unit: str
+    value: float
+    per_year: float
+    half: float
+    drifts: bool
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class GeometryTrend:
+    """The line through the calibrations, the rates of the joints' zeros, and what they leave.
+
+    rest_drifts: geometry beyond the zeros changes. is_steady: the calibrations lie on the line as well as they say.
+    """
+
+    line: Line
+    zeros: tuple[Rate, ...]
+    rest_drifts: bool
+    is_steady: bool
+
+
+def geometry_trend(arm: Arm, entries: Sequence[Entry]) -> GeometryTrend | None:
+    """None with calibrations of fewer than two days."""
+    from scipy.stats import chi2
+
+    line = line_of(arm, entries)
+    if line is None:
+        return None
+    told = np.flatnonzero(np.isfinite(line.toward).all(axis=0))
+    toward, info = line.toward[:, told], line.information
+    covariance = np.linalg.pinv(toward.T @ info @ toward, rcond=KNOWN, hermitian=True)
+    speeds = covariance @ toward.T @ info @ line.rate
+    rest = line.rate - toward @ speeds
+    freedom = max(0, len(line.rate) - len(told))
+    zeros = tuple(
+        _zero(line, joint, float(speed), float(variance))
+        for joint, speed, variance in zip(told.tolist(), speeds, np.diag(covariance), strict=True)
+    )
+    return GeometryTrend(
+        line,
+        zeros,
+        freedom > 0 and float(chi2.sf(float(rest @ info @ rest), freedom)) < 1.0 - SURE,
+        not line.freedom or float(chi2.sf(line.chi_squared, line.freedom)) >= UNSTEADY,
+    )
+
+
+def _zero(line: Line, joint: int, speed: float, variance: float) -> Rate:
+    half, sure = (_quantile(level, line.freedom) * math.sqrt(variance) for level in (LEVEL, SURE))
+    return Rate(
+        f"joint {joint + 1}: zero",
+        "rad",
+        float(line.zeros_rad[joint]),
+        speed * YEAR_days,
+        half * YEAR_days,
+        abs(speed) > sure,
+        line.count,
+    )
+
+
+def _quantile(level: float, freedom: int) -> float:
+    """Of Student's t; of the normal distribution where nothing checks the standard deviations."""
+    from scipy.stats import norm, t
+
+    upper = 0.5 + 0.5 * level
+    return float(t.ppf(upper, freedom) if freedom else norm.ppf(upper))
+
+
+def quantity_rates(entries: Sequence[Entry]) -> tuple[Rate, ...]:
+    """Of every quantity that entries of at least two days have, by name."""
+    names = sorted({name for one in entries for name in one.quantities})
+    found = (_quantity_rate(name, [one for one in entries if name in one.quantities]) for name in names)
+    return tuple(one for one in found if one is not None)
+
+
+def _quantity_rate(name: str, entries: Sequence[Entry]) -> Rate | None:
+    """Weighted least squares; equal weights, and their scatter alone, where a standard deviation is unknown."""
+    days = np.array([one.day for one in entries]) - entries[-1].day
+    if len(set(days.tolist())) < 2:
+        return None
+    values = np.array([one.quantities[name].value for one in entries])
+    sds = np.array([one.quantities[name].sd or math.nan for one in entries])
+    is_known, freedom = bool(np.isfinite(sds).all()), len(entries) - 2
+    speed, variance, left = _straight(days, values, 1.0 / sds**2 if is_known else np.ones(len(values)))
+    scatter = left / freedom if freedom else (1.0 if is_known else math.inf)
+    sd = math.sqrt(variance * (max(1.0, scatter) if is_known else scatter)) * YEAR_days
+    half, sure = (_quantile(level, freedom) * sd for level in (LEVEL, SURE))
+    per_year = speed * YEAR_days
+    return Rate(words_of(name), "", float(values[-1]), per_year, half, abs(per_year) > sure, len(entries))
+
+
+def _straight(days: Array, values: Array, weights: Array) -> tuple[float, float, float]:
+    """Slope of the line through the values, its variance for unit weights' variance, and chi-squared."""
+    middle = float(weights @ days / weights.sum())
+    across = float(weights @ (days - middle) ** 2)
+    speed = float(weights @ ((days - middle) * values)) / across
+    left = values - float(weights @ values / weights.sum()) - speed * (days - middle)
+    return speed, 1.0 / across, float(weights @ left**2)
+
+
+def words_of(quantity: str) -> str:
+    """backlash2.width_rad: backlash on joint 2: width_rad."""
+    effect, _, parameter = quantity.partition(".")
+    kind = effect.rstrip("0123456789")
+    number = effect.removeprefix(kind)
+    return f"{EffectName(kind, int(number) if number else None)}: {parameter}"

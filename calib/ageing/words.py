@@ -1,0 +1,170 @@
+"""The trend in sentences, as text and as JSON."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from calib.ageing.due import Due, due
+from calib.ageing.history import Entry
+from calib.ageing.trend import LEAST, GeometryTrend, Rate, geometry_trend, quantity_rates
+from control.model.arm import Arm
+
+MILLI = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """All that `armwright trend` says. geometry: None if fewer than two calibrations are on record; due: None if not asked for,
+    or not to be told.
+    """
+
+    arm: str
+    entries: tuple[Entry, ...]
+    geometry: GeometryTrend | None
+    quantities: tuple[Rate, ...]
+    tolerance_m: float | None
+    due: Due | None
+
+    @property
+    def rates(self) -> tuple[Rate, ...]:
+        """Of zeros and named effects."""
+        return (*(self.geometry.zeros if self.geometry else ()), *self.quantities)
+
+
+def trend_of(arm: Arm, entries: Sequence[Entry], tolerance_m: float | None = None) -> Trend:
+    """The trend of an arm's history."""
+    geometry = geometry_trend(arm, entries)
+    when = due(geometry.line, tolerance_m) if geometry is not None and tolerance_m is not None else None
+    return Trend(arm.name, tuple(entries), geometry, quantity_rates(entries), tolerance_m, when)
+
+
+def sentences(trend: Trend) -> tuple[str, ...]:
+    """What the trend says, the most useful first."""
+    return tuple(_sentences(trend))
+
+
+def _sentences(trend: Trend) -> Iterator[str]:
+    calibrations = sum(one.geometry is not None for one in trend.entries)
+    gaps = sum(bool(one.quantities) for one in trend.entries)
+    yield f"Arm {trend.arm}: {calibrations} calibrations and {gaps} gaps on record."
+    few = [what for what, count in (("calibrations", calibrations), ("gaps", gaps)) if 0 < count < LEAST]
+    if calibrations < 2 and not trend.quantities:
+        yield "One date tells no drift: calibrate again with --history, some weeks later."
+        return
+    if few:
+        yield (
+            f"A line through two points always fits: with {LEAST} {' and '.join(few)} or more, the rates are checked"
+            " against their scatter."
+        )
+    drifting = [one for one in trend.rates if one.drifts]
+    for one in drifting:
+        yield f"{one.name} drifts by {_rate(one)} a year."
+    if not drifting:
+        yield "No drift is seen beyond what the records leave uncertain."
+    yield from _about_geometry(trend)
+    yield from _about_due(trend)
+
+
+def _about_geometry(trend: Trend) -> Iterator[str]:
+    found = trend.geometry
+    if found is None:
+        return
+    if found.rest_drifts:
+        yield "Geometry changes beyond the joints' zeros: look for a loose link, a bent part, or a base that moved."
+    if not found.is_steady:
+        yield (
+            f"The calibrations scatter {found.line.scatter:.1f} times as much as their intervals say: the change is not steady,"
+            " or something else changes, such as the temperature. The intervals count this scatter."
+        )
+    if found.line.unseen:
+        yield "Some of the geometry is not determined by these calibrations: its drift would not be seen."
+
+
+def _about_due(trend: Trend) -> Iterator[str]:
+    if trend.tolerance_m is None:
+        return
+    limit = f"{MILLI * trend.tolerance_m:.3g} mm"
+    if trend.due is None:
+        yield (
+            f"When the tip will have drifted by {limit} cannot be told: it needs at least {LEAST} calibrations on different days."
+        )
+        return
+    last = [one for one in trend.entries if one.geometry is not None][-1].measured
+    if trend.due.days <= 0.0:
+        yield (
+            f"The last calibration itself leaves {MILLI * trend.due.now_m:.2g} mm uncertain (root mean square over the"
+            f" workspace): {limit} cannot be promised on any day. More poses, or more calibrations, are needed."
+        )
+    elif trend.due.is_open:
+        yield (
+            f"The tip drifts by less than {limit} for at least {trend.due.furthest_days:.0f} days after {last.date()}"
+            " (root mean square over the workspace, 95 % probability); the record is too short to say more."
+        )
+    else:
+        by = last + datetime.timedelta(days=trend.due.days)
+        middle = trend.due.middle_days
+        most = "beyond what the record can say" if middle >= trend.due.furthest_days else f"{middle:.0f} days"
+        yield (
+            f"Calibrate again by {by.date()}, {trend.due.days:.0f} days after the last: until then the tip drifts by less than"
+            f" {limit} (root mean square over the workspace) with a probability of 95 %. Median: {most}."
+        )
+
+
+def as_text(trend: Trend) -> str:
+    """What the command prints."""
+    rows = [f"  {one.name:<44}{_value(one):>12}{_rate(one):>36}{one.count:>9}" for one in trend.rates]
+    head = f"  {'':<44}{'last':>12}{'change in a year (95 %)':>36}{'records':>9}"
+    table = ["", head, *rows] if rows else []
+    return "\n".join([*sentences(trend), *table]) + "\n"
+
+
+def trend_json(trend: Trend) -> dict[str, object]:
+    """For programs; SI units, changes per year."""
+    found = trend.geometry
+    return {
+        "format": "trend/1",
+        "arm": trend.arm,
+        "entries": len(trend.entries),
+        "rates": [
+            {
+                "name": one.name,
+                "value": one.value,
+                "per_year": _finite(one.per_year),
+                "half_interval": _finite(one.half),
+                "drifts": one.drifts,
+                "records": one.count,
+            }
+            for one in trend.rates
+        ],
+        "scatter": found.line.scatter if found else None,
+        "other_geometry_drifts": found.rest_drifts if found else None,
+        "tolerance_m": trend.tolerance_m,
+        "due": None
+        if trend.due is None
+        else {
+            "days": trend.due.days,
+            "median_days": trend.due.middle_days,
+            "not_said_beyond_days": trend.due.furthest_days,
+            "now_rms_m": trend.due.now_m,
+        },
+        "in_words": list(sentences(trend)),
+    }
+
+
+def _rate(one: Rate) -> str:
+    if not math.isfinite(one.half):
+        return "cannot be told"
+    scale, unit = (MILLI, " mrad") if one.unit == "rad" else (1.0, "")
+    low, high = one.per_year - one.half, one.per_year + one.half
+    return f"{scale * one.per_year:.3g}{unit} ({scale * low:.3g} to {scale * high:.3g})"
+
+
+def _value(one: Rate) -> str:
+    return f"{MILLI * one.value:.4g} mrad" if one.unit == "rad" else f"{one.value:.4g}"
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

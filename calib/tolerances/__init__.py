@@ -1,0 +1,1 @@
+"""What accuracy an arm will have that is made to given tolerances, before and after its calibration."""

@@ -1,0 +1,156 @@
+"""The tolerance study: arms are drawn, calibrated and compared with what their files say, over the workspace.
+
+Tasks 0 .. a - 1 draw the arms in blocks of CHUNK. The others draw the first arms again, each time with one factor exact: what
+their errors are smaller by is what the factor costs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.design.candidates import workspace_poses
+from calib.errors import CalibrationError
+from calib.studies.executor import Results, task_rng
+from calib.tolerances.calibrating import Identification
+from calib.tolerances.file import Tolerances
+from calib.tolerances.making import STEPS, MadeArms
+from calib.tolerances.terms import MadePoses
+from calib.trust.discrepancy import Conditions
+from control.model.arm import Arm
+
+STAGES: Final = ("as built", "calibrated", "corrected")
+MEASURING: Final = "measuring noise"
+CHUNK: Final = 500  # arms of a task
+BLOCK: Final = 50  # arms at once: their arrays stay in a processor's cache
+MAP_ARMS: Final = 2000  # first arms, whose error at every pose is kept for the map
+COST_ARMS: Final = 300  # first arms, drawn again with each factor exact
+MAP_POSES: Final = 250  # where errors count; the calibration has others
+DRAWN_MOST: Final = 50  # poses drawn for each one that is wanted: most arms keep a half of them
+SHARE: Final = 0.95  # of the poses, which keep an arm's accuracy
+POSES_SEED: Final = 20161771
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """What is studied; it is all that a task needs.
+
+    calibration: the poses that will be recorded; map: those whose error counts. seed: of the arms.
+    """
+
+    arm: Arm
+    tolerances: Tolerances
+    calibration: Conditions
+    map: Conditions
+    arms_count: int
+    seed: int = 0
+
+    @property
+    def chunks(self) -> int:
+        """Tasks that draw arms."""
+        return math.ceil(self.arms_count / CHUNK)
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """Everything that costs accuracy, by name."""
+        return (*(one.name for one in MadeArms(self.arm, self.tolerances).factors), STEPS, MEASURING)
+
+    @property
+    def tasks(self) -> int:
+        """Of the whole study."""
+        return self.chunks + len(self.factors)
+
+
+def design_of(
+    arm: Arm,
+    tolerances: Tolerances,
+    arms_count: int,
+    payload_kg: float = 0.0,
+    recorded_q: Array | None = None,
+    seed: int = 0,
+) -> Design:
+    """A study of `arms_count` arms. `recorded_q` (m, n): poses of the calibration; else they are spread over the workspace."""
+    rng = np.random.default_rng(POSES_SEED)
+    spread_q = _spread(arm, tolerances.poses + MAP_POSES)
+    calibration_q = spread_q[: tolerances.poses] if recorded_q is None else recorded_q
+    calibration = _approached(calibration_q, 0.0, rng)
+    at_map = _approached(spread_q[tolerances.poses :], payload_kg, rng)
+    return Design(arm, tolerances, calibration, at_map, arms_count, seed)
+
+
+def _spread(arm: Arm, count: int) -> Array:
+    """`count` poses without collision, spread evenly over the joints' ranges."""
+    for drawn in (2 * count, DRAWN_MOST * count):
+        found = workspace_poses(arm, (), drawn)
+        if len(found) >= count:
+            return found[:count]
+    raise CalibrationError(
+        f"arm {arm.name}: {len(found)} of {drawn} poses over the joints' ranges are clear of the floor, expected {count}:"
+        " see [limits] floor_z_m and the joints' limits"
+    )
+
+
+def _approached(q_rad: Array, payload_kg: float, rng: np.random.Generator) -> Conditions:
+    """Each joint comes from a random side."""
+    direction = rng.choice((-1.0, 1.0), q_rad.shape)
+    return Conditions(q_rad, direction, np.full(len(q_rad), payload_kg))
+
+
+def study_task(design: Design, number: int) -> Results:
+    """The task of this number; see the top of this file."""
+    if number < design.chunks:
+        count = min(CHUNK, design.arms_count - number * CHUNK)
+        return _Study(design).errors(number, count)
+    exact = design.factors[number - design.chunks]
+    found = _Study(design, exact).errors(0, min(COST_ARMS, design.arms_count))
+    return {"mean_square_m2": found["mean_square_m2"]}
+
+
+class _Study:
+    """The arms of a design, with one factor exact."""
+
+    def __init__(self, design: Design, exact: str = "") -> None:
+        self._design, self._exact = design, exact
+        made = self._made = MadeArms(design.arm, design.tolerances)
+        self._seen = MadePoses(design.arm, made.terms, design.calibration)
+        self._map = MadePoses(design.arm, made.terms, design.map)
+        self._noise_m = 0.0 if exact == MEASURING else design.tolerances.noise_m
+        geometry = list(range(4 * len(design.arm.links)))
+        if not design.arm.tool.known:
+            geometry += range(len(geometry), len(geometry) + 3)
+        noise_m = design.tolerances.noise_m
+        self._identified = tuple(
+            Identification(made, self._seen, places, noise_m)
+            for places in (geometry, [*geometry, *made.correctable])
+        )
+
+    def errors(self, number: int, count: int) -> Results:
+        """Of each arm and stage: mean square over the map, the distance that SHARE of the poses keep; distances of first arms."""
+        rng = task_rng(self._design.seed, number)
+        blocks = [self._block(rng, min(BLOCK, count - k)) for k in range(0, count, BLOCK)]
+        distances = np.concatenate(blocks, axis=1)  # (stages, arms, poses)
+        found = {
+            "mean_square_m2": np.mean(distances**2, axis=2),
+            "kept_m": np.quantile(distances, SHARE, axis=2),
+        }
+        mapped = max(0, MAP_ARMS - number * CHUNK)
+        return found | ({"distance_m": distances[:, :mapped]} if mapped else {})
+
+    def _block(self, rng: np.random.Generator, count: int) -> Array:
+        """Distances of the tip from where the file puts it, (stages, count, poses of the map)."""
+        made, exact = self._made, self._exact
+        z = made.drawn(rng, count, exact)
+        seen_m = self._seen.tips(z, made.scatter_rad(rng, self._seen, z, exact))
+        seen_m += self._noise_m * rng.standard_normal(seen_m.shape)
+        true_m = self._map.tips(z, made.scatter_rad(rng, self._map, z, exact))
+        files = (made.file_z[None], *(one.found(seen_m) for one in self._identified))
+        return np.array([_distances(true_m, self._map.tips(file)) for file in files])
+
+
+def _distances(true_m: Array, modelled_m: Array) -> Array:
+    left = true_m - modelled_m
+    return np.asarray(np.sqrt(np.einsum("iam,iam->am", left, left)))

@@ -1,0 +1,96 @@
+"""`armwright check-up`: a few poses that decide between fine, recalibrate, and inspect joint j."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from calib.checkup.decision import Decision, decide, decision_json, sentences
+from calib.checkup.design import POSES, checkup_plan
+from calib.checkup.expectation import expectation_of
+from calib.errors import CalibrationError
+from calib.gap.plan.plan import RecordingPlan
+from calib.points.arm_points import points_for
+from calib.points.points import Points
+from calib.points.writer import replace_file
+from console.commands.calibration.gap import REAL_SPEED, record_on_arm
+from console.commands.progress import Bar
+from control.model.arm import Arm
+from control.model.description import load_arm
+from procedures.folders import require_new
+
+RESULT = "check-up.json"
+POSES_LEAST, POSES_MOST = 3, 40
+LEAST_EARLIER = 10  # points: fewer do not say what is usual
+
+
+def run(given: argparse.Namespace) -> int:
+    """Plan, record, decide. Exit status 0: fine; 1: something is to be done; 2: wrong input."""
+    _require_consistent(given)
+    arm, out = load_arm(given.arm), Path(given.out)
+    require_new(out, (RESULT,))
+    earlier = _measured(arm, given.points, LEAST_EARLIER)
+    if given.recorded is not None:
+        new = _measured(arm, [given.recorded], POSES_LEAST)
+    else:
+        plan = checkup_plan(arm, earlier, given.poses or POSES, 1.0 if given.mock else REAL_SPEED)
+        if given.plan_only:
+            sys.stdout.write(_plan_text(plan))
+            return 0
+        _record(given, arm, plan, out)
+        new = _measured(arm, [str(out / "points.csv")], POSES_LEAST)
+    found = decide(expectation_of(arm, earlier, new))
+    replace_file(out / RESULT, (_json(found) + "\n").encode())
+    sys.stdout.write(_json(found) + "\n" if given.json else "".join(f"{one}\n" for one in sentences(found)))
+    return 0 if found.action == "fine" and found.is_sure else 1
+
+
+def _require_consistent(given: argparse.Namespace) -> None:
+    if given.poses is not None and not POSES_LEAST <= given.poses <= POSES_MOST:
+        raise CalibrationError(f"--poses: expected {POSES_LEAST} to {POSES_MOST}, got {given.poses}")
+    if given.recorded is not None and (given.mock or given.plan_only or given.poses is not None):
+        raise CalibrationError("--recorded: nothing moves; omit --mock, --plan-only and --poses")
+    if not given.mock and (given.scenario is not None or given.seed is not None):
+        raise CalibrationError("--scenario and --seed need --mock")
+
+
+def _measured(arm: Arm, files: list[str], least: int) -> Points:
+    """Points whose tip was measured; CalibrationError if they are too few."""
+    points, warnings = points_for(arm, [Path(name) for name in files])
+    for warning in warnings:
+        sys.stderr.write(f"armwright: warning: {warning}\n")
+    rows = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)).tolist()
+    if len(rows) < least:
+        raise CalibrationError(
+            f"{', '.join(files)}: expected at least {least} points with a measured tip (x_m, y_m, z_m), got {len(rows)}"
+        )
+    return points.chosen(rows)
+
+
+def _record(given: argparse.Namespace, arm: Arm, plan: RecordingPlan, out: Path) -> None:
+    sys.stderr.write(f"{len(plan.visits)} visits, about {plan.duration_s / 60.0:.1f} minutes\n")
+    if not given.mock:
+        record_on_arm(given, arm, plan, out)
+        return
+    from procedures.gap.mock import record_on_mock
+
+    with Bar("check-up") as bar:
+        record_on_mock(arm, given.scenario or "demo", given.seed, plan, out, bar.advance)
+
+
+def _plan_text(plan: RecordingPlan) -> str:
+    lines = [
+        f"{visit.point}: {', '.join(f'{q:.4f}' for q in visit.q_rad)} rad, from {_signs(visit.direction)}"
+        for visit in plan.visits
+    ]
+    return "".join(f"{line}\n" for line in [*lines, f"about {plan.duration_s / 60.0:.1f} minutes"])
+
+
+def _signs(direction: tuple[int, ...]) -> str:
+    return "".join("+" if one > 0 else "-" for one in direction)
+
+
+def _json(found: Decision) -> str:
+    return json.dumps(decision_json(found), indent=2, allow_nan=False)

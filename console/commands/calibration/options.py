@@ -1,0 +1,30 @@
+"""Options that several commands of calibration share: lists of names, bounds of parameters."""
+
+from calib.arm_problem.parameters import Bounds
+from calib.errors import CalibrationError
+from console.quantities import quantity, unit_of
+
+
+def names_in(texts: list[str]) -> list[str]:
+    """Names of a repeatable option whose values are separated by commas."""
+    return [name.strip() for text in texts for name in text.split(",") if name.strip()]
+
+
+def bounds_of(texts: list[str]) -> Bounds:
+    """`lengths=5mm`, `angles=2deg`, or a parameter by name."""
+    general: dict[str, float] = {}
+    own: dict[str, float] = {}
+    for text in names_in(texts):
+        name, _, value = text.partition("=")
+        if not value:
+            raise CalibrationError(
+                f'--bound: expected NAME=VALUE such as L2=8mm or angles=3deg, got "{text}"'
+            )
+        if name in ("lengths", "angles"):
+            unit = "m" if name == "lengths" else "rad"
+            general["length_m" if name == "lengths" else "angle_rad"] = quantity(
+                value, unit, f"--bound {name}"
+            )
+        else:
+            own[name] = quantity(value, unit_of(name), f"--bound {name}")
+    return Bounds(own=own, **general)

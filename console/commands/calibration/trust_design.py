@@ -1,0 +1,116 @@
+"""`armwright trust --design`: how accurate arms will be that are made to given tolerances."""
+
+import argparse
+import datetime
+import hashlib
+import json
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+from calib.errors import CalibrationError
+from calib.points.arm_points import points_for
+from calib.points.writer import replace_file
+from calib.studies.chunks import ChunkStore, run_study
+from calib.studies.opening import executor
+from calib.tolerances.file import parse_tolerances, tolerances_text
+from calib.tolerances.files import made_json, write_json, write_map
+from calib.tolerances.report import tolerances_report
+from calib.tolerances.result import Made, made_of
+from calib.tolerances.study import Design, design_of, study_task
+from calib.tolerances.words import as_text, warnings_about
+from console.commands.progress import Bar
+from console.quantities import tolerance_m
+from control.model.arm import Arm
+from control.model.description import arm_text, load_arm
+from procedures.folders import require_new
+
+OPTIONS = ("tolerances", "arms", "seed", "workers", "cluster")
+NOT_OURS = ("task", "boards")
+RESULTS = ("tolerances.json", "map.npz", "report.html")
+CHUNKS = "unfinished"  # results of tasks, in --out until the study ends
+ARMS = 2000
+ARMS_LEAST, ARMS_MOST = (
+    20,
+    10_000_000,
+)  # below: no percentiles; above: the result of each arm no longer fits in memory
+
+
+def study_design(given: argparse.Namespace) -> int:
+    """Read, draw arms, write. A study that was stopped goes on where it was."""
+    _require_ours(given)
+    arm, out = load_arm(given.design), Path(given.out)
+    require_new(out, RESULTS)
+    text = tolerances_text(given.tolerances)
+    wanted_m = tolerance_m(given.tolerance)
+    design = _design(given, arm, text)
+    warnings = warnings_about(design)
+    inputs = {Path(given.design).name: _hash(arm_text(arm)), Path(given.tolerances).name: _hash(text)}
+    with executor(design.tasks, given.workers, given.cluster) as runs, Bar("arms") as bar:
+        store = ChunkStore(out / CHUNKS, _about(design, inputs))
+        run_study(study_task, design, design.tasks, runs, store, bar.advance)
+    made = made_of(design, store)
+    for warning in warnings:
+        sys.stderr.write(f"armwright: warning: {warning}\n")
+    files = _write(made, wanted_m, warnings, inputs, out)
+    store.remove()
+    if given.json:
+        sys.stdout.write(json.dumps(made_json(made, wanted_m), indent=2, allow_nan=False) + "\n")
+    else:
+        sys.stdout.write(as_text(made, wanted_m))
+        sys.stdout.write("\n" + "".join(f"{what:<16}{file}\n" for what, file in files.items()))
+    return 0
+
+
+def _require_ours(given: argparse.Namespace) -> None:
+    if given.tolerances is None:
+        raise CalibrationError("--design: give --tolerances, a file that says how exactly the parts are made")
+    for name in NOT_OURS:
+        if getattr(given, name):
+            raise CalibrationError(f"--{name}: needs --points of the real arm, and no --design")
+    if given.payload is not None and len(given.payload) > 1:
+        raise CalibrationError("--payload: with --design, expected one mass")
+    if given.arms is not None and not ARMS_LEAST <= given.arms <= ARMS_MOST:
+        raise CalibrationError(f"--arms: expected {ARMS_LEAST} to {ARMS_MOST}, got {given.arms}")
+    if given.seed is not None and given.seed < 0:
+        raise CalibrationError(f"--seed: expected 0 or more, got {given.seed}")
+
+
+def _design(given: argparse.Namespace, arm: Arm, text: str) -> Design:
+    (payload_kg,) = given.payload or (0.0,)
+    if payload_kg < 0.0:
+        raise CalibrationError(f"--payload: expected a mass not below 0, got {payload_kg:g} kg")
+    recorded_q = points_for(arm, [Path(name) for name in given.points])[0].q_rad if given.points else None
+    tolerances = parse_tolerances(text, given.tolerances, arm)
+    return design_of(arm, tolerances, given.arms or ARMS, payload_kg, recorded_q, given.seed or 0)
+
+
+def _about(design: Design, inputs: dict[str, str]) -> dict[str, object]:
+    """Everything that the results of the tasks depend on."""
+    poses = [
+        _hash(repr((at.q_rad.tolist(), at.payload_kg.tolist()))) for at in (design.calibration, design.map)
+    ]
+    return {
+        "program_version": version("armwright"),
+        "inputs": inputs,
+        "poses": poses,
+        "arms": design.arms_count,
+        "seed": design.seed,
+    }
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _write(
+    made: Made, wanted_m: float | None, warnings: list[str], inputs: dict[str, str], out: Path
+) -> dict[str, Path]:
+    date = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d")
+    program = f"armwright {version('armwright')}"
+    page = tolerances_report(made, wanted_m, warnings, date, program)
+    files = {"report": out / "report.html", "for programs": out / "tolerances.json", "map": out / "map.npz"}
+    replace_file(files["report"], page.encode())
+    write_map(files["map"], made)
+    write_json(files["for programs"], made, wanted_m, {"date": date, "program_version": program}, inputs)
+    return files

@@ -1,0 +1,131 @@
+"""What drifts is found in histories of arms that are made and measured without this project's kinematics."""
+
+import datetime
+import math
+from functools import cache
+
+import numpy as np
+
+from benchmarks.calibration.ageing import ARM, BEGUN, TOLERANCE_m, entry_of, history
+from benchmarks.calibration.chains import REFERENCE_DH
+from calib.ageing.history import FORMAT, Entry, Quantity
+from calib.ageing.words import Trend, sentences, trend_json, trend_of
+
+DAYS = (0.0, 40.0, 90.0, 150.0)
+RATE = 6e-3  # rad in a year, of joint 2
+
+
+@cache
+def drifting() -> tuple[Entry, ...]:
+    return history(DAYS, np.array([0.0, RATE, 0.0]), 3)
+
+
+def measured_as(*dhs: np.ndarray) -> tuple[Entry, ...]:
+    rng = np.random.default_rng(7)
+    return tuple(entry_of(30.0 * k, dh, rng) for k, dh in enumerate(dhs))
+
+
+def said(trend: Trend) -> str:
+    return " ".join(sentences(trend))
+
+
+def gaps(*values: float, sd: float | None = 1e-4, days: float = 30.0) -> tuple[Entry, ...]:
+    of_play = [{"backlash1.width_rad": Quantity(value, sd)} for value in values]
+    dates = [BEGUN + datetime.timedelta(days=days * k) for k in range(len(values))]
+    return tuple(
+        Entry(FORMAT, date, "gap", ARM.name, "test", {}, None, one)
+        for date, one in zip(dates, of_play, strict=True)
+    )
+
+
+def test_the_joint_that_drifts_is_named_with_its_rate_and_no_other() -> None:
+    trend = trend_of(ARM, drifting())
+    one, two, three = trend.rates
+    assert (one.drifts, two.drifts, three.drifts) == (False, True, False)
+    assert abs(two.per_year - RATE) < two.half < 0.2 * RATE
+    assert trend.geometry is not None
+    assert (trend.geometry.rest_drifts, trend.geometry.is_steady, trend.geometry.line.unseen) == (
+        False,
+        True,
+        0,
+    )
+    assert "joint 2: zero drifts by " in said(trend)
+
+
+def test_the_next_calibration_is_due_before_the_tip_has_drifted_that_far() -> None:
+    found = trend_of(ARM, drifting(), TOLERANCE_m).due
+    assert found is not None
+    true_days = (
+        365.25 * TOLERANCE_m / (RATE * 0.53)
+    )  # joint 2 moves the tip by some 0.53 m/rad over this workspace
+    assert 0.4 * true_days < found.days < found.middle_days < 1.2 * true_days
+    later = trend_of(ARM, drifting(), 4.0 * TOLERANCE_m).due
+    assert later is not None
+    assert later.days > found.days
+
+
+def test_a_tolerance_below_what_a_calibration_knows_is_never_promised() -> None:
+    trend = trend_of(ARM, drifting(), 1e-5)
+    assert trend.due is not None
+    assert trend.due.days == 0.0
+    assert "cannot be promised" in said(trend)
+
+
+def test_two_calibrations_tell_no_due_date_and_one_tells_nothing() -> None:
+    two = trend_of(ARM, drifting()[:2], TOLERANCE_m)
+    assert two.due is None
+    assert "cannot be told: it needs at least 3 calibrations" in said(two)
+    assert "A line through two points always fits" in said(two)
+    one = trend_of(ARM, drifting()[:1], TOLERANCE_m)
+    assert (one.geometry, one.rates) == (None, ())
+    assert "One date tells no drift" in said(one)
+    assert "No drift" not in said(one)
+
+
+def test_a_jump_is_no_steady_drift() -> None:
+    slipped = REFERENCE_DH.copy()
+    slipped[1, 1] += 0.01
+    trend = trend_of(ARM, measured_as(REFERENCE_DH, REFERENCE_DH, slipped, slipped, REFERENCE_DH))
+    assert trend.geometry is not None
+    assert not trend.geometry.is_steady
+    assert not any(one.drifts for one in trend.rates)
+    assert "the change is not steady" in said(trend)
+
+
+def test_a_link_that_grows_is_no_zero() -> None:
+    tables = [REFERENCE_DH.copy() for _ in range(3)]
+    for k, table in enumerate(tables):
+        table[1, 3] += 0.004 * k  # the axis of joint 3 bends away
+    trend = trend_of(ARM, measured_as(*tables))
+    assert trend.geometry is not None
+    assert trend.geometry.rest_drifts
+    assert "Geometry changes beyond the joints' zeros" in said(trend)
+
+
+def test_play_that_grows_is_named_by_gaps() -> None:
+    (rate,) = trend_of(ARM, gaps(1e-3, 1.5e-3, 2.1e-3, 2.5e-3)).rates
+    assert rate.drifts
+    assert rate.name == "backlash on joint 1: width_rad"
+    assert abs(rate.per_year - 0.51e-3 * 365.25 / 30.0) < rate.half
+    (still,) = trend_of(ARM, gaps(1e-3, 1.1e-3, 0.9e-3, 1.0e-3)).rates
+    assert not still.drifts
+
+
+def test_values_without_standard_deviation_are_judged_by_their_scatter() -> None:
+    (two,) = trend_of(ARM, gaps(1e-3, 2e-3, sd=None)).rates
+    assert math.isinf(two.half)
+    assert not two.drifts
+    (four,) = trend_of(ARM, gaps(1e-3, 2.01e-3, 3e-3, 4e-3, sd=None)).rates
+    assert four.drifts
+
+
+def test_the_json_has_no_number_that_is_none() -> None:
+    content = trend_json(trend_of(ARM, (*drifting(), *gaps(1e-3, 2e-3, sd=None)), TOLERANCE_m))
+    assert content["format"] == "trend/1"
+    rates = content["rates"]
+    assert isinstance(rates, list)
+    assert [one["half_interval"] is None for one in rates] == ["backlash" in one["name"] for one in rates]
+
+
+def test_values_of_one_day_are_no_trend() -> None:
+    assert trend_of(ARM, gaps(1e-3, 2e-3, 3e-3, days=0.0)).rates == ()

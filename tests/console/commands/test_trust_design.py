@@ -1,0 +1,89 @@
+"""`armwright trust --design`: what it writes, that it goes on where it was stopped, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from console.main import main
+
+TOLERANCES = "[joint.2]\nbacklash_rad = { from = 1e-3, to = 2e-3 }\nencoder_zero_rad = { sd = 2e-3 }\n"
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> list[str]:
+    file = tmp_path / "t.toml"
+    file.write_text(TOLERANCES)
+    return ["trust", "--design", "right", "--tolerances", str(file), "--arms", "30", "--workers", "1"]
+
+
+def test_the_report_and_its_words(
+    line: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main([*line, "--out", str(out), "--tolerance", "2mm"]) == 0
+    printed = capsys.readouterr().out
+    assert sorted(file.name for file in out.iterdir()) == ["map.npz", "report.html", "tolerances.json"]
+    found = json.loads((out / "tolerances.json").read_text())
+    assert (found["format"], found["arms"]) == ("tolerances/1", 30)
+    assert all(sentence in printed for sentence in found["in_words"])
+    assert [one["stage"] for one in found["stages"]] == ["as built", "calibrated", "corrected"]
+    assert {cost["name"] for cost in found["stages"][0]["costs"]} == {
+        "joint 2: encoder zero",
+        "joint 2: backlash",
+        "encoder steps",
+        "measuring noise",
+    }
+    for stage in found["stages"]:
+        assert stage["kept_m"]["5 %"]["value"] <= stage["kept_m"]["95 %"]["value"]
+        assert (
+            0.0 <= stage["share_within_tolerance"]["lower"] <= stage["share_within_tolerance"]["upper"] <= 1.0
+        )
+    with np.load(out / "map.npz") as chart:
+        assert chart["within_95_m"].shape == (3, len(chart["tip_m"]))
+        assert chart["kept_m"].shape == (3, 30)
+    assert (out / "report.html").read_text().count("<svg") == 3
+    assert main([*line, "--out", str(out)]) == 2
+    assert "never overwritten" in capsys.readouterr().err
+
+
+def test_a_study_that_was_stopped_is_finished_and_another_one_refused(
+    line: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main([*line, "--out", str(tmp_path / "whole")]) == 0
+    (out / "unfinished").mkdir(parents=True)
+    (out / "unfinished" / "study.json").write_text('{"key": "of another"}')
+    assert main([*line, "--out", str(out)]) == 2
+    assert "another study" in capsys.readouterr().err
+    (out / "unfinished" / "study.json").unlink()
+    assert main([*line, "--out", str(out)]) == 0
+    assert not (out / "unfinished").exists()
+    for name in ("map.npz", "tolerances.json"):
+        assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--design", "right"], "--design: give --tolerances"),
+        (["--tolerances", "right"], "--points: give points.csv of the real arm; or --design"),
+        (["--points", "p.csv", "--arms", "100"], "--arms: belongs to --design"),
+        (["--design", "right", "--tolerances", "none.toml"], "none.toml: cannot be read"),
+        (["--design", "nobody", "--tolerances", "right"], "nobody"),
+        (["--design", "right", "--tolerances", "right", "--arms", "3"], "--arms: expected 20 to"),
+        (["--design", "right", "--tolerances", "right", "--seed", "-1"], "--seed: expected 0 or more"),
+        (["--design", "right", "--tolerances", "right", "--task", "p.csv"], "--task: needs --points"),
+        (["--design", "right", "--tolerances", "right", "--tolerance", "1"], "one of the units"),
+        (["--design", "right", "--tolerances", "right", "--workers", "0"], "--workers: expected 1 or more"),
+        (["--design", "right", "--tolerances", "right", "--payload", "1", "--payload", "2"], "one mass"),
+        (["--design", "right", "--tolerances", "right", "--payload=-1"], "expected a mass not below 0"),
+    ],
+)
+def test_wrong_input_writes_nothing(
+    options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["trust", "--out", str(tmp_path / "out"), *options]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
