@@ -22,7 +22,7 @@ demo: install  ## the whole job on the mock arm: move, calibrate, verify; writes
 demo-gap: install  ## an effect hidden in the mock arm, found, added to the model and corrected on the arm; 2 to 6 minutes
 	$(BIN)/armwright demo gap --out out/demo-gap
 
-drills: install  ## faults of every kind on the mock arm: how soon noticed, what moved, what was lost (docs/safety.md); some minutes
+drills: install  ## faults of every kind on the mock arm: how soon noticed, what moved, what was lost (docs/drills.md); some minutes
 	$(BIN)/armwright drill --mock
 
 soak: install  ## 24 simulated hours of table sessions, then an hour in real time beside busy processors; HOURS=1 MINUTES=10 for less
@@ -53,8 +53,8 @@ solver-study: install  ## is the optimum of an identification a real one? 200 fr
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.solver_study
 
 FUZZ_SECONDS ?= 60
-FUZZ_TARGETS = "encoder" "cobs" "motor" "camera" "socket" "recording frames" "arm.toml" "points.csv" "log.csv" "markers.csv" "path.csv" \
-  "boards.json" "session.json" "run.armlog" "programme.json" "places.toml" "scenario.toml"
+FUZZ_TARGETS = "encoder" "cobs" "motor" "slcan" "camera" "socket" "recording frames" "arm.toml" "points.csv" "log.csv" "markers.csv" "path.csv" \
+  "boards.json" "session.json" "run.armlog" "programme.json" "places.toml" "scenario.toml" "tolerances.toml"
 
 .venv-fuzz/installed: tests/fuzz/requirements.lock
 	$(PYTHON) -m venv .venv-fuzz
@@ -65,6 +65,13 @@ fuzz: install .venv-fuzz/installed  ## coverage-guided fuzzing of every decoder 
 	$(BIN)/python -m tests.fuzz.frames
 	for target in $(FUZZ_TARGETS); do echo "$$target"; PYTHONPATH=.:$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))') \
 	  .venv-fuzz/bin/python -m tests.fuzz.coverage_guided "$$target" $(FUZZ_SECONDS) || exit 1; done
+
+firmware:  ## the reference boards' firmware for a Nucleo-F446RE, with its sizes, and what a call costs here (docs/firmware.md)
+	@command -v arm-none-eabi-gcc >/dev/null || { echo "no compiler for Cortex-M: apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi"; exit 2; }
+	$(MAKE) --no-print-directory -C firmware_iface/firmware host target cycles OUT=$(CURDIR)/out/firmware
+
+firmware-fuzz:  ## the firmware under sanitizers: FUZZ_FRAMES=100000000 mutated frames for each board
+	$(MAKE) --no-print-directory -C firmware_iface/firmware fuzz OUT=$(CURDIR)/out/firmware
 
 mutants: install  ## are the tests of the safety layer and the watches sharp? a thousand small changes of their code (docs/mutants.md), half an hour
 	$(BIN)/python -m tests.mutants.run $(MODULES)

@@ -27,3 +27,7 @@ class RegistrationError(CalibrationError):
 
 class ImportedModelError(CalibrationError):
     """A URDF or MJCF file cannot be read as a serial arm; the message names the file and the place."""
+
+
+class VisionError(CalibrationError):
+    """Pictures, a printed target or a camera's file cannot be used; the message names which and the remedy."""

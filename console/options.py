@@ -80,9 +80,39 @@ ARM = option(
     help="an arm.toml, or the name of a supplied arm (default: $ARMWRIGHT_ARM, `arm` in"
     " ~/.config/armwright/config.toml, or right)",
 )
+CELL = option(
+    "--cell",
+    metavar="C",
+    help="a cell.toml, or the name of a supplied cell (pair): several arms instead of one (docs/two_arms.md)",
+)
 SOCKET = option("--socket", metavar="PATH", help="the runtime's socket (default: chosen by the arm's name)")
 OUT = option("--out", metavar="DIR", required=True, help="folder for the results; created if missing")
 JSON = option("--json", action="store_true", help="print JSON for another program")
+BOARDS = option(
+    "--boards",
+    metavar="FILE",
+    help="boards.json of `armwright register`: where the board stands in each setup",
+)
+
+
+def points(what: str, *, is_required: bool = False) -> Option:
+    """One or more points.csv."""
+    return option(
+        "--points", metavar="P", action="append", required=is_required, help=f"{what}; may be repeated"
+    )
+
+
+def payload(what: str, **details: Any) -> Option:
+    """A mass at the tip."""
+    return option("--payload", type=finite, metavar="KG", help=what, **details)
+
+
+def scenario(**details: Any) -> Option:
+    """What the mock arm hides."""
+    what = "scenario of the mock arm: a file or a supplied name (default: demo); docs/mock_robot.md"
+    return option("--scenario", metavar="S", help=what, **details)
+
+
 RATE = option(
     "--rate",
     type=finite,

@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 
 from control.model.description import Arm, Drive
 from hil_mocks.devices.camera import CameraMock, CameraSetup
-from hil_mocks.devices.encoder_board import EncoderBoardMock, EncoderBoardSetup
-from hil_mocks.devices.motor_board import MotorBoardMock, MotorBoardSetup
+from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, EncoderBoardSetup
+from hil_mocks.devices.motor_inputs import MotorBoardHardware, MotorBoardSetup
+from hil_mocks.firmware.choice import encoder_board_class, motor_board_class
 from hil_mocks.plant.effects import EffectEntry, PlantEffects, deviations, gather
 from hil_mocks.plant.parts import parts_of
 from hil_mocks.plant.plant import Plant, PlantOptions
@@ -67,7 +68,12 @@ def start_pose(arm: Arm, scenario: Scenario) -> tuple[float, ...]:
 
 def build_plant(arm: Arm, scenario: Scenario) -> Plant:
     """Build the physics."""
-    options = PlantOptions(
+    return Plant(parts_of(arm), effects_of(arm, scenario), start_pose(arm, scenario), plant_options(scenario))
+
+
+def plant_options(scenario: Scenario) -> PlantOptions:
+    """What a scenario says of the physics beside the arm."""
+    return PlantOptions(
         timestep_s=scenario.plant.timestep_s,
         link_share=scenario.plant.link_share,
         end_stop_margin_rad=scenario.plant.end_stop_margin_rad,
@@ -75,14 +81,14 @@ def build_plant(arm: Arm, scenario: Scenario) -> Plant:
         seating_noise_m=scenario.hand.seating_noise_m,
         seed=scenario.seed,
     )
-    return Plant(parts_of(arm), effects_of(arm, scenario), start_pose(arm, scenario), options)
 
 
 def build_encoder_boards(
     arm: Arm, scenario: Scenario, wiring: Sequence[JointWiring]
-) -> list[EncoderBoardMock]:
+) -> list[EncoderBoardHardware]:
     """Build one board for each named by a drive, in order."""
-    boards = []
+    kind = encoder_board_class(scenario)
+    boards: list[EncoderBoardHardware] = []
     for i in range(1 + max((w.encoder_board for w in wiring), default=-1)):
         on_it = {w.encoder_channel: w for w in wiring if w.encoder_board == i}
         channels = [on_it.get(at) for at in range(1 + max(on_it, default=0))]
@@ -95,13 +101,13 @@ def build_encoder_boards(
             baud=port.baud if port else 1_000_000,
             clock_ppm=scenario.encoder_board.clock_ppm,
         )
-        boards.append(EncoderBoardMock(setup, [w.index_count() if w else 0 for w in channels]))
+        boards.append(kind(setup, [w.index_count() if w else 0 for w in channels]))
     return boards
 
 
 def build_motor_board(
     wiring: JointWiring, scenario: Scenario, read_shaft: Callable[[], int]
-) -> MotorBoardMock:
+) -> MotorBoardHardware:
     """Build the board of one joint; `read_shaft` is its encoder input."""
     table = scenario.motor_board
     setup = MotorBoardSetup(
@@ -121,7 +127,7 @@ def build_motor_board(
         digital_pins=table.digital_pins,
         seed=scenario.seed,
     )
-    return MotorBoardMock(setup, read_shaft)
+    return motor_board_class(scenario)(setup, read_shaft)
 
 
 def build_camera(arm: Arm, scenario: Scenario) -> CameraMock:

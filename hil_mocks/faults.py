@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from hil_mocks.errors import ScenarioError
 from hil_mocks.scenario import FaultTable
 
+_SLACK_S = 1e-9  # rounding of sums of ticks
+
 ON_FRAMES = {"drop_frames", "corrupt_frames", "duplicate_frames", "delay_frames", "replay_frames", "silent"}
 _IDENTITY = {"wrong_identity", "wrong_protocol", "wrong_counts", "board_reset"}
 _BUILT_INTO_ENCODER = {"wrong_counts", "swapped_channels", "reversed_encoder", "wrong_encoder"}
@@ -66,6 +68,8 @@ def check_fault(fault: FaultTable, boards: Sequence[str], where: str) -> None:
         "r": OF_BOUGHT,
         "d": OF_BOUGHT - {"e_stop", "stuck_encoder"},
         "s": OF_BOUGHT - {"e_stop", "stuck_encoder"},
+        "f": OF_BOUGHT - {"e_stop", "stuck_encoder"},
+        "v": OF_BOUGHT - {"e_stop", "stuck_encoder"},
     }
     place = f'{where}: fault "{fault.kind}"'
     if fault.board not in boards:
@@ -155,3 +159,28 @@ class Line:
         changed = bytearray(frame)
         changed[at // 8] ^= 1 << at % 8
         return bytes(changed)
+
+
+class CanOut:
+    """Frames from boards to the host on a CAN bus; faults of a board's line act on its frames."""
+
+    def __init__(self) -> None:
+        self.outgoing: list[tuple[int, bytes]] = []
+        self._on_its_way: list[tuple[float, tuple[int, bytes]]] = []
+
+    def send(self, line: Line, frames: Sequence[tuple[int, bytes]], now_s: float) -> None:
+        """Send a board's frames through its line."""
+        if not line.faults:
+            self.outgoing += frames
+            return
+        for can_id, payload in frames:
+            for when_s, arrived in line.passed([(now_s, payload)]):
+                self._on_its_way.append((when_s, (can_id, arrived)))
+        self.release(now_s)
+
+    def release(self, now_s: float) -> None:
+        """Hand on what arrives by now."""
+        if self._on_its_way:
+            moment_s = now_s + _SLACK_S
+            self.outgoing += [frame for when_s, frame in self._on_its_way if when_s <= moment_s]
+            self._on_its_way = [sent for sent in self._on_its_way if sent[0] > moment_s]

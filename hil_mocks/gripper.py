@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 
 from control.model.description import Arm, Gripper
-from hil_mocks.devices.motor_board import MotorBoardMock, MotorBoardSetup
+from hil_mocks.devices.motor_inputs import MotorBoardHardware, MotorBoardSetup
 from hil_mocks.errors import RigError, ScenarioError
+from hil_mocks.firmware.choice import motor_board_class
 from hil_mocks.plant.gripper import GripperParts, GripperPlant
 from hil_mocks.scenario import Scenario
 from hil_mocks.wiring import MOTOR_BOARD_SERIAL
@@ -36,7 +37,7 @@ def build_gripper(gripper: Gripper, scenario: Scenario) -> GripperPlant:
     return plant
 
 
-def build_gripper_board(gripper: Gripper, scenario: Scenario, plant: GripperPlant) -> MotorBoardMock:
+def build_gripper_board(gripper: Gripper, scenario: Scenario, plant: GripperPlant) -> MotorBoardHardware:
     """Its motor board, which reads the encoder of its motor."""
     setup = MotorBoardSetup(
         node=gripper.motor_node,
@@ -50,15 +51,15 @@ def build_gripper_board(gripper: Gripper, scenario: Scenario, plant: GripperPlan
         digital_pins=scenario.motor_board.digital_pins,
         seed=scenario.seed,
     )
-    return MotorBoardMock(setup, lambda: gripper.motor_direction * plant.count())
+    return motor_board_class(scenario)(setup, lambda: gripper.motor_direction * plant.count())
 
 
 class PinWires:
     """What is connected to the pins of all boards, by name: wires from outputs to inputs, and levels from outside."""
 
-    def __init__(self, arm: Arm, scenario: Scenario, boards: Sequence[MotorBoardMock]) -> None:
+    def __init__(self, arm: Arm, scenario: Scenario, boards: Sequence[MotorBoardHardware]) -> None:
         by_node = {board.setup.node: board for board in boards}
-        self._places: Mapping[str, tuple[MotorBoardMock, int]] = {
+        self._places: Mapping[str, tuple[MotorBoardHardware, int]] = {
             pin.name: (by_node[pin.board], pin.pin) for pin in arm.digital if pin.board in by_node
         }
         self._wires = [(self._place(a), self._place(b)) for a, b in scenario.wire.items()]
@@ -78,7 +79,7 @@ class PinWires:
         for (source, pin), target in self._wires:
             self._put(target, bool(source.pins.levels >> pin & 1))
 
-    def _place(self, name: str) -> tuple[MotorBoardMock, int]:
+    def _place(self, name: str) -> tuple[MotorBoardHardware, int]:
         if name not in self._places:
             raise ScenarioError(
                 f'scenario: [wire]: no pin "{name}"; arm.toml has {", ".join(self._places) or "none"}.'
@@ -86,6 +87,6 @@ class PinWires:
         return self._places[name]
 
     @staticmethod
-    def _put(place: tuple[MotorBoardMock, int], level: bool) -> None:
+    def _put(place: tuple[MotorBoardHardware, int], level: bool) -> None:
         board, pin = place
         board.pins.outside = board.pins.outside & ~(1 << pin) | level << pin

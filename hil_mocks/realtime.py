@@ -17,7 +17,7 @@ from firmware_iface.clock import Clock, MonotonicClock
 from firmware_iface.installation import command
 from hil_mocks.errors import RigError
 from hil_mocks.plant.hand import Point
-from hil_mocks.rig import MockArm, MockHand, SteppedRig
+from hil_mocks.rig import ArmPorts, MockArm, MockHand, SteppedRig
 from hil_mocks.scenario import FaultTable
 
 _START_LIMIT_S = 60.0  # Python, MuJoCo and a busy machine; a process that ends is detected at once
@@ -49,12 +49,12 @@ class _Hand:
         return str(self._rig.ask("hand")["state"])
 
 
-class RealTimeRig:
-    """A mock arm in a separate process, which ends with `close` or when this process dies."""
+class MockProcess:
+    """A mock in a process of its own, which ends with `close` or when this process dies."""
 
-    def __init__(self, arm: str | Path, scenario: str | Path = "ideal") -> None:
+    def __init__(self, *options: str) -> None:
         self._process = subprocess.Popen(
-            command("hil_mocks.serve", "--arm", str(arm), "--scenario", str(scenario)),
+            command("hil_mocks.serve", *options),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -69,66 +69,13 @@ class RealTimeRig:
             raise
         self._lines = self._socket.makefile("rb")
         self.clock: Clock = MonotonicClock()
-        self.encoder_urls: list[str] = announcement["encoder_urls"]
-        self.board_urls: dict[str, str] = announcement["board_urls"]
-        self.can_interface: str = announcement["can_interface"]
-        self.can_channel: str = announcement["can_channel"]
-        self.can_options: dict[str, int] = announcement["can_options"]
-        self.camera_port: int = announcement["camera_port"]
-        self.hand: MockHand = _Hand(self)
+        can = {key: announcement[key] for key in ("can_interface", "can_channel", "can_options")}
+        self.ports = {name: ArmPorts(**own, **can) for name, own in announcement["arms"].items()}
 
     @property
     def pid(self) -> int:
         """Process id."""
         return self._process.pid
-
-    @property
-    def encoder_url(self) -> str:
-        """Path of the (first) encoder board's port."""
-        return self.encoder_urls[0]
-
-    def tip_m(self) -> Point:
-        """True tip."""
-        x, y, z = self.ask("truth")["tip_m"]
-        return x, y, z
-
-    def joint_rad(self) -> tuple[float, ...]:
-        """True joint angles."""
-        return tuple(self.ask("truth")["joint_rad"])
-
-    def set_payload(self, mass_kg: float) -> None:
-        """Set the point mass at the tip."""
-        self.ask("payload", mass_kg=mass_kg)
-
-    def set_tool(self, name: str) -> None:
-        """Mount another of the arm's tools."""
-        self.ask("tool", name=name)
-
-    def set_object(self, width_m: float | None) -> None:
-        """Put an object between the gripper's fingers, or remove it (None)."""
-        self.ask("object", width_m=width_m)
-
-    def gripper(self) -> tuple[float, float]:
-        """True opening [m] of the gripper, and its force on the object [N]."""
-        answer = self.ask("gripper")
-        return float(answer["opening_m"]), float(answer["force_N"])
-
-    def set_pin(self, name: str, level: bool) -> None:
-        """Put a level on an input from outside."""
-        self.ask("pin", name=name, level=level)
-
-    def pins(self) -> dict[str, bool]:
-        """Levels at all named pins."""
-        levels: dict[str, bool] = self.ask("pins")["levels"]
-        return levels
-
-    def inject(self, fault: FaultTable) -> None:
-        """Inject a fault."""
-        self.ask("inject", fault=msgspec.to_builtins(fault))
-
-    def clear_faults(self) -> None:
-        """End all faults that can end."""
-        self.ask("clear_faults")
 
     def status(self) -> dict[str, float]:
         """time_s of the simulation, overruns, lost_s and worst_late_s of its pacing."""
@@ -193,6 +140,77 @@ class RealTimeRig:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+class RealTimeCell(MockProcess):
+    """Mock arms of a cell in one world; requests name the arm: `ask("truth", arm="left")`."""
+
+    def __init__(self, cell: str | Path, scenario: str | Path = "ideal") -> None:
+        super().__init__("--cell", str(cell), "--scenario", str(scenario))
+
+    def joint_rad(self, arm: str) -> tuple[float, ...]:
+        """True joint angles of an arm."""
+        return tuple(self.ask("truth", arm=arm)["joint_rad"])
+
+
+class RealTimeRig(MockProcess):
+    """A mock arm in a separate process."""
+
+    def __init__(self, arm: str | Path, scenario: str | Path = "ideal") -> None:
+        super().__init__("--arm", str(arm), "--scenario", str(scenario))
+        (ports,) = self.ports.values()
+        self.encoder_urls, self.board_urls = ports.encoder_urls, ports.board_urls
+        self.can_interface, self.can_channel = ports.can_interface, ports.can_channel
+        self.can_options, self.camera_port = ports.can_options, ports.camera_port
+        self.hand: MockHand = _Hand(self)
+
+    @property
+    def encoder_url(self) -> str:
+        """Path of the (first) encoder board's port."""
+        return self.encoder_urls[0]
+
+    def tip_m(self) -> Point:
+        """True tip."""
+        x, y, z = self.ask("truth")["tip_m"]
+        return x, y, z
+
+    def joint_rad(self) -> tuple[float, ...]:
+        """True joint angles."""
+        return tuple(self.ask("truth")["joint_rad"])
+
+    def set_payload(self, mass_kg: float) -> None:
+        """Set the point mass at the tip."""
+        self.ask("payload", mass_kg=mass_kg)
+
+    def set_tool(self, name: str) -> None:
+        """Mount another of the arm's tools."""
+        self.ask("tool", name=name)
+
+    def set_object(self, width_m: float | None) -> None:
+        """Put an object between the gripper's fingers, or remove it (None)."""
+        self.ask("object", width_m=width_m)
+
+    def gripper(self) -> tuple[float, float]:
+        """True opening [m] of the gripper, and its force on the object [N]."""
+        answer = self.ask("gripper")
+        return float(answer["opening_m"]), float(answer["force_N"])
+
+    def set_pin(self, name: str, level: bool) -> None:
+        """Put a level on an input from outside."""
+        self.ask("pin", name=name, level=level)
+
+    def pins(self) -> dict[str, bool]:
+        """Levels at all named pins."""
+        levels: dict[str, bool] = self.ask("pins")["levels"]
+        return levels
+
+    def inject(self, fault: FaultTable) -> None:
+        """Inject a fault."""
+        self.ask("inject", fault=msgspec.to_builtins(fault))
+
+    def clear_faults(self) -> None:
+        """End all faults that can end."""
+        self.ask("clear_faults")
 
 
 def open_mock_arm(arm: str | Path, scenario: str | Path = "ideal", is_realtime: bool = False) -> MockArm:

@@ -5,16 +5,15 @@ Strict: an unknown key, a wrong type or a non-finite number is an error that nam
 
 from __future__ import annotations
 
-import math
 import random
-import tomllib
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
-from control.files import parsed_toml, read_text
+from control.files import read_text
+from control.strict_toml import converted
 from hil_mocks.errors import ScenarioError
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -138,6 +137,9 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str = "ideal"
     seed: int = 0
     tick_s: Positive = 1e-3  # of the boards
+    firmware: Literal["python", "c"] | None = (
+        None  # of the reference boards; absent: $ARMWRIGHT_MOCK_FIRMWARE, else python
+    )
     true_dh: TrueDh = TrueDh()
     effect: tuple[EffectTable, ...] = ()
     every_joint: EveryJoint = EveryJoint()
@@ -195,35 +197,4 @@ def load_scenario(path_or_name: str | Path) -> Scenario:
 
 def parse_scenario(text: str, where: str) -> Scenario:
     """Scenario from TOML text; `where` names it in errors."""
-    try:
-        document = parsed_toml(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ScenarioError(f"scenario {where}: not valid TOML: {error}.") from error
-    _check_finite(document, where, "")
-    if "path" in document:
-        raise ScenarioError(f'scenario {where}: unknown key "path".')
-    try:
-        return msgspec.convert({**document, "path": where}, Scenario)
-    except msgspec.ValidationError as error:
-        raise ScenarioError(f"scenario {where}: {_readable(str(error))}.") from error
-
-
-def _check_finite(value: object, where: str, key: str) -> None:
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ScenarioError(f"scenario {where}: {key.lstrip('.')} must be finite, got {value}.")
-    if isinstance(value, dict):
-        for name, inner in value.items():
-            _check_finite(inner, where, f"{key}.{name}")
-    if isinstance(value, list):
-        for i, inner in enumerate(value):
-            _check_finite(inner, where, f"{key}[{i}]")
-
-
-def _readable(message: str) -> str:
-    """Translate msgspec's `Object contains unknown field `x` - at `$.camera`` to the terms of TOML."""
-    what, _, at = message.partition(" - at ")
-    what = what.replace("Object contains unknown field", "unknown key").replace(
-        "Object missing required field", "missing key"
-    )
-    place = at.strip("`").removeprefix("$").lstrip(".")
-    return f"[{place}] {what}" if place else what
+    return converted(text, Scenario, lambda what: ScenarioError(f"scenario {where}: {what}."), path=where)

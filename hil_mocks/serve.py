@@ -1,4 +1,4 @@
-"""`python -m hil_mocks.serve`: a mock arm in real time as a separate process.
+"""`python -m hil_mocks.serve`: a mock arm, or a cell of several, in real time as a separate process.
 
 Prints its ports as one JSON line on stdout; serves JSON requests on a Unix socket (docs/mock_robot.md); ends on SIGTERM,
 SIGINT, `{"do": "quit"}` or the end of its standard input, which happens when its parent dies.
@@ -22,9 +22,10 @@ from typing import Any
 import msgspec
 
 from control.errors import ArmError
-from control.model.description import Arm, load_arm
+from control.model.cell import Cell, cell_of_one, load_cell
+from control.model.description import load_arm
+from hil_mocks.cell import MockCell
 from hil_mocks.errors import MockError, RigError
-from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable, load_scenario
 from hil_mocks.wires import Pty, Wires
 
@@ -57,13 +58,13 @@ class Pacer:
 
 
 class Server:
-    """One mock arm, its wires and its socket."""
+    """The mock arms of a cell (one, or several), their wires and their socket."""
 
-    def __init__(self, arm: Arm, scenario: str, can_channel: str, socket_path: Path) -> None:
-        self._arm = arm
-        self._robot = MockRobot(arm, load_scenario(scenario))
-        lines = [Pty() for _ in range(self._robot.serial_lines)]
-        self._wires = Wires(lines, "udp_multicast", can_channel)
+    def __init__(self, cell: Cell, scenario: str, can_channel: str, socket_path: Path) -> None:
+        self._cell = cell
+        self._mock = MockCell(cell, load_scenario(scenario))
+        lines = [Pty() for _ in range(self._mock.serial_lines)]
+        self._wires = Wires(lines, "udp_multicast", can_channel, len(cell.arms), self._mock.has_extended)
         self._channel, self._path = can_channel, socket_path
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.bind(str(socket_path))
@@ -73,19 +74,23 @@ class Server:
         self._selector.register(self._listener, selectors.EVENT_READ, None)
         self._selector.register(sys.stdin, selectors.EVENT_READ, "parent")
         self._unfinished: dict[socket.socket, bytes] = {}
-        self._pacer = Pacer(self._robot.tick_s, time.monotonic())
+        self._pacer = Pacer(self._mock.tick_s, time.monotonic())
         self._is_ending = False
 
     def announcement(self) -> dict[str, Any]:
         """The ports, as printed at the start."""
-        paths, encoders = [wire.path for wire in self._wires.serial], len(self._robot.encoder_boards)
+        paths = [wire.path for wire in self._wires.serial]
+        cameras = dict(zip(self._mock.robots, self._wires.camera_ports, strict=True))
+        arms = {
+            name: {"encoder_urls": encoders, "board_urls": boards, "camera_port": cameras[name]}
+            for name, encoders, boards in self._mock.ports(paths)
+        }
         return {
-            "encoder_urls": paths[:encoders],
-            "board_urls": dict(zip(self._robot.bought.ports, paths[encoders:], strict=True)),
+            "arms": arms,
+            **(next(iter(arms.values())) if len(arms) == 1 else {}),
             "can_interface": "udp_multicast",
             "can_channel": self._channel,
             "can_options": self._wires.can_options,
-            "camera_port": self._wires.camera_port,
             "socket": str(self._path),
             "pid": os.getpid(),
         }
@@ -96,15 +101,15 @@ class Server:
 
     def run(self) -> None:
         """Follow the clock until told to end."""
-        look_s = self._robot.tick_s / _LOOKS_PER_TICK
-        self._pacer = Pacer(self._robot.tick_s, time.monotonic())
+        look_s = self._mock.tick_s / _LOOKS_PER_TICK
+        self._pacer = Pacer(self._mock.tick_s, time.monotonic())
         next_s = time.monotonic()
         while not self._is_ending:
-            self._wires.from_host(self._robot)
-            self._wires.to_host(self._robot)
+            self._wires.from_host(self._mock)
+            self._wires.to_host(self._mock)
             for _ in range(self._pacer.due(time.monotonic())):
-                self._robot.tick()
-                self._wires.to_host(self._robot)
+                self._mock.tick()
+                self._wires.to_host(self._mock)
             self._look_at_sockets()
             next_s = max(next_s + look_s, time.monotonic())
             time.sleep(max(0.0, next_s - time.monotonic()))
@@ -149,12 +154,26 @@ class Server:
     def _answered(self, line: bytes) -> dict[str, Any]:
         try:
             request = json.loads(line)
-            return {"ok": True, **self._done(request)}
+            return {"ok": True, **self._done_to_all(request)}
         except (MockError, ValueError, KeyError, TypeError, msgspec.ValidationError) as error:
             return {"ok": False, "error": str(error) or type(error).__name__}
 
+    def _done_to_all(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Requests that are of no arm; the others are of one."""
+        match request["do"]:
+            case "scenario":
+                self._mock = MockCell(self._cell, load_scenario(request["name"]))
+            case "status":
+                return self._status()
+            case "quit":
+                self.end()
+            case _:
+                return self._done(request)
+        return {}
+
     def _done(self, request: dict[str, Any]) -> dict[str, Any]:
-        robot, hand = self._robot, self._robot.hand
+        robot = self._mock.robot(request.get("arm"))
+        hand = robot.hand
         match request["do"]:
             case "truth":
                 return {"time_s": robot.now_s, "tip_m": robot.tip_m(), "joint_rad": robot.joint_rad()}
@@ -182,12 +201,6 @@ class Server:
                 robot.inject(msgspec.convert(request["fault"], FaultTable))
             case "clear_faults":
                 robot.clear_faults()
-            case "scenario":
-                self._robot = MockRobot(self._arm, load_scenario(request["name"]))
-            case "status":
-                return self._status()
-            case "quit":
-                self.end()
             case unknown:
                 raise RigError(f'mock arm: unknown request "{unknown}"; see docs/mock_robot.md.')
         return {}
@@ -196,7 +209,7 @@ class Server:
         """How well the mock keeps to real time."""
         pacer = self._pacer
         return {
-            "time_s": self._robot.now_s,
+            "time_s": self._mock.now_s,
             "overruns": pacer.overruns,
             "lost_s": pacer.lost_s,
             "worst_late_s": pacer.worst_late_s,
@@ -211,12 +224,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--can-channel", default="", help="multicast group of the CAN bus; default: a new one"
     )
+    parser.add_argument(
+        "--cell", default="", help="cell.toml or the name of a shipped cell, instead of --arm"
+    )
     chosen = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="armwright-mock-") as folder:
         try:
-            arm = load_arm(chosen.arm)
+            cell = load_cell(chosen.cell) if chosen.cell else cell_of_one(load_arm(chosen.arm))
             server = Server(
-                arm, chosen.scenario, chosen.can_channel or own_group(), Path(folder) / "mock.sock"
+                cell, chosen.scenario, chosen.can_channel or own_group(), Path(folder) / "mock.sock"
             )
         except (ArmError, MockError) as error:
             print(error, file=sys.stderr)

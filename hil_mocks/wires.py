@@ -20,8 +20,8 @@ from unittest.mock import patch
 import can
 
 from firmware_iface.errors import LinkLost
-from firmware_iface.link import FrameLink, open_can
-from hil_mocks.devices.motor_board import Frame
+from firmware_iface.link import FrameLink, open_can, open_extended_can
+from hil_mocks.devices.motor_inputs import Frame
 
 _BUS_OFF, _BIT_ERROR = 0x40, 0x88  # CAN_ERR_BUSOFF, CAN_ERR_BUSERROR | CAN_ERR_PROT of linux/can/error.h
 _OF_BOARDS = 0x080  # set in REPLY and PARAMETER_ANSWER, not in what the host sends (docs/motor_board.md)
@@ -29,14 +29,19 @@ _MOST_LOOKS = 20_000  # some 10 ms
 _ROOM_BYTES = 3500  # of the 4095 that a tty holds for a host that does not read
 
 
+Picture = tuple[int, bytes]  # number of the camera, its datagram
+
+
 class OnWires(Protocol):
     """The robot's interface for the wires."""
 
     can_outgoing: list[Frame]
-    camera_outgoing: list[bytes]
+    extended_outgoing: list[Frame]
+    camera_outgoing: list[Picture]
 
     def from_host_serial(self, board: int, received: bytes) -> None: ...
     def from_host_can(self, can_id: int, payload: bytes) -> None: ...
+    def from_host_extended(self, can_id: int, payload: bytes) -> None: ...
     def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes: ...
 
 
@@ -134,17 +139,26 @@ class Wires:
     """All wires of one robot. Nothing blocks."""
 
     def __init__(
-        self, serial_wires: Sequence[SerialWire], can_interface: str, can_channel: str, camera_port: int = 0
+        self,
+        serial_wires: Sequence[SerialWire],
+        can_interface: str,
+        can_channel: str,
+        cameras: int = 1,
+        has_extended: bool = False,
     ) -> None:
+        """`has_extended`: boards on the CAN bus use 29-bit ids."""
         self.serial = tuple(serial_wires)
         # A separate port, because python-can receives all groups of a port. No hops: frames stay on this machine.
         is_multicast = can_interface == "udp_multicast"
         self.can_options: dict[str, int] = {"port": free_udp_port(), "hop_limit": 0} if is_multicast else {}
         self._can_interface, self._can_channel = can_interface, can_channel
         self._can = open_can(can_interface, can_channel, **self.can_options)
+        self._extended = (
+            open_extended_can(can_interface, can_channel, **self.can_options) if has_extended else None
+        )
         self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._camera.setblocking(False)
-        self.camera_port = camera_port or free_udp_port()
+        self.camera_ports = tuple(free_udp_port() for _ in range(cameras))
 
     def from_host(self, robot: OnWires) -> None:
         """Pass the host's data to the robot."""
@@ -155,6 +169,8 @@ class Wires:
         with contextlib.suppress(LinkLost):  # a bus that is off for the host
             for can_id, payload in self._can.receive():
                 robot.from_host_can(can_id, payload)
+            for can_id, payload in self._extended.receive() if self._extended else ():
+                robot.from_host_extended(can_id, payload)
 
     def serial_to_host(self, robot: OnWires, ahead_s: float = 0.0) -> None:
         """Send the host the bytes that arrive by now, or within `ahead_s`."""
@@ -175,9 +191,13 @@ class Wires:
             for can_id, payload in robot.can_outgoing:
                 self._can.send(can_id, payload)
             robot.can_outgoing.clear()
+        if self._extended and robot.extended_outgoing:
+            for can_id, payload in robot.extended_outgoing:
+                self._extended.send(can_id, payload)
+            robot.extended_outgoing.clear()
         if robot.camera_outgoing:
-            for datagram in robot.camera_outgoing:
-                self._send_picture(datagram)
+            for camera, datagram in robot.camera_outgoing:
+                self._send_picture(self.camera_ports[camera], datagram)
             robot.camera_outgoing.clear()
 
     def plug_in(self) -> None:
@@ -216,9 +236,9 @@ class Wires:
         with patch.object(kind, "send", full):
             yield
 
-    def _send_picture(self, datagram: bytes) -> None:
+    def _send_picture(self, port: int, datagram: bytes) -> None:
         try:
-            self._camera.sendto(datagram, ("127.0.0.1", self.camera_port))
+            self._camera.sendto(datagram, ("127.0.0.1", port))
         except OSError:
             return  # a full buffer loses a datagram, as a network does
 
@@ -227,6 +247,8 @@ class Wires:
         for wire in self.serial:
             wire.close()
         self._can.close()
+        if self._extended:
+            self._extended.close()
         self._camera.close()
 
 

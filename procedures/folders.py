@@ -1,5 +1,6 @@
 """Folders for results: never overwritten, and checked before anything moves."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from control import files
@@ -25,3 +26,11 @@ def require_writable(folder: Path, option: str = "--out") -> None:
         raise ArmError(
             f"{option} {folder}: cannot write there ({error.strerror}): free some space, or choose another place"
         ) from error
+
+
+def require_new(folder: Path, results: Sequence[str]) -> None:
+    """ArmError if `folder` has one of the results already, or is not writable."""
+    for name in results:
+        if (folder / name).exists():
+            raise ArmError(f"{folder / name} exists already and is never overwritten: choose another --out")
+    require_writable(folder)

@@ -14,6 +14,7 @@ from control.progress import Advance
 from procedures.demo import job
 from procedures.folders import free_folder, require_writable
 from procedures.mock.bench import Bench, RealTimeBench, SteppedBench
+from procedures.mock.on_boards import on_boards
 from procedures.mock.scenario_file import seeded_scenario
 
 GAP_SEED = 1  # seed of the hidden effect of `demo gap`
@@ -25,22 +26,30 @@ def run(given: argparse.Namespace) -> int:
     """Run the demo and print its results."""
     if given.what == "gap":
         return _gap(given)
+    if given.what == "camera":
+        return _camera(given)
     for name in ("effect", "joint"):
         if getattr(given, name) is not None:
             raise CalibrationError(f"--{name} is only for `armwright demo gap`")
+    if given.boards is not None and given.what != "job":
+        raise CalibrationError("--boards is only for the full workflow: `armwright demo job`")
     arm = load_arm(given.arm)
+    if given.boards is not None:
+        arm = on_boards(arm, given.boards)
     conduct, out_name, scenario_name = _DEMOS[given.what]
-    can_home = all(drive.home is not None for drive in arm.drives)
-    drawn = seeded_scenario(given.scenario or scenario_name, given.seed, was_homed=not can_home)
+    drawn = seeded_scenario(given.scenario or scenario_name, given.seed, was_homed=not arm.can_home)
     out = free_folder(Path(given.out or out_name))
     require_writable(out)
     out.mkdir(parents=True)
     scenario = out / "scenario.toml"
     write_whole(scenario, drawn)
     log = out / "log"
-    bench: Bench = (
-        RealTimeBench(given.arm, scenario, log) if given.realtime else SteppedBench(arm, scenario, log)
-    )
+    file = given.arm
+    if given.boards is not None:
+        file = out / "arm.toml"
+        save_arm(arm, file)
+        arm = load_arm(str(file))
+    bench: Bench = RealTimeBench(file, scenario, log) if given.realtime else SteppedBench(arm, scenario, log)
     try:
         with Bar("demo") as bar:
             summary = conduct(arm, bench, out, bar.advance)
@@ -87,7 +96,7 @@ def _gap(given: argparse.Namespace) -> int:
     from procedures.demo.gap_hidden import beyond_known, drawn, with_known_friction
     from procedures.demo.gap_page import findings, write_page
 
-    for name in ("scenario", "realtime"):
+    for name in ("scenario", "realtime", "boards"):
         if getattr(given, name):
             raise CalibrationError(f"--{name} is not for `armwright demo gap`, which hides its own effect")
     seed = given.seed if given.seed is not None else GAP_SEED
@@ -100,8 +109,7 @@ def _gap(given: argparse.Namespace) -> int:
     arm = load_arm(str(out / "nominal.toml"))
     scenario = out / "scenario.toml"
     write_whole(scenario, beyond_known(hidden, arm).as_scenario("gap", seed))
-    can_home = all(drive.home is not None for drive in arm.drives)
-    write_whole(scenario, seeded_scenario(str(scenario), seed, was_homed=not can_home))
+    write_whole(scenario, seeded_scenario(str(scenario), seed, was_homed=not arm.can_home))
     bench = SteppedBench(arm, scenario, out / "log")
     try:
         with Bar("demo") as bar:
@@ -112,6 +120,33 @@ def _gap(given: argparse.Namespace) -> int:
     sys.stdout.write("\n" + "".join(f"{sentence}\n" for sentence in findings(circle)))
     sys.stdout.write(f"\n  report  {report}\n  model   {out / 'gap' / 'arm.toml'}\n")
     return 0 if circle.is_right else 1
+
+
+def _camera(given: argparse.Namespace) -> int:
+    """Measure a mock arm with a webcam, calibrate it, compare with the truth."""
+    from calib.vision.opencv import opencv
+    from procedures.demo import webcam
+
+    for name in ("realtime", "effect", "joint"):
+        if getattr(given, name):
+            raise CalibrationError(
+                f"--{name} is not for `armwright demo camera`, which renders pictures of an arm at rest"
+            )
+    opencv()
+    arm = load_arm(given.arm)
+    if arm.name != "right":
+        raise CalibrationError(
+            f'demo camera: its camera stands before the reference arm; expected --arm right, got "{arm.name}"'
+        )
+    drawn = seeded_scenario(given.scenario or "demo", given.seed, was_homed=True)
+    out = free_folder(Path(given.out or "out/demo-camera"))
+    require_writable(out)
+    out.mkdir(parents=True)
+    write_whole(out / "scenario.toml", drawn)
+    with Bar("demo") as bar:
+        outcome = webcam.run(arm, out / "scenario.toml", out, bar.advance)
+    sys.stdout.write(webcam.summary(outcome, out))
+    return 0
 
 
 _DEMOS: dict[str, tuple[Conduct, str, str]] = {

@@ -4,6 +4,7 @@ import argparse
 import sys
 
 from control.errors import ArmError
+from hil_mocks.firmware.choice import choose
 from procedures.drills.catalogue import drill_named, drills
 from procedures.drills.table import header, in_words, listing, row, verdict
 
@@ -15,6 +16,7 @@ def run(given: argparse.Namespace) -> int:
         return 0
     if not given.mock:
         raise ArmError("drills break things on purpose and run on a mock arm only: add --mock")
+    choose(given.firmware)
     if given.name is not None:
         outcome = drill_named(given.name).run()
         sys.stdout.write(in_words(outcome) + "\n")

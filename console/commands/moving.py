@@ -9,6 +9,7 @@ from typing import Any
 
 from console.commands.connection import connected, with_present_tool
 from console.places import find_place, save_place
+from console.relative import beside
 from console.waiting import shown
 from control.errors import ArmError
 from control.files import read_text, write_whole
@@ -69,6 +70,8 @@ def _run(given: argparse.Namespace) -> int:
     """Run way-points through a Cartesian spline; everything is checked before anything moves."""
     arm = load_arm(given.arm)
     waypoints = read_waypoints(given.file)
+    if given.relative_to is not None:
+        waypoints = beside(given, arm, waypoints)
     if given.plan_only:
         sys.stdout.write(described(plan_path(arm, waypoints, given.speed)))
         return 0

@@ -53,12 +53,12 @@ def run(given: argparse.Namespace) -> int:
     out = Path(given.out)
     if out.exists():
         raise ArmError(f"{out}: already exists and is not overwritten; name another file")
-    told = Given(**{key: getattr(given, key, None) for key in ANSWERS})
+    options = Given(**{key: getattr(given, key, None) for key in ANSWERS})
     asker: Asker = Defaults() if given.yes else Terminal()
     model = _model(given)
-    serial = model if model else stretched_arm(ask_shape(told, asker))
+    serial = model if model else stretched_arm(ask_shape(options, asker))
     name = given.name or _name_of(out)
-    answers = answers_for(serial, name, given.convention, told, asker)
+    answers = answers_for(serial, name, given.convention, options, asker)
     new = compose(serial, answers)
     source = given.from_urdf or given.from_mjcf
     origin = f"from {Path(source).name}" if source else "from the answers to `armwright new`"

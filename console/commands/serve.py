@@ -1,28 +1,67 @@
 """`armwright serve`: runs the loop in this process until it is stopped."""
 
 import argparse
+import math
 from pathlib import Path
 
 from console.commands.connection import socket_path
+from control.end_effector.bus_load import bus_load
 from control.errors import ArmError
 from control.hardware.connect import with_links
 from control.model.arm import Arm
+from control.model.cell import Cell, cell_of_one, load_cell
 from control.model.description import load_arm
 from control.server.process import ServeOptions, serve
+from control.server.sockets import default_path
 from procedures.link_options import link_options
 
 LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 50.0, 1200.0  # three boards at 1 Mbit/s end at 1234 Hz
+RATE_STEP_Hz = 50.0
+USUAL_LOAD, LARGEST_LOAD = 0.7, 0.95  # of a CAN bus that several arms share; `doctor` expects the first
+OF_ONE_ARM = ("socket", "encoder", "can_interface", "can_channel", "can_option", "camera_port")
 
 
 def run(given: argparse.Namespace) -> int:
     """Connect and serve."""
     if given.rate is not None and not LOWEST_RATE_Hz <= given.rate <= HIGHEST_RATE_Hz:
         raise ArmError(f"--rate: expected {LOWEST_RATE_Hz:g} to {HIGHEST_RATE_Hz:g} Hz, got {given.rate:g}")
-    arm = with_links(load_arm(given.arm), link_options(given))
-    rate_Hz = given.rate or arm.usual_rate_Hz
-    options = ServeOptions(socket_path(given, arm), Path(given.log), 1.0 / rate_Hz, camera_port(given, arm))
-    serve(arm, options)
+    if given.cell is not None:
+        cell = _cell(given)
+        sockets = {name: default_path(name) for name in cell.names}
+    else:
+        arm = with_links(load_arm(given.arm), link_options(given))
+        cell, sockets = cell_of_one(arm), {arm.name: socket_path(given, arm)}
+    rate_Hz = given.rate or min(placed.arm.usual_rate_Hz for placed in cell.arms)
+    if given.cell is not None:
+        rate_Hz = _rate_for_the_bus(cell, rate_Hz, is_asked=given.rate is not None)
+    ports = {placed.name: camera_port(given, placed.arm) for placed in cell.arms}
+    serve(cell, ServeOptions(sockets, Path(given.log), 1.0 / rate_Hz, ports))
     return 0
+
+
+def _rate_for_the_bus(cell: Cell, rate_Hz: float, is_asked: bool) -> float:
+    """A rate that the shared CAN bus carries. ArmError if the one that is asked for is too high."""
+    load = bus_load(cell, rate_Hz)
+    if is_asked and load > LARGEST_LOAD:
+        raise ArmError(
+            f"--rate: at {rate_Hz:g} Hz the arms' boards would need {100 * load:.0f} % of their CAN bus (at most"
+            f" {100 * LARGEST_LOAD:.0f} %): give a lower rate, or each arm a bus of its own"
+        )
+    while not is_asked and load > USUAL_LOAD and rate_Hz > RATE_STEP_Hz:
+        rate_Hz = max(RATE_STEP_Hz, RATE_STEP_Hz * math.ceil(rate_Hz / RATE_STEP_Hz - 1.0))
+        load = bus_load(cell, rate_Hz)
+    return rate_Hz
+
+
+def _cell(given: argparse.Namespace) -> Cell:
+    """The cell of the command line. ArmError for an option that is of one arm."""
+    for name in OF_ONE_ARM:
+        if getattr(given, name) is not None:
+            option = name.replace("_", "-")
+            raise ArmError(
+                f"--{option}: not together with --cell: ports and buses are in cell.toml and its arms' files"
+            )
+    return load_cell(given.cell)
 
 
 def camera_port(given: argparse.Namespace, arm: Arm) -> int | None:

@@ -30,6 +30,7 @@ def described(status: Message) -> str:
     held = f", client {status['in_control']} in control" if status.get("in_control") is not None else ""
     lines = [
         f"arm {status['arm']}: {status['mode']}, {homed}{done}{pace}{step}{held}",
+        *_cell_line(status),
         "",
         *_joint_rows(status),
         "",
@@ -46,6 +47,14 @@ def described(status: Message) -> str:
     if status["faults"]:
         lines.append("when it is safe: `armwright acknowledge`, then `armwright enable`")
     return "\n".join(lines)
+
+
+def _cell_line(status: Message) -> list[str]:
+    """The other arms, where there are some."""
+    if (cell := status.get("cell")) is None:
+        return []
+    others = ", ".join(f"{arm} {mode}" for arm, mode in cell["arms"].items() if arm != status["arm"])
+    return [f"cell {cell['name']}: {others}"]
 
 
 def _joint_rows(status: Message) -> list[str]:

@@ -16,8 +16,8 @@ from console.specs.end_effector import END_EFFECTOR
 from console.specs.operating import OPERATING
 from control.errors import ArmError
 
-# These run until they are ended, or read lines themselves.
-NOT_HERE = ("serve", "mock", "console", "script", "view")
+# These run until they are ended, read lines themselves, or command other arms than that of the lines.
+NOT_HERE = ("serve", "mock", "console", "script", "view", "together", "follow")
 IN_BACKGROUND = ("move", "go", "run")
 BACKGROUND = "&"
 

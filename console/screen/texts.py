@@ -7,13 +7,12 @@ from typing import Any
 
 from console.screen.drawing.rows import Row, Span, row, width_of, wrapped
 from console.screen.events import stale_s
-from control.end_effector.bus_load import end_frames_Hz
+from control.end_effector.bus_load import FRAME_bits, end_frames_Hz
 from control.model.arm import Arm, Drive
 
 Message = dict[str, Any]
 NEAR = 0.8  # of a limit: warn above
 # A command and a reply of 8 bytes a joint and cycle, with the worst stuffing: 135 bit times each (docs/motor_board.md).
-FRAME_bits = 135
 MODE_LOOKS = {
     "PAUSED": "warning-badge", "STOPPING": "warning-badge", "GUIDING": "warning-badge", "FAULT": "error-badge",
 }  # fmt: skip
@@ -44,18 +43,30 @@ def headline(status: Message | None, arm: Arm, why_lost: str, width: int, clock:
         return row(name, (" NO LINK ", "error-badge"), f"  {why_lost}")
     mode = status["mode"]
     progress = f" {100 * status['progress']:.0f} %" if mode in ("MOVING", "PAUSED") else ""
-    late_us, period_s = 1e6 * status["late_p99_s"], status["period_s"]
+    late_us, period_s = max(0.0, 1e6 * status["late_p99_s"]), status["period_s"]  # no minus zero
     spans = row(
         name,
         (f" {mode}{progress} ", MODE_LOOKS.get(mode, "badge")),
         ("  homed", "plain") if status["is_homed"] else ("  not homed", "warning"),
+        *_others(status),
         f"  loop {1e3 * period_s:g} ms",
-        (f" late {late_us:.0f} us", "warning" if late_us > 0.2e6 * period_s else "plain"),
+        (f"  late {late_us:.0f} us", "warning" if late_us > 0.2e6 * period_s else "plain"),
         f"  missed {status['missed_cycles']}",
         f"  bus {100 * bus_load(arm, period_s):.0f} %",
     )
     room = width - width_of(spans) - 1
     return (*spans, (clock.rjust(room), "muted")) if room > len(clock) else spans
+
+
+def _others(status: Message) -> Row:
+    """The modes of the other arms of the cell."""
+    cell = status.get("cell")
+    others = cell["arms"].items() if cell else ()
+    return tuple(
+        (f"  {name} {mode}", "error" if mode == "FAULT" else "plain")
+        for name, mode in others
+        if name != status["arm"]
+    )
 
 
 def bus_load(arm: Arm, period_s: float) -> float:

@@ -86,7 +86,7 @@ class JogPad(Vertical):
                     yield HeldButton(target, 1)
 
 
-BOX_HINT = ": a line, as in `armwright script`, e.g. move --joints 0 -0.8 0"
+BOX_HINT = ": a line, as in `armwright script`, e.g. jog --joint 1 --by 0.05"
 
 
 class CommandBox(Input):

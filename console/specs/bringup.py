@@ -1,15 +1,11 @@
 """Commands for a new arm: checks, bring-up and tuning."""
 
-from console.options import ARM, JSON, LINKS, RATE, CommandSpec, finite, option
+from console.options import ARM, JSON, LINKS, RATE, CommandSpec, finite, option, scenario
 from console.specs.files import MODEL
 
 MOCK = (
     option("--mock", action="store_true", help="use a mock arm on a stepped clock"),
-    option(
-        "--scenario",
-        metavar="S",
-        help="scenario of the mock: a file or a shipped name (default: demo); docs/mock_robot.md",
-    ),
+    scenario(),
     option("--mock-arm", metavar="A", help="the arm that the mock simulates (default: --arm)"),
 )
 NEW_ARM = option("--out", metavar="NEW.toml", required=True, help="the arm.toml to write; never overwritten")

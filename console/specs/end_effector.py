@@ -13,7 +13,7 @@ END_EFFECTOR = (
             option("name", metavar="NAME", nargs="?", help="a [[tool]] of arm.toml (default: list them)"),
             JSON,
         ),
-        "The tip, the masses and what the arm must not meet change with it. The arm must be at rest.",
+        "The tip, the masses and the collision checks change with it. The arm must be at rest.",
         module="end_effector",
     ),
     CommandSpec(

@@ -22,6 +22,12 @@ FILES = (
         (
             option("recording", metavar="FILE", help="a .armlog file"),
             OUT,
+            option(
+                "--beside",
+                metavar="FILE",
+                action="append",
+                help="recording of another arm of the cell: both in one table, cell.csv.gz, instead",
+            ),
             option("--every", type=int, default=1, metavar="K", help="keep every k-th cycle (default: 1)"),
             option(
                 "--arm",
@@ -52,7 +58,13 @@ FILES = (
         "arm",
         "read an arm.toml and print a summary; or write one from a URDF or MJCF",
         (
-            option("arm", nargs="?", default=USERS_ARM, metavar="A"),
+            option(
+                "arm",
+                nargs="?",
+                default=USERS_ARM,
+                metavar="A",
+                help="an arm.toml, or the name of a supplied arm (default: as for --arm of other commands)",
+            ),
             JSON,
             *MODEL,
             option(

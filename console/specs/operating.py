@@ -1,6 +1,6 @@
 """Commands that run the arm through the runtime's socket."""
 
-from console.options import ARM, JSON, LINKS, RATE, SOCKET, CommandSpec, finite, option
+from console.options import ARM, CELL, JSON, LINKS, RATE, SOCKET, CommandSpec, finite, option
 
 PLACES = option("--places", metavar="FILE", default="places.toml", help="named places (default: places.toml)")
 MOVE_SPEED = option(
@@ -12,6 +12,7 @@ OPERATING = (
         "run the arm: connect its boards and serve the local socket until stopped",
         (
             ARM,
+            CELL,
             *LINKS,
             RATE,
             SOCKET,
@@ -100,6 +101,17 @@ OPERATING = (
                 "file", metavar="FILE", help="CSV with x_m,y_m,z_m and optionally qw,qx,qy,qz and speed_m_s"
             ),
             option("--speed", type=finite, metavar="M_S", help="one speed for all way-points, in m/s"),
+            option(
+                "--relative-to",
+                metavar="ARM",
+                help="way-points are offsets from this arm's tip, where it holds now, along the axes of the cell",
+            ),
+            option(
+                "--cell",
+                metavar="C",
+                default="pair",
+                help="with --relative-to: the cell.toml that `serve` runs (default: pair)",
+            ),
             option("--plan-only", action="store_true", help="check and print the plan; needs no runtime"),
         ),
         "Everything is checked before anything moves: reach, joint limits, speed, acceleration, table.",
@@ -132,6 +144,25 @@ OPERATING = (
             " first point."
         ),
         module="moving",
+    ),
+    CommandSpec(
+        "replay",
+        "repeat a hand-guided motion of a recording, eased and within limits",
+        (
+            ARM,
+            SOCKET,
+            option("file", metavar="FILE", help="a recording (.armlog) in which the arm was guided by hand"),
+            option("--run", type=int, metavar="N", help="its run (default: the last one guided by hand)"),
+            option(
+                "--speed",
+                type=finite,
+                default=1.0,
+                metavar="F",
+                help="fraction of the limits that the motion may use (default: 1)",
+            ),
+            option("--plan-only", action="store_true", help="check and print the plan; needs no runtime"),
+        ),
+        "Smoothed; it takes longer where a hand was faster than the limits.",
     ),
     CommandSpec(
         "jog",

@@ -1,6 +1,6 @@
 """Commands that measure the arm on the calibration table."""
 
-from console.options import ARM, JSON, OUT, SOCKET, CommandSpec, finite, option
+from console.options import ARM, BOARDS, JSON, OUT, SOCKET, CommandSpec, finite, option, payload, scenario
 
 RECORDING = (
     CommandSpec(
@@ -30,7 +30,7 @@ RECORDING = (
                 metavar="FILE",
                 help="points to record, from `armwright plan-poses`: setup,point, and q1_rad ... for setup free",
             ),
-            option("--payload", type=finite, metavar="KG", help="mass at the tip (default: 0)"),
+            payload("mass at the tip (default: 0)"),
             option(
                 "--seat",
                 choices=("hand", "jog"),
@@ -52,9 +52,7 @@ RECORDING = (
                 action="store_true",
                 help="use a stepped mock arm with a mock hand that seats the tip",
             ),
-            option(
-                "--scenario", metavar="S", help="scenario of the mock arm: a file or a name (default: demo)"
-            ),
+            scenario(),
             option("--replay", metavar="SCRIPT", help="read answers from a file, one per line"),
             option("--json", action="store_true", help="print questions and records as JSON lines"),
             SOCKET,
@@ -68,11 +66,7 @@ RECORDING = (
         (
             ARM,
             option("--points", metavar="P", help="points.csv of the points recorded so far"),
-            option(
-                "--boards",
-                metavar="B",
-                help="boards.json of `armwright register`: place of the board in each setup",
-            ),
+            BOARDS,
             option("--count", type=int, metavar="N", help="poses to plan (default: 12)"),
             option(
                 "--free",

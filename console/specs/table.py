@@ -2,6 +2,7 @@
 
 from console.specs.bringup import BRINGUP
 from console.specs.calibrating import CALIBRATING
+from console.specs.cell import OF_CELLS
 from console.specs.end_effector import END_EFFECTOR
 from console.specs.files import FILES
 from console.specs.operating import OPERATING
@@ -9,4 +10,14 @@ from console.specs.recording import RECORDING
 from console.specs.trying import TRYING
 from console.specs.visualisation import SEEING
 
-COMMANDS = (*TRYING, *BRINGUP, *OPERATING, *END_EFFECTOR, *RECORDING, *CALIBRATING, *FILES, *SEEING)
+COMMANDS = (
+    *TRYING,
+    *BRINGUP,
+    *OPERATING,
+    *OF_CELLS,
+    *END_EFFECTOR,
+    *RECORDING,
+    *CALIBRATING,
+    *FILES,
+    *SEEING,
+)

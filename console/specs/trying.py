@@ -1,6 +1,14 @@
 """Commands that need no arm: demos on a mock, and a mock to connect to."""
 
-from console.options import ARM, CommandSpec, option
+from console.options import ARM, CELL, CommandSpec, option
+from control.model.board_kinds import KINDS
+
+FIRMWARE = option(
+    "--firmware",
+    choices=("python", "c"),
+    help="what the mock's reference boards run: the mock's own in Python (default), or the firmware in C of"
+    " firmware_iface/firmware, which needs a C compiler",
+)
 
 TRYING = (
     CommandSpec(
@@ -10,15 +18,15 @@ TRYING = (
             option(
                 "what",
                 nargs="?",
-                choices=("job", "paper", "gap"),
+                choices=("job", "paper", "gap", "camera"),
                 default="job",
                 help="job: the full workflow (default); paper: the published experiment with its figures; gap: a"
-                " hidden effect, found and corrected",
+                " hidden effect, found and corrected; camera: the arm measured by a webcam",
             ),
             option(
                 "--out",
                 metavar="DIR",
-                help="folder of the results (default: out/demo, out/demo-paper or out/demo-gap)",
+                help="folder of the results (default: out/demo, out/demo-paper, ...)",
             ),
             option(
                 "--realtime",
@@ -39,6 +47,11 @@ TRYING = (
                 "--effect", metavar="NAME", help="demo gap: the hidden effect (default: drawn by the seed)"
             ),
             option("--joint", type=int, metavar="J", help="demo gap: its joint (default: drawn)"),
+            option(
+                "--boards",
+                choices=(*KINDS, "mixed"),
+                help="drive the arm's joints with bought boards of this kind (docs/boards.md)",
+            ),
             ARM,
         ),
         "No hardware is connected and nothing real moves.",
@@ -51,24 +64,27 @@ TRYING = (
                 "name",
                 nargs="?",
                 metavar="NAME",
-                help="one drill of docs/safety.md (default: all, as a table)",
+                help="one drill of docs/drills.md (default: all, as a table)",
             ),
             option("--mock", action="store_true", help="required: drills run on a mock arm only"),
             option("--list", action="store_true", help="the names of all drills, and what each does"),
+            FIRMWARE,
         ),
         "Exit status 1 if a promise of docs/safety.md was not kept.",
     ),
     CommandSpec(
         "mock",
-        "run a mock arm in real time for `armwright serve`",
+        "run a mock arm, or a mock cell, in real time for `armwright serve`",
         (
             ARM,
+            CELL,
             option(
                 "--scenario",
                 default="demo",
                 metavar="S",
                 help="a scenario file or a shipped name",
             ),
+            FIRMWARE,
         ),
         "Prints the command that connects to it.",
     ),

@@ -1,6 +1,6 @@
 """Commands that show recordings or the live arm, and completion for the shell."""
 
-from console.options import JSON, SOCKET, CommandSpec, finite, option
+from console.options import CELL, JSON, SOCKET, CommandSpec, finite, option
 
 LOG_HELP = "a .armlog recording, a log.csv or log.csv.gz, or an MCAP of `armwright export`"
 
@@ -38,6 +38,7 @@ SEEING = (
         (
             option("log", nargs="?", metavar="LOG", help=f"{LOG_HELP} (default: the live arm)"),
             option("--arm", metavar="A", help="the arm (default: the recorded one; live: right)"),
+            CELL,
             SOCKET,
             option(
                 "--speed", type=finite, default=1.0, metavar="X", help="playback speed factor (default: 1)"

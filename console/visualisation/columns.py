@@ -18,6 +18,7 @@ JOINT_FORMS: Final = {
 JOINT_SIDE_FORMS: Final = (
     ("joint_rad", "joint{}_rad", "q_rad"), ("joint_set_rad", "joint{}_set_rad", "q_set_rad"),
 )  # fmt: skip
+LOOP_COLUMNS: Final = ("late_s", "busy_s", "missed", "page_faults", "switches", "age_s")
 Report = Callable[[float], None]
 
 
@@ -53,15 +54,10 @@ def of_columns(
         mode=mode,
         modes=modes,
         tip_m=np.stack([column(axis) for axis in ("x_m", "y_m", "z_m")], axis=1),
-        late_s=column("late_s"),
-        busy_s=column("busy_s"),
-        missed=column("missed"),
-        page_faults=column("page_faults"),
-        switches=column("switches"),
-        age_s=column("age_s"),
         arm=arm,
         notes=notes,
         **joints,
+        **{key: column(key) for key in LOOP_COLUMNS},
     )
 
 

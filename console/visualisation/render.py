@@ -18,6 +18,7 @@ from control.errors import ArmError
 from control.files import make_whole
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
+from control.model.cell import Cell
 
 Image = NDArray[np.uint8]
 Painter = Callable[[Snapshot, Traces], Image]
@@ -32,29 +33,37 @@ def prefer_headless_gl() -> None:
         os.environ.setdefault("MUJOCO_GL", "egl")
 
 
-def painter_of(arm: Arm, warn: Callable[[str], None]) -> Painter:
-    """The available painter: MuJoCo's renderer, else lines by matplotlib after a call of `warn` with the reason."""
+def painter_of(shown: Arm | Cell, warn: Callable[[str], None]) -> Painter:
+    """The available painter: MuJoCo's renderer, else lines by matplotlib after a call of `warn` with the reason.
+
+    ArmError without MuJoCo's renderer for several arms.
+    """
     prefer_headless_gl()
     try:
-        return MujocoPainter(arm)
+        return MujocoPainter(shown)
     except Exception as error:  # OpenGL platforms raise different errors, including missing libraries
         reason = str(error).strip().splitlines()
+        if isinstance(shown, Cell):
+            raise ArmError(
+                f"MuJoCo finds no OpenGL ({reason[0] if reason else type(error).__name__}), without which several arms cannot be"
+                " drawn: set MUJOCO_GL=egl or MUJOCO_GL=osmesa to try another backend"
+            ) from None
         warn(
             f"MuJoCo finds no OpenGL ({reason[0] if reason else type(error).__name__}): matplotlib draws lines"
             " instead; set MUJOCO_GL=egl or MUJOCO_GL=osmesa to try another backend"
         )
-        return _LinePainter(arm)
+        return _LinePainter(shown)
 
 
 class MujocoPainter:
     """Renders with MuJoCo to memory."""
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, shown: Arm | Cell) -> None:
         import mujoco
 
-        from console.visualisation.scene import ArmScene
+        from console.visualisation.scene import ArmScene, CellScene
 
-        self._scene = ArmScene(arm)
+        self._scene = CellScene(shown) if isinstance(shown, Cell) else ArmScene(shown)
         width, height = SIZE_pixels
         self._renderer = mujoco.Renderer(self._scene.model, height, width)
         self._camera = self._scene.camera()

@@ -8,16 +8,17 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
 
 from calib.export import export_text
 from console.visualisation.series import Array
-from console.visualisation.traces import Traces
+from console.visualisation.traces import TipOfArm, Tips, TipsOfCell, Traces
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
+from control.model.cell import Cell
 from control.model.table import cavities
 
 Colour = tuple[float, float, float, float]
@@ -34,18 +35,25 @@ LINE_PIECES, MARKS_MOST = 250, 150
 SIZE_pixels: Final = (960, 720)
 
 
-class ArmScene:
-    """A MuJoCo model of the arm twice, and its state."""
+class View(NamedTuple):
+    """Where a camera looks, and from how far away [m]."""
 
-    def __init__(self, arm: Arm) -> None:
-        self.arm = arm
-        self.kinematics = Kinematics(arm)
-        self.model = _spec(arm).compile()
+    lookat_m: tuple[float, float, float]
+    distance_m: float
+
+
+class Scene:
+    """A MuJoCo model of one arm or of several, each twice, and its state. Joints in the order of `joints`."""
+
+    def __init__(self, spec: Any, joints: Sequence[tuple[str, int]], tips: Tips, view: View) -> None:
+        """`joints`: prefix of an arm's names and its number of joints. `tips`: of all arms, by all joint angles."""
+        self.tips, self._view = tips, view
+        self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
-        joints = range(1, arm.joint_count + 1)
-        self._commanded = [self._address(f"joint{joint}") for joint in joints]
-        self._measured = [self._address(f"{PREFIX}joint{joint}") for joint in joints]
-        self.pose([0.0] * arm.joint_count, [0.0] * arm.joint_count)
+        names = [(prefix, joint) for prefix, count in joints for joint in range(1, count + 1)]
+        self._commanded = [self._address(f"{prefix}joint{joint}") for prefix, joint in names]
+        self._measured = [self._address(f"{prefix}{PREFIX}joint{joint}") for prefix, joint in names]
+        self.pose([0.0] * len(names), [0.0] * len(names))
 
     def _address(self, joint: str) -> int:
         return int(self.model.joint(joint).qposadr[0])
@@ -80,13 +88,43 @@ class ArmScene:
             _mark(scene, point)
 
     def camera(self) -> Any:
-        """A camera view of the whole arm from the front, slightly from above."""
+        """A camera view of everything, from the front, slightly from above."""
         camera = mujoco.MjvCamera()
         mujoco.mjv_defaultFreeCamera(self.model, camera)
-        reach = _reach_m(self.arm)
-        camera.lookat[:] = (0.38 * reach, 0.0, 0.25 * reach)
-        camera.distance, camera.azimuth, camera.elevation = 1.75 * reach, 125.0, -16.0
+        camera.lookat[:], camera.distance = self._view
+        camera.azimuth, camera.elevation = 125.0, -16.0
         return camera
+
+
+class ArmScene(Scene):
+    """One arm in its base frame."""
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+        self.kinematics = Kinematics(arm)
+        reach = _reach_m(arm)
+        view = View((0.38 * reach, 0.0, 0.25 * reach), 1.75 * reach)
+        super().__init__(_spec(arm), [("", arm.joint_count)], TipOfArm(self.kinematics), view)
+
+
+class CellScene(Scene):
+    """The arms of a cell in its frame; joint angles arm after arm."""
+
+    def __init__(self, cell: Cell) -> None:
+        x, y, z = np.mean([placed.origin_m for placed in cell.arms], axis=0).tolist()
+        size = max(math.dist((x, y, z), placed.origin_m) + _reach_m(placed.arm) for placed in cell.arms)
+        spec = mujoco.MjSpec()
+        for placed in cell.arms:
+            both = _twice(placed.arm)
+            for one in (spec, both):  # MuJoCo warns where options differ; no physics runs here
+                one.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+                one.option.gravity = cell.arms[0].arm.gravity_m_s2
+            frame = spec.worldbody.add_frame(pos=placed.origin_m, quat=placed.orientation)
+            spec.attach(both, prefix=f"{placed.name}/", frame=frame)
+        _furnish(spec, size, min(placed.origin_m[2] + _floor_m(placed.arm) for placed in cell.arms))
+        joints = [(f"{placed.name}/", placed.arm.joint_count) for placed in cell.arms]
+        view = View((x + 0.25 * size, y, z + 0.2 * size), 1.6 * size)
+        super().__init__(spec, joints, TipsOfCell(cell), view)
 
 
 def _reach_m(arm: Arm) -> float:
@@ -97,6 +135,19 @@ def _reach_m(arm: Arm) -> float:
 
 def _spec(arm: Arm) -> Any:
     """The commanded arm, the ghost, the floor, the board, light."""
+    spec = _twice(arm)
+    _furnish(spec, _reach_m(arm), _floor_m(arm))
+    _add_board(spec.worldbody, arm)
+    return spec
+
+
+def _floor_m(arm: Arm) -> float:
+    """Height of the floor in the base frame."""
+    return min(0.0, arm.limits.floor_z_m if math.isfinite(arm.limits.floor_z_m) else 0.0)
+
+
+def _twice(arm: Arm) -> Any:
+    """The commanded arm and the ghost."""
     spec = mujoco.MjSpec.from_string(export_text(arm, "mjcf"))
     _paint(spec, COMMANDED)
     ghost = mujoco.MjSpec.from_string(export_text(arm, "mjcf"))
@@ -104,19 +155,21 @@ def _spec(arm: Arm) -> Any:
     for geom in ghost.geoms:  # larger than the solid one, or both would flicker
         geom.size[0] *= GHOST_THICKER
     spec.attach(ghost, prefix=PREFIX, frame=spec.worldbody.add_frame())
-    world, reach = spec.worldbody, _reach_m(arm)
+    return spec
+
+
+def _furnish(spec: Any, reach: float, floor_m: float) -> None:
+    """Floor, light and the size of pictures, for arms that reach so far [m]."""
+    world = spec.worldbody
     sun = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     world.add_light(pos=[0.5 * reach, -reach, 3.0 * reach], dir=[0.0, 0.3, -1.0], type=sun)
-    floor_m = min(0.0, arm.limits.floor_z_m if math.isfinite(arm.limits.floor_z_m) else 0.0)
     world.add_geom(
         type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1.6 * reach, 1.6 * reach, 0.1], pos=[0.0, 0.0, floor_m - 0.011],
         material=_tiles(spec, reach), contype=0, conaffinity=0,
     )  # fmt: skip
-    _add_board(world, arm)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = SIZE_pixels
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]
-    return spec
 
 
 def _tiles(spec: Any, reach_m: float) -> str:

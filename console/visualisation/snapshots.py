@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -95,3 +95,17 @@ def snapshot_of(status: Message) -> Snapshot:
         (camera[0], camera[1], camera[2]) if camera else None,
         tuple(0.0 if value is None else float(value) for value in status["current_A"]),
     )
+
+
+class CellSource:
+    """The arms of a cell as one: joint angles arm after arm."""
+
+    def __init__(self, sources: Sequence[StatusSource]) -> None:
+        self._sources = tuple(sources)
+
+    def status(self) -> Message:
+        """One status, as of the first arm."""
+        found = [source.status() for source in self._sources]
+        keys = ("q_rad", "q_set_rad", "joint_rad", "joint_set_rad", "current_A")
+        joined = {key: [value for one in found for value in one[key]] for key in keys}
+        return {**found[0], **joined, "camera_m": None}

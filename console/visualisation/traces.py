@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
 from console.visualisation.series import Array, Series
 from console.visualisation.snapshots import Snapshot
 from control.kinematics.kinematics import Kinematics
+from control.model.cell import Cell
 
 POINTS_MOST: Final = 4000
 LONGEST_PATH: Final = 400
@@ -45,19 +47,63 @@ def tips_of(kinematics: Kinematics, angles_rad: Array) -> Array:
     return found
 
 
-class TipPath:
-    """The last tips of a live arm."""
+class Tips(Protocol):
+    """Tips (k, m, 3) [m] of k arms for joint angles (m, n) of all of them; NaN rows are gaps."""
 
-    def __init__(self, kinematics: Kinematics, most: int = LONGEST_PATH) -> None:
-        self._kinematics, self._most = kinematics, most
-        self._traces = Traces()
+    def __call__(self, angles_rad: Sequence[Sequence[float]]) -> Array: ...
+
+
+class TipOfArm:
+    """The tip of one arm in its base frame."""
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        self._kinematics = kinematics
+
+    def __call__(self, angles_rad: Sequence[Sequence[float]]) -> Array:
+        """Tips (1, m, 3)."""
+        return self._kinematics.tips(angles_rad)[None]
+
+
+class TipsOfCell:
+    """The tips of all arms in the frame of the cell; joint angles arm after arm, NaN where an arm is not homed."""
+
+    def __init__(self, cell: Cell) -> None:
+        self._arms = [(placed, Kinematics(placed.arm)) for placed in cell.arms]
+
+    def __call__(self, angles_rad: Sequence[Sequence[float]]) -> Array:
+        """Tips (arms, m, 3)."""
+        table, at, found = np.asarray(angles_rad, dtype=np.float64), 0, []
+        for placed, kinematics in self._arms:
+            tips = tips_of(kinematics, table[:, at : at + placed.arm.joint_count])
+            found.append(tips @ np.array(placed.rotation).T + np.array(placed.origin_m))
+            at += placed.arm.joint_count
+        return np.array(found)
+
+
+class TipPath:
+    """The last tips of live arms."""
+
+    def __init__(self, tips: Tips, most: int = LONGEST_PATH) -> None:
+        self._tips, self._most = tips, most
+        self._measured: list[Array] = []
+        self._commanded: list[Array] = []
+        self._camera_m: Array = np.empty((0, 3))
 
     def add(self, snapshot: Snapshot) -> Traces:
-        """Append one snapshot; returns the path."""
-        measured, commanded = self._kinematics.tips([snapshot.joint_rad, snapshot.joint_set_rad])
-        traces = self._traces
-        traces.measured_m = np.vstack([traces.measured_m, measured])[-self._most :]
-        traces.commanded_m = np.vstack([traces.commanded_m, commanded])[-self._most :]
+        """Append one snapshot; returns the paths, with gaps between those of several arms."""
+        now = self._tips([snapshot.joint_rad, snapshot.joint_set_rad])
+        self._measured = [*self._measured, now[:, 0]][-self._most :]
+        self._commanded = [*self._commanded, now[:, 1]][-self._most :]
         if snapshot.camera_m is not None:
-            traces.camera_m = np.vstack([traces.camera_m, snapshot.camera_m])[-self._most :]
-        return traces
+            self._camera_m = np.vstack([self._camera_m, snapshot.camera_m])[-self._most :]
+        return Traces(
+            _one_after_the_other(self._commanded), _one_after_the_other(self._measured), self._camera_m
+        )
+
+
+def _one_after_the_other(tips: Sequence[Array]) -> Array:
+    """Points of several arms over time as one line, with a gap after each arm's."""
+    if len(tips[0]) == 1:
+        return np.concatenate(tips)
+    gap = np.full((1, 3), np.nan)
+    return np.concatenate([part for arm in np.swapaxes(np.array(tips), 0, 1) for part in (arm, gap)])

@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from console.visualisation.scene import ArmScene
+from console.visualisation.scene import Scene
 from console.visualisation.series import Series
 from console.visualisation.snapshots import Snapshot, snapshot_at
 from console.visualisation.traces import TipPath, Traces
@@ -44,10 +44,10 @@ class Handle(Protocol):
     def close(self) -> None: ...
 
 
-Open = Callable[[ArmScene, Callable[[int], None]], Handle]
+Open = Callable[[Scene, Callable[[int], None]], Handle]
 
 
-def open_window(scene: ArmScene, on_key: Callable[[int], None]) -> Handle:
+def open_window(scene: Scene, on_key: Callable[[int], None]) -> Handle:
     """MuJoCo's viewer; ArmError if no window can be opened, instead of waiting for ever."""
     _require_display()
     import mujoco.viewer
@@ -87,7 +87,7 @@ class _Window:
             thread.join(CLOSING_LIMIT_s)
 
 
-def aim(at: Any, scene: ArmScene) -> None:
+def aim(at: Any, scene: Scene) -> None:
     """Aim the viewer's camera at the whole arm."""
     camera = scene.camera()
     at.lookat[:] = camera.lookat
@@ -135,7 +135,7 @@ class Player:
 
 
 def play(
-    scene: ArmScene, series: Series, rows: Sequence[int], traces: Traces, speed: float, clock: Clock, open_: Open,
+    scene: Scene, series: Series, rows: Sequence[int], traces: Traces, speed: float, clock: Clock, open_: Open,
     period_s: float = 1.0 / 60.0,
 ) -> None:  # fmt: skip
     """Show a recording until the window is closed."""
@@ -156,10 +156,10 @@ def play(
         handle.close()
 
 
-def follow(scene: ArmScene, snapshots: Iterator[Snapshot], open_: Open) -> None:
+def follow(scene: Scene, snapshots: Iterator[Snapshot], open_: Open) -> None:
     """Show live snapshots until the window is closed, with the measured and the commanded path of the tip."""
     handle = open_(scene, lambda code: None)
-    path = TipPath(scene.kinematics)
+    path = TipPath(scene.tips)
     try:
         for snapshot in snapshots:
             if not handle.is_running():

@@ -21,7 +21,8 @@ class Corners:
     """Corner positions [m] in the base frame, from the base to the tip.
 
     `first_free`: index of the first corner that is not on the base or on the link that joint 2 hangs on to it.
-    `radii_m`: of the body that ends at each corner.
+    `radii_m`: of the body that ends at each corner. `joints`: how many joints move each. `start_m`: where the first of these
+    bodies begins.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -30,6 +31,7 @@ class Corners:
         names = [graph.variable(f"q{i}") for i in range(1, arm.joint_count + 1)]
         self._inputs = names
         self._traced, self.first_free, self.radii_m = _traced(arm, names)
+        self.joints, self.start_m = _carried(arm, names)
 
     @cached_property
     def at(self) -> Callable[..., tuple[Vector3, ...]]:
@@ -73,6 +75,23 @@ def _traced(arm: Arm, q: list[Symbol]) -> tuple[list[tuple[Any, ...]], int, tupl
             found.append(chain.tip(steps, q, arm.tool.position_m))
             radii.append(arm.links[count - 1].radius_m)
     return found, len(found) if first_free is None else first_free, tuple(radii)
+
+
+def _carried(arm: Arm, q: list[Symbol]) -> tuple[tuple[int, ...], Vector3]:
+    """The number of joints before each corner, and the last origin of a frame that never moves."""
+    rows, turns = arm.dh.tolist(), arm.joints
+    joints: list[int] = []
+    start_m: Vector3 = (0.0, 0.0, 0.0)
+    for count in range(1, len(rows) + 1):
+        corner = chain.tip(chain.steps(rows[:count], turns[:count], arm.dh_convention), q, (0.0, 0.0, 0.0))
+        if not any(isinstance(x, Symbol) for x in corner):
+            x, y, z = (float(value) for value in corner)
+            start_m = (x, y, z)
+        elif not (joints and _is_same(rows[count - 1])):
+            joints.append(sum(turns[:count]))
+    if any(arm.tool.position_m):
+        joints.append(sum(turns))
+    return tuple(joints), start_m
 
 
 def _is_same(row: list[float]) -> bool:

@@ -11,9 +11,9 @@ from typing import Final
 
 from control.kinematics.smooth_table import SmoothTable
 from control.model.arm import Arm
-from control.model.effects import COUPLED, COUPLED_TO
+from control.model.effects import COUPLED, COUPLED_TO, corrected, linear_values
 
-RIGID_EFFECTS: Final = frozenset({"encoder_scale", "encoder_eccentricity", "belt_coupling"})
+RIGID_EFFECTS: Final = corrected("encoder")
 _COUPLED, _COUPLED_TO = COUPLED - 1, COUPLED_TO - 1
 _ROUNDS = 3  # Newton's; each squares an error that begins below 1e-2 rad
 Floats = tuple[float, ...]
@@ -34,13 +34,15 @@ class EncoderChain:
                 self._table[one.joint - 1] = SmoothTable.of(one)
         for effect in arm.effects:
             p, j = effect.parameters, (effect.joint or 0) - 1
-            if effect.effect == "encoder_scale":
-                self._gain[j] += p["scale"]
-            elif effect.effect == "encoder_eccentricity":
-                self._sine[j] += p["amplitude_rad"] * cos(p["phase_rad"])
-                self._cosine[j] += p["amplitude_rad"] * sin(p["phase_rad"])
-            elif effect.effect == "belt_coupling":
-                self._ratio += p["ratio"]
+            match effect.effect:
+                case "encoder_scale":
+                    self._gain[j] += p["scale"]
+                case "encoder_eccentricity":
+                    sine, cosine = linear_values(effect.effect, p)
+                    self._sine[j] += sine
+                    self._cosine[j] += cosine
+                case "belt_coupling":
+                    self._ratio += p["ratio"]
 
     def joint_of(self, joint: int, e: float) -> float:
         """Angle of one joint (0-based) without the belt's share."""

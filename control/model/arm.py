@@ -98,7 +98,7 @@ class DrivePid:
 
     mode: Annotated[
         Literal["voltage", "current", "position"],
-        'what is sent to the motor board; "position": the PID runs on the board; the same for all drives',
+        'what is sent to the motor board; "position": the PID runs on the board',
     ] = "voltage"
     kp: Annotated[NonNegative | None, "V/rad, or A/rad; absent: from the model"] = None
     ki: Annotated[NonNegative | None, "V/(rad s), or A/(rad s); absent: from the model"] = None
@@ -300,7 +300,7 @@ class Limits:
         Positive, "a jog that is not renewed for this long comes to rest; at most 0.5"
     ] = 0.2
     speed_contradiction_rad_s: Annotated[
-        Positive, JOINT_SPEED, "between motor and encoder, at rest (docs/safety.md#who-contradicts-whom)"
+        Positive, JOINT_SPEED, "between motor and encoder, at rest (docs/safety.md#faults-that-are-detected)"
     ] = 0.02
     unexplained_torque: Annotated[Positive, "share of the torque at the current limit; see there"] = 0.3
     supply_low: Annotated[float, SHARE_BELOW_1, "of the drive's supply_V"] = 0.75
@@ -442,6 +442,15 @@ class Arm:
         """Return what the board of a drive offers."""
         board = self.board(drive)
         return REFERENCE if board is None else KINDS[board.kind]
+
+    def has_absolute_encoder(self, drive: Drive) -> bool:
+        """Return whether a drive's encoder knows the joint's angle at power-up."""
+        return drive.encoder_board < 0 and self.kind_of(drive).is_absolute
+
+    @property
+    def can_home(self) -> bool:
+        """Whether every joint can find its zero: by [drive.home], or an absolute encoder."""
+        return all(drive.home is not None or self.has_absolute_encoder(drive) for drive in self.drives)
 
     @property
     def usual_rate_Hz(self) -> float:

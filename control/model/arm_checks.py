@@ -124,7 +124,7 @@ def _check_boards(arm: Arm) -> None:
     drives = [(i, drive) for i, drive in enumerate(arm.drives) if drive.board]
     for i, drive in drives:
         _check_drive_board(arm, drive, ("drive", i))
-    if any(KINDS[b.kind].line == "can" for _, b in boards) and len(drives) < len(arm.drives):
+    if any(KINDS[b.kind].needs_own_bus for _, b in boards) and len(drives) < len(arm.drives):
         expected = "no reference motor board beside CANopen drives on [can]: each takes the other's frames for its own"
         raise Rejected(("drive",), expected, "both")
     _check_unique(
@@ -143,7 +143,7 @@ def _check_drive_board(arm: Arm, drive: Drive, path: tuple[str | int, ...]) -> N
     if drive.pid.mode not in kind.modes:
         expected = f"what its board can do: {' or '.join(kind.modes)}"
         raise Rejected((*path, "pid", "mode"), expected, drive.pid.mode)
-    if kind.line == "can" and drive.encoder_board >= 0:
+    if kind.line == "can" and "voltage" not in kind.modes and drive.encoder_board >= 0:
         expected = "none: such a drive closes its own loop, on its own encoder"
         raise Rejected((*path, "encoder_board"), expected, str(drive.encoder_board))
     if drive.encoder_board < 0 and not kind.has_encoder:

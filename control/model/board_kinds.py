@@ -17,12 +17,14 @@ class BoardKind:
     line: Literal["serial", "can"]
     motors: int  # on one board
     addresses: range  # on its line
-    modes: tuple[str, ...]
+    modes: tuple[Literal["voltage", "current", "position"], ...]
     has_encoder: bool  # its own, which the loop can use
-    can_free: bool  # opens the motor's circuit, so that a hand can move the joint
+    is_absolute: bool  # that encoder knows the joint's angle at power-up: there is nothing to home
+    can_free: bool  # opens the motor's circuit; else a hand moves the joint against shorted windings
     can_hold: bool  # brings its joint to rest and holds it without the host
     usual_rate_Hz: float  # of the loop
     stops_early: bool  # begins its own stop some cycles after the last command, not only at its watchdog
+    needs_own_bus: bool = False  # takes reference boards' frames for its own, and they take its
 
 
 REFERENCE: Final = BoardKind(
@@ -31,6 +33,7 @@ REFERENCE: Final = BoardKind(
     addresses=range(1, 16),
     modes=("voltage", "current", "position"),
     has_encoder=False,  # what the loop uses is the encoder board's
+    is_absolute=False,
     can_free=True,
     can_hold=True,
     usual_rate_Hz=500.0,
@@ -45,6 +48,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             addresses=range(0x80, 0x88),
             modes=("voltage",),
             has_encoder=True,
+            is_absolute=False,
             can_free=False,
             can_hold=False,
             usual_rate_Hz=100.0,
@@ -56,10 +60,12 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             addresses=range(1, 127),
             modes=("position", "current"),
             has_encoder=True,
+            is_absolute=False,
             can_free=True,
             can_hold=True,
             usual_rate_Hz=250.0,
             stops_early=False,
+            needs_own_bus=True,
         ),
         "dynamixel": BoardKind(
             line="serial",
@@ -67,9 +73,34 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             addresses=range(253),
             modes=("position",),
             has_encoder=True,
+            is_absolute=True,
             can_free=True,
             can_hold=True,
             usual_rate_Hz=100.0,
+            stops_early=False,
+        ),
+        "feetech": BoardKind(
+            line="serial",
+            motors=1,
+            addresses=range(253),
+            modes=("position",),
+            has_encoder=True,
+            is_absolute=True,
+            can_free=True,
+            can_hold=True,
+            usual_rate_Hz=100.0,
+            stops_early=False,
+        ),
+        "vesc": BoardKind(
+            line="can",
+            motors=1,
+            addresses=range(254),
+            modes=("voltage", "current", "position"),
+            has_encoder=True,
+            is_absolute=False,
+            can_free=True,
+            can_hold=False,
+            usual_rate_Hz=200.0,
             stops_early=False,
         ),
     }

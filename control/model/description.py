@@ -143,15 +143,16 @@ def _text_of(path: Path) -> str:
     except UnicodeDecodeError as error:
         raise ArmFileError(path, None, "", "UTF-8 text", f"an invalid byte at {error.start}") from None
     except OSError as error:
-        got = error.strerror or type(error).__name__
-        raise ArmFileError(path, None, "", "a readable file", got) from None
+        got = f"an error: {error.strerror or type(error).__name__}"
+        supplied = f"supplied arms: {', '.join(arm_names())}"
+        raise ArmFileError(path, None, "", "a readable file", got, supplied) from None
 
 
 def _syntax_error(error: tomllib.TOMLDecodeError, text: str, path: Path) -> ArmFileError:
     message = str(error)
     position = _POSITION_IN_MESSAGE.search(message)
     line = int(position[1]) if position and position[1] else text.count("\n") + 1
-    return ArmFileError(path, line, "", "valid TOML", _POSITION_IN_MESSAGE.sub("", message))
+    return ArmFileError(path, line, "", "valid TOML", f"an error: {_POSITION_IN_MESSAGE.sub('', message)}")
 
 
 def _spelled(path: KeyPath) -> str:

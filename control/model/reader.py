@@ -69,9 +69,10 @@ def _is_required(field: "dataclasses.Field[Any]") -> bool:
 
 
 def _unknown(key: str, known: tuple[str, ...], path: Path) -> Rejected:
-    close = get_close_matches(key, known, n=1)
-    hint = f"did you mean {close[0]}?" if close else ""
-    return Rejected((*path, key), "one of the keys " + ", ".join(known), "an unknown key", hint)
+    if close := get_close_matches(key, known, n=1):
+        expected = f"one of the keys of this table ({len(known)})"
+        return Rejected((*path, key), expected, "an unknown key", f"did you mean {close[0]}?")
+    return Rejected((*path, key), "one of the keys " + ", ".join(known), "an unknown key")
 
 
 def _value(hint: Any, value: object, path: Path) -> Any:

@@ -5,6 +5,7 @@
 
 import dataclasses
 import math
+import re
 import sys
 import types
 from collections.abc import Iterator, Mapping
@@ -24,9 +25,22 @@ complete example; `armwright arm FILE` checks a file and prints what it holds.
 - A key without a default is required; a section without required keys may be absent. A command that needs it says so.
 - Unknown keys are errors, with the nearest known key.
 - A calibrated arm is always a new file.
+- The column "value" has the type and the range; a range without a type is of a number.
 
 This page is made from the reader's own definitions by `make arm-reference`. Effects: [formats.md](formats.md#effects).
 """
+
+# Conditions as the reader words them in an error, and as a range in the table.
+RANGES = (
+    (re.compile(r"a positive number"), "> 0"),
+    (re.compile(r"a number not below 0"), "≥ 0"),
+    (re.compile(r"a whole number of 1 or more"), "whole, ≥ 1"),
+    (re.compile(r"a whole number not below 0"), "whole, ≥ 0"),
+    (re.compile(r"an? [\w ]+ up to (.+), above 0"), r"> 0, ≤ \1"),
+    (re.compile(r"an? [\w ]+ up to (.+)"), r"≤ \1"),
+    (re.compile(r"(?:an? )?\w+ within \+-(.+)"), r"±\1"),
+    (re.compile(r"an? [\w ]+ from (\S+ to .+)"), r"\1"),
+)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -124,7 +138,14 @@ def _value(hint: Any) -> str:
     """The type and the conditions; a condition on a single value names its type, too."""
     rules, kind = _rules(hint), _kind(hint)
     is_single = kind in ("text", "number", "whole number")
-    return "; ".join(rules if rules and is_single else [kind, *rules])
+    return ", ".join(map(_range, rules) if rules and is_single else [kind, *map(_range, rules)])
+
+
+def _range(rule: str) -> str:
+    """A condition as a range, or in the reader's words where it is none."""
+    each = "each " if rule.startswith("each ") else ""
+    rule = rule.removeprefix(each)
+    return each + next((form.sub(to, rule) for form, to in RANGES if form.fullmatch(rule)), rule)
 
 
 def _rules(hint: Any) -> list[str]:

@@ -6,6 +6,7 @@ come to rest. An arm that is inside already may move out, but no deeper.
 
 import math
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,11 +29,20 @@ _TIP_ALONE = Body((0.0,))
 _REMEDY = "nothing was moved; [limits] floor_z_m, floor_tolerance_m and base_radius_m, and [table], say where they are"
 
 
+class Beside(Protocol):
+    """What stands beside the arm, and itself: other arms of its cell."""
+
+    def objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float]) -> str:
+        """Why the arm must not get to `wanted_rad` from `here_rad`, as text; empty if it may."""
+        ...
+
+
 class Guard:
     """Holds poses of one arm against its workspace. Errors are MotionError."""
 
     def __init__(self, arm: Arm, limits: JointLimits) -> None:
         self._corners, self._workspace, self._limits = Corners(arm), Workspace.of(arm), limits
+        self.beside: Beside | None = None
         self._body = Body(self._corners.radii_m, self._corners.first_free)
         self._corners.batch([(0.0,) * arm.joint_count])  # compiled now, not between two cycles
         self.clearance((0.0,) * arm.joint_count)
@@ -45,11 +55,11 @@ class Guard:
         """Why the arm must not get to `wanted_rad` from `here_rad`, as text; empty if it may."""
         clearance = self.clearance(wanted_rad)
         if (
-            clearance.distance_m >= 0.0
-            or clearance.distance_m >= self.clearance(here_rad).distance_m - _DEEPER_m
+            clearance.distance_m < 0.0
+            and clearance.distance_m < self.clearance(here_rad).distance_m - _DEEPER_m
         ):
-            return ""
-        return clearance.what
+            return clearance.what
+        return "" if self.beside is None else self.beside.objection(wanted_rad, here_rad)
 
     def jog_objection(self, wanted: SetPoint, here: SetPoint) -> str:
         """As `objection`, for the pose in which joints that move as `wanted` could come to rest."""

@@ -96,3 +96,20 @@ class Paced:
                 lower, upper = max(lower, min(bounds)), min(upper, max(bounds))
         # A path at its limits leaves nothing; acceleration of the path itself cannot be reduced here.
         return min(max(rate, min(lower, 0.0)), max(upper, 0.0))
+
+
+class Stretched:
+    """A motion that takes longer than planned: speeds fall by the same share everywhere, accelerations by its square."""
+
+    __slots__ = ("_motion", "_rate", "duration_s")
+
+    def __init__(self, motion: Motion, duration_s: float) -> None:
+        """`duration_s`: not less than the motion's own."""
+        self._motion, self.duration_s = motion, duration_s
+        self._rate = motion.duration_s / duration_s if duration_s > 0.0 else 1.0
+
+    def at(self, time_s: float) -> SetPoint:
+        """Set-point `time_s` after the start."""
+        r = self._rate
+        q, speed, acceleration = self._motion.at(r * time_s)
+        return SetPoint(q, tuple(v * r for v in speed), tuple(a * r * r for a in acceleration))

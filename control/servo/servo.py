@@ -3,6 +3,7 @@
 Voltage of a brushed DC motor: u = R i + k_t N dq/dt (inductance is five times faster than a cycle), with i = tau / (N k_t) for
 the torque tau that the model asks for. The PID acts on the joint's error and adds volts; in CURRENT mode it adds amperes
 and the board supplies the back-EMF; in POSITION mode the board runs the PID on counts and takes the volts as feed-forward.
+Each joint has a mode of its own.
 """
 
 from collections.abc import Sequence
@@ -70,21 +71,21 @@ class GainShares(Protocol):
 class Servo:
     """The controllers of all joints.
 
-    After an update, one entry a joint: `output` in the mode's unit, `feedforward_V` for POSITION mode, `volts` commanded or
+    After an update, one entry a joint: `output` in the unit of its mode, `feedforward_V` for POSITION mode, `volts` commanded or
     implied. `model_A` holds the currents that the model expects, None if nothing is controlled or the pose is not known.
     """
 
     def __init__(
         self,
-        mode: OutputMode,
+        modes: Sequence[OutputMode],
         motors: Sequence[Motor],
         pids: Sequence[JointPid],
         torque_model: TorqueModel,
         period_s: float,
         gain_shares: GainShares | None = None,
     ) -> None:
-        """`gain_shares`: scales of the PID gains in CURRENT mode, by pose; full gains if None."""
-        self.mode = mode
+        """`modes`: of each joint. `gain_shares`: scales of the PID gains, by pose; full gains if None."""
+        self.modes = tuple(modes)
         self._gain_shares = gain_shares
         self.output = [0.0] * len(motors)
         self.feedforward_V = [0.0] * len(motors)
@@ -93,7 +94,7 @@ class Servo:
         self._motors = motors
         self._pids = pids
         self.torque_model = torque_model
-        self._share = 1.0  # of the model's torque that is fed forward
+        self._share = 1.0  # of the model's torque that is fed forward to the joints in POSITION mode
         self._fade_step = period_s / FADE_S
         self._no_torque = tuple(0.0 for _ in motors)
         self._all = tuple(1.0 for _ in motors)
@@ -109,10 +110,9 @@ class Servo:
 
         Integrals of this loop are reset at once; those on the boards cannot be, so there the feed-forward fades in.
         """
-        if self.mode is OutputMode.POSITION:
+        self.reset()
+        if OutputMode.POSITION in self.modes:
             self._share = 0.0
-        else:
-            self.reset()
 
     def silence(self) -> None:
         """Zero all outputs, for modes without control."""
@@ -137,12 +137,12 @@ class Servo:
         torque_Nm = self._torque_Nm(set_point, joints) if knows_pose else self._no_torque
         shares = self._shares(q_rad, knows_pose)
         self.model_A = [] if knows_pose and self._share == 1.0 else None
-        for joint, motor in enumerate(self._motors):
+        for joint, (motor, mode) in enumerate(zip(self._motors, self.modes, strict=True)):
             amperes = torque_Nm[joint] * motor.amperes_per_Nm
             if self.model_A is not None:
                 self.model_A.append(amperes)
             volts = amperes * motor.resistance_ohm + motor.volts_per_rad_s * set_point.speed_rad_s[joint]
-            if self.mode is OutputMode.POSITION:
+            if mode is OutputMode.POSITION:
                 self.output[joint] = set_point.q_rad[joint]
                 self.feedforward_V[joint] = self.volts[joint] = min(
                     max(volts, -motor.supply_V), motor.supply_V
@@ -152,7 +152,7 @@ class Servo:
             error_rate = shares[joint] * (set_point.speed_rad_s[joint] - speed_rad_s[joint])
             limit_A = motor.current_limit_A * current_fraction
             back_emf_V = motor.volts_per_rad_s * speed_rad_s[joint]
-            if self.mode is OutputMode.CURRENT:
+            if mode is OutputMode.CURRENT:
                 amperes = self._pids[joint].update(error, error_rate, amperes, -limit_A, limit_A)
                 self.output[joint] = amperes
                 self.volts[joint] = amperes * motor.resistance_ohm + back_emf_V
@@ -168,7 +168,10 @@ class Servo:
         torque_Nm = model(*set_point) if joints is None else model(*joints, set_point)
         if self._share < 1.0:
             self._share = min(1.0, self._share + self._fade_step)
-            torque_Nm = [self._share * torque for torque in torque_Nm]
+            torque_Nm = [
+                self._share * torque if mode is OutputMode.POSITION else torque
+                for torque, mode in zip(torque_Nm, self.modes, strict=True)
+            ]
         return torque_Nm
 
     def _shares(self, q_rad: Sequence[float], knows_pose: bool) -> Sequence[float]:

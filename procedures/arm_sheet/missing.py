@@ -31,16 +31,17 @@ def _found(arm: Arm) -> Iterator[Missing]:
         yield Missing(
             f"[[drive]] of {_joints(bare)}", "serve, mock, bringup and every motion; torque margins"
         )
-    if not arm.encoder_boards or arm.can is None:
-        absent = [
-            name
-            for name, there in (("[[encoder_board]]", arm.encoder_boards), ("[can]", arm.can))
-            if not there
-        ]
+    counts = not arm.drives or any(drive.encoder_board >= 0 for drive in arm.drives)
+    talks = not arm.drives or any(arm.kind_of(drive).line == "can" for drive in arm.drives)
+    absent = ["[[encoder_board]]"] if counts and not arm.encoder_boards else []
+    absent += ["[can]"] if talks and arm.can is None else []
+    if absent:
         yield Missing(" and ".join(absent), "serve (or give the ports as options)")
     yield from _masses(arm)
     yield from _limits(arm)
-    homeless = [drive.joint for drive in arm.drives if drive.home is None]
+    homeless = [
+        drive.joint for drive in arm.drives if drive.home is None and not arm.has_absolute_encoder(drive)
+    ]
     if homeless:
         yield Missing(f"[drive.home] of {_joints(homeless)}", "home (else set the zero on the encoder board)")
     yield from _electrical(arm)

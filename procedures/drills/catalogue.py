@@ -1,4 +1,4 @@
-"""All drills, by name. What each promises is what docs/safety.md says."""
+"""All drills, by name. docs/drills.md has what each measured, docs/safety.md what is promised."""
 
 from collections.abc import Iterator
 from dataclasses import replace

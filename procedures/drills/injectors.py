@@ -123,7 +123,7 @@ def can_flood(frames_a_cycle: int) -> Inject:
 
         def send() -> None:
             for _ in range(frames_a_cycle):
-                guest.send(source.randrange(0x300, 0x800), source.randbytes(8))
+                guest.send(source.randrange(0x400, 0x800), source.randbytes(8))  # above those of digital pins
 
         played.each_cycle.append(send)
 

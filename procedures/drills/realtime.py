@@ -52,7 +52,7 @@ class RealTimeDrill(Promise):
         while bench.rig.joint_rad()[0] < FAST_FROM_rad and time.monotonic() < end_s:
             time.sleep(LOOK_S)
         way, begun_s = [(time.monotonic(), bench.rig.tip_m())], time.monotonic()
-        self._strike(bench.runtime_pid, client)
+        self._break(bench.runtime_pid, client)
         found, message = self._found(client)
         noticed_s = time.monotonic() - begun_s
         while time.monotonic() - begun_s < (WATCHED_S if self.pause_s is None else ARRIVES_S):
@@ -82,7 +82,7 @@ class RealTimeDrill(Promise):
         """What is not as promised, as text."""
         return ""
 
-    def _strike(self, pid: int, client: ArmClient) -> None:
+    def _break(self, pid: int, client: ArmClient) -> None:
         if self.pause_s is None:
             os.kill(pid, signal.SIGKILL)
             return
@@ -103,7 +103,7 @@ class RealTimeDrill(Promise):
 class DiskDrill(RealTimeDrill):
     """The kernel refuses the recording's next byte: the motion ends by a controlled stop, and no other begins."""
 
-    def _strike(self, pid: int, client: ArmClient) -> None:
+    def _break(self, pid: int, client: ArmClient) -> None:
         path = Path(client.status()["recorder"]["file"])
         size = path.stat().st_size
         for writer in _descendants(pid):

@@ -95,7 +95,7 @@ class SessionDrill(Promise):
         with stage() as played, tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
             session = Session(Path(folder) / "session", played)
             played.client.enable()
-            played.each_cycle.append(self._striker(session))
+            played.each_cycle.append(self._injector(session))
             said = _ended_by(session)
             begun_s = session.begun_s if session.begun_s is not None else played.now_s
             if played.found:
@@ -118,12 +118,12 @@ class SessionDrill(Promise):
                 resumed,
             )
 
-    def _striker(self, session: Session) -> Callable[[], None]:
-        """Called after each cycle: strikes once, when it is time."""
+    def _injector(self, session: Session) -> Callable[[], None]:
+        """Called after each cycle: breaks once, when it is time."""
         played = session.played
         under_way_s = 0.0
 
-        def strike() -> None:
+        def inject_once() -> None:
             nonlocal under_way_s
             if played.mode is Mode.GUIDING:
                 session.by_hand_s.add(played.now_s)
@@ -139,7 +139,7 @@ class SessionDrill(Promise):
                 session.begun_s = played.now_s
                 self.inject(played)
 
-        return strike
+        return inject_once
 
 
 def _ended_by(session: Session) -> str:

@@ -10,6 +10,7 @@ from typing import TypeVar
 from control.errors import ArmError
 from control.model.arm import ENCODER_CHANNELS, Convention
 from control.model.rules import LENGTH, NAME
+from firmware_iface.link import PortHere
 
 T = TypeVar("T")
 FEWEST, MOST = 2, 7
@@ -61,9 +62,11 @@ def boards_for(joints: int) -> int:
     return -(-joints // ENCODER_CHANNELS)
 
 
-def usual_ports(joints: int) -> tuple[str, ...]:
-    """Ports of the encoder boards where nothing else is said."""
-    return tuple(f"{FIRST_PORT}{number}" for number in range(boards_for(joints)))
+def usual_ports(joints: int, here: Sequence[PortHere]) -> tuple[str, ...]:
+    """Ports of the encoder boards where nothing else is said: names that stay, of the ports `here`, as far as there are."""
+    stable = [port.stable for port in here if port.stable]
+    numbered = (f"{FIRST_PORT}{number}" for number in range(boards_for(joints)))
+    return tuple(stable[: boards_for(joints)]) if len(stable) >= boards_for(joints) else tuple(numbered)
 
 
 def name_from(text: str) -> str:

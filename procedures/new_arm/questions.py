@@ -9,6 +9,7 @@ from typing import Protocol, TypeVar
 from calib.arm_import import SerialArm
 from control.errors import ArmError
 from control.model.arm import Convention
+from firmware_iface.link import serial_ports
 from procedures.new_arm import answers
 from procedures.new_arm.answers import Answers, Parts, Shape
 
@@ -82,7 +83,7 @@ def ask_parts(given: Given, asker: Asker, joints: int) -> Parts:
         _joined(given.ports),
         asker,
         f"Serial port{'s' * (boards > 1)} of the {boards} encoder board{'s' * (boards > 1)} (three joints each)",
-        " ".join(answers.usual_ports(joints)),
+        " ".join(answers.usual_ports(joints, serial_ports())),
         lambda text: answers.ports_from(_words(text), joints),
     )
     question = "CAN bus of the motor boards, as python-can's INTERFACE:CHANNEL"
@@ -92,13 +93,13 @@ def ask_parts(given: Given, asker: Asker, joints: int) -> Parts:
 
 def _joints(given: Given, asker: Asker) -> int:
     """As told, or as many as there are letters or lengths."""
-    told = given.joints
-    if told is None and given.axes is not None:
-        told = str(len(given.axes.strip()))
-    if told is None and given.lengths is not None:
-        told = str(len(given.lengths))
+    count = given.joints
+    if count is None and given.axes is not None:
+        count = str(len(given.axes.strip()))
+    if count is None and given.lengths is not None:
+        count = str(len(given.lengths))
     question = f"How many joints turn, {answers.FEWEST} to {answers.MOST}"
-    return _answer(told, asker, question, "6", answers.joints_from)
+    return _answer(count, asker, question, "6", answers.joints_from)
 
 
 def answers_for(serial: SerialArm, name: str, convention: Convention, given: Given, asker: Asker) -> Answers:

@@ -59,12 +59,11 @@ def mock_session(arm: Arm, folder: SessionFolder, boards: Boards, name: str | No
 
 def _saved_scenario(arm: Arm, folder: SessionFolder, name: str | None) -> Path:
     file = folder.path / SCENARIO
-    can_home = all(drive.home is not None for drive in arm.drives)
     if not file.exists():
         if folder.points() is not None:
             raise SessionError(f"{folder.path}: this session belongs to a real arm: omit --mock")
-        write_whole(file, seeded_scenario(name or DEFAULT_SCENARIO, None, was_homed=not can_home))
-    elif name is not None and file.read_bytes() != seeded_scenario(name, None, was_homed=not can_home):
+        write_whole(file, seeded_scenario(name or DEFAULT_SCENARIO, None, was_homed=not arm.can_home))
+    elif name is not None and file.read_bytes() != seeded_scenario(name, None, was_homed=not arm.can_home):
         raise SessionError(
             f"{folder.path}: this session was started with another scenario ({file}): omit --scenario"
         )

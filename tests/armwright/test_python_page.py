@@ -13,6 +13,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "python.md").read_text("utf-8")
 EXAMPLES = re.findall(r"^```python\n(.*?)^```", PAGE, re.M | re.S)
 
 
+@pytest.mark.usefixtures("nobody_below")
 def test_the_examples_do_what_the_page_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(EXAMPLES) == 6
     monkeypatch.chdir(tmp_path)

@@ -56,6 +56,7 @@ def seeds_of(name: str) -> list[bytes]:
         "encoder": [b"".join(map(wire.encode, REPORTS)), wire.encode(wire.Ack(1, 2, 3))],
         "cobs": [wire.encode(report)[:-1] for report in REPORTS],
         "motor": [motor_wire.Command(15, 1, 3, -20, 0).pack(), bytes(8), b"\xff" * 8],
+        "slcan": [b"\rz\rt18180F2920D1FFFF0000\rt1812AABB\r", b"T000001812AABB\rt00010\a"],
         "camera": [CameraFrame(3, 1.5, (0.1, 0.2, 0.3)).pack()],
         "socket": [json.dumps(request).encode() for request in REQUESTS],
         "recording frames": [recorded[recorded.index(b"}") + 1 :]],
@@ -69,6 +70,7 @@ def seeds_of(name: str) -> list[bytes]:
         "boards.json": [b'{"format": "boards/1", "boards": {"normal": {"points": {"1": [0, 0, 0]}}}}'],
         "session.json": [b'{"format": "session/1", "arm": "right", "marks": []}'],
         "programme.json": [b'{"format": "rectangle/1", "corners_m": [[0, 0, 0]]}'],
+        "tolerances.toml": [(ROOT / "calib/tolerances/right.toml").read_bytes()],
         "places.toml": [b"[places.home]\nq_rad = [0.0, 0.1, 0.2]\n"],
     }
     return known[name]

@@ -16,6 +16,7 @@ from calib.gap.log import read_log
 from calib.iso9283.recorded import read_rectangle
 from calib.points.points import read_points
 from calib.session.folder import SessionFolder
+from calib.tolerances.file import parse_tolerances, tolerances_text
 from console.places import read_places
 from control.model.description import load_arm
 from control.motion.waypoints import read_waypoints
@@ -31,6 +32,7 @@ from firmware_iface.memory_link import MemoryBus
 from firmware_iface.motor import wire as motor_wire
 from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.bus import MotorBus
+from firmware_iface.slcan import SlcanLink
 from hil_mocks.scenario import load_scenario
 
 SENTENCE_MOST = 4000  # characters
@@ -88,6 +90,35 @@ class _Still:
         pass
 
 
+class _Line:
+    """A serial line with some bytes on it."""
+
+    name = "line"
+
+    def __init__(self, content: bytes) -> None:
+        self.content = content
+
+    def read(self) -> bytes:
+        taken, self.content = self.content, b""
+        return taken
+
+    def write(self, data: bytes) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def slcan_line(content: bytes) -> None:
+    """What an slcan adapter says is frames of at most 8 bytes, whatever the pieces are; a good one behind it is found."""
+    line = _Line(content)
+    link = SlcanLink(line, "slcan", 1_000_000)
+    whole = link.receive()
+    assert all(can_id < 0x800 and len(payload) <= 8 for can_id, payload in whole)
+    line.content = b"\rt1812AABB\r"
+    assert link.receive()[-1:] == [(0x181, b"\xaa\xbb")]
+
+
 def camera_datagram(content: bytes) -> None:
     """A datagram is a frame that packs to itself, or nothing."""
     frame = camera.unpack(content)
@@ -119,10 +150,15 @@ def _session(path: Path) -> object:
     return SessionFolder(path.parent)
 
 
+def _tolerances(path: Path) -> object:
+    return parse_tolerances(tolerances_text(str(path)), str(path), load_arm("right"))
+
+
 READERS: dict[str, Callable[[Path], object]] = {
     "arm.toml": load_arm, "points.csv": read_points, "log.csv": read_log, "markers.csv": read_markers,
     "path.csv": read_waypoints, "boards.json": read_boards, "session.json": _session, "run.armlog": _recording,
     "programme.json": read_rectangle, "places.toml": read_places, "scenario.toml": load_scenario,
+    "tolerances.toml": _tolerances,
 }  # fmt: skip
 
 
@@ -137,7 +173,7 @@ def _of_file(name: str) -> Target:
 
 
 DECODERS: dict[str, Target] = {
-    "encoder": encoder_stream, "cobs": cobs_block, "motor": motor_frames, "camera": camera_datagram,
+    "encoder": encoder_stream, "cobs": cobs_block, "motor": motor_frames, "slcan": slcan_line, "camera": camera_datagram,
     "socket": socket_line, "recording frames": recording_frames,
 }  # fmt: skip
 TARGETS: dict[str, Target] = {**DECODERS, **{name: _of_file(name) for name in READERS}}

@@ -69,6 +69,7 @@ def life_of(through_kernel: bool) -> Heard:
     return heard
 
 
+@pytest.mark.usefixtures("nobody_below")
 def test_both_ways_carry_identical_bytes_at_identical_times() -> None:
     through_kernel, in_process = life_of(True), life_of(False)
     assert len(in_process) > 3_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil_mocks.devices.motor_board import Output
+from hil_mocks.devices.motor_inputs import Output
 from hil_mocks.errors import ScenarioError
 from hil_mocks.miswiring import LooseCoupling, as_built
 from hil_mocks.rig import SteppedRig

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from control.model.description import load_arm
 from hil_mocks.errors import MockError
 from hil_mocks.plant.base_pose import BasePose
-from hil_mocks.plant.build import build
+from hil_mocks.plant.build import ArmToBuild, build
 from hil_mocks.plant.effects import EffectEntry, gather
 from hil_mocks.plant.parts import ArmParts, LinkParts, ToolParts, parts_of
 from hil_mocks.plant.plant import Plant
@@ -100,7 +100,7 @@ def test_a_bending_links_mass_and_inertia_are_those_of_the_rigid_one() -> None:
     energies = []
     for EI_Nm2 in (None, 1e7):
         entries = [EffectEntry("link_flexure", 2, {"EI_Nm2": EI_Nm2})] if EI_Nm2 else []
-        built = build(parts, gather(entries, 3, 4, "test"), 5e-4, 0.5, 0.05)
+        (built,) = build([ArmToBuild(parts, gather(entries, 3, 4, "test"), 5e-4, 0.5, 0.05)])
         state = mujoco.MjData(built.model)
         state.qpos[list(built.link_hinge)] = (0.1, -0.6, 0.2)
         state.qvel[list(built.link_hinge)] = (0.5, -0.4, 0.8)

@@ -35,13 +35,13 @@ TESTS: dict[str, tuple[str, ...]] = {
     "control.safety.monitor": ("tests/control/safety/test_monitor.py",),
     "control.safety.table": ("tests/control/safety/test_monitor.py",),
     "control.safety.fault": ("tests/control/safety/test_monitor.py", "tests/control/loop/test_reactions.py"),
-    "control.safety.witness": (
-        "tests/control/safety/test_witness.py",
+    "control.safety.motor_checks": (
+        "tests/control/safety/test_motor_checks.py",
         "tests/control/loop/test_reactions.py",
     ),
     "control.safety.workspace": ("tests/control/safety/test_workspace.py",),
     "control.loop.watch": ("tests/control/loop/test_reactions.py", "tests/control/loop/test_watch.py"),
-    "control.loop.witnesses": ("tests/control/loop/test_reactions.py",),
+    "control.loop.cross_checks": ("tests/control/loop/test_reactions.py",),
 }
 AT_ONCE = os.cpu_count() or 1
 

@@ -11,7 +11,7 @@ from control.model.arm import Arm
 from control.model.description import save_arm
 from procedures.bringup.opening import opened
 from procedures.folders import require_writable
-from procedures.tuning.procedure import NotTuned, Options, Result, tune
+from procedures.tuning.procedure import NotTuned, Options, Result, tunable, tune
 
 LOWEST_Hz, HIGHEST_Hz = 2.0, 40.0
 
@@ -53,7 +53,7 @@ def _options(given: argparse.Namespace, arm: Arm) -> Options:
     if given.pose is not None and len(given.pose) != arm.joint_count:
         raise ArmError(f"--pose: expected {arm.joint_count} joint angles in rad, got {len(given.pose)}")
     pose = tuple(given.pose) if given.pose is not None else None
-    return Options(tuple(given.joint or known), given.bandwidth, given.amplitude, pose)
+    return Options(tuple(given.joint or tunable(arm)), given.bandwidth, given.amplitude, pose)
 
 
 def _allowed(arm: Arm, options: Options) -> bool:

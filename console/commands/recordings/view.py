@@ -1,20 +1,23 @@
 """`armwright view [LOG]`: shows a recording or the live arm in MuJoCo's viewer, as pictures, or in Rerun."""
 
 import argparse
+import contextlib
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from console.commands.cell.clients import connected_arms
 from console.commands.connection import connected
 from console.commands.progress import Bar
 from console.visualisation.reading import read_series
 from console.visualisation.render import FRAMES_MOST, Image, frames, painter_of, write_images
 from console.visualisation.series import Series, chosen
-from console.visualisation.snapshots import Snapshot, live, recorded, snapshot_at, snapshot_of
-from console.visualisation.traces import TipPath, Traces, traces_of
+from console.visualisation.snapshots import CellSource, Snapshot, live, recorded, snapshot_at, snapshot_of
+from console.visualisation.traces import TipOfArm, TipPath, TipsOfCell, Traces, traces_of
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
+from control.model.cell import Cell, load_cell
 from control.model.description import load_arm
 from control.server.client import RuntimeGone
 from firmware_iface.clock import MonotonicClock
@@ -33,7 +36,35 @@ def run(given: argparse.Namespace) -> int:
         _file(given.rerun)
     if given.render and given.rerun is not None:
         raise ArmError("--render and --rerun contradict each other: give one")
+    if given.cell is not None:
+        return _cell(given)
     return _live(given) if given.log is None else _recorded(given)
+
+
+def _cell(given: argparse.Namespace) -> int:
+    """All arms of a cell, live; or their present poses as a picture."""
+    if given.log is not None or given.arm is not None or given.socket is not None or given.rerun is not None:
+        raise ArmError("--cell: shows the live arms; not together with a LOG, --arm, --socket or --rerun")
+    cell = load_cell(given.cell)
+    with connected_arms(given, cell.names) as clients:
+        source = CellSource(list(clients.values()))
+        if given.render:
+            snapshot = snapshot_of(source.status())
+            return _picture(given, cell, snapshot, TipPath(TipsOfCell(cell)).add(snapshot))
+        from console.visualisation.scene import CellScene
+        from console.visualisation.window import follow, open_window
+
+        with _until_the_runtime_ends():
+            follow(CellScene(cell), live(source, MonotonicClock(), LIVE_PERIOD_s), open_window)
+    return 0
+
+
+@contextlib.contextmanager
+def _until_the_runtime_ends() -> Iterator[None]:
+    try:
+        yield
+    except RuntimeGone as gone:
+        sys.stdout.write(f"the runtime has ended ({gone})\n")
 
 
 def _recorded(given: argparse.Namespace) -> int:
@@ -125,7 +156,7 @@ def _live(given: argparse.Namespace) -> int:
     if given.render:
         return _snapshot(given, arm, snapshot_of(client.status()))
     snapshots = live(client, MonotonicClock(), LIVE_PERIOD_s)
-    try:
+    with contextlib.closing(client), _until_the_runtime_ends():
         if given.rerun is not None:
             from console.visualisation.rerun_stream import stream
 
@@ -135,20 +166,19 @@ def _live(given: argparse.Namespace) -> int:
             from console.visualisation.window import follow, open_window
 
             follow(ArmScene(arm), snapshots, open_window)
-    except RuntimeGone as gone:
-        sys.stdout.write(f"the runtime has ended ({gone})\n")
-    finally:
-        client.close()
     return 0
 
 
 def _snapshot(given: argparse.Namespace, arm: Arm, snapshot: Snapshot) -> int:
     """Render the present pose as one picture."""
+    return _picture(given, arm, snapshot, TipPath(TipOfArm(Kinematics(arm))).add(snapshot))
+
+
+def _picture(given: argparse.Namespace, shown: Arm | Cell, snapshot: Snapshot, traces: Traces) -> int:
     out = _picture_path(given.render)
     if out.suffix != ".png":
         raise ArmError("--render without a LOG draws the present pose: give a FILE.png")
-    traces: Traces = TipPath(Kinematics(arm)).add(snapshot)
-    image = painter_of(arm, _warn)(snapshot, traces)
+    image = painter_of(shown, _warn)(snapshot, traces)
     write_images(out, iter([(snapshot.t_s, image)]), 1.0)
     sys.stdout.write(f"written: {out}\n")
     return 0

@@ -165,7 +165,7 @@ def test_spoiled_points_are_recognised_and_nothing_is_written(name, tmp_path, ca
         (["--bound", "L2=8"], "expected a number with one of the units m, cm, mm, um"),
         (["--bound", "L9=8mm"], "got L9"),
         (["--fix", "elbow"], "got elbow"),
-        (["--free", "elbow"], "expected some of base, table, tool"),
+        (["--free", "elbow"], "expected some of base, camera, table, tool"),
         (["--without", "normal:99"], "no such pose"),
         (["--leave-out", "1"], "--leave-out"),
         (["--accuracy=-1mm"], "expected a length above 0"),

@@ -20,7 +20,7 @@ from console.screen.drawing.plot import Plot, axis_end, plot_rows
 from console.screen.drawing.rows import text_of, width_of
 from console.screen.drawing.theme import THEME
 from console.screen.events import events_between
-from console.screen.texts import joint_rows, status_rows, tip_row
+from console.screen.texts import headline, joint_rows, status_rows, tip_row
 from control.model.arm import Arm
 from tests.cell import RIGHT
 
@@ -68,6 +68,10 @@ def test_a_stale_joint_has_a_sign_and_its_age_and_the_others_have_not() -> None:
 
 def test_a_runtime_that_does_not_tell_ages_shows_no_joint_as_stale() -> None:
     assert "STALE" not in text_of(joint_rows(status_of(), RIGHT, "J1", 78))
+
+
+def test_a_loop_that_is_a_little_early_is_not_late() -> None:
+    assert " late 0 us " in text_of([headline(status_of(late_p99_s=-1e-7), RIGHT, "", 80, "12:00:00")])
 
 
 # ---- events

@@ -33,19 +33,19 @@ def records(app: ConsoleApp) -> str:
 
 async def record_some_and_leave(app: ConsoleApp, pilot: Pilot[Any], out: Path) -> None:
     """Record, take back, skip, and escape."""
-    app.open_session(f"--mock --out {out} --setups normal,roll --points 1,5,9,13,17,21,25,33")
+    app.open_session(f"--mock --out {out} --setups normal,roll --points 1,9,17,25,33")
     await until(pilot, lambda: isinstance(app.screen, SessionScreen))
     await until(pilot, lambda: "Enter when it is in place" in shown(app, "question"), LIMIT_s)
-    assert shown(app, "board").count(".") == 7
+    assert shown(app, "board").count(".") == 4
     assert shown(app, "board").count("O") == 1
     await press(pilot, "enter")
     await until(pilot, lambda: "hands off" in shown(app, "question"), LIMIT_s)
     await press(pilot, "enter")
-    await until(pilot, lambda: "[2/16]" in shown(app, "question"), LIMIT_s)
+    await until(pilot, lambda: "[2/10]" in shown(app, "question"), LIMIT_s)
     assert re.search(r"normal 1 +\d+\.\d\d", records(app))
     assert shown(app, "board").count("#") == 1
     await press(pilot, *"redo", "enter")
-    await until(pilot, lambda: "[1/16]" in shown(app, "question"), LIMIT_s)
+    await until(pilot, lambda: "[1/10]" in shown(app, "question"), LIMIT_s)
     assert shown(app, "board").count("#") == 0
     await press(pilot, *"skip", "enter")
     await until(pilot, lambda: "-" in shown(app, "board"), LIMIT_s)
@@ -80,7 +80,7 @@ def test_a_session_on_the_screen_is_interrupted_resumed_calibrated_and_accepted(
         asyncio.run(run(cell))
     assert json.loads((out / "calibrated-1" / "decision.json").read_text())["accepted"] is True
     assert (out / "calibrated-1" / "arm.toml").exists()
-    assert len((out / "points.csv").read_text().splitlines()) == 1 + 15
+    assert len((out / "points.csv").read_text().splitlines()) == 1 + 9
 
 
 def test_options_without_a_folder_are_refused_in_words(tmp_path: Path) -> None:

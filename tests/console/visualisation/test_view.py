@@ -19,13 +19,14 @@ from console.commands.recordings import view
 from console.main import main
 from console.visualisation import render
 from console.visualisation.reading import read_series
-from console.visualisation.scene import PREFIX, ArmScene
-from console.visualisation.snapshots import Snapshot, live, recorded, snapshot_at
-from console.visualisation.traces import TipPath, Traces, traces_of
+from console.visualisation.scene import PREFIX, ArmScene, CellScene
+from console.visualisation.snapshots import CellSource, Snapshot, live, recorded, snapshot_at, snapshot_of
+from console.visualisation.traces import TipOfArm, TipPath, TipsOfCell, Traces, traces_of
 from console.visualisation.window import DOWN, HOME, LEFT, RIGHT, SPACE, UP, Player, follow, play
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Link, Tool
+from control.model.cell import load_cell
 from control.model.description import arm_text, load_arm
 from control.server.client import RuntimeGone
 from tests.recordings import MODES, write_recording
@@ -93,6 +94,31 @@ def test_both_arms_of_the_scene_stand_where_kinematics_says(arm: Any) -> None:
         tips = Kinematics(arm).tips([q, q_set])
         np.testing.assert_allclose(scene.tip_m(PREFIX), tips[0], atol=1e-9)
         np.testing.assert_allclose(scene.tip_m(), tips[1], atol=1e-9)
+
+
+def test_the_arms_of_a_cell_stand_at_their_bases_and_each_leaves_a_path_of_its_own() -> None:
+    pair = load_cell("pair")
+    turned = replace(pair.arms[1], origin_m=(0.2, -0.6, 0.1), orientation=(0.6, 0.0, 0.0, 0.8))
+    cell = replace(pair, arms=(pair.arms[0], turned))
+    scene, trail = CellScene(cell), TipPath(TipsOfCell(cell))
+    poses = {"left": (0.1, -0.5, 0.4), "right": (-0.4, -0.2, 0.6)}
+    source = CellSource([SimpleNamespace(status=lambda q=q: statuses_of(q)) for q in poses.values()])
+    for _ in range(2):
+        snapshot = snapshot_of(source.status())
+        traces = trail.add(snapshot)
+    scene.pose(snapshot.joint_rad, snapshot.joint_set_rad)
+    tips = [placed.in_cell(Kinematics(placed.arm).tip(*poses[placed.name])) for placed in cell.arms]
+    for name, tip in zip(cell.names, tips, strict=True):
+        for which in ("", PREFIX):
+            np.testing.assert_allclose(scene.tip_m(f"{name}/{which}"), tip, atol=1e-9)
+    gap = (np.nan,) * 3
+    np.testing.assert_allclose(traces.measured_m, [tips[0], tips[0], gap, tips[1], tips[1], gap])
+
+
+def statuses_of(q_rad: tuple[float, ...]) -> dict[str, Any]:
+    """The status of an arm that holds a pose."""
+    angles = dict.fromkeys(("q_rad", "q_set_rad", "joint_rad", "joint_set_rad", "current_A"), q_rad)
+    return {"t_s": 1.0, "mode": "HOLDING", **angles}
 
 
 def test_lines_are_thinned_gaps_stay_gaps_and_a_full_scene_is_no_error() -> None:
@@ -182,7 +208,7 @@ def test_a_live_arm_is_followed_with_a_trail_until_its_runtime_ends() -> None:
 
 
 def test_a_trail_keeps_the_last_of_it() -> None:
-    trail = TipPath(Kinematics(ARM), most=3)
+    trail = TipPath(TipOfArm(Kinematics(ARM)), most=3)
     for k in range(7):
         traces = trail.add(Snapshot(0.1 * k, (0.0,) * 3, (0.0,) * 3, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.0)))
     np.testing.assert_allclose(traces.measured_m, Kinematics(ARM).tips([[0.1 * k, 0, 0] for k in (4, 5, 6)]))

@@ -35,7 +35,7 @@ class Constant:
 def servo(
     mode: OutputMode, torque_Nm: float = 0.0, kp: float = 100.0, ki: float = 0.0, kd: float = 0.0
 ) -> Servo:
-    return Servo(mode, [MOTOR], [Pid(kp, ki, kd, 0.0, 24.0, 0.002)], Constant(torque_Nm), 0.002)
+    return Servo([mode], [MOTOR], [Pid(kp, ki, kd, 0.0, 24.0, 0.002)], Constant(torque_Nm), 0.002)
 
 
 def moving(q: float, speed: float) -> SetPoint:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from console.main import main
+from hil_mocks.firmware.choice import VARIABLE
 from procedures.drills.catalogue import drills
 from procedures.drills.power import Disk, PowerLost
 from procedures.drills.stage import off_way_m
 from procedures.drills.table import HEADER, header, row, verdict
+from tests.firmware import needs_compiler
 
-SAFETY = Path(__file__).parents[3] / "docs" / "safety.md"
+PAGE = Path(__file__).parents[3] / "docs" / "drills.md"
+SITUATIONS = {"rest", "motion", "homing", "session", "measuring", "realtime"}
 
 
 @pytest.mark.parametrize(
@@ -40,6 +45,13 @@ def test_a_drill_goes_as_promised(name: str) -> None:
     assert outcome.drill.name in row(outcome)
 
 
+@needs_compiler
+def test_a_drill_goes_as_promised_on_the_firmware_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The boards' own stop, and their watchdog: `armwright drill --mock --firmware c` runs all."""
+    monkeypatch.setenv(VARIABLE, "c")
+    assert drills()["pause-100-motion"].run().broken == ()
+
+
 def test_a_promise_that_is_not_kept_is_said() -> None:
     strict = replace(drills()["stop-0-motion"], codes=frozenset({"overspeed"}), most_mm=-1.0)
     outcome = strict.run()
@@ -56,10 +68,20 @@ def test_the_distance_from_a_way_is_that_from_its_sections() -> None:
     assert off_way_m((0.0, 0.0, 2.0), way[:1]) == pytest.approx(2.0)
 
 
+def names_of(row: str) -> Iterator[str]:
+    """The drills of a row: each fault in each of its situations, or names in full; `a-{b,c}` is a-b and a-c."""
+    first, second = (cell.strip() for cell in row.split("|")[1:3])
+    situations = second.split(", ") if set(second.split(", ")) <= SITUATIONS else None
+    for code in re.findall(r"`([^`]+)`", first):
+        stem, _, ends = code.rstrip("}").partition("{")
+        for fault in [stem + end for end in ends.split(",")]:
+            yield from [f"{fault}-{place}" for place in situations] if situations else [fault]
+
+
 def test_the_page_lists_every_drill_and_no_other() -> None:
-    rows = [line.split("|")[1] for line in SAFETY.read_text().splitlines() if line.startswith("| `")]
-    named = {name.strip(" `") for cell in rows for name in cell.split(",")}
-    assert set(drills()) <= named
+    rows = [line for line in PAGE.read_text().splitlines() if line.startswith("| `")]
+    named = [name for row in rows for name in names_of(row) if name not in SITUATIONS]
+    assert sorted(named) == sorted(drills())
 
 
 def test_drills_run_on_a_mock_only(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,13 +4,14 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from benchmarks.gap.dynamic.cases import Asked, Conditions, made, write
 from benchmarks.gap.static.cases import Hidden, case
 from calib.points.points import Points
 from console.main import main
-from control.model.description import load_arm
+from control.model.description import load_arm, save_arm
+from tests.calib.gap.series.prescribed import arm_with_friction, log_of, write_log
 
 
 def written(path: Path, points: Points) -> Path:
@@ -85,14 +86,15 @@ def test_neither_poses_nor_time_series_is_an_error(tmp_path, capsys) -> None:
 
 
 def test_a_log_alone_names_a_hidden_friction(tmp_path, capsys) -> None:
-    (hidden,) = made([Asked(113, "stribeck_friction", 2)], Conditions(seconds=2.0))
-    write(hidden, tmp_path)
+    arm = arm_with_friction()
+    save_arm(arm, tmp_path / "arm.toml")
+    hidden = log_of(arm, lambda j, q, speed, link: 0.2 * np.abs(link) * np.sign(speed) * (j == 1))
+    write_log(hidden, tmp_path / "log.csv.gz")
     arguments = ["gap", "--arm", str(tmp_path / "arm.toml"), "--log", str(tmp_path / "log.csv.gz")]
     assert main([*arguments, "--out", str(tmp_path / "gap")]) == 0
-    assert "Named: stribeck_friction on joint 2" in capsys.readouterr().out
-    added = [e for e in load_arm(tmp_path / "gap" / "arm.toml").effects if e.effect == "stribeck_friction"]
-    truth = hidden.truth[0]["parameters"]
-    assert added[0].parameters["torque_Nm"] == pytest.approx(truth["torque_Nm"], rel=0.05)
+    assert "Named: load_friction on joint 2" in capsys.readouterr().out
+    (added,) = [e for e in load_arm(tmp_path / "gap" / "arm.toml").effects if e.effect == "load_friction"]
+    assert added.parameters["fraction"] == pytest.approx(0.2, rel=0.05)
 
 
 def test_a_result_is_never_overwritten(points, tmp_path, capsys) -> None:

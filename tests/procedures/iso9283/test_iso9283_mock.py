@@ -28,6 +28,8 @@ from procedures.iso9283.recording import AVERAGE_S, Bench, plan, rated_speed_m_s
 from procedures.mock.bench import SteppedBench
 from tests.places import ROOT
 
+pytestmark = pytest.mark.usefixtures("nobody_below")
+
 DEMO = ROOT / "hil_mocks" / "scenarios" / "demo.toml"
 CUBE = TestCube((0.40, 0.0, 0.30), 0.2)
 EXTENT = Extent(repeats=2, path_cycles=2, speed_shares=(1.0,), programmes=("pose", "path"))

@@ -16,7 +16,9 @@ from console.main import main
 from control.kinematics.corners import Corners
 from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
+from firmware_iface.link import PortHere
 from hil_mocks.scenario import load_scenario
+from procedures.new_arm.answers import usual_ports
 from tests.cell import open_cell
 
 RIGHT = load_arm("right")
@@ -158,3 +160,10 @@ def test_a_speed_that_no_placeholder_motor_reaches_is_said(
     assert main(["arm", "--from-urdf", str(model), "--out", str(tmp_path / "quick.toml")]) == 0
     assert "do not reach: joint 1 10 rad/s, here 2.1" in capsys.readouterr().out
     assert load_arm(tmp_path / "quick.toml").drive(1).joint_speed_limit_rad_s == 2.1
+
+
+def test_ports_that_keep_their_names_are_suggested_first() -> None:
+    here = [PortHere("/dev/ttyUSB0", "", "/dev/serial/by-id/usb-FTDI-if00"), PortHere("/dev/ttyS0", "")]
+    assert usual_ports(3, here) == ("/dev/serial/by-id/usb-FTDI-if00",)
+    assert usual_ports(6, here) == ("/dev/ttyACM0", "/dev/ttyACM1")
+    assert usual_ports(3, []) == ("/dev/ttyACM0",)
