@@ -37,15 +37,18 @@ class MockRobot:
         """`plant`: of an arm in a world with others (hil_mocks.cell); else its own is built."""
         self.scenario, self.tick_s = scenario, scenario.tick_s
         self._ticks, self._steps = 0, _steps_per_tick(scenario)
+        self.now_s = 0.0  # time since power-up
         arm = as_built(arm, scenario)
         self._tools = {tool.name: tool_parts(tool) for tool in arm.tools}
         self._dead: set[int] = set()  # joints whose motor has a broken wire
         self._loose: dict[int, LooseCoupling] = {}
         self._turn_rad = [2.0 * math.pi / drive.gear_ratio for drive in arm.drives]
         self.plant = plant or build_plant(arm, scenario)
+        self._reading_rad = self.plant.encoder_angles_rad()  # of this tick
         self._wiring = wiring_of(arm, scenario)
         self.encoder_boards = build_encoder_boards(arm, scenario, self._wiring)
         self.bought = Bought(arm, self._wiring, lambda j: self._encoder_rad()[j])
+        self._has_bought = bool(self.bought.joints)
         self._motor_joints = [j for j in range(len(self._wiring)) if j not in self.bought.joints]
         self.motor_boards = [
             build_motor_board(self._wiring[j], scenario, partial(self._motor_count, j))
@@ -75,6 +78,7 @@ class MockRobot:
         for fault in scenario.fault:
             check_fault(fault, self.board_names, f"scenario {scenario.path or scenario.name}")
         self._lines = {name: Line(name, scenario.seed) for name in self.board_names}
+        self._motor_lines = [self._lines[name] for name in self._motor_names]
         self._plan = FaultPlan(scenario.fault)
 
     def _wire_up(self, arm: Arm) -> None:
@@ -99,11 +103,6 @@ class MockRobot:
     def serial_lines(self) -> int:
         """The number of serial lines."""
         return len(self._serial)
-
-    @property
-    def now_s(self) -> float:
-        """Time since power-up."""
-        return self._ticks * self.tick_s
 
     @property
     def hand(self) -> Hand:
@@ -152,7 +151,8 @@ class MockRobot:
         if can_id == 0:
             for at in range(len(self.motor_boards)):
                 self._to_motor_board(at, can_id, payload)
-        self._to_can_drives(can_id, payload)
+        if self._has_bought:
+            self._to_can_drives(can_id, payload)
         if can_id == 0:
             return
         addressed = self._board_of_node.get(can_id & 0xF)
@@ -180,7 +180,8 @@ class MockRobot:
     def after_physics(self) -> None:
         """The rest of a tick, once the physics has run: boards, camera and faults."""
         self._ticks += 1
-        now_s = self._ticks * self.tick_s
+        now_s = self.now_s = self._ticks * self.tick_s
+        self._reading_rad = self.plant.encoder_angles_rad()
         if now_s >= self._plan.next_change_s:
             self._change_faults(now_s)
         bridges, polarity = self.plant.bridges, self._polarity
@@ -199,7 +200,7 @@ class MockRobot:
         self._can.release(now_s)
         self._extended.release(now_s)
         encoder_rad, joint_rad = self._encoder_rad(), self.plant.joint_rad()
-        if self.bought.joints:
+        if self._has_bought:
             signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
             for driven in self.bought.tick(now_s, Seen(signed_A, supply_V, is_clamped, joint_rad)):
                 self._apply(*driven)
@@ -259,14 +260,16 @@ class MockRobot:
             self._apply(j, BRAKE, math.inf)
 
     def _motor_count(self, j: int) -> int:
-        reading_rad = self.plant.encoder_rad(j)
+        reading_rad = self._reading_rad[j]
         if j in self._loose:
             reading_rad += self._loose[j].slip_rad
         return self._wiring[j].motor_count(reading_rad)
 
     def _encoder_rad(self) -> list[float]:
         """Encoder angles in joint angles."""
-        readings_rad = self.plant.encoder_angles_rad()
+        if not self._loose:
+            return self._reading_rad
+        readings_rad = list(self._reading_rad)
         for j, coupling in self._loose.items():
             readings_rad[j] = coupling.reading_rad(readings_rad[j])
         return readings_rad
@@ -276,7 +279,7 @@ class MockRobot:
         return self._channels[board].seen(self._encoder_rad(), self.plant.joint_rad())
 
     def _to_motor_board(self, at: int, can_id: int, payload: bytes) -> None:
-        if self._lines[self._motor_names[at]].is_silent:
+        if self._motor_lines[at].is_silent:
             return
         j, board = self._motor_joints[at], self.motor_boards[at]
         frames = board.receive(can_id, payload, self.now_s)

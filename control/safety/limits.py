@@ -105,8 +105,15 @@ def voltage_range(
             f" {current_limit_A} A, resistance {resistance_ohm} ohm, voltage limit {voltage_limit_V} V"
         )
     swing_V = current_limit_A * resistance_ohm
-    lower = min(max(back_emf_V - swing_V, -voltage_limit_V), voltage_limit_V)
-    upper = max(min(back_emf_V + swing_V, voltage_limit_V), -voltage_limit_V)
+    lower, upper = back_emf_V - swing_V, back_emf_V + swing_V
+    if lower < -voltage_limit_V:
+        lower = -voltage_limit_V
+    elif lower > voltage_limit_V:
+        lower = voltage_limit_V
+    if upper > voltage_limit_V:
+        upper = voltage_limit_V
+    elif upper < -voltage_limit_V:
+        upper = -voltage_limit_V
     return lower, upper
 
 

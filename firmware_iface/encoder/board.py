@@ -26,6 +26,7 @@ _STREAM_LOAD = 0.9  # of the line; the rest is for answers and index frames
 _LONGEST_PERIOD_s = 1.0
 _LATE_FRAMES = 128  # half of the sequence: a report further behind is of a board that has restarted
 _LATE_us = 1_000_000
+_INDEX_LATCHED = int(ChannelFlag.INDEX_LATCHED)  # an IntFlag takes 1 us to be combined, each cycle
 _LATCH_REPEAT_s = 0.02  # INDEX is requested again if it comes later than this after its flag
 _WATCH_EVERY_s = 0.02  # arm one of the watched indices: 27 bytes, a tenth of a slow line
 _REQUESTS = (wire.Poll, wire.Stream, wire.SetZero, wire.ArmIndex, wire.Identify)
@@ -338,7 +339,7 @@ class EncoderBoard:
         for channel, asked_s in tuple(self._armed.items()):
             if channel in self._latches:
                 del self._armed[channel]
-            elif not self.latest or not self.latest.flags[channel] & ChannelFlag.INDEX_LATCHED:
+            elif not self.latest or not self.latest.flags[channel] & _INDEX_LATCHED:
                 self._armed[channel] = now_s
             elif now_s - asked_s > _LATCH_REPEAT_s:
                 self._armed[channel] = now_s

@@ -32,6 +32,8 @@ _REQUEST = struct.Struct("<BBBBi")
 _OVER_CURRENT_RATIO = 1.5
 _TRIP_S = 1e-3 - 1e-9  # an over-current that lasts as long is a fault
 _VOLTAGE_ENABLED, _WARNING = 0x10, 0x80
+# Members of an enumeration are slow to look up in Python 3.11, and a period looks at the state three times.
+_NOT_READY, _ENABLED, _FAULT_REACTION = State.NOT_READY, State.ENABLED, State.FAULT_REACTION
 
 
 class Stop(NamedTuple):
@@ -96,20 +98,20 @@ class MotorBoardMock(MotorBoardHardware):
         self._watch_current(now_s)
         self._measure_speed(step_s)
         state = self.state
-        if state is State.NOT_READY:
+        if state is _NOT_READY:
             self.state = State.SWITCH_ON_DISABLED
             self._apply()
             return [(ANSWER + self.setup.node, _REQUEST.pack(0, 0, 0, 0, self.setup.protocol))]
-        if state is State.FAULT_REACTION:
+        if state is _FAULT_REACTION:
             self.state = State.FAULT
-        elif state is State.ENABLED and now_s - self._last_command_s > self._soonest_s:
+        elif state is _ENABLED and now_s - self._last_command_s > self._soonest_s:
             if now_s - self._last_command_s > self._watchdog_s:
                 self._expire()
             elif self._stop is None and self._mode in (1, 2):
                 self._begin_stop(now_s)
         if causes := self._causes() & ~self.faults:
             self._fault(causes)
-        if (self._mode == 3 and self.state is State.ENABLED) or self._holds:
+        if (self._mode == 3 and self.state is _ENABLED) or self._holds:
             self._control(step_s)
         if self.setup.digital_pins:
             self.pins.follow(self.state is State.ENABLED)
@@ -128,7 +130,7 @@ class MotorBoardMock(MotorBoardHardware):
             causes |= OVER_CURRENT
         if self._above_ambient_K > self.setup.rated_degC - self.setup.ambient_degC:
             causes |= OVER_TEMPERATURE
-        if supply_V < LOWEST_SUPPLY_V and self.state is State.ENABLED:
+        if supply_V < LOWEST_SUPPLY_V and self.state is _ENABLED:
             causes |= UNDER_VOLTAGE
         if supply_V > HIGHEST_SUPPLY_V:
             causes |= OVER_VOLTAGE
@@ -140,6 +142,7 @@ class MotorBoardMock(MotorBoardHardware):
         self.current_limit_A = values[parameter.CURRENT_LIMIT_MA] * 1e-3
         self._trip_A = _OVER_CURRENT_RATIO * self.current_limit_A
         self._voltage_limit_mV = float(values[parameter.VOLTAGE_LIMIT_MV])
+        self._filter_s = values[parameter.DERIVATIVE_FILTER_US] * 1e-6
         watchdog_ms = values[parameter.WATCHDOG_MS]
         self._watchdog_s = watchdog_ms * 1e-3 - 1e-9 if watchdog_ms else math.inf
         stop_ms = values[parameter.STOP_AFTER_MS]
@@ -191,8 +194,7 @@ class MotorBoardMock(MotorBoardHardware):
         shaft_count = self._read_shaft()
         if step_s > 0.0:
             rate = (shaft_count - self._count_before) / step_s
-            filter_s = self.values[parameter.DERIVATIVE_FILTER_US] * 1e-6
-            self._speed += (rate - self._speed) * step_s / (step_s + filter_s)
+            self._speed += (rate - self._speed) * step_s / (step_s + self._filter_s)
         self._count_before = shaft_count
 
     def _stopping_point(self) -> tuple[int, float]:
@@ -214,13 +216,13 @@ class MotorBoardMock(MotorBoardHardware):
             if self.state is not State.NOT_READY:
                 self._fault(BAD_COMMAND)
             return self._reply(mode_and_sequence)
-        if controlword != 0x0F or self.state is not State.ENABLED or self._before != 0x0F:
+        if controlword != 0x0F or self.state is not _ENABLED or self._before != 0x0F:
             self._transition(controlword)
-        if self.state is State.ENABLED and mode == HOLD:
+        if self.state is _ENABLED and mode == HOLD:
             if self._mode != HOLD and self._stop is None:
                 self._begin_stop(now_s)
             self._mode = mode
-        elif self.state is State.ENABLED:
+        elif self.state is _ENABLED:
             self._end_stop()
             if mode != self._mode:
                 self._integral_mV = 0.0
@@ -247,7 +249,7 @@ class MotorBoardMock(MotorBoardHardware):
     def _apply(self) -> None:
         """Apply the output of state and mode; position mode computes one now, then at every tick."""
         self._is_cut = False
-        if self.state is State.ENABLED:
+        if self.state is _ENABLED:
             if self._mode == 0:
                 self.output = OPEN
             elif self._mode == 1:

@@ -97,6 +97,7 @@ class MotorBoardHardware(ABC):
         self._supply_V = 24.0
         self._is_limited = False  # the bridge was at a limit
         self._above_ambient_K = self._heat_A2s = self._heated_s = 0.0
+        self._whole_degC = round(self.setup.ambient_degC)  # as a REPLY has it
         self._last_tick_s: float | None = None
         self.output = OPEN
         self._boot()
@@ -141,24 +142,26 @@ class MotorBoardHardware(ABC):
         self._above_ambient_K += (final_K - self._above_ambient_K) * min(
             1.0, self._heated_s / setup.thermal_time_s
         )
+        self._whole_degC = round(self._temperature_degC)
         self._heat_A2s = self._heated_s = 0.0
 
     def _readings(self) -> Readings:
         """What the next REPLY has, with noise, or with what a fault makes the board say."""
         setup, noise, at = self.setup, self._noise, self._replies
         self._replies = (at + 2) % _NOISE_VALUES
-        steps = round((self._mean_A + setup.current_noise_A * noise[at]) / setup.current_step_A)
-        current_mA = round(steps * setup.current_step_A * 1e3)
+        step_A = setup.current_step_A
+        steps = round((self._mean_A + setup.current_noise_A * noise[at]) / step_A)
+        current_mA = round(steps * step_A * 1e3)
         supply_mV = round((self._supply_V + setup.supply_noise_V * noise[at + 1]) * 1e3)
-        temperature_degC = round(self._temperature_degC)
+        temperature_degC = self._whole_degC
         if self.says:
             said = (self.says.get(f"says_{name}") for name in ("current", "supply", "temperature"))
             said_A, said_V, said_degC = said
             current_mA = current_mA if said_A is None else round(said_A * 1e3)
             supply_mV = supply_mV if said_V is None else round(said_V * 1e3)
             temperature_degC = temperature_degC if said_degC is None else round(said_degC)
-        return Readings(
-            min(max(current_mA, -32767), 32767),
-            min(max(supply_mV, 0), 65535),
-            min(max(temperature_degC, -128), 127),
-        )
+        if not -32767 <= current_mA <= 32767:
+            current_mA = 32767 if current_mA > 0 else -32767
+        if not 0 <= supply_mV <= 65535:
+            supply_mV = 65535 if supply_mV > 0 else 0
+        return Readings(current_mA, supply_mV, min(max(temperature_degC, -128), 127))

@@ -335,14 +335,16 @@ def step_together(plants: Sequence[Plant], steps: int) -> None:
     done = plants[0].steps
     end = done + steps
     while done < end:
+        until = end
         for plant in plants:
             plant.take_due(done)
             plant.load()
-        until = min(end, *(plant.next_due() for plant in plants))
-        plants[0].advance(int(until) - done)
+            if (due := plant.next_due()) < until:
+                until = int(due)
+        plants[0].advance(until - done)
         for plant in plants:
-            plant.passed(int(until) - done)
-        done = int(until)
+            plant.passed(until - done)
+        done = until
 
 
 @dataclass(frozen=True, slots=True)
