@@ -1,7 +1,7 @@
 """Mutation testing of what keeps the arm safe: `python -m tests.mutants.run [MODULE ...]` (`make mutants`).
 
 Each mutant runs in a forked process in which the mutated module is imported in place of the real one, with the tests of that
-module. One that no test fails has survived: tests/mutants/survivors.md lists the known ones with their reasons; others are an error.
+module. One that no test fails has survived: tests/mutants/survivors.md lists the known ones with reasons; others are an error.
 """
 
 from __future__ import annotations
