@@ -260,7 +260,7 @@ class Board:
 class Rest:
     """A pose in which the arm can wait: inside its limits, clear of the table, with little gravity torque."""
 
-    q_rad: Annotated[tuple[Annotated[float, LIMIT], ...], "one angle a joint"]
+    q_rad: Annotated[tuple[Annotated[float, LIMIT], ...], "one angle per joint"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,7 +344,7 @@ class Arm:
         Convention,
         '"standard": Tz(d) Rz(theta) Tx(L) Rx(alpha); "modified": Rx(alpha) Tx(L) Rz(theta) Tz(d)',
     ] = "standard"
-    drives: Annotated[tuple[Drive, ...], "one a joint"] = field(default=(), metadata={"key": "drive"})
+    drives: Annotated[tuple[Drive, ...], "one per joint"] = field(default=(), metadata={"key": "drive"})
     tool: Annotated[Tool, ""] = NO_TOOL
     table: Annotated[Table | None, ""] = None
     camera: Annotated[Camera | None, ""] = None

@@ -61,7 +61,7 @@ class Gripper:
     torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
     resistance_ohm: Annotated[Positive, "of the winding, from terminal to terminal"]
     supply_V: Annotated[Positive, "of the motor board"]
-    current_limit_A: Annotated[Positive, "what the motor bears for ever"]
+    current_limit_A: Annotated[Positive, "what the motor bears continuously"]
     speed_limit_m_s: Annotated[Positive, FINGER_SPEED, "of the opening"]
     encoder_counts_per_rev: Annotated[
         int, ZERO_OR_MORE, "per motor turn; 0: no encoder, so it can only open and close"
