@@ -73,7 +73,7 @@ firmware:  ## the reference boards' firmware for a Nucleo-F446RE, with its sizes
 firmware-fuzz:  ## the firmware under sanitizers: FUZZ_FRAMES=100000000 mutated frames for each board
 	$(MAKE) --no-print-directory -C firmware_iface/firmware fuzz OUT=$(CURDIR)/out/firmware
 
-mutants: install  ## are the tests of the safety layer and the watches sharp? a thousand small changes of their code (docs/mutants.md), half an hour
+mutants: install  ## are the tests of the safety layer and the watches sharp? a thousand small changes of their code (tests/mutants/survivors.md), half an hour
 	$(BIN)/python -m tests.mutants.run $(MODULES)
 
 screenshots: install  ## the pictures of docs/console.md, from the mock arm without a terminal; some minutes

@@ -8,7 +8,7 @@ CELL_OF_CLIENT = option(
     default="pair",
     help="the cell.toml that `serve` runs, or the name of a supplied cell (default: pair)",
 )
-OF_CELLS = (
+CELLS = (
     CommandSpec(
         "together",
         "motions of several arms that begin and end together",

@@ -6,7 +6,7 @@ LEVELS = ("on", "off")
 END_EFFECTOR = (
     CommandSpec(
         "tool",
-        "say which tool is on, or list the tools",
+        "state which tool is mounted, or list the tools",
         (
             ARM,
             SOCKET,

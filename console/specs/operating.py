@@ -147,7 +147,7 @@ OPERATING = (
     ),
     CommandSpec(
         "replay",
-        "repeat a hand-guided motion of a recording, eased and within limits",
+        "repeat a hand-guided motion of a recording, smoothed and within limits",
         (
             ARM,
             SOCKET,
@@ -162,7 +162,7 @@ OPERATING = (
             ),
             option("--plan-only", action="store_true", help="check and print the plan; needs no runtime"),
         ),
-        "Smoothed; it takes longer where a hand was faster than the limits.",
+        "It takes longer where the hand was faster than the limits.",
     ),
     CommandSpec(
         "jog",

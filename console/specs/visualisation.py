@@ -4,7 +4,7 @@ from console.options import CELL, JSON, SOCKET, CommandSpec, finite, option
 
 LOG_HELP = "a .armlog recording, a log.csv or log.csv.gz, or an MCAP of `armwright export`"
 
-SEEING = (
+VISUALISATION = (
     CommandSpec(
         "plot",
         "plot a recording: tracking, errors, currents, spectra, tip, cycle timing",

@@ -236,7 +236,7 @@ def _encoder(port: EncoderBoardPort, arm: Arm, clock: Clock, opened: Opened) -> 
                     f" {drive.encoder_channel}"
                 )
             counts = identity.counts_per_turn[drive.encoder_channel]
-            _compare(board.where, "counts a motor turn", drive.joint, drive.encoder_counts_per_rev, counts)
+            _compare(board.where, "counts per motor turn", drive.joint, drive.encoder_counts_per_rev, counts)
             _compare(board.where, "counter bits", drive.joint, drive.encoder_bits, identity.encoder_bits)
     except LinkError as error:
         opened.failures.append(error)
@@ -264,7 +264,7 @@ def _motors(
                 identity = board.identify(drive.motor_serial_number)
                 counts = identity.encoder_counts_per_turn
                 _compare(
-                    board.where, "counts a motor turn", drive.joint, drive.encoder_counts_per_rev, counts
+                    board.where, "counts per motor turn", drive.joint, drive.encoder_counts_per_rev, counts
                 )
                 motors.append((bus, board))
     return motors
@@ -290,7 +290,7 @@ def _end_boards(
             expected, got = arm.gripper.encoder_counts_per_rev, identity.encoder_counts_per_turn
             if expected not in (0, got):
                 raise WrongIdentity(
-                    f"{board.where}: expected {expected} counts a motor turn (arm.toml, [gripper]), got {got}; correct"
+                    f"{board.where}: expected {expected} counts per motor turn (arm.toml, [gripper]), got {got}; correct"
                     " arm.toml, or the board's settings"
                 )
             boards[board.node] = board

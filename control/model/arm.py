@@ -84,7 +84,7 @@ class Link:
     ] = None
     radius_m: Annotated[
         NonNegative,
-        "of its body, for floor, table and own base; 0: a line. The tip is a point, because it touches",
+        "of its body, for floor, table and own base; 0: a line. The tip is a point",
     ] = 0.0
 
 
@@ -100,12 +100,10 @@ class DrivePid:
         Literal["voltage", "current", "position"],
         'what is sent to the motor board; "position": the PID runs on the board',
     ] = "voltage"
-    kp: Annotated[NonNegative | None, "V/rad, or A/rad; absent: from the model"] = None
-    ki: Annotated[NonNegative | None, "V/(rad s), or A/(rad s); absent: from the model"] = None
-    kd: Annotated[NonNegative | None, "V s/rad, or A s/rad; absent: from the model"] = None
-    derivative_filter_s: Annotated[
-        NonNegative | None, "time constant of the speed's filter; absent: 0.001"
-    ] = None
+    kp: Annotated[NonNegative | None, "V/rad or A/rad", "from the model"] = None
+    ki: Annotated[NonNegative | None, "V/(rad s) or A/(rad s)", "from the model"] = None
+    kd: Annotated[NonNegative | None, "V s/rad or A s/rad", "from the model"] = None
+    derivative_filter_s: Annotated[NonNegative | None, "time constant of the speed's filter", "0.001"] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,12 +154,12 @@ class Drive:
     ] = None
     zero_count: Annotated[int, "the encoder's count at joint angle 0"] = 0
     board: Annotated[
-        str, "name of the [[board]] that drives it; absent: a motor board of docs/motor_board.md"
+        str, "name of the [[board]] that drives it; else a motor board of docs/motor_board.md"
     ] = ""
     board_channel: Annotated[int, ONE_OR_MORE, "which motor of that board, from 1"] = 1
     board_holds: Annotated[
         bool,
-        "the motor board's own encoder is connected and counts up with positive voltage; false: without the loop the"
+        "the motor board's own encoder counts up with positive voltage; false: without the loop the"
         " board brakes and cannot hold; `bringup` finds out",
     ] = True
     pid: Annotated[DrivePid, ""] = DrivePid()
@@ -183,7 +181,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The calibration table; `control.model.table` computes its points."""
+    """The calibration table (points: `control.model.table`)."""
 
     origin_m: Annotated[
         Position | None, "the board's centre in the base frame; required unless known_pose is false"
@@ -208,7 +206,7 @@ class Camera:
     orientation_noise_rad: Annotated[
         NonNegative,
         TURN_NOISE,
-        "standard deviation about each axis of measured orientations",
+        "standard deviation about each axis",
         "0.002 is assumed",
     ] = 0.0
     udp_port: Annotated[int, UDP_PORT, "on which its frames arrive"] = 47_310
@@ -225,7 +223,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class EncoderBoardPort:
-    """The port of an encoder board, which reads three encoders; a given serial number is checked."""
+    """The port of an encoder board, which reads three encoders."""
 
     name: Annotated[str, "in messages; each board's own"]
     port: Annotated[str, "a device or any pyserial URL"]
@@ -254,7 +252,7 @@ class Board:
     name: Annotated[str, NAME, "drives name it; each board's own"]
     kind: Annotated[str, KIND, "docs/boards.md"]
     address: Annotated[int, ZERO_OR_MORE, "on its line: an address, a node id or a servo's id"]
-    port: Annotated[str, "of a kind on a serial line: a device or any pyserial URL; boards may share it"] = ""
+    port: Annotated[str, "on a serial line: a device or any pyserial URL; boards may share it"] = ""
     baud: Annotated[int, ONE_OR_MORE, "of that port"] = 115_200
 
 
@@ -262,12 +260,12 @@ class Board:
 class Rest:
     """A pose in which the arm can wait: inside its limits, clear of the table, with little gravity torque."""
 
-    q_rad: Annotated[tuple[Annotated[float, LIMIT], ...], "one angle a joint"]
+    q_rad: Annotated[tuple[Annotated[float, LIMIT], ...], "one angle per joint"]
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits that the loop enforces (docs/safety.md). A joint's following error may be `a + b |speed|`."""
+    """Limits that the loop enforces (docs/safety.md)."""
 
     tip_speed_m_s: Annotated[Positive, TIP_SPEED, "of the tip, in plans"] = 1.0
     tip_turn_speed_rad_s: Annotated[Positive, JOINT_SPEED, "of the tip's orientation, in plans"] = 2.0
@@ -276,12 +274,10 @@ class Limits:
     following_error_per_speed_s: Annotated[
         float, LAG, "this much more with every rad/s of set-point speed"
     ] = 0.05
-    floor_z_m: Annotated[
-        float, HEIGHT, "height in the base frame that the arm stays above: on what the base stands"
-    ] = 0.0
+    floor_z_m: Annotated[float, HEIGHT, "height in the base frame that the arm stays above"] = 0.0
     floor_clearance_m: Annotated[NonNegative, CLEARANCE, "distance kept from the floor"] = 0.0
     floor_tolerance_m: Annotated[
-        NonNegative, CLEARANCE, "by which the model may be wrong before the arm is calibrated"
+        NonNegative, CLEARANCE, "by which the model may be wrong before calibration"
     ] = 0.01
     base_radius_m: Annotated[
         NonNegative, BOARD_SIZE, "of the arm's own base about axis 1, up to joint 2; 0: not checked"
@@ -289,7 +285,7 @@ class Limits:
     watchdog_s: Annotated[
         float,
         WATCHDOG,
-        "a board stops by itself without commands for this long; hosts pause for 40 to 170 ms",
+        "a board without commands for this long goes to FAULT; hosts pause for 40 to 170 ms",
     ] = 0.2
     stale_s: Annotated[float, STALE, "an older value is a fault"] = 0.02
     jog_tip_speed_m_s: Annotated[
@@ -300,31 +296,29 @@ class Limits:
         Positive, "a jog that is not renewed for this long comes to rest; at most 0.5"
     ] = 0.2
     speed_contradiction_rad_s: Annotated[
-        Positive, JOINT_SPEED, "between motor and encoder, at rest (docs/safety.md#faults-that-are-detected)"
+        Positive, JOINT_SPEED, "between motor and encoder, at rest (docs/safety.md)"
     ] = 0.02
-    unexplained_torque: Annotated[Positive, "share of the torque at the current limit; see there"] = 0.3
+    unexplained_torque: Annotated[Positive, "share of the torque at the current limit (docs/safety.md)"] = 0.3
     supply_low: Annotated[float, SHARE_BELOW_1, "of the drive's supply_V"] = 0.75
     supply_high: Annotated[float, SHARE_ABOVE_1, "of the drive's supply_V"] = 1.4
-    temperature_degC: Annotated[
-        Positive, "of a power stage; boards trip by themselves at their own rating"
-    ] = 95.0
+    temperature_degC: Annotated[Positive, "of a power stage; boards also trip at their own rating"] = 95.0
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingPolicy:
-    """Size at which a recording continues in a new file, and the total size of this arm's recordings."""
+    """Size of recordings, and what happens while the disk takes none."""
 
     rotate_bytes: Annotated[int, ROTATE_BYTES, "size at which a new file begins"] = 500_000_000
     keep_bytes: Annotated[
         int,
         ZERO_OR_MORE,
-        "above this total the oldest finished recordings of this arm are removed; 0: none is ever removed; at least"
+        "above this total the oldest recordings of this arm are removed; 0: none is ever removed; at least"
         " twice rotate_bytes",
     ] = 0
     unrecorded: Annotated[
         Literal["refuse", "allow"],
-        'while the disk takes no rows: "refuse": no motion begins and one that runs makes a controlled stop; jogs and'
-        ' hand guiding are free, to get the arm away; "allow": motions go on',
+        'while the disk takes no rows: "refuse": no motion begins, one that runs is stopped, jogs and hand guiding are'
+        ' free; "allow": motions go on',
     ] = "refuse"
 
 
@@ -350,7 +344,7 @@ class Arm:
         Convention,
         '"standard": Tz(d) Rz(theta) Tx(L) Rx(alpha); "modified": Rx(alpha) Tx(L) Rz(theta) Tz(d)',
     ] = "standard"
-    drives: Annotated[tuple[Drive, ...], "one a joint"] = field(default=(), metadata={"key": "drive"})
+    drives: Annotated[tuple[Drive, ...], "one per joint"] = field(default=(), metadata={"key": "drive"})
     tool: Annotated[Tool, ""] = NO_TOOL
     table: Annotated[Table | None, ""] = None
     camera: Annotated[Camera | None, ""] = None

@@ -51,7 +51,7 @@ class ArmEntry:
     )  # fmt: skip
     encoder_ports: Annotated[tuple[str, ...], "instead of the ports in its file, in their order"] = ()
     motor_nodes: Annotated[
-        tuple[Annotated[int, NODE], ...], "instead of those in its file, one a drive; for a shared bus"
+        tuple[Annotated[int, NODE], ...], "instead of those in its file, one per drive; for a shared bus"
     ] = ()
     camera_port: Annotated[Annotated[int, UDP_PORT] | None, "instead of the one in its file"] = None
 
@@ -221,7 +221,7 @@ def _placed(entry: ArmEntry, index: int, can: CanBus | None, cell_file: Path) ->
         if len(entry.motor_nodes) != len(arm.drives):
             raise Rejected(
                 ("arm", index, "motor_nodes"),
-                f"{len(arm.drives)} nodes, one a drive",
+                f"{len(arm.drives)} nodes, one per drive",
                 str(len(entry.motor_nodes)),
             )
         drives = zip(arm.drives, entry.motor_nodes, strict=True)

@@ -28,14 +28,14 @@ Position = Annotated[Vector3, POSITION]
 
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """What is mounted on the last link: one [tool], or several [[tool]] with a name each, of which the first is on at the start.
+    """What is mounted on the last link: one [tool], or several [[tool]] of which the first is on at the start.
 
     `armwright tool NAME` changes it (docs/tools.md).
     """
 
     position_m: Annotated[Position, "the tip (tool centre point) in the last link's frame"] = (0.0, 0.0, 0.0)
     known: Annotated[bool, "false: `calibrate` identifies it"] = True
-    name: Annotated[str, WORD, "required and unique where there are several", "none"] = ""
+    name: Annotated[str, WORD, "required and unique where there are several"] = ""
     mass_kg: Annotated[NonNegative, TOOL_MASS, "a point mass, beyond the masses of the links"] = 0.0
     com_m: Annotated[Position | None, "where it is, in the last link's frame", "at the tip"] = None
 
@@ -61,7 +61,7 @@ class Gripper:
     torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
     resistance_ohm: Annotated[Positive, "of the winding, from terminal to terminal"]
     supply_V: Annotated[Positive, "of the motor board"]
-    current_limit_A: Annotated[Positive, "what the motor bears for ever; the board keeps to it in every mode"]
+    current_limit_A: Annotated[Positive, "what the motor bears continuously"]
     speed_limit_m_s: Annotated[Positive, FINGER_SPEED, "of the opening"]
     encoder_counts_per_rev: Annotated[
         int, ZERO_OR_MORE, "per motor turn; 0: no encoder, so it can only open and close"
@@ -76,7 +76,7 @@ class Gripper:
     ] = None
     on_fault: Annotated[
         Literal["hold", "release"],
-        "after a fault of the arm, and when the host is gone: keep what it has, or open the circuit",
+        "after a fault of the arm, and without the host: keep what it has, or open the circuit",
     ] = "hold"
 
     @property

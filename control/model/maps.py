@@ -29,15 +29,15 @@ STEEPEST: Final = (
 class CorrectionMap:
     """A smooth table of one joint: `values` at equally spaced nodes from `lower` to `upper` of the variable `over`.
 
-    `corrects` "angle_rad": the joint is ahead of its encoder by this; "torque_Nm": torque that the motor has to add.
-    `by_direction` is added in positive and subtracted in negative motion. Over a motor turn the table goes round, and its last
-    node is one step before the first. Beyond its ends a map keeps the value that it has there.
+    Beyond its ends it keeps its end value. Over a motor turn it goes round: its last node is one step before the first.
     """
 
     joint: Annotated[int, ONE_OR_MORE, "that is corrected"]
-    corrects: Annotated[Corrects, "how far the joint is ahead of its encoder, or what the motor has to add"]
+    corrects: Annotated[
+        Corrects, "how far the joint is ahead of its encoder, or torque that the motor has to add"
+    ]
     over: Annotated[Over, "encoder angle, motor angle within a turn, torque of the links, or speed"]
-    values: Annotated[tuple[float, ...], "at equally spaced nodes, 4 or more"]
+    values: Annotated[tuple[float, ...], "at the nodes, 4 or more, joined by a cubic spline"]
     lower: Annotated[float, "place of the first node; none for a motor's turn"] = 0.0
     upper: Annotated[float, "place of the last node; none for a motor's turn"] = tau
     by_direction: Annotated[tuple[float, ...], "added in positive motion, subtracted in negative"] = ()

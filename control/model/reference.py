@@ -19,19 +19,22 @@ from control.model.rules import Rule
 PAGE = Path("docs/arm_toml.md")
 HEAD = """# arm.toml: every key
 One file describes one arm. `armwright new` writes one with comments ([new_arm.md](new_arm.md)); `control/arms/right.toml` is a
-complete example; `armwright arm FILE` checks a file and prints what it holds.
+complete example; `armwright arm FILE` checks a file.
 
-- SI units and radians; the unit ends the key's name. A value that looks like millimetres, degrees or grams is refused.
-- A key without a default is required; a section without required keys may be absent. A command that needs it says so.
-- Unknown keys are errors, with the nearest known key.
-- A calibrated arm is always a new file.
-- The column "value" has the type and the range; a range without a type is of a number.
+- SI units and radians; the unit ends the key's name. Values that look like millimetres, degrees or grams are refused.
+- Unknown keys are errors. A section without required keys may be absent; a command that needs it says so.
+- A range without a type is of a number. A name has 1 to 64 characters without / and \\, and does not begin with . or -.
+  A word has 1 to 32 letters, digits, - and _, and begins with a letter.
 
-This page is made from the reader's own definitions by `make arm-reference`. Effects: [formats.md](formats.md#effects).
+`make arm-reference` makes this page from the reader's own definitions. Effects: [formats.md](formats.md#effects).
 """
 
 # Conditions as the reader words them in an error, and as a range in the table.
 RANGES = (
+    (re.compile(r"a name of 1 to \d+ characters, .+"), "name"),
+    (re.compile(r"a name of 1 to \d+ letters, .+"), "word"),
+    (re.compile(r"an angle within four turns, in rad"), "±8 pi"),
+    (re.compile(r"a size of at least (\d+) bytes"), r"whole, ≥ \1"),
     (re.compile(r"a positive number"), "> 0"),
     (re.compile(r"a number not below 0"), "≥ 0"),
     (re.compile(r"a whole number of 1 or more"), "whole, ≥ 1"),
@@ -45,7 +48,7 @@ RANGES = (
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Key:
-    """One key: its TOML type and conditions, its default ("" if it is required) and what it says."""
+    """One key: its TOML type and conditions, its default ("" if it may be absent) and what it says."""
 
     name: str
     kind: str
@@ -77,7 +80,7 @@ def reference_text() -> str:
     """The page."""
     parts = [HEAD]
     for section in sections():
-        rows = [f"| `{k.name}` | {k.kind} | {k.default or 'required'} | {k.text} |" for k in section.keys]
+        rows = [f"| `{k.name}` | {k.kind} | {k.default} | {k.text} |" for k in section.keys]
         title = f"`{section.header}`" if section.header else "Top level"
         head = f"## {title}\n{section.about}\n\n| key | value | default | |\n| --- | --- | --- | --- |"
         parts.append("\n".join((head, *rows)) + "\n")
@@ -179,9 +182,9 @@ def _default(field: "dataclasses.Field[Any]") -> str:
     if field.default_factory is not dataclasses.MISSING:
         value = field.default_factory()
     if value is dataclasses.MISSING:
-        return ""
+        return "required"
     if value is None or value in ((), {}) or (isinstance(value, float) and math.isinf(value)):
-        return "none"
+        return ""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

@@ -145,8 +145,8 @@ def as_markdown() -> str:
     """The table as docs/state_machine.md: modes, events, and a row per event with the next mode per mode."""
     lines = [
         "# Modes of the arm",
-        "What the drives do in each mode, and the next mode for each event. Printed by `control.safety.table.as_markdown()`.",
-        "An event without an entry for the present mode raises `IllegalTransition` and changes nothing.",
+        "What the drives do in each mode, and the next mode for each event (`control.safety.table.as_markdown()`). An event",
+        "without an entry for the present mode raises `IllegalTransition` and changes nothing.",
         "",
         "| mode | drives |",
         "| --- | --- |",
@@ -172,21 +172,11 @@ def _markdown_row(event: Event) -> str:
 
 
 _NOTES: Final = (
-    "Beyond the table:",
+    "Beyond the table ([safety.md](safety.md) has what faults lead to, [socket.md](socket.md#jogging) what jogs do):",
     "",
-    "| rule | |",
-    "| --- | --- |",
-    "| CONNECT | refused while faults are not acknowledged |",
-    "| MOVE | refused while a joint has no zero |",
-    "| JOG | a client renews it at 10 Hz or faster; without renewal the arm slows to rest (ARRIVED) |",
-    "| JOG, connection closed | STOP |",
-    "| JOG before homing | joints only, slowly, with half of the current |",
-    "| PAUSED | begins while the arm still slows down; a motion that ends meanwhile raises ARRIVED |",
-    "| STOP, or a fault with a controlled stop, while MOVING or PAUSED | the motion slows down on its path where that takes"
-    " at most 0.4 s, else each joint as soon as it can |",
-    "| fault in OFF, BRAKED, GUIDING | always brakes |",
-    "| two faults | both stay listed; the more severe reaction wins: BRAKE never becomes HOLD or CONTROLLED |",
-    "| acknowledge | by a person, after the controlled stop: to HOLDING if the arm was held, to BRAKED if it was braked;"
-    " in OFF it only clears the list |",
-    "| shutdown (Ctrl-C, an error) | stop, hold, 0 V at rest, off when still at rest |",
+    "- CONNECT is refused while faults are not acknowledged, MOVE while a joint has no zero.",
+    "- A jog that is not renewed slows to rest (ARRIVED); one whose connection closes gets a STOP.",
+    "- PAUSED begins while the arm still slows down; a motion that ends meanwhile raises ARRIVED.",
+    "- A person acknowledges, after the controlled stop. In OFF it only clears the list.",
+    "- Shutdown (Ctrl-C, an error): stop, hold, 0 V at rest, off when still at rest.",
 )

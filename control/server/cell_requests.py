@@ -12,7 +12,8 @@ from control.motion.pace import Stretched
 from control.motion.setpoint import Motion
 from control.safety.table import Mode
 from control.server.messages import SHOWN, Asked, MoveTogether, decoded
-from control.server.requests import Message, Planned, Requests, refused
+from control.server.planned_motions import Planned
+from control.server.requests import Message, Requests, refused
 
 # They wait for boards, and the loop with them: an arm in motion would be without control for some tens of milliseconds.
 WAITING = frozenset(("enable", "home", "acknowledge"))

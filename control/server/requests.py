@@ -1,33 +1,29 @@
 """Requests to the runtime: a JSON object in, a JSON object out, answered at once. docs/socket.md lists them.
 
 An invalid request is refused before anything changes. First the client's right (control.server.control_right), then the arm's
-mode are looked at, and only then the request as a whole. The client has planned the motion; here it is only rebuilt and
-compared with the arm's position.
+mode are looked at, and only then the request as a whole.
 """
 
 import base64
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from control.errors import ArmError
 from control.hardware.averaging import Averaging
 from control.loop.runtime import Runtime
 from control.motion.joint_limits import JointLimits
-from control.motion.joint_move import JointMove
-from control.motion.joint_path import JointPath
-from control.motion.plan import PlannedPath
 from control.motion.setpoint import Motion
 from control.safety.monitor import IllegalTransition
 from control.safety.table import CONTROLLED_MODES, Event, Mode
 from control.server import messages
 from control.server.control_right import ControlRight
 from control.server.jog_requests import jog_request
-from control.server.messages import Asked, decoded, numbers
+from control.server.messages import Asked, decoded
+from control.server.planned_motions import Planned, PlannedMotions
 from control.server.status import gripper_status, status_of, step_of
 from firmware_iface.errors import LinkError
 
 Message = dict[str, Any]
-START_TOLERANCE_rad = 5e-3  # around a path's first point: a joint move ends within a few counts of it
 BEGINS = {
     "move_joints": Event.MOVE,
     "run_path": Event.MOVE,
@@ -45,9 +41,6 @@ ADVICE = {
     Mode.PAUSED: "resume the motion (`armwright resume`), or stop it (`armwright stop`)",
     Mode.FAULT: "read the faults (`armwright status`), make the arm safe, then `armwright acknowledge`",
 }
-
-
-Planned = messages.MoveJoints | messages.RunPath | messages.RunJoints
 
 
 class Listener(Protocol):
@@ -71,7 +64,7 @@ class Requests:
 
     def __init__(self, runtime: Runtime, limits: JointLimits, about: Message) -> None:
         self._runtime = runtime
-        self._limits = limits
+        self._motions = PlannedMotions(runtime, limits)
         self._about = about
         self._right = ControlRight()
         self._grips: int | None = None  # the client that moved the gripper last
@@ -208,7 +201,7 @@ class Requests:
         except IllegalTransition as error:
             raise ArmError(_advised(error, do)) from None
         self._runtime.require_recording()
-        return self._prepare(request)
+        return self._motions.prepare(request)
 
     def begin(self, motion: Motion, request: Planned, client: int) -> None:
         """Start a prepared motion."""
@@ -217,61 +210,13 @@ class Requests:
         if self.events is not None:
             self.events.requested(str(request.__struct_config__.tag), client)
 
-    def _prepare(self, request: Planned) -> Motion:
-        match request:
-            case messages.MoveJoints():
-                return self._joint_move(request)
-            case messages.RunPath():
-                return self._path(request)
-            case _:
-                return self._joint_path(request)
-
     def _move(self, request: Planned, client: int) -> Message:
-        motion = self._prepare(request)
+        motion = self._motions.prepare(request)
         if self.beside is not None:
             self.beside.require_clear(motion)
         self._runtime.start(motion, request.as_encoders)
         self._own(request, client)
         return {"duration_s": motion.duration_s, "run": self._runtime.run_number}
-
-    def _joint_move(self, request: messages.MoveJoints) -> Motion:
-        target = numbers("q_rad", request.q_rad, len(self._runtime.parts.joint_names))
-        start = self._runtime.seen(request.as_encoders)
-        move = JointMove(start, target, self._limits.scaled(request.speed))
-        self._runtime.parts.tool.guard.require_move(move, start, target)
-        return move
-
-    def _path(self, request: messages.RunPath) -> Motion:
-        path = PlannedPath.from_message(request.path)
-        tool = self._runtime.parts.tool
-        self._require_tool(request.tool)
-        self._require_at(path.q_start_rad, request.as_encoders)
-        tool.guard.require_path(path)
-        return path.motion(tool.inverse, tool.kinematics)
-
-    def _joint_path(self, request: messages.RunJoints) -> Motion:
-        path = JointPath.from_message(request.path)
-        self._require_tool(request.tool)
-        path.require_within(self._limits)
-        self._require_at(path.knots[0].q_rad, request.as_encoders)
-        self._runtime.parts.tool.guard.require_joint_path(path)
-        return path
-
-    def _require_tool(self, planned: str | None) -> None:
-        """Check that a path is for the tip of the tool that is on, if it says for which."""
-        on = self._runtime.parts.tool.tool.name
-        if planned is not None and planned != on:
-            raise ArmError(f"the path is for the tip of tool {planned!r}, and {on!r} is on: plan it again")
-
-    def _require_at(self, first_rad: Sequence[float], as_encoders: bool) -> None:
-        """Check that the arm holds at a path's first point."""
-        seen_rad = self._runtime.seen(as_encoders).q_rad
-        off_rad = max(abs(a - b) for a, b in zip(first_rad, seen_rad, strict=True))
-        if off_rad > START_TOLERANCE_rad:
-            raise ArmError(
-                f"the arm is {off_rad:.4f} rad away from the path's first point (tolerance {START_TOLERANCE_rad} rad):"
-                f" move there first, to {', '.join(f'{q:.4f}' for q in first_rad)} rad"
-            )
 
     def _jog(self, request: messages.Jog, client: int) -> Message:
         self._runtime.jog(jog_request(request, len(self._runtime.parts.joint_names)))

@@ -3,8 +3,8 @@
     ff ff fd 00   id u8   length u16   instruction u8   parameters   crc u16          length: from the instruction to the CRC
     status: instruction 0x55, then an error byte before the parameters; its bit 7 is the alert of a hardware error
 
-Numbers are little endian. Where parameters contain ff ff fd, another fd follows it. The CRC is CRC-16/BUYPASS (polynomial 0x8005
-from 0) of all bytes before it.
+Numbers are little endian. Where parameters contain ff ff fd, another fd follows it (dynamixel-sdk 4.1.0 leaves it out). The CRC
+is CRC-16/BUYPASS (polynomial 0x8005 from 0) of all bytes before it.
 """
 
 from enum import IntEnum

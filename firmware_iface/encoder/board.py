@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from firmware_iface.clock import Clock
 from firmware_iface.encoder import cobs, wire
 from firmware_iface.encoder.board_time import BoardTime
+from firmware_iface.encoder.index_latches import IndexLatches
 from firmware_iface.encoder.wire import ChannelFlag, IndexAction
 from firmware_iface.errors import (
     BoardReset,
@@ -26,9 +27,6 @@ _STREAM_LOAD = 0.9  # of the line; the rest is for answers and index frames
 _LONGEST_PERIOD_s = 1.0
 _LATE_FRAMES = 128  # half of the sequence: a report further behind is of a board that has restarted
 _LATE_us = 1_000_000
-_INDEX_LATCHED = int(ChannelFlag.INDEX_LATCHED)  # an IntFlag takes 1 us to be combined, each cycle
-_LATCH_REPEAT_s = 0.02  # INDEX is requested again if it comes later than this after its flag
-_WATCH_EVERY_s = 0.02  # arm one of the watched indices: 27 bytes, a tenth of a slow line
 _REQUESTS = (wire.Poll, wire.Stream, wire.SetZero, wire.ArmIndex, wire.Identify)
 
 
@@ -60,13 +58,7 @@ class EncoderBoard:
         self._board_sequence: int | None = None
         self._has_sent = False
         self._answer: wire.Ack | wire.Identity | None = None
-        self._latches: dict[int, int] = {}
-        self._armed: dict[int, float] = {}  # channel: when its latch was last asked for [s]
-        self._arming: tuple[int, int] | None = None  # (request sequence, channel) of ARM_INDEX under way
-        self._watch_asked: Sequence[int] = ()
-        self._watched: list[int] = []  # channels whose indices are watched, the next one to arm first
-        self._watch_at_s = -math.inf  # when an index was last armed for that
-        self._passed: list[tuple[int, int]] = []
+        self._indices = IndexLatches(self._send_arm_index)
         self._problems: list[LinkError] = []
 
     @property
@@ -102,10 +94,7 @@ class EncoderBoard:
                     self._take_report(frame, now_s)
                 else:
                     self._take_other(frame)
-            if self._armed:
-                self._ask_for_lost_latches(now_s)
-            if self._watched and now_s - self._watch_at_s >= _WATCH_EVERY_s:
-                self._arm_next(now_s)
+            self._indices.attend(now_s, self.latest)
         if self._problems:
             raise self._problems.pop(0)
 
@@ -157,60 +146,37 @@ class EncoderBoard:
         self._check_channel(channel)
         frame = wire.SetZero(self._next_sequence(), channel, count)
         wire.encode(frame)  # raises MisuseError before any state is cleared
-        self._forget_index(channel)
+        self._indices.forget(channel)
         self._request(frame)
 
     def arm_index(self, channel: int) -> None:
         """Arm the index latch of `channel` for the next pulse; see `index_latch`."""
         self._check_channel(channel)
-        self._forget_index(channel)
+        self._indices.forget(channel)
         frame = wire.ArmIndex(self._next_sequence(), channel, IndexAction.ARM)
-        # An INDEX of an older arming comes before this ACK and is dropped with it.
-        self._arming = (frame.sequence, channel)
+        self._indices.expect(frame.sequence, channel)
         self._request(frame)
 
     def disarm_index(self, channel: int) -> None:
         """Disarm the index latch and discard its count."""
         self._check_channel(channel)
         self._request(wire.ArmIndex(self._next_sequence(), channel, IndexAction.DISARM))
-        self._forget_index(channel)
+        self._indices.forget(channel)
 
     def index_latch(self, channel: int) -> int | None:
         """The count latched since `arm_index`, or None."""
-        return self._latches.get(channel)
+        return self._indices.latched(channel)
 
     def watch_indices(self, channels: Sequence[int]) -> None:
         """Let `update` arm the index of each channel again and again, without waiting; none ends it.
 
         Not beside `arm_index`, which is for one pulse.
         """
-        if channels is self._watch_asked and len(channels) == len(self._watched):
-            return  # asked every cycle
-        self._watch_asked = channels
-        if list(channels) != sorted(self._watched):
-            for channel in {*self._watched, *channels}:
-                self._forget_index(channel)
-            self._watched = sorted(channels)
-            self._arming = None
-            self._passed.clear()
+        self._indices.watch(channels)
 
     def passed_indices(self) -> list[tuple[int, int]]:
         """(channel, count) of the watched index pulses that came since the last call."""
-        passed, self._passed = self._passed, []
-        return passed
-
-    def _arm_next(self, now_s: float) -> None:
-        """Arm the next watched index that does not wait for its pulse."""
-        self._watch_at_s = now_s
-        for _ in self._watched:
-            channel = self._watched.pop(0)
-            self._watched.append(channel)
-            if channel not in self._armed:
-                self._forget_index(channel)
-                frame = wire.ArmIndex(self._next_sequence(), channel, IndexAction.ARM)
-                self._arming = (frame.sequence, channel)
-                self._send(frame)
-                return
+        return self._indices.passed()
 
     def _check_channel(self, channel: int) -> None:
         channels = self.identity.channels if self.identity else wire.CHANNELS
@@ -224,10 +190,6 @@ class EncoderBoard:
                 "update the board's firmware or this program"
             )
 
-    def _forget_index(self, channel: int) -> None:
-        self._armed.pop(channel, None)
-        self._latches.pop(channel, None)
-
     def _next_sequence(self) -> int:
         self._sequence = self._sequence % 255 + 1  # 0 marks an unsolicited answer
         return self._sequence
@@ -238,6 +200,11 @@ class EncoderBoard:
             coded = cobs.DELIMITER + coded  # ends a partial frame of a previous host
             self._has_sent = True
         self._link.write(coded)
+
+    def _send_arm_index(self, channel: int, action: IndexAction) -> int:
+        frame = wire.ArmIndex(self._next_sequence(), channel, action)
+        self._send(frame)
+        return frame.sequence
 
     def _request(self, frame: wire.Request) -> None:
         answer = self._ask(frame, ANSWER_TIMEOUT_s)
@@ -314,36 +281,13 @@ class EncoderBoard:
         elif isinstance(frame, wire.Identity | wire.Ack):
             self._count_if_new(frame.sequence)
             self._answer = frame
-            if self._arming is not None and self._arming[0] == frame.request_sequence:
-                self._begin_waiting_for_index(self._arming[1])
+            self._indices.acknowledged(frame.request_sequence, self._clock.now_s())
         elif isinstance(frame, wire.IndexLatch):
             self._count_if_new(frame.sequence)
             if frame.channel >= wire.CHANNELS:
                 self._violation(f"sent an index of channel {frame.channel}", wire.encode(frame))
             else:
-                self._take_latch(frame)
-
-    def _take_latch(self, frame: wire.IndexLatch) -> None:
-        if frame.channel not in self._watched:
-            self._latches[frame.channel] = frame.count
-        elif frame.channel in self._armed:
-            self._forget_index(frame.channel)
-            self._passed.append((frame.channel, frame.count))
-
-    def _begin_waiting_for_index(self, channel: int) -> None:
-        self._arming = None
-        self._latches.pop(channel, None)
-        self._armed[channel] = self._clock.now_s()
-
-    def _ask_for_lost_latches(self, now_s: float) -> None:
-        for channel, asked_s in tuple(self._armed.items()):
-            if channel in self._latches:
-                del self._armed[channel]
-            elif not self.latest or not self.latest.flags[channel] & _INDEX_LATCHED:
-                self._armed[channel] = now_s
-            elif now_s - asked_s > _LATCH_REPEAT_s:
-                self._armed[channel] = now_s
-                self._send(wire.ArmIndex(self._next_sequence(), channel, IndexAction.SEND_AGAIN))
+                self._indices.take(frame)
 
     def _count_if_new(self, sequence: int) -> None:
         """Count those lost before a frame without a time stamp, unless it is late or came before."""
@@ -360,9 +304,7 @@ class EncoderBoard:
         self._board_sequence = sequence
         self.latest, self.latest_at_s, self.fresh_at_s = None, -math.inf, -math.inf
         self._time = BoardTime()
-        self._armed.clear()
-        self._latches.clear()
-        self._watched.clear()
+        self._indices.clear()
         self._problems.append(
             BoardReset(
                 f"{self.where}: restarted by itself; its counts are no longer valid positions: "

@@ -1,13 +1,10 @@
 """The MuJoCo model of an arm: links at their true DH frames, motors behind gears, friction, backlash, a hand and a payload.
 
-Per joint a link-side hinge and, with an effect between motor and joint (backlash, compliance, a coupled belt), a
-motor-side hinge of inertia N^2 Jr, both in joint angles, coupled by a fixed tendon of motor - link + ratio * q2. Without
-such an effect the rotor is the armature of the link's hinge: exactly rigid, and cheaper.
+Links with their hinges, masses and bending stand here; motors, gears and friction in transmission.py.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,19 +13,14 @@ import mujoco
 import numpy as np
 
 from hil_mocks.errors import MockError
-from hil_mocks.plant.effects import JointEffects, PlantEffects
+from hil_mocks.plant.effects import PlantEffects
 from hil_mocks.plant.flexure import LOSS_S, Beam, beam, ends_of, remaining_inertia, split_mass
 from hil_mocks.plant.geometry import Frame, Matrix, true_frame
-from hil_mocks.plant.parts import ArmParts, DriveParts
+from hil_mocks.plant.parts import ArmParts
+from hil_mocks.plant.transmission import HARD, Transmissions
 
-# Hard rows: 0.9999 is MuJoCo's largest impedance; under 10 Nm such a row gives by some 1e-8 rad.
-_HARD = [0.9999, 0.9999, 0.001, 0.5, 2.0]
-_BRISTLE_RAD = 2e-5  # presliding deflection of a LuGre bristle at breakaway; below any encoder's resolution
-_BRISTLE_DAMPING_RATIO = 0.5
-_LIGHT_LINK = 0.1  # smallest inertia of a link as a share of the reflected rotor's
 _FASTEST = 2.0  # steps per radian of a bending link's vibration: 1000 rad/s at 0.5 ms
 _LEAST_KG = 1e-6  # of half a link without mass
-_ROTOR_BODY_KG = 1e-9  # MuJoCo requires a mass; the effective inertia is the hinge's armature
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,10 +137,9 @@ class _Builder:
 
     def __init__(self, one: ArmToBuild) -> None:
         self._arm, self._effects, self.standing = one.arm, one.effects, one.standing
-        self.timestep_s, self._link_share = one.timestep_s, one.link_share
-        self._margin_rad = one.end_stop_margin_rad
+        self.timestep_s, self._margin_rad = one.timestep_s, one.end_stop_margin_rad
         self._spec = mujoco.MjSpec()
-        self._bristles: list[list[tuple[str, float]]] = [[] for _ in one.arm.drives]
+        self._drives = Transmissions(self._spec, one.arm, one.effects, one.timestep_s, one.link_share)
         self._bends: list[str] = []
         self._end_shift_m: Matrix = np.zeros(3)
 
@@ -161,12 +152,7 @@ class _Builder:
         """The arm alone, at the origin."""
         _set_options(self._spec, self.timestep_s, self._arm.gravity_m_s2)
         self._links()
-        for j, drive in enumerate(self._arm.drives):
-            self._transmission(j, drive, self._effects.joints[j])
-        for j, drive in enumerate(self._arm.drives):
-            self._bridge(j, drive, self._effects.joints[j])
-        for j in range(len(self._arm.drives)):
-            self._friction(j, self._effects.joints[j])
+        self._drives.add()
         self._hand()
         return self._spec
 
@@ -254,106 +240,7 @@ class _Builder:
         )
         hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         hinge.range = [drive.joint_lower_rad - self._margin_rad, drive.joint_upper_rad + self._margin_rad]
-        hinge.solref_limit, hinge.solimp_limit = [4.0 * self.timestep_s, 1.0], _HARD
-
-    def _is_rigid(self, j: int, effect: JointEffects) -> bool:
-        coupled = j == 2 and self._effects.belt_ratio != 0.0
-        return effect.backlash_rad == 0.0 and math.isinf(effect.stiffness_Nm_rad) and not coupled
-
-    def _transmission(self, j: int, drive: DriveParts, effect: JointEffects) -> None:
-        inertia = drive.gear_ratio**2 * drive.rotor_inertia_kg_m2
-        if self._is_rigid(j, effect):
-            self._spec.joint(f"q{j + 1}").armature = inertia
-            return
-        body = self._spec.worldbody.add_body(
-            name=f"motor{j + 1}", mass=_ROTOR_BODY_KG, inertia=[_ROTOR_BODY_KG] * 3, explicitinertial=True
-        )
-        body.add_joint(
-            name=f"m{j + 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0], armature=inertia
-        )
-        tendon = self._spec.add_tendon(name=f"gear{j + 1}")
-        tendon.wrap_joint(f"m{j + 1}", 1.0)
-        tendon.wrap_joint(f"q{j + 1}", -1.0)
-        if j == 2 and self._effects.belt_ratio != 0.0:
-            tendon.wrap_joint("q2", self._effects.belt_ratio)
-        self._gear(tendon, effect)
-
-    def _gear(self, tendon: Any, effect: JointEffects) -> None:
-        """A spring with backlash as its dead band; backlash with hard flanks; or a rigid coupling."""
-        half = 0.5 * effect.backlash_rad
-        if math.isfinite(effect.stiffness_Nm_rad):
-            tendon.stiffness = [effect.stiffness_Nm_rad, 0.0, 0.0]
-            tendon.damping = [effect.damping_Nm_s_rad, 0.0, 0.0]
-            tendon.springlength = [-half, half]
-        elif half > 0.0:
-            tendon.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-            tendon.range = [-half, half]
-            tendon.solref_limit, tendon.solimp_limit = [2.0 * self.timestep_s, 1.0], _HARD
-        else:
-            row = self._spec.add_equality(
-                type=mujoco.mjtEq.mjEQ_TENDON, objtype=mujoco.mjtObj.mjOBJ_TENDON, name1=tendon.name
-            )
-            row.solref, row.solimp = [2.0 * self.timestep_s, 1.0], _HARD
-
-    def _motor_hinge(self, j: int) -> str:
-        return f"q{j + 1}" if self._is_rigid(j, self._effects.joints[j]) else f"m{j + 1}"
-
-    def _bridge(self, j: int, drive: DriveParts, effect: JointEffects) -> None:
-        """The motor, referred to the joint: K = N kt in Nm/A and V s/rad; one state, the current."""
-        K = drive.gear_ratio * drive.torque_constant_Nm_A * effect.torque_constant_scale
-        actuator = self._add_actuator(f"bridge{j + 1}", self._motor_hinge(j))
-        actuator.set_to_dcmotor(
-            [K, K],
-            drive.resistance_ohm,
-            inductance=[drive.inductance_H, 0.0],
-            # The effect is what the motor has to add; the magnets act the other way.
-            cogging=[-effect.cogging_Nm, effect.cogging_order * drive.gear_ratio, effect.cogging_phase_rad],
-        )
-        actuator.actearly = True  # torque of the current at the step's end: second order instead of first
-
-    def _add_actuator(self, name: str, hinge: str) -> Any:
-        return self._spec.add_actuator(name=name, target=hinge, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-
-    def _friction(self, j: int, effect: JointEffects) -> None:
-        """Coulomb friction as a hard row, viscous as damping; a falling (Stribeck) law as a native LuGre bristle."""
-        for hinge, share in self._friction_shares(j):
-            joint = self._spec.joint(hinge)
-            joint.damping = [effect.viscous_Nm_s_rad * share, 0.0, 0.0]
-            if effect.stribeck_Nm > 0.0:
-                self._bristle(j, hinge, share, effect)
-            else:
-                joint.frictionloss = effect.coulomb_Nm * share
-                # The row must exist so that load can raise it later.
-                if effect.load_fraction > 0.0 and effect.coulomb_Nm == 0.0:
-                    joint.frictionloss = 1e-6
-                joint.solref_friction, joint.solimp_friction = [2.0 * self.timestep_s, 1.0], _HARD
-
-    def _friction_shares(self, j: int) -> tuple[tuple[str, float], ...]:
-        motor, link = self._motor_hinge(j), f"q{j + 1}"
-        if motor == link:
-            return ((link, 1.0),)
-        return ((motor, 1.0 - self._link_share), (link, self._link_share))
-
-    def _bristle(self, j: int, hinge: str, share: float, effect: JointEffects) -> None:
-        if share <= 0.0:
-            return
-        static_Nm = (effect.coulomb_Nm + effect.stribeck_Nm) * share
-        drive = self._arm.drives[j]
-        inertia = drive.gear_ratio**2 * drive.rotor_inertia_kg_m2
-        if hinge.startswith("q") and hinge != self._motor_hinge(j):
-            inertia *= _LIGHT_LINK
-        # An explicit bristle is stable while omega h stays below about 1; half of that keeps its response clean.
-        stiffness = min(static_Nm / _BRISTLE_RAD, inertia * (0.5 / self.timestep_s) ** 2)
-        damping = 2.0 * _BRISTLE_DAMPING_RATIO * math.sqrt(stiffness * inertia)
-        name = f"bristle_{hinge}"
-        actuator = self._add_actuator(name, hinge)
-        actuator.set_to_dcmotor(
-            [1e-12, 1e-12],
-            1e12,  # a motor that carries no current: only its friction is wanted
-            lugre=[stiffness, damping, effect.coulomb_Nm * share, static_Nm, effect.stribeck_speed_rad_s],
-        )
-        actuator.actearly = True
-        self._bristles[j].append((name, share))
+        hinge.solref_limit, hinge.solimp_limit = [4.0 * self.timestep_s, 1.0], HARD
 
     def _hand(self) -> None:
         hand = self._spec.worldbody.add_body(name="hand", mocap=True)
@@ -366,20 +253,21 @@ class _Builder:
             name2="hand",
             active=False,
         )
-        grip.solref, grip.solimp = [2e-3, 1.0], _HARD
+        grip.solref, grip.solimp = [2e-3, 1.0], HARD
 
     def located(self, model: Any) -> PlantModel:
         """Where the arm's elements are in the compiled world."""
         joints, prefix = range(len(self._arm.drives)), self.standing.prefix
-        motor = tuple(int(model.joint(prefix + self._motor_hinge(j)).qposadr[0]) for j in joints)
+        motor = tuple(int(model.joint(prefix + self._drives.motor_hinge(j)).qposadr[0]) for j in joints)
         rows = tuple(
             tuple(
-                (int(model.joint(prefix + name).dofadr[0]), share) for name, share in self._friction_shares(j)
+                (int(model.joint(prefix + name).dofadr[0]), share)
+                for name, share in self._drives.friction_shares(j)
             )
             for j in joints
         )
         bristles = tuple(
-            tuple((int(model.actuator(prefix + name).id), share) for name, share in self._bristles[j])
+            tuple((int(model.actuator(prefix + name).id), share) for name, share in self._drives.bristles[j])
             for j in joints
         )
         return PlantModel(

@@ -17,7 +17,7 @@ VALUE_WIDTH = 38
 PLACEHOLDERS = "Placeholders where you did not say otherwise: compare every value with your parts."
 SECTIONS = {
     "link": "links: DH rows from base to tip, and what each weighs",
-    "drive": f"motors, gears, encoders and limits, one a joint. {PLACEHOLDERS}",
+    "drive": f"motors, gears, encoders and limits, one per joint. {PLACEHOLDERS}",
     "home": "home switch; `armwright bringup` measures where it changes and where the index is",
     "encoder_board": "encoder boards: three channels each, joints in order",
     "can": "bus of the motor boards: node j drives joint j",

@@ -1,7 +1,7 @@
 """Mutation testing of what keeps the arm safe: `python -m tests.mutants.run [MODULE ...]` (`make mutants`).
 
 Each mutant runs in a forked process in which the mutated module is imported in place of the real one, with the tests of that
-module. One that no test fails has survived: docs/mutants.md lists the known ones with their reasons; others are an error.
+module. One that no test fails has survived: tests/mutants/survivors.md lists the known ones with reasons; others are an error.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import pytest
 from tests.mutants.mutator import Mutant, mutants_of
 
 ROOT = Path(__file__).parents[2]
-LIST = ROOT / "docs/mutants.md"
+LIST = Path(__file__).with_name("survivors.md")
 TIMEOUT_s = 300
 TESTS: dict[str, tuple[str, ...]] = {
     "control.safety.limits": (
@@ -117,7 +117,7 @@ def _known() -> str:
 
 
 def main(names: Sequence[str]) -> int:
-    """Print the survivors of each module; 1 if one is not listed in docs/mutants.md."""
+    """Print the survivors of each module; 1 if one is not listed in tests/mutants/survivors.md."""
     known, unknown = _known(), 0
     assert np.__version__  # imported before the forks
     for name in names or TESTS:

@@ -1,4 +1,4 @@
-"""The verdict on the last fit: names with law, parameters and departure, sets, what is left, and what would settle it."""
+"""The verdict on the last fit: names with law, parameters and departure, sets, and what is left."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.effects.catalogue import parameters, role_of
+from calib.gap.effects.catalogue import parameters
 from calib.gap.effects.electrical import SAMPLING
-from calib.gap.finding import EffectName, Nameable, NamedEffect, OpenQuestion, Remainder, Unknown
+from calib.gap.finding import EffectName, Nameable, NamedEffect, Remainder, Unknown
 from calib.gap.posterior.constants import FLOOR_DOUBT, LAW_MOST, REMAINS, SILENT_MOST
 from calib.gap.posterior.decide import left_with
 from calib.gap.posterior.evidence import Evidence
@@ -24,7 +24,6 @@ from calib.gap.series.linear import only
 from calib.gap.series.outcome import gap, in_si
 from calib.gap.series.split import Picked
 from calib.gap.series.validation import Member, bends, dominant_names, grown, members, with_only
-from calib.gap.signals.recording import Recording
 from calib.gap.signals.terms import Term as Law
 from control.model.effects import EFFECTS
 
@@ -340,48 +339,3 @@ def nameable_effects(fit: Fit) -> tuple[Nameable, ...]:
     at = fit.linear.at(middle)[fit.linear.first :]
     evidence = Evidence(only(fit.gram, at), [fit.linear.terms[k] for k in middle], FLOOR_DOUBT)
     return nameable(evidence)
-
-
-def next_experiment(
-    recording: Recording, sets: Sequence[Sequence[EffectName]], unknown: Unknown | None
-) -> str | None:
-    """What to record where something is open."""
-    if sets:
-        return _to_separate(recording, sets[0])
-    if unknown is not None:
-        advice = _advice(recording, unknown.where.startswith("the tip"))
-        return f"To see more of what is left ({unknown.where}), record {advice}."
-    return None
-
-
-def open_questions(recording: Recording, verdict: Verdict) -> tuple[OpenQuestion, ...]:
-    """One for each set and each remainder."""
-    sets = [
-        OpenQuestion(f"Which of {', '.join(map(str, names))} is it?", _to_separate(recording, names))
-        for names in verdict.ambiguous
-    ]
-    rest = [
-        OpenQuestion(
-            f"What is it that shows in {one.where}?",
-            f"Record {_advice(recording, one.where.startswith('the tip'))}.",
-        )
-        for one in verdict.remainder
-    ]
-    return (*sets, *rest)
-
-
-def _to_separate(recording: Recording, names: Sequence[EffectName]) -> str:
-    is_of_tip = any(role_of(name.effect) == "angle" for name in names)
-    return f"To separate {', '.join(map(str, names))}, record {_advice(recording, is_of_tip)}."
-
-
-def _advice(recording: Recording, is_of_tip: bool = True) -> str:
-    """What these runs lack; a camera only where it would see what is asked."""
-    if is_of_tip and not recording.has_tip:
-        return "the same runs with the camera on the tip"
-    if not recording.has_current:
-        return "the same runs with the motor currents"
-    loads = {round(float(np.median(run.payload_kg)), 3) for run in recording.runs}
-    if len(loads) < 2:
-        return "the same runs with a known payload at the tip"
-    return "slow ramps and reversals at several speeds, each twice, with and without payload"

@@ -10,16 +10,8 @@ from calib.gap.finding import GapFinding
 from calib.gap.log import Log
 from calib.gap.residuals.rows import Rows, without_motion
 from calib.gap.residuals.scene import Scene
-from calib.gap.series.answer import (
-    Verdict,
-    judged,
-    nameable_effects,
-    next_experiment,
-    open_questions,
-    silent,
-    stages,
-    what_is_left,
-)
+from calib.gap.series.advice import next_experiment, open_questions
+from calib.gap.series.answer import Verdict, judged, nameable_effects, silent, stages, what_is_left
 from calib.gap.series.drawing.laws import drawn_laws
 from calib.gap.series.fit import Fit, fitted
 from calib.gap.series.outcome import DynamicOutcome, doubts, floors_si, gap, grown, in_rad, in_si, left_out

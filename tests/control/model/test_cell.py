@@ -49,7 +49,7 @@ def test_a_base_that_is_turned_and_moved_takes_points_there_and_back(tmp_path: P
     ("old", "new", "line", "said"),
     [
         ("[4, 5, 6]", "[3, 5, 6]", 6, "expected a motor node (here 3) that no other arm of the cell has, got that of"),
-        ("[4, 5, 6]", "[4, 5]", 6, "arm.2.motor_nodes: expected 3 nodes, one a drive, got 2"),
+        ("[4, 5, 6]", "[4, 5]", 6, "arm.2.motor_nodes: expected 3 nodes, one per drive, got 2"),
         ("ttyACM1", "ttyACM0", 7, "expected a port that no other arm of the cell has, got that of arm 'left'"),
         ("47311", "47310", 8, "expected a camera port that no other arm of the cell has"),
         ("motor_nodes", "nodes", 6, "got an unknown key (did you mean motor_nodes?)"),

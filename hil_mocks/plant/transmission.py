@@ -1,0 +1,143 @@
+"""Motors, gears and friction of a MuJoCo model: what stands between a drive and its link.
+
+With an effect between motor and joint (backlash, compliance, a coupled belt) a motor-side hinge of inertia N^2 Jr is coupled to
+the link's by a fixed tendon of motor - link + ratio * q2, all in joint angles. Without such an effect the rotor is the armature
+of the link's hinge: exactly rigid, and cheaper.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mujoco
+
+from hil_mocks.plant.effects import JointEffects, PlantEffects
+from hil_mocks.plant.parts import ArmParts, DriveParts
+
+# Hard rows: 0.9999 is MuJoCo's largest impedance; under 10 Nm such a row gives by some 1e-8 rad.
+HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+_BRISTLE_RAD = 2e-5  # presliding deflection of a LuGre bristle at breakaway; below any encoder's resolution
+_BRISTLE_DAMPING_RATIO = 0.5
+_LIGHT_LINK = 0.1  # smallest inertia of a link as a share of the reflected rotor's
+_ROTOR_BODY_KG = 1e-9  # MuJoCo requires a mass; the effective inertia is the hinge's armature
+
+
+class Transmissions:
+    """Adds the drives of an arm to the specification that has its links."""
+
+    def __init__(
+        self, spec: Any, arm: ArmParts, effects: PlantEffects, timestep_s: float, link_share: float
+    ) -> None:
+        self._spec, self._arm, self._effects = spec, arm, effects
+        self._timestep_s, self._link_share = timestep_s, link_share
+        self.bristles: list[list[tuple[str, float]]] = [[] for _ in arm.drives]
+        """Per joint the actuators that are bristles, and the share of the friction that each carries."""
+
+    def add(self) -> None:
+        """Add gears, then bridges, then friction, each of all joints."""
+        for j, drive in enumerate(self._arm.drives):
+            self._transmission(j, drive, self._effects.joints[j])
+        for j, drive in enumerate(self._arm.drives):
+            self._bridge(j, drive, self._effects.joints[j])
+        for j in range(len(self._arm.drives)):
+            self._friction(j, self._effects.joints[j])
+
+    def _is_rigid(self, j: int, effect: JointEffects) -> bool:
+        coupled = j == 2 and self._effects.belt_ratio != 0.0
+        return effect.backlash_rad == 0.0 and math.isinf(effect.stiffness_Nm_rad) and not coupled
+
+    def _transmission(self, j: int, drive: DriveParts, effect: JointEffects) -> None:
+        inertia = drive.gear_ratio**2 * drive.rotor_inertia_kg_m2
+        if self._is_rigid(j, effect):
+            self._spec.joint(f"q{j + 1}").armature = inertia
+            return
+        body = self._spec.worldbody.add_body(
+            name=f"motor{j + 1}", mass=_ROTOR_BODY_KG, inertia=[_ROTOR_BODY_KG] * 3, explicitinertial=True
+        )
+        body.add_joint(
+            name=f"m{j + 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0], armature=inertia
+        )
+        tendon = self._spec.add_tendon(name=f"gear{j + 1}")
+        tendon.wrap_joint(f"m{j + 1}", 1.0)
+        tendon.wrap_joint(f"q{j + 1}", -1.0)
+        if j == 2 and self._effects.belt_ratio != 0.0:
+            tendon.wrap_joint("q2", self._effects.belt_ratio)
+        self._gear(tendon, effect)
+
+    def _gear(self, tendon: Any, effect: JointEffects) -> None:
+        """A spring with backlash as its dead band; backlash with hard flanks; or a rigid coupling."""
+        half = 0.5 * effect.backlash_rad
+        if math.isfinite(effect.stiffness_Nm_rad):
+            tendon.stiffness = [effect.stiffness_Nm_rad, 0.0, 0.0]
+            tendon.damping = [effect.damping_Nm_s_rad, 0.0, 0.0]
+            tendon.springlength = [-half, half]
+        elif half > 0.0:
+            tendon.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            tendon.range = [-half, half]
+            tendon.solref_limit, tendon.solimp_limit = [2.0 * self._timestep_s, 1.0], HARD
+        else:
+            row = self._spec.add_equality(
+                type=mujoco.mjtEq.mjEQ_TENDON, objtype=mujoco.mjtObj.mjOBJ_TENDON, name1=tendon.name
+            )
+            row.solref, row.solimp = [2.0 * self._timestep_s, 1.0], HARD
+
+    def motor_hinge(self, j: int) -> str:
+        return f"q{j + 1}" if self._is_rigid(j, self._effects.joints[j]) else f"m{j + 1}"
+
+    def _bridge(self, j: int, drive: DriveParts, effect: JointEffects) -> None:
+        """The motor, referred to the joint: K = N kt in Nm/A and V s/rad; one state, the current."""
+        K = drive.gear_ratio * drive.torque_constant_Nm_A * effect.torque_constant_scale
+        actuator = self._add_actuator(f"bridge{j + 1}", self.motor_hinge(j))
+        actuator.set_to_dcmotor(
+            [K, K],
+            drive.resistance_ohm,
+            inductance=[drive.inductance_H, 0.0],
+            # The effect is what the motor has to add; the magnets act the other way.
+            cogging=[-effect.cogging_Nm, effect.cogging_order * drive.gear_ratio, effect.cogging_phase_rad],
+        )
+        actuator.actearly = True  # torque of the current at the step's end: second order instead of first
+
+    def _add_actuator(self, name: str, hinge: str) -> Any:
+        return self._spec.add_actuator(name=name, target=hinge, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+
+    def _friction(self, j: int, effect: JointEffects) -> None:
+        """Coulomb friction as a hard row, viscous as damping; a falling (Stribeck) law as a native LuGre bristle."""
+        for hinge, share in self.friction_shares(j):
+            joint = self._spec.joint(hinge)
+            joint.damping = [effect.viscous_Nm_s_rad * share, 0.0, 0.0]
+            if effect.stribeck_Nm > 0.0:
+                self._bristle(j, hinge, share, effect)
+            else:
+                joint.frictionloss = effect.coulomb_Nm * share
+                # The row must exist so that load can raise it later.
+                if effect.load_fraction > 0.0 and effect.coulomb_Nm == 0.0:
+                    joint.frictionloss = 1e-6
+                joint.solref_friction, joint.solimp_friction = [2.0 * self._timestep_s, 1.0], HARD
+
+    def friction_shares(self, j: int) -> tuple[tuple[str, float], ...]:
+        motor, link = self.motor_hinge(j), f"q{j + 1}"
+        if motor == link:
+            return ((link, 1.0),)
+        return ((motor, 1.0 - self._link_share), (link, self._link_share))
+
+    def _bristle(self, j: int, hinge: str, share: float, effect: JointEffects) -> None:
+        if share <= 0.0:
+            return
+        static_Nm = (effect.coulomb_Nm + effect.stribeck_Nm) * share
+        drive = self._arm.drives[j]
+        inertia = drive.gear_ratio**2 * drive.rotor_inertia_kg_m2
+        if hinge.startswith("q") and hinge != self.motor_hinge(j):
+            inertia *= _LIGHT_LINK
+        # An explicit bristle is stable while omega h stays below about 1; half of that keeps its response clean.
+        stiffness = min(static_Nm / _BRISTLE_RAD, inertia * (0.5 / self._timestep_s) ** 2)
+        damping = 2.0 * _BRISTLE_DAMPING_RATIO * math.sqrt(stiffness * inertia)
+        name = f"bristle_{hinge}"
+        actuator = self._add_actuator(name, hinge)
+        actuator.set_to_dcmotor(
+            [1e-12, 1e-12],
+            1e12,  # a motor that carries no current: only its friction is wanted
+            lugre=[stiffness, damping, effect.coulomb_Nm * share, static_Nm, effect.stribeck_speed_rad_s],
+        )
+        actuator.actearly = True
+        self.bristles[j].append((name, share))
