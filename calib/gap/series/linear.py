@@ -125,9 +125,10 @@ def marginalised(gram: Gram, first: int) -> Gram:
         return gram
     root = np.linalg.cholesky(np.eye(first) + gram.tip[:first, :first])
     taken = solve_triangular(root, np.column_stack((gram.tip[:first, first:], gram.pull[:first])), lower=True)
-    seen = gram.tip[first:, first:] - taken[:, :-1].T @ taken[:, :-1]
-    pull = gram.pull[first:] - taken[:, :-1].T @ taken[:, -1]
-    left = gram.left - float(taken[:, -1] @ taken[:, -1])
+    inner = taken.T @ taken  # of one array with itself: half the products of any other
+    seen = gram.tip[first:, first:] - inner[:-1, :-1]
+    pull = gram.pull[first:] - inner[:-1, -1]
+    left = gram.left - float(inner[-1, -1])
     return Gram(seen, pull, np.zeros_like(seen), np.zeros(len(pull)), left, gram.freedom)
 
 
