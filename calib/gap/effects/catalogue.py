@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -80,6 +81,15 @@ def known_laws(arm: Arm) -> tuple[Law, ...]:
     some = [(EffectName(one.effect, one.joint), one.parameters) for one in arm.effects]
     laws = (known_law(RECORDS[name.effect], name, given) for name, given in some if name.effect in RECORDS)
     return tuple(law for law in laws if law is not None)
+
+
+def other_forms(law: Law) -> tuple[Law, ...]:
+    """The law with the same values in the other forms that act alike: arm.toml does not say in which of them a part keeps it."""
+    series = series_of(law.name.effect)
+    forms = () if series is None else series.forms
+    return tuple(
+        replace(law, form=form) for form in forms if form is not law.form and form.acts == law.form.acts
+    )
 
 
 def parameters(law: Law, covariance: Array) -> Parameters:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+
+import numpy as np
 
 from calib.arrays import Array
-from calib.gap.effects.catalogue import known_laws
+from calib.gap.effects.catalogue import known_laws, other_forms
 from calib.gap.finding import GapFinding
 from calib.gap.log import Log
 from calib.gap.residuals.rows import Rows, without_motion
@@ -21,6 +23,7 @@ from calib.gap.series.validation import validated
 from calib.gap.signals.motion import motion_gaps
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import Recording, prepare
+from calib.gap.signals.terms import Term as Law
 from control.model.arm import Arm
 from control.progress import Advance
 from control.progress import silent as quiet
@@ -42,8 +45,8 @@ def examine(
     """`find`, with what a report shows beside the finding."""
     progress = _rising(advance or quiet)
     progress("reading the runs", 0.0)
-    recording, known = plausible(arm, prepare(arm, log)), known_laws(arm)
-    rows = Rows(Physics(arm, recording), known)
+    recording = plausible(arm, prepare(arm, log))
+    rows, known = _rows(Physics(arm, recording), known_laws(arm))
     warnings = [*recording.warnings, *without_motion(rows.table)]
     parts, scene = split(recording, rows.table), Scene(rows, known)
     fit = fitted(scene, known, parts, candidates, progress)
@@ -72,6 +75,19 @@ def examine(
         model,
         drawn_laws(fit, [one.name for one in finding.effects]),
     )
+
+
+def _rows(physics: Physics, known: Sequence[Law]) -> tuple[Rows, tuple[Law, ...]]:
+    """Rows, and what the file has, each law in the form that leaves least of them: what is found then adds up to its total."""
+    rows, model = Rows(physics, known), list(known)
+    for place, law in enumerate(known):
+        kept = model.copy()
+        least = float(np.linalg.norm(rows.residual(kept))) if other_forms(law) else 0.0
+        for other in other_forms(law):
+            kept[place] = other
+            if (left := float(np.linalg.norm(rows.residual(kept)))) < least:
+                least, model[place] = left, other
+    return (rows if model == list(known) else Rows(physics, model)), tuple(model)
 
 
 def _finding(

@@ -14,10 +14,12 @@ import pytest
 from calib.arrays import Array
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log, Run
+from calib.gap.model_update import as_totals
 from calib.gap.series.find import examine, find
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.signals.recording import UnusableLogError
 from control.kinematics.kinematics import Kinematics
+from control.model.arm import Effect
 from tests.calib.gap.series.prescribed import Hidden, arm_with_friction, log_of
 
 pytestmark = pytest.mark.usefixtures("without_motion")
@@ -129,6 +131,24 @@ def test_a_late_command_is_named_and_not_an_inductance() -> None:
     found = find(ARM, log_of(ARM, delay_samples=1), candidates=(*FEW, "command_delay", "supply_sag"))
     assert names(found) == [EffectName("command_delay")]
     assert found.effects[0].parameters["delay_s"][0] == pytest.approx(0.002, rel=0.1)
+
+
+def test_a_sag_that_the_file_has_in_part_comes_out_as_its_total_in_the_form_that_the_supply_keeps() -> None:
+    """The supply gives way to the sum of all currents' magnitudes; arm.toml does not say that."""
+    sag_ohm = 1.0
+    nominal_V = np.array([drive.supply_V for drive in ARM.drives])
+
+    def sagging(run: Run) -> Run:
+        there = 1.0 - sag_ohm * np.abs(run.current_A).sum(axis=1, keepdims=True) / nominal_V
+        return replace(run, voltage_V=run.voltage_V / there)
+
+    log = log_of(ARM)
+    log = replace(log, runs=tuple(sagging(run) for run in log.runs))
+    half = replace(ARM, effects=(*ARM.effects, Effect("supply_sag", None, {"resistance_ohm": 0.5 * sag_ohm})))
+    (effect,) = as_totals(half, find(half, log, candidates=("supply_sag",))).effects
+    assert effect.name == EffectName("supply_sag", None)
+    value, _ = effect.parameters["resistance_ohm"]
+    assert value == pytest.approx(sag_ohm, rel=0.1)
 
 
 def test_another_winding_resistance_is_unknown_as_it_is_in_no_list() -> None:
