@@ -155,7 +155,9 @@ class RunningArm:
         """
         planned, on = trajectory.arm.tool.name, self._client.status()["tool"]
         if planned != on:
-            raise ArmError(f"the path is for the tip of tool {planned!r}, and {on!r} is on: plan it again")
+            raise ArmError(
+                f"the path is for the tip of tool {planned!r}, but {on!r} is mounted: plan it again"
+            )
         self._client.move_joints(trajectory.start_rad, APPROACH_SPEED)
         self._client.run_path(trajectory.path.to_message(), wait, tool=planned)
 

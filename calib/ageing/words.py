@@ -52,7 +52,7 @@ def _sentences(trend: Trend) -> Iterator[str]:
     yield f"Arm {trend.arm}: {calibrations} calibrations and {gaps} gaps on record."
     few = [what for what, count in (("calibrations", calibrations), ("gaps", gaps)) if 0 < count < LEAST]
     if calibrations < 2 and not trend.quantities:
-        yield "One date tells no drift: calibrate again with --history, some weeks later."
+        yield "One calibration shows no drift: calibrate again with --history, some weeks later."
         return
     if few:
         yield (
@@ -89,7 +89,7 @@ def _about_due(trend: Trend) -> Iterator[str]:
     limit = f"{MILLI * trend.tolerance_m:.3g} mm"
     if trend.due is None:
         yield (
-            f"When the tip will have drifted by {limit} cannot be told: it needs at least {LEAST} calibrations on different days."
+            f"The next date cannot be estimated for {limit} yet: that needs at least {LEAST} calibrations on different days."
         )
         return
     last = [one for one in trend.entries if one.geometry is not None][-1].measured

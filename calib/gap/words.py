@@ -25,7 +25,7 @@ def _sentences(found: GapFinding) -> Iterator[str]:
         yield "The nominal geometry does not fit this arm; it was identified with the effects (link_geometry)."
     for effect in named:
         if effect.is_nothing:
-            yield f"Not there: {effect.name}, which the arm's file has; its total is none, and it is taken out."
+            yield f"Not there: {effect.name}, which the arm's file has; it is removed."
         else:
             yield f"Named: {effect.name} ({parameters_text(effect)})."
     if not named and found.unknown is None and not found.ambiguous:

@@ -122,7 +122,7 @@ def find_gap(
     `without`, or where there are neither points nor a log.
     """
     require_effects(without)
-    told = [f"{arm.name}: its measured maps are left aside and measured anew"] if arm.maps else []
+    told = [f"{arm.name}: its maps are not used; they are measured anew"] if arm.maps else []
     arm = dataclasses.replace(arm, maps=())
     split = POSES_SHARE if points is not None and log is not None else None
     static = dynamic = None

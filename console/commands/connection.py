@@ -37,8 +37,8 @@ def in_control_of(given: argparse.Namespace, arm: Arm) -> ArmClient:
     if on != arm.tool.name:
         client.close()
         raise ArmError(
-            f"tool {on!r} is on, and {arm.path} begins with {arm.tool.name!r}: `armwright tool {arm.tool.name}`, or give a file"
-            " whose first [[tool]] it is"
+            f"tool {on!r} is mounted, but {arm.path} begins with {arm.tool.name!r}: `armwright tool {arm.tool.name}`, or give a"
+            " file whose first [[tool]] it is"
         )
     return client
 

@@ -144,7 +144,7 @@ class Neighbours:
         for other in self._others:
             if other.now is None:
                 raise ArmError(
-                    f"arm {other.name!r} is not homed, so where it stands is not known: home it first"
+                    f"arm {other.name!r} is not homed, so its pose is unknown: home it first"
                     f" (`armwright home --arm {other.name}`); jogs are free"
                 )
         _Sweep(self, copy.copy(motion), [other.going_on(together or {}) for other in self._others]).run()
@@ -319,7 +319,7 @@ def _lost(error: Exception) -> Fault:
     return Fault(
         "motion",
         "motion",
-        f"it was stopped: where it would be {AHEAD_S:g} s later cannot be told: {text}",
+        f"it was stopped: where it would be {AHEAD_S:g} s later is unknown: {text}",
         "plan it again; if it was planned for this arm, report it with the recording of this run",
         Reaction.CONTROLLED,
     )

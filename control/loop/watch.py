@@ -141,7 +141,7 @@ class Watch:
             Fault(
                 "encoder_leap",
                 self._names[joint],
-                f"its encoder leapt by {leap:.4f} rad between two reports, faster than its motor can turn",
+                f"its encoder jumped by {leap:.4f} rad between two reports, faster than its motor can turn",
                 "check the encoder's coupling, cable and shield, then home again",
                 Reaction.BRAKE,
             )

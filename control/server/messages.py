@@ -229,7 +229,7 @@ def asked(line: bytes) -> Asked:
         envelope = _ENVELOPE.decode(line)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ArmError(
-            f"request: expected one JSON object a line with the name of the request as `do`, got {line[:SHOWN]!r}"
+            f"request: expected one JSON object per line with the name of the request as `do`, got {line[:SHOWN]!r}"
             f" ({_reason(error)})"
         ) from None
     return Asked(envelope.do, envelope.id, line, envelope.arm)

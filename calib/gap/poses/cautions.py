@@ -83,7 +83,7 @@ def about_data(arm: Arm, points: Points) -> Iterator[str]:
 
 def _about_recordings(points: Points) -> Iterator[str]:
     if len(points) < FEW_POSES:
-        yield f"{len(points)} poses are few: little can be named, and a small effect passes for noise"
+        yield f"{len(points)} poses are few: little can be named, and a small effect is taken for noise"
     setups, count = set(points.setup), len(set(recordings(points).tolist()))
     if len(setups) == 1:
         yield (
@@ -116,7 +116,7 @@ def _about_recordings(points: Points) -> Iterator[str]:
 def _about_time(points: Points) -> Iterator[str]:
     time = points.t_s
     if not np.isfinite(time).any():
-        yield "there is no t_s: a thermal drift cannot be told, and would pass for something else or for noise"
+        yield "there is no t_s: a thermal drift cannot be identified, and would be taken for something else or for noise"
     elif not np.isfinite(time).all():
         missing = int(np.sum(~np.isfinite(time)))
         yield f"t_s is missing in {missing} poses: thermal drift is not tried"

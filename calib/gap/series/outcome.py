@@ -101,8 +101,8 @@ def left_out(resting: Picked, table: RowTable) -> Iterator[str]:
         share = 1.0 - float(np.mean(resting[cell.rows])) if resting[cell.rows].size else 0.0
         if share > 0.0:
             yield (
-                f"{cell}: {share:.0%} of the rows are left out, as the link flies from flank to flank or lands there:"
-                " when follows from the play, how hard does not"
+                f"{cell}: {share:.0%} of the rows are left out: the link crosses its play or hits a flank there, and how hard it"
+                " hits does not follow from the play"
             )
 
 

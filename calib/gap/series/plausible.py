@@ -42,7 +42,7 @@ def plausible(arm: Arm, recording: Recording) -> Recording:
     """The recording without channels that cannot be right, each with a sentence; UnusableLogError if none is left."""
     _check_time(recording)
     if all(np.ptp(run.q_raw, axis=0).max() < MOVES_rad for run in recording.runs):
-        raise UnusableLogError("log: no joint moves in any run: nothing can be said of its dynamics")
+        raise UnusableLogError("log: no joint moves in any run: nothing can be said about its dynamics")
     said: list[str] = []
     current = recording.has_current and not _is_silent(recording, "i{}_A", said)
     voltage = recording.has_voltage and not _is_silent(recording, "u{}_V", said)

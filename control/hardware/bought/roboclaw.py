@@ -286,7 +286,7 @@ def _require_time(boards: Sequence[Board], baud: int, period_s: float) -> None:
     needed_s = cycle_s(len(boards), baud) if baud else 0.0
     if needed_s > period_s:
         raise MisuseError(
-            f"RoboClaw line {boards[0].port}: {len(boards)} boards at {baud} baud need {needed_s * 1e3:.1f} ms a cycle, the loop"
-            f" has {period_s * 1e3:.1f} ms: serve with --rate {math.floor(1.0 / needed_s)} or less, raise the baud rate, or give"
-            " each board a line of its own (USB)"
+            f"RoboClaw line {boards[0].port}: {len(boards)} boards at {baud} baud need {needed_s * 1e3:.1f} ms per cycle, the"
+            f" loop has {period_s * 1e3:.1f} ms: serve with --rate {math.floor(1.0 / needed_s)} or less, raise the baud rate, or"
+            " give each board a line of its own (USB)"
         )

@@ -274,6 +274,7 @@ def _join(
 def _require_time(boards: Sequence[Board], baud: int, needed_s: float, period_s: float) -> None:
     if needed_s > period_s:
         raise MisuseError(
-            f"servo line {boards[0].port}: {len(boards)} servos at {baud} baud need {needed_s * 1e3:.1f} ms a cycle, the loop has"
-            f" {period_s * 1e3:.1f} ms: serve with --rate {math.floor(1.0 / needed_s)} or less, or raise the servos' baud rate"
+            f"servo line {boards[0].port}: {len(boards)} servos at {baud} baud need {needed_s * 1e3:.1f} ms per cycle, the loop"
+            f" has {period_s * 1e3:.1f} ms: serve with --rate {math.floor(1.0 / needed_s)} or less, or raise the servos'"
+            " baud rate"
         )

@@ -74,11 +74,11 @@ def test_a_tolerance_below_what_a_calibration_knows_is_never_promised() -> None:
 def test_two_calibrations_tell_no_due_date_and_one_tells_nothing() -> None:
     two = trend_of(ARM, drifting()[:2], TOLERANCE_m)
     assert two.due is None
-    assert "cannot be told: it needs at least 3 calibrations" in said(two)
+    assert "cannot be estimated for 0.5 mm yet: that needs at least 3 calibrations" in said(two)
     assert "A line through two points always fits" in said(two)
     one = trend_of(ARM, drifting()[:1], TOLERANCE_m)
     assert (one.geometry, one.rates) == (None, ())
-    assert "One date tells no drift" in said(one)
+    assert "One calibration shows no drift" in said(one)
     assert "No drift" not in said(one)
 
 

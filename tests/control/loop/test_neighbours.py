@@ -120,7 +120,7 @@ def test_beside_an_arm_that_is_not_homed_only_jogs_move() -> None:
         pair.clients["left"].enable()
         refusal = pair.refusal("left", do="move_joints", q_rad=OUTWARD["left"])
         assert refusal == (
-            "arm 'right' is not homed, so where it stands is not known: home it first (`armwright home --arm right`); jogs"
+            "arm 'right' is not homed, so its pose is unknown: home it first (`armwright home --arm right`); jogs"
             " are free"
         )
         assert pair.clients["left"].jog(joint=1, by_rad=0.05) == ""
@@ -150,6 +150,6 @@ def test_an_arm_whose_way_is_lost_ahead_is_stopped_and_the_loop_goes_on() -> Non
         pair.runtime("left").start(Breaking())
         pair.until(lambda: pair.mode("left") is Mode.FAULT, 0.3)
         assert pair.faults("left") == [("motion", "motion")]
-        assert "0.25 s later cannot be told: no way further" in pair.runtime("left").monitor.faults[0].message
+        assert "0.25 s later is unknown: no way further" in pair.runtime("left").monitor.faults[0].message
         pair.run(0.1)
         assert (pair.mode("right"), pair.faults("right")) == (Mode.HOLDING, [])

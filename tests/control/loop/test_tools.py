@@ -62,7 +62,9 @@ def test_a_path_runs_with_the_tool_that_it_was_planned_for_and_no_other(cell: Ce
     x, y, z = Kinematics(arm).tip(*RAISED)
     path = plan_path(arm, [(x, y, z), (x, y + 0.05, z)], 0.1, q_near_rad=RAISED)
     cell.client.move_joints(path.q_start_rad)
-    assert "'cup' is on: plan it again" in cell.refusal(do="run_path", path=path.to_message(), tool="pen")
+    assert "'cup' is mounted: plan it again" in cell.refusal(
+        do="run_path", path=path.to_message(), tool="pen"
+    )
     cell.client.run_path(path.to_message(), tool="cup")
     assert math.dist(cell.rig.tip_m(), (x, y + 0.05, z)) < 2e-3
 

@@ -86,7 +86,7 @@ def test_where_nothing_is_hidden_no_map_is_written_and_those_of_the_file_are_lef
     assert found.finding.maps.maps == ()
     assert found.mapped.maps == ()
     assert found.finding.gap_after < 1.1
-    for said in ("none is written", "maps are left aside"):
+    for said in ("none is written", "maps are not used"):
         assert any(said in sentence for sentence in found.warnings)
 
 
