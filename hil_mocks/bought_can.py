@@ -10,8 +10,9 @@ from typing import Any, NamedTuple, Protocol
 from control.model.arm import Drive
 from control.model.description import Arm
 from firmware_iface.link import CanFormat
-from hil_mocks.devices import cia402_drive, odrive, vesc
+from hil_mocks.devices import cia402_drive, moteus, odrive, vesc
 from hil_mocks.devices.cia402_drive import Cia402Mock, Cia402Setup
+from hil_mocks.devices.moteus import MoteusMock, MoteusSetup
 from hil_mocks.devices.motor_inputs import Frame, Output
 from hil_mocks.devices.odrive import OdriveMock, OdriveSetup
 from hil_mocks.devices.vesc import VescMock, VescSetup
@@ -89,10 +90,19 @@ def _odrive(node: int, joint: int, drive: Drive, shaft: Shaft) -> OdriveMock:
     return OdriveMock(setup, shaft.turns)
 
 
+def _moteus(number: int, joint: int, drive: Drive, shaft: Shaft) -> MoteusMock:
+    setup = MoteusSetup(number, drive.torque_constant_Nm_A, drive.current_limit_A, (0x4D5445, joint, 1))
+    return MoteusMock(setup, shaft.turns)
+
+
 KINDS = {
     "cia402": CanKind(
         "drive", CanFormat.STANDARD, _cia402,
         {"over_temperature": cia402_drive.OVER_HEATED, "over_current": cia402_drive.OVER_CURRENT},
+    ),
+    "moteus": CanKind(
+        "moteus", CanFormat.FD, _moteus,
+        {"over_temperature": moteus.OVER_HEATED, "over_current": moteus.DRIVER_FAULT},
     ),
     "odrive": CanKind(
         "odrive", CanFormat.STANDARD, _odrive,

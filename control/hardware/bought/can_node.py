@@ -24,7 +24,6 @@ class CanNode(Protocol):
     """A board, seen from the host. Counts and amperes are in its own sense."""
 
     count: int
-    counted_at_s: float
     is_switch_on: bool
     current_A: float
     supply_V: float
@@ -33,6 +32,8 @@ class CanNode(Protocol):
 
     @property
     def where(self) -> str: ...
+    @property
+    def counted_at_s(self) -> float: ...
     @property
     def at_s(self) -> float: ...
     @property
@@ -152,6 +153,32 @@ class NodeDrive(ABC):
 
     def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:  # noqa: B027
         """The encoder's offset is used with every position."""
+
+
+class SetPointSpeed:
+    """The speed of a joint's set-point in counts/s, which a board that closes the position loop is told beside the count.
+
+    A late cycle moves the set-point further, in a longer time; no step may look faster than the joint's limit.
+    """
+
+    def __init__(self, drive: Drive, clock: Clock, period_s: float) -> None:
+        self._clock, self._period_s = clock, period_s
+        counts_per_radian = abs(JointMap(drive).counts_per_radian)
+        self._most_count_s = drive.joint_speed_limit_rad_s * counts_per_radian
+        self._last: tuple[int, float] | None = None
+
+    def of(self, count: int) -> float:
+        """The speed now that `count` is commanded; 0 after another mode."""
+        now_s = self._clock.now_s()
+        last, self._last = self._last, (count, now_s)
+        if last is None:
+            return 0.0
+        speed = (count - last[0]) / max(now_s - last[1], self._period_s)
+        return min(max(speed, -self._most_count_s), self._most_count_s)
+
+    def forget(self) -> None:
+        """Another mode is commanded."""
+        self._last = None
 
 
 def open_bus(

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from control.hardware.bought.can_node import NodeDrive, NodeEncoder, each, open_bus
+from control.hardware.bought.can_node import NodeDrive, NodeEncoder, SetPointSpeed, each, open_bus
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened
 from control.hardware.words import (
@@ -44,8 +44,8 @@ class OdriveDrive(NodeDrive):
     """One motor; meets `control.hardware.roles.Drives`."""
 
     def __init__(
-        self, axis: OdriveAxis, encoder: NodeEncoder | None, joint: int, drive: Drive, period_s: float
-    ) -> None:
+        self, axis: OdriveAxis, encoder: NodeEncoder | None, joint: int, drive: Drive, clock: Clock, period_s: float
+    ) -> None:  # fmt: skip
         """`encoder`: the board's own, None if the loop uses another. `period_s`: of the cycle."""
         super().__init__(axis, encoder, joint, drive)
         self._axis = axis
@@ -54,8 +54,7 @@ class OdriveDrive(NodeDrive):
         self._limits = (SPEED_MARGIN * motor_turns_s, drive.current_limit_A)
         self._is_stopped = False
         self._held: int | None = None
-        self._period_s = period_s
-        self._last_count: int | None = None  # that was commanded in the last cycle
+        self._speed = SetPointSpeed(drive, clock, period_s)
 
     def _faults_now(self) -> int:
         errors = self._axis.errors or Error(0)
@@ -74,23 +73,22 @@ class OdriveDrive(NodeDrive):
         feedback.sent_V[joint] = math.nan
         self._is_enabled = self._may_drive(wants_enabled)
         mode = modes[joint] if self._is_enabled else OutputMode.HOLD
-        count: int | None = None
         if mode in _COMMANDED:
             self._held = None
+        if mode is not OutputMode.POSITION:
+            self._speed.forget()
         if not (self._is_enabled or (self._is_stopped and axis.is_driving)):
             self._held = None
             axis.want_idle()
         elif mode is OutputMode.POSITION and self._encoder is not None:
             count = self._map.count(output[joint]) - self._encoder.offset
-            step = 0 if self._last_count is None else count - self._last_count
-            axis.want_count(count, step / self._period_s)
+            axis.want_count(count, self._speed.of(count))
         elif mode is OutputMode.CURRENT:
             axis.want_torque(self._torque_Nm_A * output[joint])
         elif mode is OutputMode.OFF:
             axis.want_torque(0.0)
         else:
             self._hold()
-        self._last_count = count
 
     def _hold(self) -> None:
         """Stay where the joint is now."""
@@ -145,5 +143,5 @@ def _open_axis(
     encoder = NodeEncoder(axis, joint, described.absolute) if drive.encoder_board < 0 else None
     if encoder is not None:
         opened.encoders.append(encoder)
-    opened.drives.append(OdriveDrive(axis, encoder, joint, drive, period_s))
+    opened.drives.append(OdriveDrive(axis, encoder, joint, drive, bus.clock, period_s))
     opened.identities.append((axis.where, f"{axis.errors!r}, supply {axis.supply_V:.1f} V"))

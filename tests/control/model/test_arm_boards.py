@@ -37,7 +37,7 @@ def _beside_a_reference_board(arm: Arm) -> Arm:
         (
             "vesc",
             _absolute,
-            r"absolute of \[\[board\]\] 1: expected true only for .*odrive, got true for a vesc",
+            r"absolute of \[\[board\]\] 1: expected true only for moteus, odrive, got true for a vesc",
         ),
         (
             "odrive",
