@@ -13,6 +13,7 @@ import termios
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from struct import Struct
 from typing import Protocol
@@ -36,6 +37,16 @@ _SOCKETCAN_BUS_OFF = 0x40  # CAN_ERR_BUSOFF of linux/can/error.h, in the id of a
 _ADAPTERS = ("socketcan", "pcan")  # python-can detects these without waiting
 _SLCAN_BAUD = 115_200
 _ECHO_MEMORY = 64  # our own frames that may be echoed at once
+_DATA_BITRATE = 5_000_000  # of FD frames, on adapters that are not set up by the system; moteus needs it
+_LONGEST_STANDARD_ID = 0x7FF
+
+
+class CanFormat(Enum):
+    """Which frames a link carries."""
+
+    STANDARD = "classic frames with 11-bit ids"
+    EXTENDED = "classic frames with 29-bit ids"
+    FD = "CAN FD frames, with 29-bit ids where 11 bits do not suffice"
 
 
 class ByteLink(Protocol):
@@ -65,7 +76,7 @@ class ByteLink(Protocol):
 
 
 class FrameLink(Protocol):
-    """A CAN bus: classic data frames with 11-bit ids, or with 29-bit ids. Own frames are not received."""
+    """A CAN bus: data frames of one CanFormat. Own frames are not received."""
 
     @property
     def name(self) -> str:
@@ -73,7 +84,7 @@ class FrameLink(Protocol):
         ...
 
     def send(self, can_id: int, payload: bytes) -> None:
-        """Send one frame of 0 to 8 bytes. Raises LinkLost."""
+        """Send one frame of 0 to 8 bytes, or of a length that CAN FD has. Raises LinkLost."""
         ...
 
     def receive(self) -> list[tuple[int, bytes]]:
@@ -260,23 +271,30 @@ def open_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: 
 
     `options` are passed to python-can unchanged. slcan is our own (slcan.py). Raises PortMissing with the remedy.
     """
-    return _open_can(interface, channel, bitrate, False, options)
+    return _open_can(interface, channel, bitrate, CanFormat.STANDARD, options)
 
 
 def open_extended_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: object) -> FrameLink:
     """As `open_can`, for frames with 29-bit ids instead of 11-bit ones."""
-    return _open_can(interface, channel, bitrate, True, options)
+    return _open_can(interface, channel, bitrate, CanFormat.EXTENDED, options)
+
+
+def open_fd_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: object) -> FrameLink:
+    """As `open_can`, for CAN FD frames with a faster data phase (bit rate switch). `bitrate` is that of the arbitration."""
+    return _open_can(interface, channel, bitrate, CanFormat.FD, options)
 
 
 def _open_can(
-    interface: str, channel: str, bitrate: int, is_extended: bool, options: Mapping[str, object]
+    interface: str, channel: str, bitrate: int, carried: CanFormat, options: Mapping[str, object]
 ) -> FrameLink:
     name = f"{interface}:{channel}"
     if interface == "slcan":
-        return _open_slcan(name, channel, bitrate, **options)
+        return _open_slcan(name, channel, bitrate, carried, **options)
     arguments: dict[str, object] = {"bitrate": bitrate, "receive_own_messages": False, **options}
-    if interface == "udp_multicast":
-        arguments.setdefault("fd", False)
+    if carried is CanFormat.FD:
+        arguments = {"fd": True, "data_bitrate": _DATA_BITRATE, **arguments}
+    elif interface == "udp_multicast":
+        arguments.setdefault("fd", True)  # it would drop what it finds of others' FD frames one a read
     with _can_log() as log_messages:
         try:
             arguments["channel"] = channel_of(interface, channel)
@@ -285,11 +303,15 @@ def _open_can(
             reason = "; ".join(dict.fromkeys([str(problem) or type(problem).__name__, *log_messages]))
             remedy = _can_remedy(interface, channel, bitrate)
             raise PortMissing(f"CAN bus {name}: cannot open it: {reason}; {remedy}") from None
-    return _CanFrameLink(bus, name, is_extended, hears_itself=interface == "udp_multicast")
+    return _CanFrameLink(bus, name, carried, hears_itself=interface == "udp_multicast")
 
 
-def _open_slcan(name: str, channel: str, bitrate: int, **options: object) -> FrameLink:
+def _open_slcan(name: str, channel: str, bitrate: int, carried: CanFormat, **options: object) -> FrameLink:
     """An slcan adapter by its serial port. Most are on USB, where the line's own rate does not matter."""
+    if carried is not CanFormat.STANDARD:
+        raise PortMissing(
+            f"CAN bus {name}: slcan carries {CanFormat.STANDARD.value}, not {carried.value}: use an adapter that SocketCAN knows"
+        )
     if strange := sorted(set(options) - set(slcan.OPTIONS)):
         raise PortMissing(
             f"CAN bus {name}: unknown option {strange[0]}; slcan takes {', '.join(slcan.OPTIONS)}"
@@ -353,13 +375,14 @@ def _now(bus: can.BusABC) -> Callable[[], can.Message | None]:
 
 
 class _CanFrameLink:
-    """Any python-can bus. Frames other than classic data frames with an id of the wanted length are counted in `rejected`."""
+    """Any python-can bus. Frames other than data frames of the wanted format are counted in `rejected`."""
 
-    def __init__(self, bus: can.BusABC, name: str, is_extended: bool, hears_itself: bool) -> None:
+    def __init__(self, bus: can.BusABC, name: str, carried: CanFormat, hears_itself: bool) -> None:
         self.name = name
         self.rejected = 0
         self._bus = bus
-        self._is_extended = is_extended
+        self._is_fd = carried is CanFormat.FD
+        self._is_extended = carried is CanFormat.EXTENDED
         # Multicast echoes our own frames; each is dropped once.
         self._echoes: deque[tuple[int, bytes]] | None = deque(maxlen=_ECHO_MEMORY) if hears_itself else None
         self._is_open = True
@@ -367,8 +390,9 @@ class _CanFrameLink:
 
     def send(self, can_id: int, payload: bytes) -> None:
         message = _OwnMessage(
-            arbitration_id=can_id, data=payload, is_extended_id=self._is_extended, check=False
-        )
+            arbitration_id=can_id, data=payload, is_extended_id=self._has_long_id(can_id),
+            is_fd=self._is_fd, bitrate_switch=self._is_fd, check=False,
+        )  # fmt: skip
         try:
             self._bus.send(message)
         except (can.CanError, OSError, ValueError) as problem:
@@ -382,11 +406,19 @@ class _CanFrameLink:
             if message.is_error_frame:
                 self._check_bus_off(message)
                 self.rejected += 1
-            elif message.is_extended_id is not self._is_extended or message.is_remote_frame or message.is_fd:
+            elif message.is_remote_frame or not self._is_wanted(message):
                 self.rejected += 1
             else:
                 frames.append((message.arbitration_id, bytes(message.data)))
         return self._without_echoes(frames) if self._echoes else frames
+
+    def _is_wanted(self, message: can.Message) -> bool:
+        if self._is_fd or message.is_fd:
+            return self._is_fd and message.is_fd
+        return message.is_extended_id is self._is_extended
+
+    def _has_long_id(self, can_id: int) -> bool:
+        return can_id > _LONGEST_STANDARD_ID if self._is_fd else self._is_extended
 
     def _next(self) -> can.Message | None:
         while True:

@@ -1,6 +1,6 @@
 """The bought boards of a mock arm, behind its plant: which joints they drive, and what their faults do.
 
-RoboClaws and servos on serial lines, CiA 402 drives and VESCs on the CAN bus.
+RoboClaws and servos on serial lines; what is on the CAN bus is in `hil_mocks.bought_can`.
 """
 
 from __future__ import annotations
@@ -10,13 +10,12 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from control.model.description import Arm
-from hil_mocks.devices import cia402_drive, dynamixel, vesc
-from hil_mocks.devices.cia402_drive import Cia402Mock, Cia402Setup
+from hil_mocks.bought_can import KINDS, CanBoards, Driven, Seen
+from hil_mocks.devices import dynamixel
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
 from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 from hil_mocks.devices.motor_inputs import BRAKE, Output
 from hil_mocks.devices.roboclaw import DRIVER_FAULT, E_STOP, FULL, OVER_HEATED, RoboClawLineMock, RoboClawMock
-from hil_mocks.devices.vesc import VescMock, VescSetup
 from hil_mocks.scenario import FaultTable
 from hil_mocks.wiring import JointWiring
 
@@ -27,116 +26,6 @@ class PacketLine(Protocol):
     outgoing: list[tuple[float, bytes]]
 
     def receive(self, received: bytes, now_s: float) -> None: ...
-
-
-class Seen(NamedTuple):
-    """What the boards see of the plant, by joint: currents in the boards' own sense, supply, whether a bridge is at a limit."""
-
-    currents_A: Sequence[float]
-    supply_V: Sequence[float]
-    is_clamped: Sequence[bool]
-    joint_rad: Sequence[float]
-
-
-Driven = tuple[int, Output, float]  # a joint, what its bridge puts out, and its current limit
-
-
-class CanDrives:
-    """The CiA 402 drives of an arm, by joint (0-based)."""
-
-    def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
-        self._wiring = wiring
-        nodes = {board.name: board.address for board in arm.boards if board.kind == "cia402"}
-        self.joints = [j for j, drive in enumerate(arm.drives) if drive.board in nodes]
-        self.names = [f"drive{nodes[arm.drives[j].board]}" for j in self.joints]
-        self.mocks = [
-            Cia402Mock(
-                Cia402Setup(
-                    node=nodes[(drive := arm.drives[j]).board],
-                    serial_number=0xC402_0000 + j,
-                    counts_per_turn=drive.encoder_counts_per_rev,
-                    torque_constant_Nm_A=drive.torque_constant_Nm_A,
-                    resistance_ohm=drive.resistance_ohm,
-                    current_limit_A=drive.current_limit_A,
-                ),
-                self._reader(j, encoder_rad),
-            )
-            for j in self.joints
-        ]
-
-    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
-        """Advance the drives."""
-        outputs: list[Driven] = []
-        for j, mock in zip(self.joints, self.mocks, strict=True):
-            mock.is_home = self._wiring[j].is_at_switch(seen.joint_rad[j])
-            mock.tick(now_s, seen.currents_A[j], seen.supply_V[j])
-            outputs.append((j, mock.output, mock.setup.current_limit_A))
-        return outputs
-
-    def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:
-        """Begin or end a fault of a drive itself."""
-        mock = self.mocks[self.names.index(fault.board)]
-        errors = {
-            "over_temperature": cia402_drive.OVER_HEATED, "over_current": cia402_drive.OVER_CURRENT
-        }  # fmt: skip
-        if fault.kind in errors:
-            mock.forced_error = errors[fault.kind] if is_on else 0
-        elif fault.kind == "board_reset" and is_on:
-            mock.power_up()
-
-    def joint(self, fault: FaultTable) -> int:
-        """The joint of a fault's drive."""
-        return self.joints[self.names.index(fault.board)]
-
-    def _reader(self, j: int, encoder_rad: Callable[[int], float]) -> Callable[[], int]:
-        return lambda: self._wiring[j].motor_count(encoder_rad(j))
-
-
-class Vescs:
-    """The VESCs of an arm, by joint (0-based)."""
-
-    def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
-        self._wiring = wiring
-        numbers = {board.name: board.address for board in arm.boards if board.kind == "vesc"}
-        self.joints = [j for j, drive in enumerate(arm.drives) if drive.board in numbers]
-        self.names = [f"vesc{numbers[arm.drives[j].board]}" for j in self.joints]
-        self.mocks = [
-            VescMock(
-                VescSetup(
-                    numbers[(drive := arm.drives[j]).board],
-                    2.0 * math.pi * drive.torque_constant_Nm_A,
-                    drive.current_limit_A,
-                    drive.resistance_ohm,
-                ),
-                self._reader(j, encoder_rad),
-            )
-            for j in self.joints
-        ]
-
-    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
-        """Advance the controllers."""
-        outputs: list[Driven] = []
-        for j, mock in zip(self.joints, self.mocks, strict=True):
-            mock.is_home = self._wiring[j].is_at_switch(seen.joint_rad[j])
-            mock.tick(now_s, seen.currents_A[j], seen.supply_V[j])
-            outputs.append((j, mock.output, mock.limit_A))
-        return outputs
-
-    def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:
-        """Begin or end a fault of a controller itself."""
-        mock = self.mocks[self.names.index(fault.board)]
-        causes = {"over_temperature": vesc.OVER_HEATED, "over_current": vesc.OVER_CURRENT}
-        if fault.kind in causes:
-            mock.forced_fault = causes[fault.kind] if is_on else 0
-        elif fault.kind == "board_reset" and is_on:
-            mock.power_up(now_s)
-
-    def joint(self, fault: FaultTable) -> int:
-        """The joint of a fault's controller."""
-        return self.joints[self.names.index(fault.board)]
-
-    def _reader(self, j: int, encoder_rad: Callable[[int], float]) -> Callable[[], float]:
-        return lambda: self._wiring[j].raw_count(encoder_rad(j)) / vesc.TURN
 
 
 def _dynamixel(number: int, volts_per_rad_s: float, read_turns: Callable[[], float]) -> DynamixelMock:
@@ -296,7 +185,7 @@ class RoboClaws:
         return read
 
 
-Owner = RoboClaws | Servos | CanDrives | Vescs
+Owner = RoboClaws | Servos | CanBoards
 
 
 class Bought:
@@ -305,9 +194,9 @@ class Bought:
     def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float]) -> None:
         claws = RoboClaws(arm, wiring, encoder_rad)
         servos = [Servos(arm, wiring, encoder_rad, kind) for kind in SERVO_KINDS]
-        self.can_drives, self.vescs = CanDrives(arm, wiring, encoder_rad), Vescs(arm, wiring, encoder_rad)
-        self._owners: tuple[Owner, ...] = (claws, *servos, self.can_drives, self.vescs)
-        self.has_extended = bool(self.vescs.joints)
+        on_can = (CanBoards(arm, wiring, encoder_rad, kind) for kind in KINDS)
+        self.on_can = [boards for boards in on_can if boards.joints]
+        self._owners: tuple[Owner, ...] = (claws, *servos, *self.on_can)
         self.joints = [joint for owner in self._owners for joint in owner.joints]
         self.names = [name for owner in self._owners for name in owner.names]
         on_lines: tuple[RoboClaws | Servos, ...] = (claws, *servos)

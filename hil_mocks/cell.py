@@ -15,6 +15,7 @@ import msgspec
 
 from control.model.cell import Cell
 from firmware_iface.clock import Clock
+from firmware_iface.link import CanFormat
 from hil_mocks.assembly import effects_of, plant_options, start_pose
 from hil_mocks.devices.motor_inputs import Frame
 from hil_mocks.errors import RigError, ScenarioError
@@ -66,9 +67,8 @@ class MockCell:
         self._plants, self._all = plants, tuple(self.robots.values())
         self.tick_s, self._steps = self._all[0].tick_s, self._all[0].steps_per_tick
         self._line_of = [(robot, k) for robot in self._all for k in range(robot.serial_lines)]
-        self.has_extended = any(robot.bought.has_extended for robot in self._all)
-        self.can_outgoing: list[Frame] = []
-        self.extended_outgoing: list[Frame] = []
+        self.can_formats = set[CanFormat]().union(*(robot.can_formats for robot in self._all))
+        self.outgoing: dict[CanFormat, list[Frame]] = {carried: [] for carried in CanFormat}
         self.camera_outgoing: list[Picture] = []
 
     @property
@@ -112,16 +112,10 @@ class MockCell:
         robot, line = self._line_of[board]
         robot.from_host_serial(line, received)
 
-    def from_host_can(self, can_id: int, payload: bytes) -> None:
+    def from_host_can(self, can_id: int, payload: bytes, carried: CanFormat = CanFormat.STANDARD) -> None:
         """Process a frame from the host now: every board on the bus sees it."""
         for robot in self._all:
-            robot.from_host_can(can_id, payload)
-        self._gather()
-
-    def from_host_extended(self, can_id: int, payload: bytes) -> None:
-        """Process a frame with a 29-bit id from the host now."""
-        for robot in self._all:
-            robot.from_host_extended(can_id, payload)
+            robot.from_host_can(can_id, payload, carried)
         self._gather()
 
     def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes:
@@ -131,12 +125,10 @@ class MockCell:
 
     def _gather(self) -> None:
         for camera, robot in enumerate(self._all):
-            if robot.can_outgoing:
-                self.can_outgoing += robot.can_outgoing
-                robot.can_outgoing.clear()
-            if robot.extended_outgoing:
-                self.extended_outgoing += robot.extended_outgoing
-                robot.extended_outgoing.clear()
+            for carried, sent in robot.outgoing.items():
+                if sent:
+                    self.outgoing[carried] += sent
+                    sent.clear()
             if robot.camera_outgoing:
                 self.camera_outgoing += [(camera, datagram) for _, datagram in robot.camera_outgoing]
                 robot.camera_outgoing.clear()
@@ -152,7 +144,7 @@ class SteppedCell:
         name = f"armwright-cell-{os.getpid()}-{next(_rigs)}"
         lines = [Line(f"{name}-{k}") for k in range(self.mock.serial_lines)]
         self.can_interface, self.can_channel = CAN_INTERFACE, name
-        self.wires = Wires(lines, CAN_INTERFACE, name, len(cell.arms), self.mock.has_extended)
+        self.wires = Wires(lines, CAN_INTERFACE, name, len(cell.arms), self.mock.can_formats)
         self.can_options = self.wires.can_options
         paths = [wire.path for wire in self.wires.serial]
         self.ports = {

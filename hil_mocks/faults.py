@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from string import digits
 
 from hil_mocks.errors import ScenarioError
 from hil_mocks.scenario import FaultTable
@@ -61,20 +62,11 @@ Frames = list[tuple[float, bytes]]  # (arrival time at the host, frame)
 
 def check_fault(fault: FaultTable, boards: Sequence[str], where: str) -> None:
     """Raise ScenarioError unless the board exists and can have the fault."""
-    known = {
-        "e": OF_ENCODER,
-        "m": OF_MOTOR,
-        "c": OF_CAMERA,
-        "r": OF_BOUGHT,
-        "d": OF_BOUGHT - {"e_stop", "stuck_encoder"},
-        "s": OF_BOUGHT - {"e_stop", "stuck_encoder"},
-        "f": OF_BOUGHT - {"e_stop", "stuck_encoder"},
-        "v": OF_BOUGHT - {"e_stop", "stuck_encoder"},
-    }
+    known = {"encoder": OF_ENCODER, "motor": OF_MOTOR, "camera": OF_CAMERA, "roboclaw": OF_BOUGHT}
     place = f'{where}: fault "{fault.kind}"'
     if fault.board not in boards:
         raise ScenarioError(f'{place}: no board "{fault.board}"; there are {", ".join(boards)}.')
-    kinds = known[fault.board[0]]
+    kinds = known.get(fault.board.rstrip(digits), OF_BOUGHT - {"e_stop", "stuck_encoder"})
     if fault.kind not in kinds:
         raise ScenarioError(f"{place}: expected one of {', '.join(sorted(kinds))}.")
     if fault.kind in BUILT_IN and fault.at_s > 0.0:

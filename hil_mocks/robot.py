@@ -11,8 +11,10 @@ import math
 from functools import partial
 
 from control.model.description import Arm
+from firmware_iface.link import CanFormat
 from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
-from hil_mocks.bought import Bought, Seen
+from hil_mocks.bought import Bought
+from hil_mocks.bought_can import Seen
 from hil_mocks.devices.board_faults import switch_encoder_board, switch_motor_board
 from hil_mocks.devices.motor_inputs import BRAKE, OPEN, Frame, Output
 from hil_mocks.errors import RigError, ScenarioError
@@ -48,7 +50,7 @@ class MockRobot:
         self._wiring = wiring_of(arm, scenario)
         self.encoder_boards = build_encoder_boards(arm, scenario, self._wiring)
         self.bought = Bought(arm, self._wiring, lambda j: self._encoder_rad()[j])
-        self._has_bought = bool(self.bought.joints)
+        self._has_bought = bool(self.bought.names)
         self._motor_joints = [j for j in range(len(self._wiring)) if j not in self.bought.joints]
         self.motor_boards = [
             build_motor_board(self._wiring[j], scenario, partial(self._motor_count, j))
@@ -90,14 +92,20 @@ class MockRobot:
         self._applied: list[Output] = [OPEN for _ in self._directions]
         self._limits_A = [math.inf for _ in self._directions]
         self._serial: list[Frames] = [[] for _ in (*self.encoder_boards, *self.bought.lines)]
-        self._can, self._extended = CanOut(), CanOut()
-        self.can_outgoing, self.extended_outgoing = self._can.outgoing, self._extended.outgoing
+        self._can_out = {carried: CanOut() for carried in CanFormat}
+        self.outgoing = {carried: out.outgoing for carried, out in self._can_out.items()}
+        self.can_outgoing = self.outgoing[CanFormat.STANDARD]
         self.camera_outgoing: list[Picture] = []
 
     @property
     def outputs(self) -> tuple[Output, ...]:
         """What each joint's bridge puts out."""
         return tuple(self._applied)
+
+    @property
+    def can_formats(self) -> set[CanFormat]:
+        """Which frames its boards use beside classic ones with 11-bit ids."""
+        return {boards.carried for boards in self.bought.on_can} - {CanFormat.STANDARD}
 
     @property
     def serial_lines(self) -> int:
@@ -146,26 +154,21 @@ class MockRobot:
             self.encoder_boards[board].receive(received, self.now_s)
             self._gather_serial(board)
 
-    def from_host_can(self, can_id: int, payload: bytes) -> None:
-        """Process a frame from the host now; replies go to `can_outgoing`."""
+    def from_host_can(self, can_id: int, payload: bytes, carried: CanFormat = CanFormat.STANDARD) -> None:
+        """Process a frame from the host now; replies go to `outgoing`."""
+        if carried is not CanFormat.STANDARD:
+            self._to_bought(can_id, payload, carried)
+            return
         if can_id == 0:
             for at in range(len(self.motor_boards)):
                 self._to_motor_board(at, can_id, payload)
         if self._has_bought:
-            self._to_can_drives(can_id, payload)
+            self._to_bought(can_id, payload, carried)
         if can_id == 0:
             return
         addressed = self._board_of_node.get(can_id & 0xF)
         if addressed is not None:
             self._to_motor_board(addressed, can_id, payload)
-
-    def from_host_extended(self, can_id: int, payload: bytes) -> None:
-        """Process a frame with a 29-bit id from the host now."""
-        vescs = self.bought.vescs
-        for name, mock in zip(vescs.names, vescs.mocks, strict=True):
-            if not self._lines[name].is_silent:
-                mock.receive(can_id, payload, self.now_s)
-        self._gather_vescs()
 
     def tick(self) -> None:
         """Advance everything by one tick."""
@@ -197,15 +200,14 @@ class MockRobot:
             if board.output is not self._applied[j]:
                 self._apply(j, board.output, board.current_limit_A)
         self.pins.tick()
-        self._can.release(now_s)
-        self._extended.release(now_s)
+        for out in self._can_out.values():
+            out.release(now_s)
         encoder_rad, joint_rad = self._encoder_rad(), self.plant.joint_rad()
         if self._has_bought:
             signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
             for driven in self.bought.tick(now_s, Seen(signed_A, supply_V, is_clamped, joint_rad)):
                 self._apply(*driven)
-            self._gather_can_drives()
-            self._gather_vescs()
+            self._gather_bought()
         for i, encoder in enumerate(self.encoder_boards):
             encoder.tick(now_s, *self._channels[i].seen(encoder_rad, joint_rad))
             if encoder.outgoing:
@@ -310,29 +312,24 @@ class MockRobot:
         else:
             plant.drive_open(j)
 
-    def _to_can_drives(self, can_id: int, payload: bytes) -> None:
-        drives = self.bought.can_drives
-        for name, drive in zip(drives.names, drives.mocks, strict=True):
-            if not self._lines[name].is_silent:
-                drive.receive(can_id, payload, self.now_s)
-        self._gather_can_drives()
+    def _to_bought(self, can_id: int, payload: bytes, carried: CanFormat) -> None:
+        for boards in self.bought.on_can:
+            if boards.carried is carried:
+                for name, mock in zip(boards.names, boards.mocks, strict=True):
+                    if not self._lines[name].is_silent:
+                        mock.receive(can_id, payload, self.now_s)
+        self._gather_bought()
 
-    def _gather_can_drives(self) -> None:
-        drives = self.bought.can_drives
-        for name, drive in zip(drives.names, drives.mocks, strict=True):
-            if drive.outgoing:
-                self._send_can(name, list(drive.outgoing))
-                drive.outgoing.clear()
-
-    def _gather_vescs(self) -> None:
-        vescs = self.bought.vescs
-        for name, mock in zip(vescs.names, vescs.mocks, strict=True):
-            if mock.outgoing:
-                self._extended.send(self._lines[name], list(mock.outgoing), self.now_s)
-                mock.outgoing.clear()
+    def _gather_bought(self) -> None:
+        for boards in self.bought.on_can:
+            out = self._can_out[boards.carried]
+            for name, mock in zip(boards.names, boards.mocks, strict=True):
+                if mock.outgoing:
+                    out.send(self._lines[name], list(mock.outgoing), self.now_s)
+                    mock.outgoing.clear()
 
     def _send_can(self, name: str, frames: list[Frame]) -> None:
-        self._can.send(self._lines[name], frames, self.now_s)
+        self._can_out[CanFormat.STANDARD].send(self._lines[name], frames, self.now_s)
 
     def _gather_serial(self, board: int) -> None:
         outgoing = self.encoder_boards[board].outgoing

@@ -13,19 +13,20 @@ import socket
 import sys
 import termios
 import tty
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Protocol
 from unittest.mock import patch
 
 import can
 
 from firmware_iface.errors import LinkLost
-from firmware_iface.link import FrameLink, open_can, open_extended_can
+from firmware_iface.link import CanFormat, FrameLink, open_can, open_extended_can, open_fd_can
 from hil_mocks.devices.motor_inputs import Frame
 
 _BUS_OFF, _BIT_ERROR = 0x40, 0x88  # CAN_ERR_BUSOFF, CAN_ERR_BUSERROR | CAN_ERR_PROT of linux/can/error.h
 _OF_BOARDS = 0x080  # set in REPLY and PARAMETER_ANSWER, not in what the host sends (docs/motor_board.md)
 _MOST_LOOKS = 20_000  # some 10 ms
+_OPENERS = {CanFormat.EXTENDED: open_extended_can, CanFormat.FD: open_fd_can}
 _ROOM_BYTES = 3500  # of the 4095 that a tty holds for a host that does not read
 
 
@@ -35,13 +36,11 @@ Picture = tuple[int, bytes]  # number of the camera, its datagram
 class OnWires(Protocol):
     """The robot's interface for the wires."""
 
-    can_outgoing: list[Frame]
-    extended_outgoing: list[Frame]
+    outgoing: dict[CanFormat, list[Frame]]
     camera_outgoing: list[Picture]
 
     def from_host_serial(self, board: int, received: bytes) -> None: ...
-    def from_host_can(self, can_id: int, payload: bytes) -> None: ...
-    def from_host_extended(self, can_id: int, payload: bytes) -> None: ...
+    def from_host_can(self, can_id: int, payload: bytes, carried: CanFormat = ...) -> None: ...
     def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes: ...
 
 
@@ -144,18 +143,19 @@ class Wires:
         can_interface: str,
         can_channel: str,
         cameras: int = 1,
-        has_extended: bool = False,
+        can_formats: Collection[CanFormat] = (),
     ) -> None:
-        """`has_extended`: boards on the CAN bus use 29-bit ids."""
+        """`can_formats`: which frames boards on the CAN bus use beside classic ones with 11-bit ids."""
         self.serial = tuple(serial_wires)
         # A separate port, because python-can receives all groups of a port. No hops: frames stay on this machine.
         is_multicast = can_interface == "udp_multicast"
         self.can_options: dict[str, int] = {"port": free_udp_port(), "hop_limit": 0} if is_multicast else {}
         self._can_interface, self._can_channel = can_interface, can_channel
         self._can = open_can(can_interface, can_channel, **self.can_options)
-        self._extended = (
-            open_extended_can(can_interface, can_channel, **self.can_options) if has_extended else None
-        )
+        self._buses = {CanFormat.STANDARD: self._can} | {
+            carried: _OPENERS[carried](can_interface, can_channel, **self.can_options)
+            for carried in can_formats
+        }
         self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._camera.setblocking(False)
         self.camera_ports = tuple(free_udp_port() for _ in range(cameras))
@@ -167,10 +167,9 @@ class Wires:
             if received:
                 robot.from_host_serial(i, received)
         with contextlib.suppress(LinkLost):  # a bus that is off for the host
-            for can_id, payload in self._can.receive():
-                robot.from_host_can(can_id, payload)
-            for can_id, payload in self._extended.receive() if self._extended else ():
-                robot.from_host_extended(can_id, payload)
+            for carried, bus in self._buses.items():
+                for can_id, payload in bus.receive():
+                    robot.from_host_can(can_id, payload, carried)
 
     def serial_to_host(self, robot: OnWires, ahead_s: float = 0.0) -> None:
         """Send the host the bytes that arrive by now, or within `ahead_s`."""
@@ -187,14 +186,11 @@ class Wires:
     def to_host(self, robot: OnWires) -> None:
         """Send the host what the robot has sent by now; a pty may delay it slightly."""
         self.serial_to_host(robot)
-        if robot.can_outgoing:
-            for can_id, payload in robot.can_outgoing:
-                self._can.send(can_id, payload)
-            robot.can_outgoing.clear()
-        if self._extended and robot.extended_outgoing:
-            for can_id, payload in robot.extended_outgoing:
-                self._extended.send(can_id, payload)
-            robot.extended_outgoing.clear()
+        for carried, bus in self._buses.items():
+            if sent := robot.outgoing[carried]:
+                for can_id, payload in sent:
+                    bus.send(can_id, payload)
+                sent.clear()
         if robot.camera_outgoing:
             for camera, datagram in robot.camera_outgoing:
                 self._send_picture(self.camera_ports[camera], datagram)
@@ -246,9 +242,8 @@ class Wires:
         """Close all wires."""
         for wire in self.serial:
             wire.close()
-        self._can.close()
-        if self._extended:
-            self._extended.close()
+        for bus in self._buses.values():
+            bus.close()
         self._camera.close()
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
-from control.hardware.bought import cia402, dynamixel, feetech, roboclaw, vesc
+from control.hardware.bought import cia402, dynamixel, feetech, moteus, odrive, roboclaw, vesc
 from control.hardware.opened import Opened
 from control.model.arm import Arm, Board
 from firmware_iface.clock import Clock
@@ -16,6 +16,8 @@ OPENERS: Final[Mapping[str, Opener]] = {
     "cia402": cia402.open_boards,
     "dynamixel": dynamixel.open_boards,
     "feetech": feetech.open_boards,
+    "moteus": moteus.open_boards,
+    "odrive": odrive.open_boards,
     "vesc": vesc.open_boards,
 }
 

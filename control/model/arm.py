@@ -254,6 +254,10 @@ class Board:
     address: Annotated[int, ZERO_OR_MORE, "on its line: an address, a node id or a servo's id"]
     port: Annotated[str, "on a serial line: a device or any pyserial URL; boards may share it"] = ""
     baud: Annotated[int, ONE_OR_MORE, "of that port"] = 115_200
+    absolute: Annotated[
+        bool,
+        "its encoder knows the joint's angle at power-up, which its kind does not ensure: see the kind's page",
+    ] = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -439,7 +443,9 @@ class Arm:
 
     def has_absolute_encoder(self, drive: Drive) -> bool:
         """Return whether a drive's encoder knows the joint's angle at power-up."""
-        return drive.encoder_board < 0 and self.kind_of(drive).is_absolute
+        board = self.board(drive)
+        is_absolute = self.kind_of(drive).is_absolute or (board is not None and board.absolute)
+        return drive.encoder_board < 0 and is_absolute
 
     @property
     def can_home(self) -> bool:

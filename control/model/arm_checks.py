@@ -3,7 +3,7 @@
 from collections.abc import Hashable, Iterable
 
 from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Home, Table
-from control.model.board_kinds import KINDS
+from control.model.board_kinds import KINDS, BoardKind
 from control.model.effects import check_effect
 from control.model.joint_map import JointMap
 from control.model.maps import check_map
@@ -121,11 +121,17 @@ def _check_boards(arm: Arm) -> None:
             raise Rejected(("board", i, "address"), expected, str(board.address))
         if kind.line == "serial" and not board.port:
             raise Rejected(("board", i, "port"), f"the serial port of a {board.kind}", "nothing")
+        if board.absolute and not (kind.may_be_absolute or kind.is_absolute):
+            kinds = ", ".join(name for name, one in KINDS.items() if one.may_be_absolute)
+            raise Rejected(("board", i, "absolute"), f"true only for {kinds}", f"true for a {board.kind}")
     drives = [(i, drive) for i, drive in enumerate(arm.drives) if drive.board]
     for i, drive in drives:
         _check_drive_board(arm, drive, ("drive", i))
     if any(KINDS[b.kind].needs_own_bus for _, b in boards) and len(drives) < len(arm.drives):
-        expected = "no reference motor board beside CANopen drives on [can]: each takes the other's frames for its own"
+        kinds = " and ".join(name for name, kind in KINDS.items() if kind.needs_own_bus)
+        expected = (
+            f"no reference motor board beside {kinds} on [can]: each takes the other's frames for its own"
+        )
         raise Rejected(("drive",), expected, "both")
     _check_unique(
         ((("drive", i, "board_channel"), (drive.board, drive.board_channel)) for i, drive in drives),
@@ -143,12 +149,20 @@ def _check_drive_board(arm: Arm, drive: Drive, path: tuple[str | int, ...]) -> N
     if drive.pid.mode not in kind.modes:
         expected = f"what its board can do: {' or '.join(kind.modes)}"
         raise Rejected((*path, "pid", "mode"), expected, drive.pid.mode)
-    if kind.line == "can" and "voltage" not in kind.modes and drive.encoder_board >= 0:
+    if drive.encoder_board >= 0 and kind.line == "can" and _closes_own_loop(drive, kind):
         expected = "none: such a drive closes its own loop, on its own encoder"
         raise Rejected((*path, "encoder_board"), expected, str(drive.encoder_board))
+    if drive.home is not None and not kind.has_switch and drive.encoder_board < 0:
+        expected = "none: its board reads no home switch"
+        remedy = "set `absolute` of its [[board]], or let an encoder board count"
+        raise Rejected((*path, "home"), expected, "[drive.home]", remedy)
     if drive.encoder_board < 0 and not kind.has_encoder:
         expected = "an encoder board, because the drive's board has no encoder of its own"
         raise Rejected((*path, "encoder_board"), expected, "nothing")
+
+
+def _closes_own_loop(drive: Drive, kind: BoardKind) -> bool:
+    return not kind.uses_other_encoder or drive.pid.mode == "position"
 
 
 def _check_end(arm: Arm) -> None:

@@ -25,6 +25,14 @@ class BoardKind:
     usual_rate_Hz: float  # of the loop
     stops_early: bool  # begins its own stop some cycles after the last command, not only at its watchdog
     needs_own_bus: bool = False  # takes reference boards' frames for its own, and they take its
+    uses_other_encoder: bool = (
+        True  # in modes other than position; else it closes its loop on its own in every mode
+    )
+    may_be_absolute: bool = False  # as is_absolute, where its settings make it so: `absolute` of [[board]]
+    frees_in: tuple[
+        str, ...
+    ] = ()  # modes in which it frees its motor without the host: nothing stops the joint
+    has_switch: bool = True  # reads a home switch, where it does not know the joint's angle
 
 
 REFERENCE: Final = BoardKind(
@@ -66,6 +74,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             usual_rate_Hz=250.0,
             stops_early=False,
             needs_own_bus=True,
+            uses_other_encoder=False,
         ),
         "dynamixel": BoardKind(
             line="serial",
@@ -90,6 +99,35 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             can_hold=True,
             usual_rate_Hz=100.0,
             stops_early=False,
+        ),
+        "moteus": BoardKind(
+            line="can",
+            motors=1,
+            addresses=range(1, 128),
+            modes=("position", "current"),
+            has_encoder=True,
+            is_absolute=False,
+            can_free=True,
+            can_hold=True,
+            usual_rate_Hz=250.0,
+            stops_early=False,
+            may_be_absolute=True,
+        ),
+        "odrive": BoardKind(
+            line="can",
+            motors=1,
+            addresses=range(63),
+            modes=("position", "current"),
+            has_encoder=True,
+            is_absolute=False,
+            can_free=True,
+            can_hold=True,
+            usual_rate_Hz=250.0,
+            stops_early=False,
+            needs_own_bus=True,
+            may_be_absolute=True,
+            frees_in=("current",),
+            has_switch=False,
         ),
         "vesc": BoardKind(
             line="can",

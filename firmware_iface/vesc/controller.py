@@ -2,59 +2,42 @@
 
 import math
 import struct
-from collections.abc import Callable
 from typing import Final
 
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardReset, BoardSilent, LinkError, MisuseError, ProtocolViolation
+from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, ProtocolViolation
 from firmware_iface.link import FrameLink
+from firmware_iface.node_bus import NodeBus
 from firmware_iface.vesc import wire
 from firmware_iface.vesc.wire import COUNTS_PER_TURN, Frame, Packet
 
 ANSWER_TIMEOUT_s = 0.05
 ATTEMPTS = 3
 STATUS_WAIT_s = 0.5  # a VESC that sends its status more slowly cannot be used
-_STEP_s = 0.0005
 SWITCH_V: Final = 1.65  # half of the 3.3 V to which the analog input is pulled
 NEEDED: Final = (Packet.STATUS, Packet.STATUS_4, Packet.STATUS_5)
 
 
-class VescBus:
-    """One bus with its controllers, which add themselves; drained once a cycle."""
+class VescBus(NodeBus["Vesc"]):
+    """A bus of 29-bit ids with its controllers."""
 
     def __init__(self, link: FrameLink, clock: Clock) -> None:
-        """`link`: of 29-bit ids."""
-        self.link, self.clock, self.name = link, clock, link.name
-        self.controllers: dict[int, Vesc] = {}
-        self.problems: list[LinkError] = []
+        super().__init__(link, clock)
         self._turn = 0
 
-    def update(self) -> None:
-        """Process everything received. Raises LinkLost, and once per event what the controllers found."""
-        frames = self.link.receive()
-        now_s = self.clock.now_s()
-        for can_id, payload in frames:
-            self._take(can_id >> 8, can_id & 0xFF, payload, now_s)
-        if self.problems:
-            raise self.problems.pop(0)
-
-    def _take(self, packet: int, number: int, payload: bytes, now_s: float) -> None:
+    def _take(self, can_id: int, payload: bytes, now_s: float) -> None:
+        packet, number = can_id >> 8, can_id & 0xFF
         if number == wire.HOST and packet in (Packet.PONG, Packet.PROCESS_SHORT_BUFFER) and payload:
             number = payload[0]
-        if (controller := self.controllers.get(number)) is not None:
+        if (controller := self.nodes.get(number)) is not None:
             controller.take(packet, payload, now_s)
 
     def flush(self) -> None:
         """Send every controller its command, and ask one of them for its fault code. Raises LinkLost."""
-        numbers = list(self.controllers)
-        for controller in self.controllers.values():
-            self.send(controller.command())
+        super().flush()
+        numbers = list(self.nodes)
         self._turn = (self._turn + 1) % len(numbers)
         self.send(wire.ask_fault(numbers[self._turn]))
-
-    def send(self, frame: Frame) -> None:
-        """Send one frame. Raises LinkLost."""
-        self.link.send(*frame)
 
 
 class Vesc:
@@ -81,7 +64,7 @@ class Vesc:
         self._counters: dict[int, tuple[int, int]] = {}
         self._is_here = False
         self._bus = bus
-        bus.controllers[number] = self
+        bus.nodes[number] = self
 
     @property
     def where(self) -> str:
@@ -93,9 +76,14 @@ class Vesc:
         """When the oldest of the values came."""
         return min(self._at_s.values())
 
-    def command(self) -> Frame:
-        """What is to be sent in this cycle."""
-        return self.wanted
+    @property
+    def is_known(self) -> bool:
+        """Whether its fault code has come."""
+        return self.fault is not None
+
+    def frames(self) -> tuple[Frame, ...]:
+        """The command of this cycle."""
+        return (self.wanted,)
 
     # ---- outside of the cycle
 
@@ -104,7 +92,7 @@ class Vesc:
         self._is_here = False
         for _ in range(ATTEMPTS):
             self._bus.send(wire.ping(self.number))
-            if self._waits(lambda: self._is_here, ANSWER_TIMEOUT_s):
+            if self._bus.waits(lambda: self._is_here, ANSWER_TIMEOUT_s):
                 break
         else:
             raise BoardSilent(
@@ -116,7 +104,7 @@ class Vesc:
         """Wait for values that are sent from now on, and the fault code. BoardSilent."""
         asked_s = self._bus.clock.now_s()
         self._bus.send(wire.ask_fault(self.number))
-        if not self._waits(lambda: min(self.at_s, self.fault_at_s) > asked_s, STATUS_WAIT_s):
+        if not self._bus.waits(lambda: min(self.at_s, self.fault_at_s) > asked_s, STATUS_WAIT_s):
             missing = [
                 packet.name.replace("_", " ") for packet, at_s in self._at_s.items() if at_s <= asked_s
             ]
@@ -138,14 +126,6 @@ class Vesc:
     def limit_current(self, amperes: float) -> None:
         """Limit the motor's current; nothing is stored. Raises LinkLost."""
         self._bus.send(wire.current_limits(self.number, amperes))
-
-    def _waits(self, is_so: Callable[[], bool], limit_s: float) -> bool:
-        clock = self._bus.clock
-        end_s = clock.now_s() + limit_s
-        while not is_so() and clock.now_s() < end_s:
-            clock.wait_until_s(clock.now_s() + _STEP_s)
-            self._bus.update()
-        return is_so()
 
     # ---- frames
 

@@ -50,7 +50,12 @@ class Cia402Mock:
         self.outgoing: list[Frame] = []
         self.power_up()
 
-    def power_up(self) -> None:
+    @property
+    def limit_A(self) -> float:
+        """The drive's current limit."""
+        return self.setup.current_limit_A
+
+    def power_up(self, now_s: float | None = None) -> None:
         """State after power-up or NMT reset: everything at its default, position 0, a boot-up message."""
         node = self.setup.node
         self.objects = _defaults(self.setup)

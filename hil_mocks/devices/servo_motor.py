@@ -10,13 +10,13 @@ POSITION_RATE, SPEED_GAIN, SPEED_INTEGRAL, SPEED_FILTER_S = 15.0, 0.5, 15.0, 0.0
 
 
 class ServoMotor:
-    """`read_turns` gives the angle of the output shaft in turns; `goal_turns` is where the loop goes."""
+    """`read_turns` gives the angle of the output shaft in turns; `goal_turns` is where the loop goes, `goal_turns_s` how fast."""
 
     def __init__(self, volts_per_rad_s: float, read_turns: Callable[[], float]) -> None:
         self._volts_per_turn_s = volts_per_rad_s * 6.283185307179586
         self._read_turns = read_turns
         self.turns = self.goal_turns = read_turns()
-        self.speed_turns_s = 0.0
+        self.speed_turns_s = self.goal_turns_s = 0.0
         self._step_s = 0.001
         self._ticked_s: float | None = None
         self._integral_V = 0.0
@@ -35,7 +35,7 @@ class ServoMotor:
 
     def controlled(self, supply_V: float) -> Output:
         """The output of a control period."""
-        wanted = POSITION_RATE * (self.goal_turns - self.turns)
+        wanted = POSITION_RATE * (self.goal_turns - self.turns) + self.goal_turns_s
         error_V = self._volts_per_turn_s * (wanted - self.speed_turns_s)
         wanted_V = self._volts_per_turn_s * wanted + SPEED_GAIN * error_V + self._integral_V
         limited_V = min(max(wanted_V, -supply_V), supply_V)

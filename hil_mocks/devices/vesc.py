@@ -46,7 +46,7 @@ class VescMock:
     def __init__(self, setup: VescSetup, read_turns: Callable[[], float]) -> None:
         self.setup = setup
         self.outgoing: list[tuple[int, bytes]] = []
-        self.forced_fault = 0  # a persistent cause, set by a fault of the scenario
+        self.forced_error = 0  # a persistent cause, set by a fault of the scenario
         self.is_home = False
         self._read_turns = read_turns
         self.power_up(None)
@@ -128,7 +128,7 @@ class VescMock:
         if not self._is_announced:
             self._is_announced = True
             self._send(BOOT, b"\x00\x00")
-        if cause := self.forced_fault or (UNDER_VOLTAGE if supply_V < LOWEST_SUPPLY_V else 0):
+        if cause := self.forced_error or (UNDER_VOLTAGE if supply_V < LOWEST_SUPPLY_V else 0):
             self.fault, self._fault_until_s = cause, now_s + FAULT_S
         elif now_s >= self._fault_until_s:
             self.fault = 0

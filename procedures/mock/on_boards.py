@@ -40,7 +40,8 @@ def _board(kind: str, number: int) -> Board:
     """The board of this number, from 0. RoboClaws have a line each; boards of another kind share one."""
     first = max(KINDS[kind].addresses.start, 1)
     if KINDS[kind].line == "can":
-        return Board(f"{kind}{number + 1}", kind, first + number)
+        # An ODrive tells of no switch: the arm's are set up to know the joint's angle.
+        return Board(f"{kind}{number + 1}", kind, first + number, absolute=not KINDS[kind].has_switch)
     if kind == "roboclaw":
         return Board(f"{kind}{number + 1}", kind, first, f"{kind}{number + 1}", BAUD[kind])
     return Board(f"{kind}{number + 1}", kind, first + number, kind, BAUD[kind])
@@ -61,6 +62,8 @@ def _on_board(drive: Drive, board: Board, channel: int) -> Drive:
         return _at_the_output(moved)
     if board.kind == "vesc":
         moved = replace(moved, encoder_counts_per_rev=VESC_COUNTS_PER_TURN)
+    if board.absolute:
+        return replace(moved, home=None)
     # No index pulse: the edge of the switch is the zero.
     home = drive.home and replace(drive.home, index_rad=drive.home.switch_rad, speed_rad_s=HOMING_SPEED_rad_s)
     return replace(moved, home=home)

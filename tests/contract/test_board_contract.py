@@ -71,6 +71,10 @@ def test_the_boards_stop_by_themselves_when_the_host_is_gone(holding: Cell, on_b
     holding.run(0.15)
     clock = holding.rig.clock
     clock.wait_until_s(clock.now_s() + on_boards.arm.limits.watchdog_s + 0.6)
+    drive = on_boards.arm.drives[0]
+    if drive.pid.mode in on_boards.arm.kind_of(drive).frees_in:
+        assert [kind for kind, _ in holding.rig.robot.outputs] == ["open"] * 3
+        return
     before_rad = holding.rig.joint_rad()
     clock.wait_until_s(clock.now_s() + 0.05)
     assert holding.rig.joint_rad()[0] == pytest.approx(before_rad[0], abs=1e-3)

@@ -3,7 +3,7 @@
 import os
 import pty
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import can
@@ -11,13 +11,15 @@ import pytest
 from serial.tools.list_ports_common import ListPortInfo
 
 from firmware_iface.can_adapters import channel_of
-from firmware_iface.errors import LinkLost
+from firmware_iface.errors import LinkLost, PortMissing
 from firmware_iface.link import (
     FrameLink,
     PortHere,
     latency_file,
     lower_latency,
     open_can,
+    open_extended_can,
+    open_fd_can,
     open_serial,
     serial_ports,
 )
@@ -51,6 +53,37 @@ def test_what_is_no_classic_data_frame_is_dropped(
     far.send(odd)
     far.send(can.Message(arbitration_id=0x182, is_extended_id=False, data=b"ok"))
     assert link.receive() == [(0x182, b"ok")]
+
+
+@pytest.mark.parametrize(("can_id", "is_long"), [(0x100, False), (0x8005, True)])
+def test_fd_frames_have_up_to_64_bytes_switch_the_bit_rate_and_take_the_id_that_suffices(
+    ends: tuple[FrameLink, can.BusABC], can_id: int, is_long: bool
+) -> None:
+    classic, far = ends
+    link = open_fd_can("virtual", str(far.channel_id))  # type: ignore[attr-defined]
+    link.send(can_id, bytes(range(64)))
+    heard = far.recv(0)
+    assert heard is not None
+    assert (heard.arbitration_id, heard.is_extended_id, bytes(heard.data)) == (
+        can_id,
+        is_long,
+        bytes(range(64)),
+    )
+    assert (heard.is_fd, heard.bitrate_switch) == (True, True)
+    for is_extended in (False, True):
+        far.send(can.Message(arbitration_id=0x300, is_extended_id=is_extended, is_fd=True, data=bytes(12)))
+    far.send(can.Message(arbitration_id=0x300, is_extended_id=False, data=bytes(8)))
+    assert link.receive() == [(0x300, bytes(12))] * 2
+    assert classic.receive() == [(0x300, bytes(8))]
+    link.close()
+
+
+@pytest.mark.parametrize("opener", [open_extended_can, open_fd_can])
+def test_slcan_is_refused_for_frames_that_it_would_cut_short(opener: Callable[..., FrameLink]) -> None:
+    with pytest.raises(
+        PortMissing, match=r"slcan carries classic frames with 11-bit ids, not .*: use an adapter"
+    ):
+        opener("slcan", "/dev/there-is-no-such-port")
 
 
 def test_bus_off_is_a_lost_link_that_says_where_to_look(ends: tuple[FrameLink, can.BusABC]) -> None:

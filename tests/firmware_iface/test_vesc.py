@@ -173,8 +173,8 @@ def test_without_commands_a_vesc_brakes_and_after_a_fault_it_obeys_again() -> No
     assert cell.mock.output == ("voltage", pytest.approx(4.8))
     cell.run(SETUP.timeout_s)
     assert cell.mock.output == ("voltage", 0.0)
-    cell.mock.forced_fault = 5
+    cell.mock.forced_error = 5
     cell.run(0.01)
-    cell.mock.forced_fault = 0
+    cell.mock.forced_error = 0
     assert not cell.board.is_well_within(0.0)
     assert cell.board.is_well_within(0.6)

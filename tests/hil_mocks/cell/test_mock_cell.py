@@ -9,6 +9,7 @@ import pytest
 
 from control.kinematics.kinematics import Kinematics
 from control.model.cell import Cell, load_cell
+from firmware_iface.link import CanFormat
 from hil_mocks.cell import MockCell, SteppedCell
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.robot import MockRobot
@@ -78,7 +79,7 @@ def test_the_same_cell_and_host_give_the_same_bytes() -> None:
             found = []
             for k in range(20):
                 rig.mock.tick()
-                found.append((rig.mock.serial_outgoing(k % 2), len(rig.mock.can_outgoing)))
+                found.append((rig.mock.serial_outgoing(k % 2), len(rig.mock.outgoing[CanFormat.STANDARD])))
             return found
 
     assert sent() == sent()

@@ -1,0 +1,209 @@
+"""What bought boards on a CAN bus have in common that send what they measure: line, encoder, latched faults."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, TypeVar
+
+from control.errors import MissingModel
+from control.hardware.interface import Feedback
+from control.hardware.opened import Opened, collect
+from control.hardware.roles import AskedEncoders
+from control.hardware.words import FAULT, HOME_SWITCH, OPERATION_ENABLED, SWITCH_ON_DISABLED, ZERO_SET
+from control.model.arm import Arm, Board, Drive
+from control.model.joint_map import JointMap
+from firmware_iface.clock import Clock
+from firmware_iface.errors import LinkError
+from firmware_iface.link import FrameLink
+from firmware_iface.node_bus import NodeBus
+
+B = TypeVar("B", bound=NodeBus[Any])
+
+
+class CanNode(Protocol):
+    """A board, seen from the host. Counts and amperes are in its own sense."""
+
+    count: int
+    is_switch_on: bool
+    current_A: float
+    supply_V: float
+    temperature_degC: float
+    resets: int
+
+    @property
+    def where(self) -> str: ...
+    @property
+    def counted_at_s(self) -> float: ...
+    @property
+    def at_s(self) -> float: ...
+    @property
+    def is_known(self) -> bool: ...
+    def await_status(self) -> None: ...
+
+
+class BusLine:
+    """The bus, as the loop drains it; meets `control.hardware.roles.Line`."""
+
+    def __init__(self, bus: NodeBus[Any]) -> None:
+        self.update = bus.update
+        self.flush = bus.flush
+
+
+class NodeEncoder(AskedEncoders):
+    """The encoder of a board, whose zero is kept here; meets `control.hardware.roles.Encoders`."""
+
+    is_asked = False
+
+    def __init__(self, board: CanNode, joint: int, is_absolute: bool = False) -> None:
+        """`is_absolute`: its count at power-up is the joint's, so that its zero is always known."""
+        self.joints = (joint,)
+        self.offset = 0
+        """What is added to the count: the zero is set here."""
+        self._joint, self._board, self._is_absolute = joint, board, is_absolute
+        self._is_zero_set = is_absolute
+        self._latched: int | None = None
+        self._resets = 0
+
+    def take(self, feedback: Feedback) -> None:
+        """Write the newest count."""
+        board, joint = self._board, self._joint
+        if self._resets != board.resets:
+            self._resets, self._is_zero_set, self._latched = board.resets, self._is_absolute, None
+        feedback.count[joint] = board.count + self.offset
+        feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = board.counted_at_s
+        flags = ZERO_SET if self._is_zero_set else 0
+        feedback.channel_flags[joint] = flags | (HOME_SWITCH if board.is_switch_on else 0)
+
+    def fresh_count(self, joint: int) -> int:
+        """A count that is sent from now on. BoardSilent if there is none."""
+        self._board.await_status()
+        return self._board.count + self.offset
+
+    def arm_index(self, joint: int) -> None:
+        """The count at which the home switch is seen takes the index's place."""
+        self._latched = self._board.count + self.offset
+
+    def index_count(self, joint: int) -> int | None:
+        """The count at the switch."""
+        return self._latched
+
+    def watch_indices(self, is_wanted: bool) -> None:
+        """No index is watched."""
+
+    def passed_indices(self) -> list[tuple[int, int]]:
+        """No index is watched."""
+        return []
+
+    def shift(self, joint: int, counts: int) -> None:
+        """Shift the zero, which is kept here."""
+        self.fresh_count(joint)
+        self.offset += counts
+        self._is_zero_set = True
+
+    def restore(self) -> None:
+        """Nothing is lost that is sent all the time."""
+
+
+class NodeDrive(ABC):
+    """One motor of a board without states or with fewer than the loop's: they are kept here, and so are faults.
+
+    Meets `control.hardware.roles.Drives`, with what a kind adds.
+    """
+
+    def __init__(self, board: CanNode, encoder: NodeEncoder | None, joint: int, drive: Drive) -> None:
+        """`encoder`: the board's own, None if the loop uses another."""
+        self.joints = (joint,)
+        self._node, self._encoder, self._joint = board, encoder, joint
+        self._map = JointMap(drive)
+        self._sign = float(drive.motor_direction)
+        self._configured_resets = -1
+        self._faults = 0
+        self._is_enabled = False
+
+    @abstractmethod
+    def _faults_now(self) -> int:
+        """What the board reports, as the loop's faults."""
+
+    def _is_driving(self) -> bool:
+        """Whether the board is in operation."""
+        return self._is_enabled
+
+    def take(self, feedback: Feedback) -> None:
+        """Write current, supply, temperature and the state kept here."""
+        board, joint = self._node, self._joint
+        feedback.reply_at_s[joint] = board.at_s
+        if not board.is_known or math.isnan(board.supply_V):
+            feedback.statusword[joint] = 0
+            return
+        self._faults |= self._faults_now()
+        feedback.current_A[joint] = self._sign * board.current_A
+        feedback.supply_V[joint] = board.supply_V
+        feedback.temperature_C[joint] = board.temperature_degC
+        feedback.drive_faults[joint] = self._faults
+        state = OPERATION_ENABLED if self._is_driving() else SWITCH_ON_DISABLED
+        feedback.statusword[joint] = FAULT if self._faults else state
+
+    def _may_drive(self, wants_enabled: bool) -> bool:
+        """Whether a board that is set up and without a fault is wanted to drive."""
+        return wants_enabled and self._configured_resets == self._node.resets and not self._faults
+
+    def is_any_enabled(self) -> bool:
+        """Whether the motor may be driven."""
+        return self._is_driving()
+
+    def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:  # noqa: B027
+        """The encoder's offset is used with every position."""
+
+
+class SetPointSpeed:
+    """The speed of a joint's set-point in counts/s, which a board that closes the position loop is told beside the count.
+
+    A late cycle moves the set-point further, in a longer time; no step may look faster than the joint's limit.
+    """
+
+    def __init__(self, drive: Drive, clock: Clock, period_s: float) -> None:
+        self._clock, self._period_s = clock, period_s
+        counts_per_radian = abs(JointMap(drive).counts_per_radian)
+        self._most_count_s = drive.joint_speed_limit_rad_s * counts_per_radian
+        self._last: tuple[int, float] | None = None
+
+    def of(self, count: int) -> float:
+        """The speed now that `count` is commanded; 0 after another mode."""
+        now_s = self._clock.now_s()
+        last, self._last = self._last, (count, now_s)
+        if last is None:
+            return 0.0
+        speed = (count - last[0]) / max(now_s - last[1], self._period_s)
+        return min(max(speed, -self._most_count_s), self._most_count_s)
+
+    def forget(self) -> None:
+        """Another mode is commanded."""
+        self._last = None
+
+
+def open_bus(
+    arm: Arm, opened: Opened, boards: str, open_link: Callable[..., FrameLink], make: Callable[[FrameLink, Clock], B],
+    clock: Clock,
+) -> B | None:  # fmt: skip
+    """The bus of [can] for a kind of boards, which messages call `boards`; None if it cannot be opened (noted in `opened`)."""
+    if arm.can is None:
+        raise MissingModel(f"arm {arm.name}: no [can] bus for its {boards}: add it")
+    try:
+        link = open_link(arm.can.interface, arm.can.channel, arm.can.bitrate, **arm.can.options)
+    except LinkError as error:
+        opened.failures.append(error)
+        return None
+    opened.closers.append(link.close)
+    bus = make(link, clock)
+    opened.lines.append(BusLine(bus))
+    return bus
+
+
+def each(
+    arm: Arm, boards: Sequence[Board], opened: Opened, open_one: Callable[[Board, int, Drive], None]
+) -> None:
+    """Open board after board, given its joint (0-based) and drive; failures are noted in `opened`."""
+    driven: Mapping[str, tuple[int, Drive]] = {d.board: (joint, d) for joint, d in enumerate(arm.drives)}
+    for described in boards:
+        with collect(opened.failures):
+            open_one(described, *driven[described.name])

@@ -1,0 +1,129 @@
+"""moteus controllers over CAN FD as encoders and drives of an arm: by torque or by the board's position loop (docs/moteus.md).
+
+Where the loop controls nothing, a moteus shorts its windings. Each command carries the watchdog's time. A fault frees the motor;
+a time-out holds the joint by the board's settings. Both are left only by `acknowledge_faults`.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from control.hardware.bought.can_node import NodeDrive, NodeEncoder, SetPointSpeed, each, open_bus
+from control.hardware.interface import Feedback, OutputMode
+from control.hardware.opened import Opened
+from control.hardware.words import (
+    BAD_COMMAND,
+    EMERGENCY_STOP,
+    OVER_CURRENT,
+    OVER_TEMPERATURE,
+    OWN_ENCODER,
+    SUPPLY_HIGH,
+    SUPPLY_LOW,
+    WATCHDOG,
+)
+from control.model.arm import Arm, Board, Drive
+from firmware_iface.clock import Clock
+from firmware_iface.errors import BoardFaulted
+from firmware_iface.link import open_fd_can
+from firmware_iface.moteus import wire
+from firmware_iface.moteus.controller import Moteus, MoteusBus
+from firmware_iface.moteus.wire import Mode
+
+# Fault codes of the register reference, as the loop's faults; the rest concerns its encoder, its settings or itself.
+_FAULT_OF: Final = {
+    33: OVER_CURRENT, 34: SUPPLY_HIGH, 38: OVER_TEMPERATURE, 39: BAD_COMMAND, 40: SUPPLY_LOW, 44: OVER_CURRENT,
+}  # fmt: skip
+
+
+class MoteusDrive(NodeDrive):
+    """One motor; meets `control.hardware.roles.Drives`."""
+
+    def __init__(
+        self, board: Moteus, encoder: NodeEncoder | None, joint: int, drive: Drive, speed: SetPointSpeed, watchdog_s: float
+    ) -> None:  # fmt: skip
+        """`encoder`: the board's own, None if the loop uses another."""
+        super().__init__(board, encoder, joint, drive)
+        self._board = board
+        self._torque_Nm_A = self._sign * drive.torque_constant_Nm_A
+        limit_Nm = drive.torque_constant_Nm_A * drive.current_limit_A
+        self._most_Nm = limit_Nm if math.isfinite(limit_Nm) else math.nan  # NaN: the board's own limit
+        self._speed, self._watchdog_s = speed, watchdog_s
+        self._held: int | None = None
+
+    def _faults_now(self) -> int:
+        board = self._board
+        if board.mode == Mode.FAULT:
+            return _FAULT_OF.get(board.fault, OWN_ENCODER)
+        return WATCHDOG if board.mode == Mode.TIMEOUT else 0
+
+    def write(
+        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        feedforward_V: Sequence[float], feedback: Feedback,
+    ) -> None:  # fmt: skip
+        """Set the command of this cycle; without one the windings are shorted."""
+        board, joint = self._board, self._joint
+        feedback.sent_V[joint] = math.nan
+        self._is_enabled = self._may_drive(wants_enabled)
+        mode = modes[joint] if self._is_enabled else OutputMode.VOLTAGE
+        if mode is not OutputMode.POSITION:
+            self._speed.forget()
+        if mode is not OutputMode.HOLD:
+            self._held = None
+        if mode is OutputMode.POSITION and self._encoder is not None:
+            count = self._map.count(output[joint]) - self._encoder.offset
+            self._go(count, self._speed.of(count))
+        elif mode is OutputMode.HOLD:
+            self._held = board.count if self._held is None else self._held
+            self._go(self._held, 0.0)
+        elif mode is OutputMode.CURRENT or mode is OutputMode.OFF:
+            torque_Nm = self._torque_Nm_A * output[joint] if mode is OutputMode.CURRENT else 0.0
+            command = wire.torque(torque_Nm, self._most_Nm, self._watchdog_s)
+            board.wanted = wire.position(board.number, command)
+        else:
+            board.wanted = wire.brake(board.number)
+
+    def _go(self, count: int, speed_count_s: float) -> None:
+        """Be at a count that moves at a speed."""
+        board, turn = self._board, self._board.counts_per_turn
+        command = wire.Position(count / turn, speed_count_s / turn, 0.0, 1.0, self._most_Nm, self._watchdog_s)
+        board.wanted = wire.position(board.number, command)
+
+    def configure(self, fresh_count: Callable[[int], int]) -> None:
+        """Nothing is set: each command carries its limits."""
+        self._configured_resets = self._board.resets
+        self._board.await_status()
+
+    def acknowledge_faults(self) -> None:
+        """End a fault or time-out; the windings stay shorted. Raises BoardFaulted if a fault comes back."""
+        self._is_enabled = False
+        board = self._board
+        if not board.reset_fault():
+            raise BoardFaulted(
+                f"{board.where}: its fault {board.fault} cannot be acknowledged: the cause persists"
+            )
+        self._faults = 0
+
+    def emergency_stop(self) -> None:
+        """Short the windings now, and stay there until the fault is acknowledged."""
+        self._faults |= EMERGENCY_STOP
+        self._board.stop_now()
+
+
+def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
+    """Open the CAN FD bus, and identify every moteus."""
+    bus = open_bus(arm, opened, "moteus controllers", open_fd_can, MoteusBus, clock)
+    if bus is None:
+        return
+
+    def open_one(described: Board, joint: int, drive: Drive) -> None:
+        board = Moteus(bus, described.address, described.name, drive.encoder_counts_per_rev)
+        said = board.identify(described.absolute)
+        encoder = NodeEncoder(board, joint, described.absolute) if drive.encoder_board < 0 else None
+        if encoder is not None:
+            encoder.is_asked = True
+            opened.encoders.append(encoder)
+        speed = SetPointSpeed(drive, clock, period_s)
+        opened.drives.append(MoteusDrive(board, encoder, joint, drive, speed, arm.limits.watchdog_s))
+        opened.identities.append((board.where, f"{said}, supply {board.supply_V:.1f} V"))
+
+    each(arm, boards, opened, open_one)

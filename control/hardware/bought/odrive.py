@@ -1,0 +1,147 @@
+"""ODrives over CAN as encoders and drives of an arm: by the motor's torque, or by the board's position loop (docs/odrive.md).
+
+Where the loop controls nothing, an ODrive in operation holds its position: it has no brake by shorted windings. A fault or the
+end of operation frees the motor. The zero is kept by the host, unless the board's settings make its position the joint's.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from control.hardware.bought.can_node import NodeDrive, NodeEncoder, SetPointSpeed, each, open_bus
+from control.hardware.interface import Feedback, OutputMode
+from control.hardware.opened import Opened
+from control.hardware.words import (
+    EMERGENCY_STOP,
+    OVER_CURRENT,
+    OVER_TEMPERATURE,
+    OWN_ENCODER,
+    SUPPLY_HIGH,
+    SUPPLY_LOW,
+    WATCHDOG,
+)
+from control.model.arm import Arm, Board, Drive
+from firmware_iface.clock import Clock
+from firmware_iface.errors import BoardFaulted
+from firmware_iface.link import open_can
+from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
+from firmware_iface.odrive.wire import Error
+
+# Errors of an axis as the loop's faults; the rest concerns its encoder, its settings or itself.
+_FAULT_OF: Final = (
+    (Error.DC_BUS_OVER_VOLTAGE | Error.BRAKE_RESISTOR_DISARMED, SUPPLY_HIGH),
+    (Error.DC_BUS_UNDER_VOLTAGE, SUPPLY_LOW),
+    (Error.DC_BUS_OVER_CURRENT | Error.DC_BUS_OVER_REGEN_CURRENT | Error.CURRENT_LIMIT_VIOLATION | Error.DRV_FAULT, OVER_CURRENT),
+    (Error.MOTOR_OVER_TEMP | Error.INVERTER_OVER_TEMP | Error.THERMISTOR_DISCONNECTED, OVER_TEMPERATURE),
+    (Error.WATCHDOG_TIMER_EXPIRED, WATCHDOG),
+    (Error.ESTOP_REQUESTED, EMERGENCY_STOP),
+)  # fmt: skip
+_COMMANDED: Final = (OutputMode.POSITION, OutputMode.CURRENT, OutputMode.OFF)
+SPEED_MARGIN: Final = 2.0  # of the board's speed limit over the joint's: the loop's own limits come first
+
+
+class OdriveDrive(NodeDrive):
+    """One motor; meets `control.hardware.roles.Drives`."""
+
+    def __init__(
+        self, axis: OdriveAxis, encoder: NodeEncoder | None, joint: int, drive: Drive, clock: Clock, period_s: float
+    ) -> None:  # fmt: skip
+        """`encoder`: the board's own, None if the loop uses another. `period_s`: of the cycle."""
+        super().__init__(axis, encoder, joint, drive)
+        self._axis = axis
+        self._torque_Nm_A = self._sign * drive.torque_constant_Nm_A
+        motor_turns_s = drive.joint_speed_limit_rad_s * drive.gear_ratio / (2.0 * math.pi)
+        self._limits = (SPEED_MARGIN * motor_turns_s, drive.current_limit_A)
+        self._is_stopped = False
+        self._held: int | None = None
+        self._speed = SetPointSpeed(drive, clock, period_s)
+
+    def _faults_now(self) -> int:
+        errors = self._axis.errors or Error(0)
+        known = [bit for mask, bit in _FAULT_OF if errors & mask]
+        return sum(known) if known else OWN_ENCODER if errors else 0
+
+    def _is_driving(self) -> bool:
+        return self._axis.is_driving
+
+    def write(
+        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        feedforward_V: Sequence[float], feedback: Feedback,
+    ) -> None:  # fmt: skip
+        """Set the command of this cycle."""
+        axis, joint = self._axis, self._joint
+        feedback.sent_V[joint] = math.nan
+        self._is_enabled = self._may_drive(wants_enabled)
+        mode = modes[joint] if self._is_enabled else OutputMode.HOLD
+        if mode in _COMMANDED:
+            self._held = None
+        if mode is not OutputMode.POSITION:
+            self._speed.forget()
+        if not (self._is_enabled or (self._is_stopped and axis.is_driving)):
+            self._held = None
+            axis.want_idle()
+        elif mode is OutputMode.POSITION and self._encoder is not None:
+            count = self._map.count(output[joint]) - self._encoder.offset
+            axis.want_count(count, self._speed.of(count))
+        elif mode is OutputMode.CURRENT:
+            axis.want_torque(self._torque_Nm_A * output[joint])
+        elif mode is OutputMode.OFF:
+            axis.want_torque(0.0)
+        else:
+            self._hold()
+
+    def _hold(self) -> None:
+        """Stay where the joint is now."""
+        self._held = self._axis.count if self._held is None else self._held
+        self._axis.want_count(self._held)
+
+    def configure(self, fresh_count: Callable[[int], int]) -> None:
+        """Limit speed and current, which a restart of the board forgets."""
+        axis = self._axis
+        if self._configured_resets != axis.resets:
+            resets = axis.resets
+            if all(map(math.isfinite, self._limits)):
+                axis.limit(*self._limits)
+            self._configured_resets = resets
+        axis.await_status()
+
+    def acknowledge_faults(self) -> None:
+        """Clear the axis's errors; it stays idle. BoardFaulted if a cause persists."""
+        self._is_enabled = self._is_stopped = False
+        if not self._axis.clear_errors():
+            raise BoardFaulted(
+                f"{self._axis.where}: its error {self._axis.errors!r} cannot be acknowledged: the cause persists"
+            )
+        self._faults = 0
+
+    def emergency_stop(self) -> None:
+        """Hold the position now, and until the fault is acknowledged: without power a loaded arm would drop."""
+        self._faults |= EMERGENCY_STOP
+        self._is_stopped = True
+        if self._axis.is_driving:
+            self._hold()
+            self._axis.send_now()
+
+
+def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
+    """Open the CAN bus, and wait for what every ODrive sends."""
+    bus = open_bus(arm, opened, "ODrives", open_can, OdriveBus, clock)
+    if bus is not None:
+        each(
+            arm,
+            boards,
+            opened,
+            lambda board, joint, drive: _open_axis(bus, board, joint, drive, period_s, opened),
+        )
+
+
+def _open_axis(
+    bus: OdriveBus, described: Board, joint: int, drive: Drive, period_s: float, opened: Opened
+) -> None:
+    axis = OdriveAxis(bus, described.address, described.name, drive.encoder_counts_per_rev)
+    axis.identify()
+    encoder = NodeEncoder(axis, joint, described.absolute) if drive.encoder_board < 0 else None
+    if encoder is not None:
+        opened.encoders.append(encoder)
+    opened.drives.append(OdriveDrive(axis, encoder, joint, drive, bus.clock, period_s))
+    opened.identities.append((axis.where, f"{axis.errors!r}, supply {axis.supply_V:.1f} V"))

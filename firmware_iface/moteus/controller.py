@@ -1,0 +1,171 @@
+"""moteus controllers on a CAN FD bus, seen from the host. Each command asks for the values; the reply brings them."""
+
+import math
+import struct
+from collections.abc import Callable
+from typing import Final
+
+from firmware_iface.errors import BoardReset, BoardSilent, LinkError, MisuseError, ProtocolViolation
+from firmware_iface.moteus import wire
+from firmware_iface.moteus.wire import Frame, Mode, Register
+from firmware_iface.node_bus import NodeBus
+
+ANSWER_TIMEOUT_s = 0.05
+ATTEMPTS = 3
+SETTLE_s = 0.02  # in which a fault whose cause persists comes back
+LATER_s, LATER_REPLIES = 0.05, 3  # a start that moves by so much, in so many replies, is another one
+_HALF: Final = 1 << 31  # of the counter's range
+_NOT_RUNNING: Final = (Mode.STOPPED, Mode.FAULT, Mode.TIMEOUT)
+
+
+class MoteusBus(NodeBus["Moteus"]):
+    """A CAN FD bus with its controllers."""
+
+    def _take(self, can_id: int, payload: bytes, now_s: float) -> None:
+        if can_id & 0xFF == 0 and (controller := self.nodes.get(can_id >> 8)) is not None:
+            controller.take(payload, now_s)
+
+
+class Moteus:
+    """Keeps the latest values of a controller and its command; times are the host's, on arrival."""
+
+    def __init__(self, bus: MoteusBus, number: int, name: str, counts_per_turn: int) -> None:
+        """`counts_per_turn`: the position comes as turns, and is made counts of so many a turn."""
+        if number not in wire.IDS:
+            raise MisuseError(f'moteus "{name}": ids are 1 to {wire.IDS.stop - 1}, got {number}')
+        self.number, self.name, self.counts_per_turn = number, name, counts_per_turn
+        self.wanted: Frame = wire.brake(number)
+        """The command of the next cycle."""
+        self.count = 0
+        self.current_A, self.supply_V, self.temperature_degC = 0.0, math.nan, 0.0
+        self.mode, self.fault = int(Mode.STOPPED), 0
+        self.is_switch_on = False
+        self.at_s = -math.inf
+        self.resets = 0
+        self._milliseconds = 0
+        self._started_s = math.inf  # of its counter of milliseconds, on the host's clock; not yet known
+        self._later = 0  # replies in a row by which it started later than that
+        self._identity: dict[int, float] = {}
+        self._bus = bus
+        bus.nodes[number] = self
+
+    @property
+    def where(self) -> str:
+        """Name in messages: `moteus "elbow" (id 3) on socketcan:can0`."""
+        return f'moteus "{self.name}" (id {self.number}) on {self._bus.name}'
+
+    @property
+    def counted_at_s(self) -> float:
+        """When the count came: with all other values."""
+        return self.at_s
+
+    @property
+    def is_known(self) -> bool:
+        """Whether a reply has come."""
+        return self.at_s != -math.inf
+
+    @property
+    def is_driving(self) -> bool:
+        """Whether it was in position mode at its last reply."""
+        return self.mode == Mode.POSITION
+
+    def frames(self) -> tuple[Frame, ...]:
+        """The command of this cycle."""
+        return (self.wanted,)
+
+    def stop_now(self) -> None:
+        """Short the windings before the cycle's end. Raises LinkLost."""
+        self.wanted = wire.brake(self.number)
+        self._bus.send(self.wanted)
+
+    # ---- outside of the cycle
+
+    def identify(self, must_be_referenced: bool) -> str:
+        """What it says of itself: firmware and serial number. BoardSilent, MisuseError.
+
+        `must_be_referenced`: its position must be that of the output since power-up.
+        """
+        self._identity = {}
+        self._asks(wire.ask(self.number, wire.IDENTITY_QUERY), lambda: bool(self._identity))
+        state = self._identity[Register.HOME_STATE]
+        if must_be_referenced and state != wire.REFERENCED_TO_OUTPUT:
+            raise MisuseError(
+                f"{self.where}: `absolute` in arm.toml, but its position is not referenced to the output (home state"
+                f" {state:.0f}, not {wire.REFERENCED_TO_OUTPUT}): set up an output encoder, or remove `absolute`"
+            )
+        self.await_status(is_asked_only=True)
+        version, serial = (
+            int(self._identity[Register.FIRMWARE]),
+            (int(self._identity[Register.SERIAL + k]) & 0xFFFF_FFFF for k in (2, 1, 0)),
+        )
+        return f"firmware 0x{version:06x}, serial number {''.join(f'{word:08x}' for word in serial)}"
+
+    def await_status(self, is_asked_only: bool = False) -> None:
+        """Wait for values that are sent from now on, as the answer to the present command or to none. BoardSilent."""
+        asked_s = self._bus.clock.now_s()
+        frame = wire.ask(self.number) if is_asked_only else self.wanted
+        self._asks(frame, lambda: self.at_s > asked_s)
+
+    def reset_fault(self) -> bool:
+        """End a fault or time-out; the windings are shorted then. Returns whether it is gone. BoardSilent."""
+        self._bus.send(wire.stop(self.number))
+        self.wanted = wire.brake(self.number)
+        end_s = self._bus.clock.now_s() + SETTLE_s
+        self.await_status()
+        self._bus.waits(lambda: self._bus.clock.now_s() >= end_s, SETTLE_s)
+        self.await_status()
+        return self.mode not in _NOT_RUNNING
+
+    def _asks(self, frame: Frame, is_answered: Callable[[], bool]) -> None:
+        for _ in range(ATTEMPTS):
+            self._bus.send(frame)
+            if self._bus.waits(is_answered, ANSWER_TIMEOUT_s):
+                return
+        raise BoardSilent(
+            f"{self.where}: no reply, asked {ATTEMPTS} times: check its supply, id {self.number}, and that the bus is CAN FD with"
+            " 1 Mbit/s and 5 Mbit/s for the data"
+        )
+
+    # ---- frames
+
+    def take(self, payload: bytes, now_s: float) -> None:
+        """Process a reply of this controller."""
+        try:
+            found = wire.values(payload)
+            if Register.SERIAL in found:
+                self._identity = found
+                return
+            problem = self._measured(found, now_s)
+        except (ValueError, KeyError, struct.error) as error:
+            problem = ProtocolViolation(
+                f"{self.where}: a reply of {len(payload)} bytes cannot be read ({error}): check its firmware"
+            )
+        if problem is not None:
+            self._bus.problems.append(problem)
+
+    def _measured(self, found: dict[int, float], now_s: float) -> LinkError | None:
+        self.count = round(found[Register.POSITION] * self.counts_per_turn)
+        self.mode, self.fault = int(found[Register.MODE]), int(found[Register.FAULT])
+        self.current_A = found[Register.Q_CURRENT]
+        self.supply_V = 0.1 * found[Register.VOLTAGE]
+        self.temperature_degC = found[Register.TEMPERATURE]
+        self.is_switch_on = bool(int(found[Register.AUX1_INPUTS]) & 1)
+        self.at_s = now_s
+        if self._has_restarted(int(found[Register.MILLISECONDS]), now_s):
+            self.resets += 1
+            self.wanted = wire.brake(self.number)
+            return BoardReset(
+                f"{self.where}: restarted by itself; its motor was free: check its supply and cable"
+            )
+        return None
+
+    def _has_restarted(self, milliseconds: int, now_s: float) -> bool:
+        """Whether its counter began anew. A single reply may have waited for a host that paused; a few in a row may not."""
+        step = (milliseconds - self._milliseconds + _HALF) % (2 * _HALF) - _HALF
+        self._milliseconds += step
+        started_s = now_s - 1e-3 * self._milliseconds
+        self._later = self._later + 1 if started_s > self._started_s + LATER_s else 0
+        if 0 < self._later < LATER_REPLIES:
+            return False
+        self._started_s = started_s
+        return self._later > 0

@@ -1,0 +1,172 @@
+"""moteus on CAN FD: golden frames, a controller that is silent, restarted, faulted or left alone, and damaged replies."""
+
+import math
+from typing import Any
+
+import pytest
+
+from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, ProtocolViolation
+from firmware_iface.moteus import wire
+from firmware_iface.moteus.controller import Moteus, MoteusBus
+from firmware_iface.moteus.wire import Mode, Position, Register
+from hil_mocks.devices.moteus import OVER_HEATED, MoteusMock, MoteusSetup
+from tests.firmware_iface.mock_wire import MockWire, golden
+
+ID, CPR = 5, 4096
+HOLD = Position(0.0, 0.0, 0.0, 1.0, math.nan, 0.1)
+
+
+class Cell:
+    def __init__(self, **setup: Any) -> None:
+        self.turns = 0.25
+        self.mock = MoteusMock(MoteusSetup(ID, 0.05, 8.0, **setup), lambda: self.turns)
+        self.wired = MockWire(self.mock)
+        self.bus = MoteusBus(self.wired, self.wired)
+        self.board = Moteus(self.bus, ID, "elbow", CPR)
+
+    def run(self, duration_s: float) -> None:
+        for _ in range(round(duration_s / 0.004)):
+            self.bus.flush()
+            self.wired.run(0.004)
+            self.bus.update()
+
+
+@pytest.mark.parametrize(
+    ("name", "made"),
+    [
+        ("identity query", (wire.ask(ID, wire.IDENTITY_QUERY))),
+        (
+            "position 1.5 turns, -0.25 turns/s, 0.1 Nm, at most 0.6 Nm, 0.1 s",
+            wire.position(ID, Position(1.5, -0.25, 0.1, 1.0, 0.6, 0.1)),
+        ),
+        ("brake", wire.brake(ID)),
+    ],
+)
+def test_what_is_sent_is_what_the_reference_says(name: str, made: wire.Frame) -> None:
+    assert made == golden("moteus.txt", name)
+
+
+def test_the_references_own_reply_is_read() -> None:
+    found = wire.values(golden("moteus.txt", "reply of the reference's example")[1])
+    assert found == {0: 10, 1: 80, 2: 256, 3: -144, 13: 24, 14: 20, 15: 0}
+
+
+def test_all_values_come_with_the_reply_to_a_command() -> None:
+    cell = Cell()
+    assert cell.board.identify(False) == "firmware 0x010304, serial number 000000030000000200000001"
+    cell.mock.is_home = True
+    cell.run(0.008)
+    board = cell.board
+    assert (board.count, board.supply_V, board.current_A) == (CPR // 4, pytest.approx(24.0), 0.5)
+    assert (board.temperature_degC, board.is_switch_on, board.mode) == (35.0, True, Mode.BRAKE)
+
+
+def test_the_first_question_commands_nothing() -> None:
+    cell = Cell()
+    cell.board.identify(False)
+    assert cell.mock.mode == Mode.STOPPED
+
+
+def test_a_torque_is_position_mode_without_its_gains() -> None:
+    cell = Cell()
+    cell.board.wanted = wire.position(ID, wire.torque(0.1, 0.3, 0.1))
+    cell.run(0.008)
+    assert cell.mock.output == ("current", pytest.approx(2.0))
+    cell.board.wanted = wire.position(ID, wire.torque(0.5, 0.3, 0.1))
+    cell.run(0.008)
+    assert cell.mock.output == ("current", pytest.approx(6.0)), (
+        "limited by the torque that the command allows"
+    )
+
+
+def test_a_silent_controller_and_a_position_that_is_not_the_outputs_say_what_to_do() -> None:
+    cell = Cell()
+    with pytest.raises(MisuseError, match=r"not referenced to the output \(home state 1, not 2\)"):
+        cell.board.identify(True)
+    assert Cell(home_state=2).board.identify(True)
+    cell.wired.is_cut = True
+    with pytest.raises(
+        BoardSilent, match=r'"elbow" \(id 5\) on memory: no reply, asked 3 times: .* CAN FD with 1 Mbit/s'
+    ):
+        cell.board.identify(False)
+    with pytest.raises(MisuseError, match="1 to 127, got 128"):
+        Moteus(cell.bus, 128, "elbow", CPR)
+
+
+@pytest.mark.parametrize("up_s", [0.1, 5.0])
+def test_a_restart_is_noticed_however_long_it_was_up_and_does_not_lead_back_into_operation(
+    up_s: float,
+) -> None:
+    cell = Cell()
+    cell.board.wanted = wire.position(ID, HOLD)
+    cell.run(0.02)
+    cell.wired.run(up_s)
+    cell.run(0.02)
+    cell.mock.power_up(cell.wired.now_s())
+    with pytest.raises(BoardReset, match="restarted by itself"):
+        cell.run(0.3)
+    cell.run(0.05)
+    assert (cell.board.resets, cell.mock.mode) == (1, Mode.BRAKE)
+
+
+def test_a_pause_of_the_host_is_no_restart() -> None:
+    cell = Cell()
+    cell.run(0.02)
+    cell.bus.flush()  # answered at once, and read after the pause
+    cell.wired.run(2.0)
+    cell.run(0.05)
+    assert cell.board.resets == 0
+
+
+def test_the_end_of_the_counters_range_is_no_restart() -> None:
+    cell = Cell()
+    cell.mock.advance_counter(2**31 - 20)
+    cell.run(0.1)
+    assert cell.mock.milliseconds < 0
+    assert cell.board.resets == 0
+
+
+def test_a_fault_and_a_time_out_end_by_a_stop_alone_and_a_persistent_cause_comes_back() -> None:
+    cell = Cell()
+    cell.board.wanted = wire.position(ID, HOLD)
+    cell.run(0.008)
+    cell.wired.run(0.2)
+    cell.run(0.008)
+    assert cell.board.mode == Mode.TIMEOUT
+    assert cell.board.reset_fault()
+    assert cell.board.mode == Mode.BRAKE
+    cell.mock.forced_error = OVER_HEATED
+    cell.run(0.02)
+    assert (cell.board.mode, cell.board.fault) == (Mode.FAULT, OVER_HEATED)
+    assert not cell.board.reset_fault()
+    cell.mock.forced_error = 0
+    assert cell.board.reset_fault()
+
+
+@pytest.mark.parametrize(
+    ("payload", "said"),
+    [
+        (b"\x31\x5e\x01", "register 0x05e is not known"),
+        (b"\x2c\x04\x01\x00\x00", "cannot be read"),
+        (b"\x21\x00\x0a", "of 3 bytes cannot be read"),
+        (b"\x77", "subframe 0x77"),
+        (b"\x24", "cut short"),
+    ],
+)
+def test_a_reply_that_cannot_be_read_is_a_violation_and_changes_nothing(payload: bytes, said: str) -> None:
+    cell = Cell()
+    cell.run(0.008)
+    before = cell.board.count, cell.board.at_s
+    cell.wired.put(ID << 8, payload)
+    with pytest.raises(ProtocolViolation, match=said):
+        cell.bus.update()
+    assert (cell.board.count, cell.board.at_s) == before
+
+
+def test_a_frame_of_another_board_or_to_another_host_is_left_alone() -> None:
+    cell = Cell()
+    cell.wired.put(6 << 8, b"\x77")
+    cell.wired.put(ID << 8 | 3, b"\x77")
+    cell.bus.update()
+    assert not cell.board.is_known
+    assert Register.MODE == 0

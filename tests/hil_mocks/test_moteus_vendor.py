@@ -1,0 +1,102 @@
+"""The vendor's client (moteus, from PyPI) makes the frames that ours are, byte for byte, and drives the mock."""
+
+import asyncio
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from firmware_iface.moteus import wire
+from hil_mocks.devices.moteus import MoteusMock, MoteusSetup
+
+moteus = pytest.importorskip("moteus")
+ID = 5
+
+
+class Transport:
+    """What the client takes for its bus: the mock answers, and its control period passes."""
+
+    def __init__(self, mock: MoteusMock) -> None:
+        self.mock, self.now_s = mock, 0.0
+
+    async def cycle(self, commands: list[Any]) -> list[Any]:
+        for command in commands:
+            can_id = command.source << 8 | command.destination | (0x8000 if command.reply_required else 0)
+            self.mock.receive(can_id, bytes(command.data), self.now_s)
+            self.now_s += 0.001
+            self.mock.tick(self.now_s, 1.5, 24.0)
+        answers, self.mock.outgoing = self.mock.outgoing, []
+        results = [SimpleNamespace(arbitration_id=can_id, data=payload) for can_id, payload in answers]
+        return [command.parse(result) for command, result in zip(commands, results, strict=False)]
+
+
+def controller(mock: MoteusMock | None = None) -> Any:
+    """A client whose questions and commands have the resolutions that are used here."""
+    asked = moteus.QueryResolution()
+    asked.voltage, asked.q_current, asked.aux1_gpio = moteus.INT16, moteus.F32, moteus.INT8
+    asked._extra = {0x070: moteus.INT32}
+    said = moteus.PositionResolution()
+    for name in (
+        "kp_scale",
+        "kd_scale",
+        "ilimit_scale",
+        "maximum_torque",
+        "watchdog_timeout",
+        "feedforward_torque",
+    ):
+        setattr(said, name, moteus.F32)
+    transport = None if mock is None else Transport(mock)
+    return moteus.Controller(ID, query_resolution=asked, position_resolution=said, transport=transport)
+
+
+def unpadded(frame: wire.Frame) -> bytes:
+    return frame[1].rstrip(bytes((wire.NOP,)))
+
+
+def test_commands_and_questions_are_the_clients_byte_for_byte() -> None:
+    client = controller()
+    at = client.make_position(
+        position=1.5, velocity=-0.25, feedforward_torque=0.1, kp_scale=1.0, kd_scale=1.0, maximum_torque=0.6,
+        watchdog_timeout=0.1, ilimit_scale=1.0, query=True,
+    )  # fmt: skip
+    assert unpadded(wire.position(ID, wire.Position(1.5, -0.25, 0.1, 1.0, 0.6, 0.1))) == at.data
+    torque = client.make_position(
+        position=math.nan, velocity=0.0, feedforward_torque=-0.2, kp_scale=0.0, kd_scale=0.0, maximum_torque=0.6,
+        watchdog_timeout=0.1, ilimit_scale=0.0, query=True,
+    )  # fmt: skip
+    assert unpadded(wire.position(ID, wire.torque(-0.2, 0.6, 0.1))) == torque.data
+    for ours, theirs in (
+        (wire.brake(ID), client.make_brake(query=True)),
+        (wire.stop(ID), client.make_stop(query=True)),
+        (wire.ask(ID), client.make_query()),
+    ):
+        assert unpadded(ours) == theirs.data
+        assert ours[0] == 0x8000 | theirs.destination
+
+
+def test_the_client_reads_what_the_mock_answers_and_the_mock_obeys_it() -> None:
+    mock = MoteusMock(MoteusSetup(ID, 0.05, 8.0), lambda: -2.125)
+    mock.is_home = True
+    client = controller(mock)
+
+    async def talk() -> None:
+        values = (await client.query()).values
+        register = moteus.Register
+        assert values[register.POSITION] == -2.125
+        assert (values[register.VOLTAGE], values[register.MODE], values[register.AUX1_GPIO_STATUS]) == (
+            24.0,
+            0,
+            1,
+        )
+        await client.set_position(
+            position=math.nan, kp_scale=0.0, kd_scale=0.0, ilimit_scale=0.0, feedforward_torque=0.1,
+            watchdog_timeout=0.1, query=True,
+        )  # fmt: skip
+        assert mock.output == ("current", pytest.approx(2.0))
+        values = (await client.set_brake(query=True)).values
+        assert (values[register.MODE], values[register.Q_CURRENT]) == (15, 1.5)
+        await client.set_stop()
+        assert (mock.mode, mock.output.kind) == (0, "open")
+
+    asyncio.run(talk())
