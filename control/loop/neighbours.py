@@ -115,16 +115,18 @@ class Neighbours:
         self._own, self._others, self.clearance_m = own, others, clearance_m
         self._pairs: dict[tuple[ArmBody, ArmBody], tuple[tuple[int, int], ...]] = {}
 
-    def objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float]) -> str:
-        """Why the arm must not get to `wanted_rad` from `here_rad`: another arm is there, or itself; empty if it may."""
+    def objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float], looks_ahead: bool) -> str:
+        """Why the arm must not get to `wanted_rad` from `here_rad`: another arm is there, or itself; empty if it may.
+
+        `looks_ahead`: or will be there shortly.
+        """
         body = self._own.body
         wanted, here = body.at(wanted_rad), None
         for other in self._others:
             if other.now is None:
                 continue
-            for capsules in (
-                (other.now,) if other.later is other.now else (other.now, other.later or other.now)
-            ):
+            later = other.later if looks_ahead and other.later is not other.now else None
+            for capsules in (other.now,) if later is None else (other.now, later):
                 nearest = self.gap(body, wanted, other, capsules, self.clearance_m)
                 if nearest.gap_m < self.clearance_m:
                     here = here or body.at(here_rad)

@@ -73,7 +73,7 @@ def objection(state: ArmState, wanted: SetPoint) -> str:
     """
     if state.monitor.mode not in ON_PATH:
         return ""
-    return state.parts.tool.guard.objection(wanted.q_rad, state.set_point.q_rad)
+    return state.parts.tool.guard.passing_objection(wanted.q_rad, state.set_point.q_rad)
 
 
 def aim(state: ArmState) -> Clip | None:

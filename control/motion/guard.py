@@ -32,8 +32,11 @@ _REMEDY = "nothing was moved; [limits] floor_z_m, floor_tolerance_m and base_rad
 class Beside(Protocol):
     """What stands beside the arm, and itself: other arms of its cell."""
 
-    def objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float]) -> str:
-        """Why the arm must not get to `wanted_rad` from `here_rad`, as text; empty if it may."""
+    def objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float], looks_ahead: bool) -> str:
+        """Why the arm must not get to `wanted_rad` from `here_rad`, as text; empty if it may.
+
+        `looks_ahead`: the arm is to come to rest there, so where the others are going counts too.
+        """
         ...
 
 
@@ -52,14 +55,21 @@ class Guard:
         return self._workspace.clearance(self._corners.at(*q_rad), self._body)
 
     def objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float]) -> str:
-        """Why the arm must not get to `wanted_rad` from `here_rad`, as text; empty if it may."""
+        """Why the arm must not come to rest at `wanted_rad` from `here_rad`, as text; empty if it may."""
+        return self._objection(wanted_rad, here_rad, looks_ahead=True)
+
+    def passing_objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float]) -> str:
+        """As `objection`, for a pose on a motion: it is left again before another arm gets there."""
+        return self._objection(wanted_rad, here_rad, looks_ahead=False)
+
+    def _objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float], looks_ahead: bool) -> str:
         clearance = self.clearance(wanted_rad)
         if (
             clearance.distance_m < 0.0
             and clearance.distance_m < self.clearance(here_rad).distance_m - _DEEPER_m
         ):
             return clearance.what
-        return "" if self.beside is None else self.beside.objection(wanted_rad, here_rad)
+        return "" if self.beside is None else self.beside.objection(wanted_rad, here_rad, looks_ahead)
 
     def jog_objection(self, wanted: SetPoint, here: SetPoint) -> str:
         """As `objection`, for the pose in which joints that move as `wanted` could come to rest."""

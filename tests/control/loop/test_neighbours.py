@@ -71,6 +71,18 @@ def test_a_motion_may_follow_the_other_arm_into_the_place_that_it_leaves() -> No
         assert least_true_gap_m(pair, 1.2) > PAIR.clearance_m
 
 
+def test_two_arms_may_pass_through_each_others_places_one_after_the_other() -> None:
+    start = {"left": (-0.4, 0.7, -0.9), "right": (1.3, -0.2, -0.2)}
+    goal = {"left": (-1.8, -0.2, -0.4), "right": (2.3, 0.5, -1.0)}
+    with holding_pair() as pair:
+        for poses in (start, goal):
+            moves = {arm: {"q_rad": q_rad, "speed": 1.0} for arm, q_rad in poses.items()}
+            duration_s = pair.clients["left"].ask("move_together", moves=moves)["duration_s"]
+            least_m = least_true_gap_m(pair, duration_s + 0.2)
+        assert least_m > PAIR.clearance_m
+        assert pair.mode("left") is pair.mode("right") is Mode.HOLDING
+
+
 def test_two_motions_that_would_meet_are_stopped_before_they_do() -> None:
     with holding_pair() as pair:
         unchecked(pair)
@@ -128,7 +140,7 @@ def test_beside_an_arm_that_is_not_homed_only_jogs_move() -> None:
 
 def test_the_last_set_point_is_held_against_the_other_arm() -> None:
     with beside_right() as pair:
-        objection = pair.runtime("left").parts.tool.guard.objection
+        objection = pair.runtime("left").parts.tool.guard.passing_objection
         assert objection(INWARD["left"], APART).startswith("the arm would come within 0.0")
         assert objection(OUTWARD["left"], APART) == ""
         assert objection(APART, INWARD["left"]) == ""
